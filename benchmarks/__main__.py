@@ -8,10 +8,14 @@ import textwrap
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from benchmarks.ablations.ablations import VARIANTS, AblationQuestion, AblationStudy
-from benchmarks.ablations.tables import format_ablations
+from benchmarks.ablations.ablations import (
+    VARIANTS,
+    AblationQuestion,
+    AblationStudy,
+    format_ablations,
+)
 from benchmarks.baselines import BASELINES
-from benchmarks.robustness.figures import format_robustness
+from benchmarks.robustness.page import format_robustness
 from benchmarks.robustness.question import RobustnessQuestion
 from benchmarks.robustness.study import RobustnessStudy
 from benchmarks.study.flags import (
@@ -21,8 +25,7 @@ from benchmarks.study.flags import (
     read_question,
     run_asked,
 )
-from benchmarks.study.scenario_question import ScenarioQuestion
-from benchmarks.study.scenario_runs import PLANNER
+from benchmarks.study.scenario_question import PLANNER, ScenarioQuestion
 from benchmarks.study.scenario_study import ScenarioStudy
 from benchmarks.study.scenario_tables import format_study
 from drake_aigto.cli import (

@@ -44,8 +44,7 @@ from benchmarks.collections.cart_poles import (
     make_scenario,
     make_world,
 )
-from benchmarks.measure import machine
-from benchmarks.script import read_flags, run_all, run_as
+from benchmarks.script import machine, read_flags, run_all, run_as
 from drake_aigto import ModelPredictiveController, Planner, PlanOptions
 from drake_aigto.control import TickStatus
 

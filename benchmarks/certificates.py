@@ -21,14 +21,12 @@ import pydrake.symbolic as sym
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 
 from benchmarks.collections.chain import chain_problem, exact_chain_minimum
-from benchmarks.collections.constrained_problem import ConstrainedProblem
 from benchmarks.collections.constrained_programs import constrained_problems
 from benchmarks.collections.global_functions import global_problems, random_univariate
-from benchmarks.collections.global_problem import GlobalProblem
-from benchmarks.measure import machine
+from benchmarks.collections.known_optimum import ConstrainedProblem, GlobalProblem
 from benchmarks.optima import ContactOptimum
-from benchmarks.script import read_flags
-from benchmarks.world_scenarios import WORLDS
+from benchmarks.script import machine, read_flags
+from benchmarks.worlds import WORLDS
 from drake_aigto.arrays import Floats
 from drake_aigto.certify import bound_plans, certify
 from drake_aigto.paper import RigidOptimum, rigid_optimum

@@ -24,7 +24,6 @@ import numpy as np
 
 from benchmarks.collections.chain import REACH, chain_problem
 from benchmarks.figures import draw_gaps
-from benchmarks.measure import machine
 from benchmarks.peers import (
     OUR_NAMES,
     OURS,
@@ -39,7 +38,7 @@ from benchmarks.peers import (
     seconds_to_reach,
     warm_up,
 )
-from benchmarks.script import read_flags, run_as
+from benchmarks.script import machine, read_flags, run_as
 
 SIZES = (2, 10, 26, 50, 82, 122, 170)
 LARGE = (1000, 10000)

@@ -14,7 +14,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from benchmarks.collections.global_problem import GlobalProblem, Part
+from benchmarks.collections.known_optimum import GlobalProblem, Part
 
 Values = Callable[[np.ndarray], float]
 Gradients = Callable[[np.ndarray], tuple[float, np.ndarray]]

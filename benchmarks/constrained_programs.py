@@ -18,11 +18,10 @@ from functools import cache, partial
 import numpy as np
 from pydrake.solvers import SnoptSolver
 
-from benchmarks.collections.constrained_problem import ConstrainedProblem
 from benchmarks.collections.constrained_programs import constrained_problems
-from benchmarks.measure import machine
+from benchmarks.collections.known_optimum import ConstrainedProblem
 from benchmarks.peers import OURS, PEER_FLAGS, Record, collect, make_record
-from benchmarks.script import read_flags, run_as
+from benchmarks.script import machine, read_flags, run_as
 from drake_aigto.solver import AigoOptions, AigoSolver
 
 FEASIBLE = 1e-6

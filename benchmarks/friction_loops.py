@@ -23,8 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.in_the_loop import OFF, OpenLoop
-from benchmarks.measure import machine
-from benchmarks.script import read_flags, run_all, run_as
+from benchmarks.script import machine, read_flags, run_all, run_as
 from drake_aigto import (
     ModelPredictiveController,
     Plan,

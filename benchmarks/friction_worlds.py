@@ -6,7 +6,7 @@
 Worlds are planned from the question alone, and both replays tell whether the plan holds. Peers have
 the same seconds: IPOPT from many starts where walls yield (`friction_peer`), what it finds polished
 as ours is and simulated; and SCIP, stick and slip as binaries, where all else is linear
-(`modes_miqp`), in steps of twice the length, as many are beyond it. CRISP's
+(`solve_modes`), in steps of twice the length, as many are beyond it. CRISP's
 payload in its 27 starts and goals, and IMPACT's disc that a pusher has to go round, are discrete
 programs by their authors, in other schemes than ours: Euler's steps, Coulomb's law as
 complementarities, and the disc is quasistatic. There IPOPT runs through CasADi on the same rows,
@@ -28,11 +28,9 @@ import numpy as np
 from pydrake.solvers import MathematicalProgram
 
 from benchmarks.collections.peer_programs import KNOWN, payload, payload_tasks, push_circle
-from benchmarks.friction_peer import solve_from_many
-from benchmarks.measure import machine
-from benchmarks.modes_miqp import solve_modes
-from benchmarks.recorded import read_output
-from benchmarks.script import read_flags, run_all, run_as
+from benchmarks.friction_peer import solve_from_many, solve_modes
+from benchmarks.records import read_output
+from benchmarks.script import machine, read_flags, run_all, run_as
 from benchmarks.staged_programs import FEASIBLE, GLOBAL, Ipopt, cost_of
 from drake_aigto import Plan, Planner, Scenario
 from drake_aigto.arrays import Floats

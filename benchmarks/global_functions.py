@@ -26,9 +26,8 @@ from functools import cache, partial
 import numpy as np
 
 from benchmarks.collections.global_functions import global_problems, random_univariate
-from benchmarks.collections.global_problem import GlobalProblem
+from benchmarks.collections.known_optimum import GlobalProblem
 from benchmarks.figures import draw_shares
-from benchmarks.measure import machine
 from benchmarks.peers import (
     OUR_NAMES,
     OURS,
@@ -41,7 +40,7 @@ from benchmarks.peers import (
     run_ours_only,
     warm_up,
 )
-from benchmarks.script import read_flags, run_as
+from benchmarks.script import machine, read_flags, run_as
 
 TOLERANCE = 1e-6
 SAMPLES = 10_000

@@ -26,8 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.measure import clock, is_met, write_csv
-from benchmarks.script import read_flags
+from benchmarks.script import clock, is_met, read_flags, write_csv
 from drake_aigto.aigo import Annealing
 from drake_aigto.planning import PlanOptions, make_ball_task
 from drake_aigto.world import Scenario, World

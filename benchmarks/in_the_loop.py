@@ -36,8 +36,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from benchmarks.measure import Spread, machine
-from benchmarks.script import read_flags, run_all, run_as
+from benchmarks.script import Spread, machine, read_flags, run_all, run_as
 from drake_aigto import (
     AigtoError,
     ModelPredictiveController,

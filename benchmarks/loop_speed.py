@@ -28,8 +28,7 @@ import numpy as np
 from pydrake.systems.framework import Context, EventStatus, State
 
 from benchmarks.in_the_loop import MECHANISMS, PERIOD, SEARCH_EVERY, Outcome, draw, prepare
-from benchmarks.measure import is_met, machine
-from benchmarks.script import read_flags
+from benchmarks.script import is_met, machine, read_flags
 from drake_aigto import AigtoError, ModelPredictiveController
 from drake_aigto.control import run_in_loop
 

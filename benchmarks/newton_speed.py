@@ -38,8 +38,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpbtrf
 
 from benchmarks.local_peers import casadi, sum_blocks
-from benchmarks.measure import Spread, clock, is_met, take_turns, write_csv
-from benchmarks.script import read_flags
+from benchmarks.script import Spread, clock, is_met, read_flags, take_turns, write_csv
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.planning import PlanOptions, ProgramTask, make_ball_task
 from drake_aigto.terms import Factor, FunctionKind, TermBlock

@@ -21,8 +21,7 @@ import numpy as np
 
 from benchmarks.collections.peer_programs import KNOWN, peer_problems
 from benchmarks.collections.staged_programs import StagedProblem
-from benchmarks.measure import machine
-from benchmarks.script import read_flags, run_all, run_as
+from benchmarks.script import machine, read_flags, run_all, run_as
 from benchmarks.staged_programs import FEASIBLE, GLOBAL, Ipopt, cost_of, run_ours, warm_up
 from drake_aigto.arrays import Floats
 from drake_aigto.solver import AigoOptions, AigoProgram, AigoSolver, StagedProgram, read_program

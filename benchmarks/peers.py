@@ -22,12 +22,10 @@ from scipy.optimize import differential_evolution, direct, dual_annealing, minim
 
 from benchmarks.collections.chain import chain_problem
 from benchmarks.collections.global_functions import planar_problems
-from benchmarks.collections.global_problem import GlobalProblem
-from benchmarks.collections.known_optimum import KnownOptimum
+from benchmarks.collections.known_optimum import GlobalProblem, KnownOptimum
 from benchmarks.collections.scalable_functions import rastrigin
 from benchmarks.compiled import compile_function
-from benchmarks.measure import write_csv
-from benchmarks.script import run_jobs
+from benchmarks.script import run_jobs, write_csv
 from drake_aigto.local import InteriorPoint, compile_nlp
 from drake_aigto.solver import AigoOptions, AigoSolver
 
@@ -310,5 +308,3 @@ def collect(
         tell(future.result())
     print(f"{name}: {len(done)} of {len(jobs)} jobs done\n", flush=True)
     return records
-
-

@@ -25,8 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.measure import clock, write_csv
-from benchmarks.script import read_flags
+from benchmarks.script import clock, read_flags, write_csv
 from benchmarks.study import ScenarioQuestion
 from drake_aigto.paper import ROWS
 from drake_aigto.planning import Planner, PlanOptions

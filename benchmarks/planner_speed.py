@@ -35,8 +35,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.local_peers import Solver, casadi, casadi_ipopt, drake_solver
-from benchmarks.measure import Spread, clock, is_met, write_csv
-from benchmarks.script import read_flags
+from benchmarks.script import Spread, clock, is_met, read_flags, write_csv
 from benchmarks.study import ScenarioQuestion
 from drake_aigto.arrays import Floats
 from drake_aigto.local import compile_nlp

@@ -19,8 +19,7 @@ from pydrake.solvers import MathematicalProgram
 from pydrake.symbolic import cos, sin
 
 from benchmarks.collections.staged_programs import push_bot
-from benchmarks.measure import machine
-from benchmarks.script import read_flags
+from benchmarks.script import machine, read_flags
 from drake_aigto.certify import Certifier, certify
 
 START = (0.9, 0.0, 0.0, 0.0)

@@ -23,13 +23,261 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
+from typing import NamedTuple
 
-from benchmarks.measure import machine, versions
-from benchmarks.recorded import CHECKOUT, FIGURES, RECORDS, path_of, read_output
+from benchmarks.script import machine, versions
 from drake_aigto.output import write_text
+
+CHECKOUT = Path(__file__).parents[1]
+FOLDER = CHECKOUT / "docs" / "results"
+
+_WORLDS = "python -m benchmarks.worlds"
+_SPEED = "--out docs/results/speed"
+_SOLVER = "--out docs/results/solver"
+_STUDIES = " ".join(
+    f"docs/results/{name}.json" for name in ("planner", "rivals", "ablations", "robustness")
+)
+
+# Record → its command. The page of results is made of what those before it saved, and of
+# `rivals.json`, whose command that page tells.
+RECORDS: Mapping[str, str] = {
+    "planner": "python -m benchmarks scenarios --count 1500 --seed 2026 --read-boxes --workers 2"
+    " --json docs/results/planner.json",
+    "ablations": "python -m benchmarks ablations --count 60 --seed 2026 --workers 2"
+    " --json docs/results/ablations.json",
+    "robustness": "python -m benchmarks robustness --scenarios 20 --percent 1 --seed 0 --workers 2"
+    " --json docs/results/robustness.json",
+    "page": f"python -m benchmarks page {_STUDIES} --out docs/results.md",
+    "corridor": f"{_WORLDS} corridor --count 200 --peer coasting --workers 2",
+    "floor": f"{_WORLDS} floor --count 200 --peer coasting --workers 2",
+    "room": f"{_WORLDS} room --count 200 --peer coasting --workers 2",
+    "two_masses": f"{_WORLDS} two_masses --count 30 --peer coasting --peer listed --workers 2",
+    "unequal_masses": f"{_WORLDS} two_masses --mass-ratio 3 0.2 1.5 5 --restitution 1 0.8"
+    " --count 40 --seed 200 --workers 2",
+    "floors": "python -m benchmarks.floors --count 200 --seed 2026 --workers 2",
+    "room_with_block": f"{_WORLDS} room_with_block --count 40 --peer coasting --peer listed"
+    " --workers 2",
+    "robots": "python -m benchmarks.robots compare --count 12 --minutes 10"
+    " --methods plan 'plan, points' shooting listed bounces SNOPT IPOPT --workers 2",
+    "friction": "python -m benchmarks.friction --shots 100 --workers 1 --minutes 60",
+    "friction_worlds": "python -m benchmarks.friction_worlds --workers 1",
+    "friction_loops": "python -m benchmarks.friction_loops --workers 2",
+    "robots_pendulum": "python -m benchmarks.robots compare pendulum/off_the_wall"
+    " --methods plan bounces --seconds 1.5 --workers 2",
+    "robots_rigid": "python -m benchmarks.robots compare cart_pole/rigid_06/e=1"
+    " cart_pole/rigid_06/e=0.5 cart_pole/rigid_10/e=1 cart_pole/rigid_10/e=0.5 paddle/bat"
+    " acrobot/swing_up acrobot/beside_a_wall --count 40 --methods plan listed IPOPT"
+    " --minutes 17 --workers 2 --json docs/results/robots_rigid.json",
+    "robots_forty": "python -m benchmarks.robots compare paddle/bat acrobot/swing_up --count 40"
+    " --methods plan listed IPOPT --workers 1",
+    "robots_contacts": "python -m benchmarks.robots compare acrobot/beside_a_wall two_discs/swap"
+    " three_carts/apart --count 40 --methods plan listed IPOPT --seconds 10 --minutes 40"
+    " --workers 1",
+    "robots_soft": "python -m benchmarks.robots compare cart_pole/soft_06 cart_pole/soft_10"
+    " --methods plan --workers 1",
+    "table1": "python -m benchmarks.table1_figures",
+    "rigid": "python -m benchmarks.rigid_figures",
+    "planner_speed": f"python -m benchmarks.planner_speed {_SPEED}",
+    "plan_profile": f"python -m benchmarks.plan_profile {_SPEED}",
+    "newton_speed": f"python -m benchmarks.newton_speed {_SPEED}",
+    "growth": f"python -m benchmarks.growth --repeats 1 {_SPEED}",
+    "start_time": f"python -m benchmarks.start_time --repeats 3 {_SPEED}",
+    "global_functions": f"python -m benchmarks.global_functions --workers 2 --seeds 1 {_SOLVER}",
+    "constrained_programs": f"python -m benchmarks.constrained_programs --workers 2 {_SOLVER}",
+    "staged_programs": "python -m benchmarks.staged_programs --only push_bot --random 50 --seeds 1"
+    " --workers 2",
+    "lifted_functions": "python -m benchmarks.lifted_functions --workers 2",
+    "peer_programs": "python -m benchmarks.peer_programs --seeds 0 --workers 2 --minutes 30",
+    "loops": "python -m benchmarks.loops --count 2 --workers 2",
+    "chain": "python -m benchmarks.chain --workers 2 --first-seed 100 --patience 20 --minutes 60"
+    f" {_SOLVER}",
+    "certificates": "python -m benchmarks.certificates --worlds 50",
+    "push_bot_bounds": "python -m benchmarks.push_bot_bounds",
+    "in_the_loop": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --workers 1",
+    "in_more_loops": "python -m benchmarks.in_the_loop room/bank_shot floor/rebound"
+    " cart_pole/soft_06 --count 100 --workers 2 --minutes 14",
+    "loop_speed": "python -m benchmarks.loop_speed",
+    "loops_changing": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --changing"
+    " --count 60 --workers 1 --minutes 6",
+    "cart_poles": "python -m benchmarks.cart_poles --count 100 --workers 1 --minutes 45",
+    "soak": "python -m benchmarks.soak --count 1000000",
+    "random_programs": "python -m benchmarks.random_programs --count 3000 --seed 4 --workers 2",
+}
+
+
+class Figure(NamedTuple):
+    """A figure that pages may quote: the only group of a pattern in what a command printed."""
+
+    record: str
+    pattern: str
+
+
+def path_of(record: str) -> Path:
+    """Returns the file of a record."""
+    return FOLDER / f"{record}.txt"
+
+
+def read_output(record: str) -> str:
+    """Returns what a record's command printed."""
+    lines = path_of(record).read_text(encoding="utf-8").splitlines(keepends=True)
+    return "".join(line for line in lines if not line.startswith("# "))
+
+
+CHAIN_SIZES = (2, 10, 26, 50, 82, 122, 170, 1000, 10_000)
+_NUMBER = r"([\d.]+)"
+
+
+def _planner(e: str) -> dict[str, Figure]:
+    row = rf"(?s)^e = {re.escape(e)}:.*?^aigto +"
+    name = f"one_wall_{e.replace('.', '')}"
+    return {
+        f"{name}_share": Figure("planner", rf"{row}([\d.]+ %)"),
+        f"{name}_worst": Figure("planner", rf"{row}[\d.]+ % +[\d.]+ +{_NUMBER}"),
+    }
+
+
+def _world(name: str, *peers: str) -> dict[str, Figure]:
+    patterns = {
+        "optimal": rf"optimal: {_NUMBER} of",
+        "count": r"optimal: \d+ of (\d+)",
+        "boxes": rf"any rung: {_NUMBER} of",
+        "median": rf"median {_NUMBER}, at most",
+        "most": rf"at most {_NUMBER}$",
+        **{peer: rf"peer '{peer}': {_NUMBER} of" for peer in peers},
+    }
+    return {f"{name}_{what}": Figure(name, pattern) for what, pattern in patterns.items()}
+
+
+def _soft(wall: str) -> dict[str, Figure]:
+    head = rf"(?s)^cart_pole/soft_{wall}: (?:\d+) questions\n[^\n]*\nplan +"
+    return {
+        f"soft_{wall}_near": Figure("robots_soft", rf"{head}{_NUMBER} %"),
+        f"soft_{wall}_seconds": Figure("robots_soft", rf"{head}(?:[\d.]+ % +){{3}}{_NUMBER}"),
+    }
+
+
+def _planner_speed(name: str, method: str) -> dict[str, Figure]:
+    line = rf"^  {re.escape(method)} +"
+    return {
+        f"{name}_ms": Figure("planner_speed", rf"{line}{_NUMBER} ms, on"),
+        f"{name}_cost": Figure("planner_speed", rf"{line}[\d.]+ ms, on a rigid wall (\S+)"),
+        f"{name}_ratio": Figure("planner_speed", rf"{line}{_NUMBER} \("),
+        f"{name}_quartiles": Figure("planner_speed", rf"{line}[\d.]+ \((.*)\)"),
+    }
+
+
+def _functions(name: str, solver: str) -> dict[str, Figure]:
+    line = rf"^{re.escape(solver)}  .* "
+    return {
+        f"functions_{name}_range": Figure("global_functions", rf"{line}{_NUMBER}% +[\d.]+% "),
+        f"functions_{name}_value": Figure("global_functions", rf"{line}[\d.]+% +{_NUMBER}% "),
+    }
+
+
+def _chain(n: int) -> dict[str, Figure]:
+    line = rf"^n = +{n}  "
+    return {
+        f"chain_{n}_gap": Figure("chain", rf"{line}AIGO +gap +-?{_NUMBER}%"),
+        f"chain_{n}_worst": Figure("chain", rf"{line}AIGO +gap.*worst +-?{_NUMBER}%"),
+        f"chain_{n}_seconds": Figure("chain", rf"{line}AIGO +gap.* {_NUMBER} s$"),
+        f"chain_{n}_alone": Figure("chain", rf"{line}AIGO, boxes alone +gap +-?{_NUMBER}%"),
+        f"chain_{n}_annealing": Figure("chain", rf"{line}dual_annealing +gap +-?{_NUMBER}%"),
+    }
+
+
+FIGURES: Mapping[str, Figure] = {
+    **_planner("1"),
+    **_planner("0.8"),
+    **_planner("0.5"),
+    **_world("corridor", "coasting"),
+    **_world("floor", "coasting"),
+    **_world("room", "coasting"),
+    **_world("two_masses", "coasting", "listed"),
+    **_world("unequal_masses"),
+    **_world("room_with_block", "coasting", "listed"),
+    "floors_optimal": Figure("floors", rf"the best known: {_NUMBER} of"),
+    "floors_count": Figure("floors", r"the best known: \d+ of (\d+)"),
+    "floors_rests": Figure("floors", rf"rests and jumps: {_NUMBER},"),
+    "floors_median": Figure("floors", rf"median {_NUMBER}, at most"),
+    "floors_most": Figure("floors", rf"at most {_NUMBER}$"),
+    "robots_tables": Figure("robots", r"(?s)\A(.*\S)"),
+    "robots_rigid_tables": Figure("robots_rigid", r"(?s)\A(.*\S)"),
+    "robots_forty_tables": Figure("robots_forty", r"(?s)\A(.*\S)"),
+    "robots_contacts_tables": Figure("robots_contacts", r"(?s)\A(.*\S)"),
+    "friction_forms": Figure("friction", r"(?s)\A((?:[^\n]* off by \S+\n)*[^\n]* off by \S+)"),
+    "friction_shots": Figure("friction", r"(?m)^with friction: .* of (\d+),"),
+    "friction_near": Figure("friction", r"(?m)^with friction: within 1 % of the list (\d+) of"),
+    "friction_better": Figure("friction", r"(?m)^with friction: .*by more than 1 % (\d+);"),
+    "friction_worst": Figure("friction", r"(?m)^with friction: .*worst (-?[\d.]+) %"),
+    "smooth_shots": Figure("friction", r"(?m)^without friction: .* of (\d+),"),
+    "smooth_near": Figure("friction", r"(?m)^without friction: within 1 % of the list (\d+) of"),
+    "friction_pays": Figure("friction", r"more than 1 % in (\d+) of \d+$"),
+    "friction_drake": Figure("friction", r"Drake's cost within 1 % of the plan's: (\d+) of"),
+    "friction_seconds": Figure("friction", r"CPU seconds a plan, median: ([\d.]+)"),
+    "robots_pendulum_tables": Figure("robots_pendulum", r"(?s)\A(.*\S)"),
+    "robots_soft_tables": Figure("robots_soft", r"(?s)\A(.*\S)"),
+    **_soft("06"),
+    **_soft("10"),
+    **_planner_speed("plan", "plan"),
+    **_planner_speed("casadi", "CasADi + IPOPT from zero"),
+    **_planner_speed("casadi_random", "CasADi + IPOPT from random"),
+    **_planner_speed("ipopt", "Drake's IPOPT from zero"),
+    **_planner_speed("snopt", "Drake's SNOPT from zero"),
+    **_functions("ours", "AIGO"),
+    **_functions("alone", "AIGO, boxes alone"),
+    **_functions("annealing", "dual_annealing"),
+    **_functions("lbfgs", "L-BFGS-B, multistart"),
+    **_functions("starts", "our polish, multistart"),
+    "univariate_solved": Figure("global_functions", rf"^AIGO +univariate +{_NUMBER} of 1000"),
+    "univariate_ms": Figure("global_functions", rf"^AIGO +univariate .*  {_NUMBER} ms each"),
+    "univariate_alone": Figure(
+        "global_functions", rf"^AIGO, boxes alone +univariate +{_NUMBER} of 1000"
+    ),
+    **{name: each for n in CHAIN_SIZES for name, each in _chain(n).items()},
+    "chase_reached": Figure("chain", rf"^n = +170  dual_annealing reaches .* in {_NUMBER} of 10"),
+    "chase_gap": Figure("chain", rf"^n = +170  dual_annealing reaches .*gap then {_NUMBER}%"),
+    "constrained_count": Figure("constrained_programs", r"^AIGO +global \d+ of (\d+)"),
+    "constrained_ours": Figure("constrained_programs", rf"^AIGO +global {_NUMBER} of"),
+    "constrained_snopt": Figure("constrained_programs", rf"^SNOPT.* global {_NUMBER} of"),
+    "constrained_broken": Figure(
+        "constrained_programs", rf"successes of ours that are infeasible: {_NUMBER}"
+    ),
+    "lifted_tables": Figure("lifted_functions", r"(?s)\A[^\n]*\n(.*\S)"),
+    "staged_tables": Figure("staged_programs", r"(?s)^(push_bot/0\.6: .*\S)"),
+    "in_the_loop_tables": Figure("in_the_loop", r"(?s)\A[^\n]*\n(.*\S)"),
+    "loops_changing_tables": Figure("loops_changing", r"(?s)\A[^\n]*\n(.*\S)"),
+    "in_more_loops_tables": Figure("in_more_loops", r"(?s)\A[^\n]*\n(.*\S)"),
+    "friction_loops_table": Figure("friction_loops", r"(?s)\A[^\n]*\n(.*\S)"),
+    "friction_worlds_table": Figure("friction_worlds", r"(?s)\A[^\n]*\n(.*\S)"),
+    "loop_speed_table": Figure("loop_speed", r"(?s)\A[^\n]*\n(.*\S)"),
+    "cart_poles_table": Figure("cart_poles", r"(?s)\A[^\n]*\n(.*\S)"),
+    "soak_lines": Figure("soak", r"(?s)\A(.*\S)"),
+    "certificates_table": Figure("certificates", r"(?s)\A[^\n]*\n(.*\S)"),
+    "push_bot_bounds_table": Figure("push_bot_bounds", r"(?s)\A[^\n]*\n(.*\S)"),
+    "peer_tables": Figure("peer_programs", r"(?s)^(payload: .*\S)"),
+    "loops_tables": Figure("loops", r"(?s)\A(.*\S)"),
+    "random_tried": Figure("random_programs", rf"^{_NUMBER} of \d+ programs, "),
+    "random_wrong": Figure("random_programs", rf"^crashed or lied: {_NUMBER}"),
+    "plan_confirmed": Figure("rigid", rf"confirmed in Drake: median {_NUMBER} s"),
+    "table1_seconds": Figure("table1", rf"^table in {_NUMBER} s"),
+    "plan_aigo": Figure("plan_profile", rf"^aigo .* {_NUMBER}%"),
+    "plan_polish": Figure("plan_profile", rf"^polish .* {_NUMBER}%"),
+    "plan_replay": Figure("plan_profile", rf"^replay .* {_NUMBER}%"),
+    "newton_iteration": Figure("newton_speed", rf"^iteration .* {_NUMBER} × dpbtrf"),
+    "newton_hessian": Figure("newton_speed", rf"^Hessian  .* {_NUMBER} × dpbtrf"),
+    "newton_casadi": Figure("newton_speed", rf"^Hessian, CasADi  .* {_NUMBER} × dpbtrf"),
+    "newton_c": Figure("newton_speed", rf"^Hessian, CasADi's C .* {_NUMBER} × dpbtrf"),
+    "growth_time": Figure("growth", rf"time per knot and iteration.*: {_NUMBER}, asked"),
+    "growth_memory": Figure("growth", rf"memory per knot.*: {_NUMBER}, asked"),
+    "start_import": Figure("start_time", rf"^import drake_aigto +{_NUMBER} \("),
+    "start_plan": Figure("start_time", rf"^drake-aigto plan table1/1 +{_NUMBER} \("),
+    "start_libraries": Figure("start_time", rf"^libraries alone +{_NUMBER} \("),
+    "start_first": Figure("start_time", rf"^first plan, compiling +{_NUMBER} \("),
+}
+
 
 MARKED = re.compile(r"(<!-- figure: (\w+) -->).*?(<!-- end -->)", re.DOTALL)
 PAGES = (CHECKOUT / "README.md", *sorted((CHECKOUT / "docs").glob("*.md")))

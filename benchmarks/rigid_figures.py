@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 
-from benchmarks.measure import COMMAND
+from benchmarks.script import COMMAND
 from drake_aigto.contact import contact_delay
 from drake_aigto.paper import ROWS, rigid_optimum
 from drake_aigto.planning import Planner

@@ -23,9 +23,8 @@ from pydrake.solvers import SnoptSolver
 
 from benchmarks.collections.staged_programs import StagedProblem, staged_problems
 from benchmarks.local_peers import casadi
-from benchmarks.measure import machine
 from benchmarks.robots.ipopt import COLD, WARM, prepare
-from benchmarks.script import read_flags, run_all, run_as
+from benchmarks.script import machine, read_flags, run_all, run_as
 from drake_aigto.arrays import Floats
 from drake_aigto.solver import AigoOptions, AigoProgram, AigoSolver, StagedProgram, read_program
 from drake_aigto.terms import FunctionKind

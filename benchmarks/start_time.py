@@ -24,8 +24,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.measure import COMMAND, Spread, is_met, write_csv
-from benchmarks.script import read_flags
+from benchmarks.script import COMMAND, Spread, is_met, read_flags, write_csv
 
 LIBRARIES = (
     "import numba, scipy.sparse.csgraph, scipy.linalg, yaml, pydrake.multibody.plant, "

@@ -4,7 +4,7 @@
     python -m benchmarks.worlds floor --peer coasting
     python -m benchmarks.worlds two_masses --mass-ratio 3 0.2 --restitution 1 0.8
 
-Starts, goals and velocities by chance (`world_scenarios`), e ∈ {1, 0.8}, but for two masses e = 1,
+Starts, goals and velocities by chance, e ∈ {1, 0.8}, but for two masses e = 1,
 unless others are asked for, in turn; so are ratios of two masses, the second to the first. A plan
 succeeds if its event-driven replay costs no more than 1.01 J* + 1e-7, where J* is the optimum of
 the study, which the planner does not know (with a block in the room, and for unequal masses: the
@@ -19,6 +19,8 @@ seconds.
 
 Exits with 1 if fewer succeed than is asked: a share, or with a block and for two masses, as many as
 with any peer. What costs less than J* is reported: then J* is not what it is said to be.
+
+Random scenarios of the shipped worlds, each with the best that is known of it.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ import dataclasses
 import itertools
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -38,14 +40,110 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from benchmarks.baselines import Recorder
-from benchmarks.baselines.enumeration import list_sequences, offer_polished
-from benchmarks.optima import ContactOptimum
+from benchmarks.baselines.gradient import list_sequences, offer_polished
+from benchmarks.optima import ContactOptimum, block_optimum, masses_optimum, walls_optimum
 from benchmarks.script import read_flags, run_all, run_as
-from benchmarks.world_scenarios import WORLDS
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import AigtoError, OptionsError
 from drake_aigto.planning import BallTask, Planner, PlanOptions, make_ball_task
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import Scenario, World, find_model
+
+Interval = tuple[float, float]
+
+# Two masses start, and end, this far apart at least [m].
+_APART = 0.1
+# Half the width of the block in the middle of its room, and some space around it [m].
+_HALF_BLOCK = 0.15
+
+
+@dataclass(frozen=True)
+class WorldStudy:
+    """A shipped world, and from where random scenarios of it are drawn, evenly.
+
+    Attributes:
+        model: the name of its SDF file.
+        size: the number of coordinates.
+        positions: of every coordinate at the start [m].
+        goals: likewise [m].
+        velocities: likewise [m/s].
+        restitutions: in turn.
+        optimum: of a scenario.
+        accepts: whether a position is one for a start or goal.
+        duration: T [s].
+    """
+
+    model: str
+    size: int
+    positions: Interval
+    goals: Interval
+    velocities: Interval
+    restitutions: tuple[float, ...]
+    optimum: Callable[[World, Scenario], ContactOptimum]
+    accepts: Callable[[Floats], bool] = lambda q: True
+    duration: float = 1.5
+
+    def draw(self, count: int, seed: int) -> Iterator[Scenario]:
+        """Yields random scenarios; the first ones do not depend on the count."""
+        generator = np.random.default_rng(seed)
+        for number in range(count):
+            start = self._draw_place(generator, self.positions)
+            goal = self._draw_place(generator, self.goals)
+            yield Scenario(
+                model=f"package://drake_aigto_models/{self.model}.sdf",
+                initial_position=start,
+                initial_velocity=generator.uniform(*self.velocities, self.size),
+                goal_position=goal,
+                duration=self.duration,
+                restitution=self.restitutions[number % len(self.restitutions)],
+            )
+
+    def _draw_place(self, generator: np.random.Generator, interval: Interval) -> Floats:
+        while True:
+            q = generator.uniform(*interval, self.size)
+            if self.accepts(q):
+                return q
+
+
+def _is_in_order(q: Floats) -> bool:
+    return bool(np.all(np.diff(q) >= _APART))
+
+
+def _is_off_block(q: Floats) -> bool:
+    return bool(np.max(np.abs(q - 0.5)) >= _HALF_BLOCK)
+
+
+# The optimum is exact but for the room with a block, where it is the best known. Under gravity it
+# is exact up to a number of touches, and of two masses for the restitution that is drawn here.
+WORLDS = {
+    study.model: study
+    for study in (
+        WorldStudy("corridor", 1, (0.1, 0.9), (0.1, 0.9), (-4.0, 4.0), (1.0, 0.8), walls_optimum),
+        WorldStudy("floor", 1, (0.3, 1.0), (0.1, 1.0), (-2.0, 2.0), (1.0, 0.8), walls_optimum),
+        WorldStudy("room", 2, (0.1, 0.9), (0.1, 0.9), (-3.0, 3.0), (1.0, 0.8), walls_optimum),
+        WorldStudy(
+            model="room_with_block",
+            size=2,
+            positions=(0.1, 0.9),
+            goals=(0.1, 0.9),
+            velocities=(-2.0, 2.0),
+            restitutions=(1.0, 0.8),
+            optimum=block_optimum,
+            accepts=_is_off_block,
+        ),
+        WorldStudy(
+            model="two_masses",
+            size=2,
+            positions=(0.1, 0.9),
+            goals=(0.1, 0.9),
+            velocities=(-1.0, 1.0),
+            restitutions=(1.0,),
+            optimum=masses_optimum,
+            accepts=_is_in_order,
+        ),
+    )
+}
+
 
 # The least shares of optimal plans.
 ASKED = {"corridor": 0.9, "floor": 0.95, "room": 0.8}

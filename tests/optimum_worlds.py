@@ -9,7 +9,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from benchmarks.optima import ContactOptimum
-from benchmarks.world_scenarios import WORLDS
+from benchmarks.worlds import WORLDS
 from drake_aigto.world import Scenario, World
 
 

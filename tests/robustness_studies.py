@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.robustness.perturbation import QUANTITIES, RANDOM
-from benchmarks.robustness.question import RobustnessQuestion
+from benchmarks.robustness.question import QUANTITIES, RANDOM, RobustnessQuestion
 from benchmarks.robustness.study import (
     DRAKE,
     FEEDBACK,

@@ -11,8 +11,7 @@ import numpy as np
 
 from benchmarks.ablations.ablations import AblationQuestion, AblationStudy
 from benchmarks.baselines import Baseline, Recorder
-from benchmarks.study.scenario_question import ScenarioQuestion
-from benchmarks.study.scenario_runs import MethodRun
+from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion
 from benchmarks.study.scenario_study import ScenarioResult, ScenarioStudy
 
 

@@ -23,15 +23,13 @@ from benchmarks.ablations.ablations import (
     AblationStudy,
     Variant,
     count_lost_bounces,
+    format_ablations,
     run_variant,
 )
-from benchmarks.ablations.figures import plot_variants
-from benchmarks.ablations.tables import format_ablations
-from benchmarks.study import scenario_runs
-from benchmarks.study.scenario_question import ScenarioQuestion
-from benchmarks.study.scenario_runs import EXHAUSTIVE, Job, MethodRun
+from benchmarks.ablations.page import plot_variants
+from benchmarks.study import scenario_question
+from benchmarks.study.scenario_question import EXHAUSTIVE, Job, MethodRun, ScenarioQuestion, Spread
 from benchmarks.study.scenario_study import ScenarioStudy, calc_good_enough
-from benchmarks.study.spread import Spread
 from drake_aigto import OptionsError, PlanOptions, Scenario, jobs
 from drake_aigto.cli import FINE
 from drake_aigto.paper import rigid_optimum
@@ -264,7 +262,7 @@ def test_bad_input_ends_it_before_any_work(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(scenario_runs, "run_job", None)
+    monkeypatch.setattr(scenario_question, "run_job", None)
     check_refused(["ablations", *arguments], message, capsys, main)
 
 

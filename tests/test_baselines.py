@@ -18,9 +18,8 @@ from benchmarks.baselines import (
     registry,
     run_baseline,
 )
-from benchmarks.baselines.control_space import ControlSpace
-from benchmarks.baselines.enumeration import list_sequences
-from benchmarks.baselines.smoothing import GaussianSmoothing
+from benchmarks.baselines.gradient import GaussianSmoothing, list_sequences
+from benchmarks.baselines.sampling import ControlSpace
 from drake_aigto import ModelError, OptionsError, Scenario, World, replay_event_driven
 from drake_aigto.aigo import Box, minimize
 from drake_aigto.box import BoxPolynomial

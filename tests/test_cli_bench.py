@@ -11,9 +11,9 @@ from scenario_studies import TOYS, Inline
 from benchmarks import __main__ as command
 from benchmarks.__main__ import main
 from benchmarks.baselines import registry
-from benchmarks.study import scenario_runs
+from benchmarks.study import scenario_question
+from benchmarks.study.scenario_question import Spread
 from benchmarks.study.scenario_study import ScenarioStudy
-from benchmarks.study.spread import Spread
 from drake_aigto import jobs
 from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, NOTHING_HOLDS
 from drake_aigto.errors import PlanFileError
@@ -29,7 +29,7 @@ TOY_METHODS = ["--methods", "coast", "crash", "--seconds-per-unit", "0.5"]
 def toys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "BASELINES", TOYS)
     monkeypatch.setattr(jobs, "open_workers", Inline)
-    scenario_runs._warm_up.cache_clear()
+    scenario_question._warm_up.cache_clear()
 
 
 def test_every_methods_success_is_printed_for_each_restitution(
@@ -91,7 +91,7 @@ def test_ctrl_c_says_how_to_go_on(
     def interrupt(*arguments: object, **options: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(scenario_runs, "run_job", interrupt)
+    monkeypatch.setattr(scenario_question, "run_job", interrupt)
     path = tmp_path / "study.json"
     told = f"drake-aigto: --resume goes on from {path}\nbenchmarks: interrupted\n"
     assert main([*SCENARIOS, *COASTING, *TOY_METHODS, "--json", str(path)]) == INTERRUPTED
@@ -140,5 +140,5 @@ def test_bad_input_is_one_line_and_status_2(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(scenario_runs, "run_job", None)  # Before any work.
+    monkeypatch.setattr(scenario_question, "run_job", None)  # Before any work.
     check_refused([*SCENARIOS, *arguments], message, capsys, main)

@@ -12,7 +12,7 @@ from scenario_studies import Inline
 
 from benchmarks.__main__ import main
 from benchmarks.robustness import study as robustness
-from benchmarks.robustness.figures import format_robustness
+from benchmarks.robustness.page import format_robustness
 from benchmarks.robustness.question import RobustnessQuestion
 from benchmarks.robustness.study import RobustnessStudy
 from drake_aigto import jobs

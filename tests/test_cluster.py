@@ -18,8 +18,8 @@ from distributed.versions import get_package_info
 from scenario_studies import Inline
 
 from benchmarks.study import ScenarioQuestion
+from benchmarks.study.scenario_question import Spread
 from benchmarks.study.scenario_study import ScenarioStudy
-from benchmarks.study.spread import Spread
 from drake_aigto.errors import StudyError
 from drake_aigto.jobs import cluster, open_workers
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pydrake.solvers import SnoptSolver, SolverOptions
 
-from benchmarks.collections.constrained_problem import ConstrainedProblem
 from benchmarks.collections.constrained_programs import constrained_problems, planted_program
+from benchmarks.collections.known_optimum import ConstrainedProblem
 from drake_aigto.solver import AigoSolver
 
 PROBLEMS = {problem.name: problem for problem in constrained_problems()}

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pydrake.solvers import MathematicalProgram
 
-from benchmarks import modes_miqp
+from benchmarks import friction_peer
 from benchmarks.collections.peer_programs import payload, push_circle
 from benchmarks.friction_peer import RubbingProgram
 from benchmarks.friction_worlds import Run, ask_payload, list_circle, list_payload
@@ -96,15 +96,15 @@ def test_a_question_without_a_peer_has_dashes() -> None:
 def test_a_missing_solver_of_binaries_is_named_with_its_extra(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(modes_miqp, "pyscipopt", None)
+    monkeypatch.setattr(friction_peer, "pyscipopt", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'drake_aigto\[bench\]'"):
-        modes_miqp.solve_modes(Scenario.named("sliding_block/to_rest"), 1.0)
+        friction_peer.solve_modes(Scenario.named("sliding_block/to_rest"), 1.0)
 
 
-@pytest.mark.skipif(modes_miqp.pyscipopt is None, reason="SCIP is not installed")
+@pytest.mark.skipif(friction_peer.pyscipopt is None, reason="SCIP is not installed")
 def test_binaries_of_stick_and_slip_lead_to_the_closed_form() -> None:
     scenario = Scenario.named("sliding_block/to_rest")
-    found = modes_miqp.solve_modes(replace(scenario, time_step=0.25), 30.0)
+    found = friction_peer.solve_modes(replace(scenario, time_step=0.25), 30.0)
     # Under a push that is free, ∫ (v̇ + μ g)² is 12/s³ + (μ g)² s for a slide of 1 m in a time s.
     # The best is s = √(6 / μ g); 8 steps cost little more.
     grip = 0.3 * 9.81

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from benchmarks.collections.chain import REACH, ChainProblem, chain_problem, exact_chain_minimum
 from benchmarks.collections.global_functions import global_problems, random_univariate
-from benchmarks.collections.global_problem import GlobalProblem
+from benchmarks.collections.known_optimum import GlobalProblem
 from drake_aigto.errors import OptionsError
 
 PROBLEMS = {problem.name: problem for problem in global_problems()}

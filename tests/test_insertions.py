@@ -10,7 +10,7 @@ import pytest
 from several_walls import make_task, shipped
 
 from benchmarks.optima import masses_optimum
-from benchmarks.world_scenarios import WORLDS
+from benchmarks.worlds import WORLDS
 from drake_aigto import PlanOptions, Scenario, World, plan
 from drake_aigto.planning import BallSearch, make_ball_task
 from drake_aigto.planning.balls.neighbors import find_insertions

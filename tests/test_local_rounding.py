@@ -9,7 +9,7 @@ import pytest
 from local_problems import Problem
 
 from benchmarks.collections.global_functions import planar_problems
-from benchmarks.collections.global_problem import GlobalProblem
+from benchmarks.collections.known_optimum import GlobalProblem
 from drake_aigto.local import InteriorPoint, LocalStatus, Progress, compile_nlp
 
 PLANAR = planar_problems()

@@ -9,7 +9,7 @@ import pytest
 from replay_worlds import make_scenario, shipped_world
 from several_walls import make_task, shipped
 
-from benchmarks.robustness.perturbation import (
+from benchmarks.robustness.question import (
     QUANTITIES,
     RANDOM,
     Perturbation,

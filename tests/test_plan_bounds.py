@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.optima import line_optimum as optima
 from benchmarks.optima import masses_optimum, walls_optimum
-from benchmarks.world_scenarios import WORLDS
+from benchmarks.worlds import WORLDS
 from drake_aigto import Plan, Planner, PlanningError, PlanOptions, Scenario, World
 from drake_aigto.certify import (
     Line,

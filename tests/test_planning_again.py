@@ -12,7 +12,7 @@ from pydrake.solvers import MathematicalProgram
 from replay_worlds import make_diagram, shipped_world
 
 from benchmarks.study import ScenarioQuestion
-from benchmarks.world_scenarios import WORLDS
+from benchmarks.worlds import WORLDS
 from drake_aigto import Scenario, World
 from drake_aigto.errors import ScenarioError
 from drake_aigto.planning import Plan, Planner, PlanOptions, make_ball_task, programs

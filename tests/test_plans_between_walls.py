@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.optima import walls_optimum
-from benchmarks.world_scenarios import WORLDS
-from benchmarks.worlds import load_unequal
+from benchmarks.worlds import WORLDS, load_unequal
 from drake_aigto import PlanOptions, Scenario, World, plan, scenario_names
 from drake_aigto.planning import BallSearch, Origin, make_ball_task
 from drake_aigto.transcription import PhaseTranscription, Touch

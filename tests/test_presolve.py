@@ -13,7 +13,7 @@ from local_problems import add_cost
 from pydrake.solvers import MathematicalProgram
 from pydrake.symbolic import cos, exp, sin
 
-from benchmarks.collections.lifted_functions import lift, lifted_problems
+from benchmarks.lifted_functions import lift, lifted_problems
 from drake_aigto.solver import (
     AigoOptions,
     AigoProgram,

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from phase_solutions import Solved, solve
 
-from benchmarks.floor_reference import floor_optimum
-from benchmarks.floors import draw, make_world
+from benchmarks.floors import draw, floor_optimum, make_world
 from benchmarks.optima import walls_optimum
 from drake_aigto import PlanOptions, Scenario, World
 from drake_aigto.planning import Planner

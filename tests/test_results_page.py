@@ -16,17 +16,15 @@ from scenario_studies import TOYS, made_up_study
 
 from benchmarks.__main__ import main
 from benchmarks.baselines import registry
-from benchmarks.study.scenario_figures import (
+from benchmarks.study.scenario_page import (
     COST_CLASSES,
     plot_costs,
     plot_map,
     plot_success_over_time,
 )
-from benchmarks.study.scenario_question import ScenarioQuestion
-from benchmarks.study.scenario_runs import MethodRun
+from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion, Spread
 from benchmarks.study.scenario_study import ScenarioStudy
 from benchmarks.study.scenario_tables import ratio_text
-from benchmarks.study.spread import Spread
 from benchmarks.study.study import command_of
 from drake_aigto.cli import FINE
 

@@ -13,8 +13,7 @@ from scenario_studies import Inline
 from scipy.integrate import solve_ivp
 
 from benchmarks.local_peers import casadi
-from benchmarks.robots.compare import RobotStudy, run_method
-from benchmarks.robots.figures import find_figures
+from benchmarks.robots.compare import Comparison, Outcome, RobotStudy, Row, Step, run_method
 from benchmarks.robots.ipopt import IPOPT_STEPS
 from benchmarks.robots.judge import Control, judge
 from benchmarks.robots.known import Known, load_known
@@ -27,9 +26,8 @@ from benchmarks.robots.methods import (
     shooting_multistart,
     snopt_multistart,
 )
-from benchmarks.robots.results import Comparison, Outcome, Row, Step
 from benchmarks.robots.shooting import world_of
-from benchmarks.robots.table import format_results
+from benchmarks.robots.table import find_figures, format_results
 from benchmarks.robots.worlds import (
     DEEPEST,
     SPOT_STARTS,

@@ -16,7 +16,7 @@ from robustness_studies import QUESTION, make_result
 from scenario_studies import Inline
 
 from benchmarks.robustness import study as robustness
-from benchmarks.robustness.figures import format_robustness
+from benchmarks.robustness.page import format_robustness
 from benchmarks.robustness.question import RobustnessQuestion
 from benchmarks.robustness.study import (
     DRAKE,

@@ -11,9 +11,8 @@ import pytest
 from matplotlib.figure import Figure
 from robustness_studies import QUESTION, make_result
 
-from benchmarks.robustness.figures import format_robustness, plot_robustness
-from benchmarks.robustness.page import ROBUSTNESS
-from benchmarks.robustness.perturbation import QUANTITIES, RANDOM
+from benchmarks.robustness.page import ROBUSTNESS, format_robustness, plot_robustness
+from benchmarks.robustness.question import QUANTITIES, RANDOM
 from benchmarks.robustness.study import DRAKE, OURS, PlanResult, RobustnessStudy
 from benchmarks.study.page import write_results_page
 

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from scenario_studies import TOYS
 
 from benchmarks.baselines import registry
-from benchmarks.study.scenario_question import ScenarioQuestion
-from benchmarks.study.spread import Spread
+from benchmarks.study.scenario_question import ScenarioQuestion, Spread
 from drake_aigto.errors import AigtoError, MissingExtraError, OptionsError, ScenarioError
 from drake_aigto.plain import from_plain, to_plain
 

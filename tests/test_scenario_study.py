@@ -16,9 +16,8 @@ from hypothesis import strategies as st
 from scenario_studies import TOYS, Inline
 
 from benchmarks.baselines import registry
-from benchmarks.study import scenario_runs
-from benchmarks.study.scenario_question import ScenarioQuestion
-from benchmarks.study.scenario_runs import Job, MethodRun, run_job
+from benchmarks.study import scenario_question
+from benchmarks.study.scenario_question import Job, MethodRun, ScenarioQuestion, Spread, run_job
 from benchmarks.study.scenario_study import (
     DIED,
     ScenarioStudy,
@@ -26,7 +25,6 @@ from benchmarks.study.scenario_study import (
     count_right_boxes,
     summarize,
 )
-from benchmarks.study.spread import Spread
 from drake_aigto.errors import ResultsFileError, StudyError
 
 # Where coasting is optimal, and where it is not, in turn.
@@ -48,7 +46,7 @@ PLANNED = dataclasses.replace(
 @pytest.fixture(autouse=True)
 def toys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "BASELINES", TOYS)
-    scenario_runs._warm_up.cache_clear()
+    scenario_question._warm_up.cache_clear()
 
 
 @pytest.fixture
@@ -85,7 +83,7 @@ def test_the_planner_goes_first_and_its_time_is_the_unit(monkeypatch: pytest.Mon
         jobs.append(job)
         return run_job(job)
 
-    monkeypatch.setattr(scenario_runs, "run_job", run)
+    monkeypatch.setattr(scenario_question, "run_job", run)
     study = ScenarioStudy(PLANNED).run(executor=Inline())
     first = [next(job.method for job in jobs if job.number == number) for number in (0, 1)]
     assert first == ["aigto", "aigto"]
@@ -105,7 +103,8 @@ def test_boxes_alone_are_read_if_asked_for() -> None:
     (result,) = study.results
     each, either, count = count_right_boxes(study.results)
     assert count == 1
-    assert len(each) == len(result.runs["aigto"].boxes) == len(scenario_runs.OPTIONS.ball_ladder)
+    ladder = scenario_question.OPTIONS.ball_ladder
+    assert len(each) == len(result.runs["aigto"].boxes) == len(ladder)
     assert either == (0 in result.runs["aigto"].boxes)  # The optimum is a flight.
 
 
@@ -238,13 +237,13 @@ def test_a_job_that_kills_its_processes_is_kept_as_that_and_tried_again_by_resum
             raise BrokenExecutor
         return MethodRun(((0.1, 1e-9),), 0.1, 1)
 
-    monkeypatch.setattr(scenario_runs, "run_job", run_or_die)
+    monkeypatch.setattr(scenario_question, "run_job", run_or_die)
     question = dataclasses.replace(QUICK, methods=("coast",))
     study = ScenarioStudy(question).run(path, executor=Inline())
     errors = [result.runs["coast"].error for result in study.results]
     assert errors == [None, None, DIED, None]
     # It may have been the machine's fault: tried again, and nothing else is.
-    monkeypatch.setattr(scenario_runs, "run_job", run_job)
+    monkeypatch.setattr(scenario_question, "run_job", run_job)
     executor = Inline()
     again = ScenarioStudy(question).run(path, resume=True, executor=executor)
     assert executor.num_jobs == 1

@@ -12,7 +12,7 @@ from local_problems import add_cost
 from pydrake.solvers import MathematicalProgram, SnoptSolver, SolutionResult
 from pydrake.symbolic import cos, exp, log, sin, sqrt
 
-from benchmarks.collections.random_programs import random_program
+from benchmarks.random_programs import random_program
 from drake_aigto.aigo import BoxSearch
 from drake_aigto.solver import AigoOptions, AigoSolver, AigoStatus
 

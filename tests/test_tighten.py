@@ -10,8 +10,8 @@ import pytest
 from pydrake import symbolic
 from pydrake.solvers import MathematicalProgram
 
-from benchmarks.collections.constrained_problem import ConstrainedProblem
 from benchmarks.collections.constrained_programs import constrained_problems
+from benchmarks.collections.known_optimum import ConstrainedProblem
 from drake_aigto.solver import read_program, tighten
 
 # Rows of x, with exp and sin from NumPy or from Drake.

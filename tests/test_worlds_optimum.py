@@ -14,7 +14,7 @@ from replay_worlds import make_diagram, make_scenario, shipped_world
 
 from benchmarks.optima import ContactOptimum, block_optimum, masses_optimum, walls_optimum
 from benchmarks.optima.line_optimum import Line, LineBounce, Wall
-from benchmarks.world_scenarios import WORLDS
+from benchmarks.worlds import WORLDS
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.simulation import replay_event_driven

@@ -12,15 +12,13 @@ from types import MappingProxyType
 import numpy as np
 
 from benchmarks.baselines.baseline import Baseline, BaselineRun, Recorder
-from benchmarks.baselines.enumeration import Enumeration
-from benchmarks.baselines.gradient import GradientBaseline
+from benchmarks.baselines.gradient import Enumeration, GradientBaseline, Smoothing
 from benchmarks.baselines.sampling import (
     CovarianceAdaptation,
     CrossEntropy,
     DualAnnealing,
     PathIntegral,
 )
-from benchmarks.baselines.smoothing import Smoothing
 from drake_aigto.errors import MissingExtraError, OptionsError
 from drake_aigto.world import Scenario, World
 

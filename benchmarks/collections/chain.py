@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydrake.solvers import MathematicalProgram
 from scipy.linalg import solveh_banded
 
-from benchmarks.collections.global_problem import GlobalProblem, Part
+from benchmarks.collections.known_optimum import GlobalProblem, Part
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.kernels import kernel

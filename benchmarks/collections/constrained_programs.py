@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.collections.constrained_problem import ConstrainedProblem
 from benchmarks.collections.function_programs import function_programs
 from benchmarks.collections.hock_schittkowski import small_hock_schittkowski
 from benchmarks.collections.hock_schittkowski_large import large_hock_schittkowski
+from benchmarks.collections.known_optimum import ConstrainedProblem
 
 FLOUDAS = (
     "Floudas & Pardalos (1990), A Collection of Test Problems for Constrained Global Optimization "

@@ -12,8 +12,8 @@ from typing import Any
 
 from pydrake.math import cos, exp, log, sin, sqrt
 
-from benchmarks.collections.constrained_problem import ConstrainedProblem
 from benchmarks.collections.hock_schittkowski import hs
+from benchmarks.collections.known_optimum import ConstrainedProblem
 
 LIANG = (
     "Liang et al. (2006), Problem Definitions and Evaluation Criteria for the CEC 2006 Special "

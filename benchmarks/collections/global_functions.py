@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from benchmarks.collections.global_problem import GlobalProblem, Part
+from benchmarks.collections.known_optimum import GlobalProblem, Part
 from benchmarks.collections.scalable_functions import (
     JAMIL,
     LAGUNA,

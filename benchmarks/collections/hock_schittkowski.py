@@ -14,7 +14,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from benchmarks.collections.constrained_problem import ConstrainedProblem, Rows, no_rows
+from benchmarks.collections.known_optimum import ConstrainedProblem, Rows, no_rows
 
 _INF = 10.0  # in place of no bound
 

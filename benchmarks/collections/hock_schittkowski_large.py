@@ -9,8 +9,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from benchmarks.collections.constrained_problem import ConstrainedProblem
 from benchmarks.collections.hock_schittkowski import hs
+from benchmarks.collections.known_optimum import ConstrainedProblem
 
 
 def large_hock_schittkowski() -> tuple[ConstrainedProblem, ...]:

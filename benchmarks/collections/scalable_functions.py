@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
 
-from benchmarks.collections.global_problem import GlobalProblem, Part, cos
+from benchmarks.collections.known_optimum import GlobalProblem, Part, cos
 from drake_aigto.arrays import Floats
 
 JAMIL = "Jamil & Yang (2013), Int. J. Math. Modelling and Numerical Optimisation 4:150-194"

@@ -19,14 +19,12 @@ import sys
 from collections.abc import Sequence
 
 from benchmarks.__main__ import main
-from benchmarks.measure import is_met
-from benchmarks.robots.compare import RobotStudy
-from benchmarks.robots.figures import find_figures
+from benchmarks.robots.compare import Comparison, RobotStudy
+from benchmarks.robots.known import search
 from benchmarks.robots.methods import METHODS
-from benchmarks.robots.results import Comparison
-from benchmarks.robots.search import search
-from benchmarks.robots.table import format_results
+from benchmarks.robots.table import find_figures, format_results
 from benchmarks.robots.worlds import WORLDS
+from benchmarks.script import is_met
 from benchmarks.study.flags import add_running, run_asked
 from drake_aigto.cli import FINE, Parser, add_command, add_common, positive
 

@@ -17,9 +17,7 @@ from benchmarks.robots.bounce_times import find_bounces
 from benchmarks.robots.impulses import find_rigid_program, find_touches
 from benchmarks.robots.ipopt import IPOPT_STEPS, find_program
 from benchmarks.robots.judge import Control, judge, roll_out
-from benchmarks.robots.plans import find_plan
-from benchmarks.robots.shooting import list_phases, pose, shoot
-from benchmarks.robots.snopt import Transcription
+from benchmarks.robots.shooting import Transcription, find_plan, list_phases, pose, shoot
 from benchmarks.robots.worlds import WORLDS, Question, scenario_of
 
 _GUESS_STEP = 1e-3  # of roll-outs [s]

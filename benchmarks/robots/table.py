@@ -1,4 +1,7 @@
-"""The comparison as a table, at most 100 columns wide."""
+"""The comparison as a table, at most 100 columns wide.
+
+The figures that are asked for, of plans.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from benchmarks.robots.compare import RobotStudy
-from benchmarks.robots.results import Outcome, Row
+from benchmarks.robots.compare import Outcome, RobotStudy, Row
+from benchmarks.robots.worlds import WORLDS
 
 NEAR, WIDE = 0.01, 0.05
 _LESS = 1e-3  # what counts as less than what was known
@@ -86,3 +89,32 @@ def _pair(values: Sequence[float], digits: int, unit: str = "") -> str:
         return f"{'-':>{width}}"
     middle, most = np.quantile(values, [0.5, 0.9], method="inverted_cdf")
     return f"{f'{middle:.{digits}f} {most:.{digits}f}{unit}':>{width}}"
+
+
+_PLAN = "plan"
+# Between soft walls: CPU seconds of a plan, and how far off J Drake's replay is, in parts of it.
+_SECONDS, _OFF = 1.0, 0.01
+
+
+def find_figures(results: RobotStudy) -> Iterator[tuple[str, float, float]]:
+    """Yields what is measured in each world, how much it is, and at most how much is asked for."""
+    for world in results.question.worlds:
+        rows = [row for row in results.results if row.world == world]
+        if rows and _PLAN in results.question.methods:
+            yield from _find_world(world, rows)
+
+
+def _find_world(world: str, rows: Sequence[Row]) -> Iterator[tuple[str, float, float]]:
+    plans = [next(each for each in row.outcomes if each.method == _PLAN) for row in rows]
+    off = [not plan.cost <= (1 + NEAR) * row.best for row, plan in zip(rows, plans, strict=True)]
+    of = f"{len(rows)} of {WORLDS[world].count} questions"
+    yield (
+        f"{world}: plans off the best known by more than 1 %, share in {of}",
+        float(np.mean(off)),
+        WORLDS[world].off,
+    )
+    if not WORLDS[world].is_soft:
+        return
+    yield f"{world}: CPU seconds a plan, median", float(np.median([p.cpu for p in plans])), _SECONDS
+    drake = [find_part(plan.drake, plan.cost) for plan in plans if plan.drake is not None]
+    yield f"{world}: Drake's replay off the cost, median", float(np.median(drake or [np.inf])), _OFF

@@ -1,9 +1,7 @@
 """Studies: questions × methods, run as jobs, judged, recorded, shown; random scenarios first."""
 
-from benchmarks.study.scenario_question import ScenarioQuestion
-from benchmarks.study.scenario_runs import MethodRun
+from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion, Spread
 from benchmarks.study.scenario_study import ScenarioResult, ScenarioStudy
-from benchmarks.study.spread import Spread
 from benchmarks.study.study import Call, Study, StudyQuestion
 
 __all__ = [

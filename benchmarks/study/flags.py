@@ -7,8 +7,7 @@ import math
 import sys
 from typing import Any, TypeVar
 
-from benchmarks.study.scenario_question import ScenarioQuestion
-from benchmarks.study.spread import Spread
+from benchmarks.study.scenario_question import ScenarioQuestion, Spread
 from benchmarks.study.study import Study
 from drake_aigto.cli import add_json, add_workers, read_workers, show_progress
 from drake_aigto.errors import OptionsError

@@ -1,21 +1,236 @@
-"""What a study of random scenarios asks: which scenarios, which methods, how much time for each."""
+"""How a quantity of random scenarios varies: listed values in turn, or evenly over a range.
+
+One method on one scenario: what it is asked, and what it did.
+
+What a study of random scenarios asks: which scenarios, which methods, how much time for each.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from functools import cache, lru_cache
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from benchmarks.baselines import check_baselines
-from benchmarks.study.scenario_runs import PLANNER, Runner
-from benchmarks.study.spread import Spread
-from benchmarks.study.study import StudyQuestion
+from benchmarks.baselines import check_baselines, run_baseline
+from benchmarks.study.study import StudyQuestion, round_to
 from drake_aigto.errors import OptionsError, ScenarioError
+from drake_aigto.paper import RigidOptimum, rigid_optimum
+from drake_aigto.planning import Plan, Planner, PlanOptions
 from drake_aigto.world import Scenario, World
+
+_SYNTAX = "a number, several (1 0.8 0.5), or one range low:high (0.5:1)"
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Values that are taken in turn, or a range that is drawn from evenly.
+
+    Attributes:
+        values: all of them, or the two ends of the range.
+        is_range: which of both.
+
+    Raises:
+        OptionsError: none, one that is not finite, or ends in the wrong order.
+    """
+
+    values: tuple[float, ...]
+    is_range: bool = False
+
+    def __post_init__(self) -> None:
+        """Checks."""
+        if not self.values or not all(map(math.isfinite, self.values)):
+            raise OptionsError("values", got=self.values or "none", expected="finite numbers")
+        if self.is_range and not (len(self.values) == 2 and self.values[0] < self.values[1]):
+            raise OptionsError("range", got=self, expected="low:high, the lower end first")
+
+    @classmethod
+    def parse(cls, texts: str | Iterable[str]) -> Spread:
+        """Returns what ``str`` gave, or its words.
+
+        Raises:
+            OptionsError: no numbers, or more than one range.
+        """
+        words = texts.split() if isinstance(texts, str) else list(texts)
+        is_range = len(words) == 1 and words[0].count(":") == 1
+        try:
+            values = tuple(map(float, words[0].split(":") if is_range else words))
+        except ValueError:
+            raise OptionsError("values", got=" ".join(words), expected=_SYNTAX) from None
+        return cls(values, is_range)
+
+    @classmethod
+    def from_plain(cls, text: str) -> Spread:
+        """Returns what `to_plain` gave."""
+        return cls.parse(text)
+
+    def to_plain(self) -> str:
+        """Returns the text that files have."""
+        return str(self)
+
+    @property
+    def num_turns(self) -> int:
+        """After so many scenarios the values come again."""
+        return 1 if self.is_range else len(self.values)
+
+    def pick(self, turn: int, share: float) -> float:
+        """Returns the value of a turn, or so much of the way from low to high, share ∈ [0, 1)."""
+        if not self.is_range:
+            return self.values[turn]
+        low, high = self.values
+        return low + share * (high - low)
+
+    def __str__(self) -> str:
+        """Returns what `parse` reads: the same bits."""
+        return (":" if self.is_range else " ").join(f"{value!r}" for value in self.values)
+
+
+PLANNER = "aigto"
+OPTIONS = PlanOptions(confirm=False, threads=1)
+# The same, with the boxes of every rung and every candidate, whether or not they can win.
+EXHAUSTIVE = dataclasses.replace(OPTIONS, exhaustive=True)
+# Significant digits in files: of costs so that ratios near 1 are still told apart.
+COST_DIGITS, _SECONDS_DIGITS = 7, 4
+# What a process does at first is not measured: it loads libraries and kernels. [s]
+_WARM_UP = 0.2
+
+
+@dataclass(frozen=True)
+class MethodRun:
+    """What one method did on one scenario.
+
+    Attributes:
+        improvements: seconds of one core since it began, and the cost then, by event-driven replay
+            on the rigid wall; each cheaper than the one before. Only those that were the best when
+            a budget ended, and the last.
+        seconds: of one core, that it took.
+        evaluations: how many controls were replayed; of the planner, how many candidates it had.
+        error: what it failed with, if it did.
+        boxes: of the planner, if the question asks: the number of contacts in the last box of each
+            rung, before any polish.
+    """
+
+    improvements: tuple[tuple[float, float], ...]
+    seconds: float
+    evaluations: int = 0
+    error: str | None = None
+    boxes: tuple[int, ...] = ()
+
+    @property
+    def cost(self) -> float:
+        """The best; infinity if nothing was found."""
+        return self.cost_within(math.inf)
+
+    def cost_within(self, seconds: float) -> float:
+        """Returns the best after these seconds, infinity if there was none."""
+        return min((cost for at, cost in self.improvements if at <= seconds), default=math.inf)
+
+    def thinned(self, ends: Iterable[float]) -> MethodRun:
+        """Returns this run as files have it: what was best at these times, and in the end.
+
+        Times are rounded down, so that what was in time still is.
+        """
+        kept = {}
+        for end in (*ends, math.inf):
+            for at, cost in [each for each in self.improvements if each[0] <= end][-1:]:
+                kept[round_to(at, _SECONDS_DIGITS, down=True)] = round_to(cost, COST_DIGITS)
+        seconds = round_to(self.seconds, _SECONDS_DIGITS)
+        return MethodRun(
+            tuple(sorted(kept.items())), seconds, self.evaluations, self.error, self.boxes
+        )
+
+
+@dataclass(frozen=True)
+class Job:
+    """One method on one scenario.
+
+    Attributes:
+        number: of the scenario in its study.
+        scenario: the task.
+        method: "aigto", or a baseline's name.
+        seconds: of one core that a baseline has.
+        good_enough: the cost at which a baseline may stop.
+        seed: of a baseline.
+        reads_boxes: whether it is kept what the planner's boxes say without any polish.
+        runner: what runs it, if not the planner or a baseline; a function of a module, so that it
+            can be sent to another process.
+    """
+
+    number: int
+    scenario: Scenario
+    method: str
+    seconds: float = 0.0
+    good_enough: float = -math.inf
+    seed: int = 0
+    reads_boxes: bool = False
+    runner: Runner | None = None
+
+
+Runner: TypeAlias = Callable[[World, Job], MethodRun]
+
+
+def run_job(job: Job) -> MethodRun:
+    """Returns what a method made of a scenario, and be it an error.
+
+    Time is the CPU time of this process, after the method has run here once.
+    """
+    start = time.process_time()
+    try:
+        _warm_up(job.method if job.runner is None else PLANNER)
+        world = _make_world(job.scenario.mass)
+        run = (job.runner or _run_method)(world, job)
+    except Exception as error:  # Whatever it is, this is how the method did.
+        text = f"{type(error).__name__}: {error}"
+        run = MethodRun((), time.process_time() - start, error=text)
+    return run
+
+
+def find_optimum(scenario: Scenario) -> RigidOptimum:
+    """Returns the exact optimum, which no job knows."""
+    return rigid_optimum(_make_world(scenario.mass), scenario)
+
+
+def _run_method(world: World, job: Job) -> MethodRun:
+    if job.method != PLANNER:
+        run = run_baseline(job.method, world, job.scenario, job.seconds, job.seed, job.good_enough)
+        return MethodRun(run.improvements, run.seconds, run.evaluations)
+    start = time.process_time()
+    plan = Planner(job.scenario, OPTIONS, world).plan()
+    seconds = time.process_time() - start
+    cost = plan.replay.event_driven.cost
+    boxes: tuple[int, ...] = ()
+    if job.reads_boxes:
+        boxes = read_boxes(Planner(job.scenario, EXHAUSTIVE, world).plan())
+    return MethodRun(((seconds, cost),), seconds, len(plan.candidates), boxes=boxes)
+
+
+def read_boxes(plan: Plan) -> tuple[int, ...]:
+    """Returns how many contacts the last box of each rung shows, for a plan with all rungs."""
+    return tuple(count for count in plan.stats.box_contacts if count is not None)
+
+
+@lru_cache(maxsize=4)
+def _make_world(mass: float | None) -> World:
+    """Returns the world of all scenarios with this mass, made once a process."""
+    return World.from_scenario(dataclasses.replace(Scenario.named("table1/1"), mass=mass))
+
+
+@cache
+def _warm_up(method: str) -> None:
+    """Runs a method once in this process."""
+    scenario = Scenario.named("table1/1")
+    world = _make_world(scenario.mass)
+    if method == PLANNER:
+        Planner(scenario, OPTIONS, world).plan()
+    else:
+        run_baseline(method, world, scenario, _WARM_UP)
+
 
 # Field of the question → that of a scenario. In the order in which random numbers are used.
 FIELDS = {

@@ -11,9 +11,16 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from benchmarks.study import scenario_runs
-from benchmarks.study.scenario_question import FIELDS, ScenarioQuestion
-from benchmarks.study.scenario_runs import COST_DIGITS, PLANNER, Job, MethodRun, find_optimum
+from benchmarks.study import scenario_question
+from benchmarks.study.scenario_question import (
+    COST_DIGITS,
+    FIELDS,
+    PLANNER,
+    Job,
+    MethodRun,
+    ScenarioQuestion,
+    find_optimum,
+)
 from benchmarks.study.study import Call, Study, check_same_question, round_to
 from drake_aigto.errors import ResultsFileError
 from drake_aigto.jobs import ProcessDiedError
@@ -112,7 +119,7 @@ class ScenarioStudy(Study[ScenarioQuestion, ScenarioResult]):
                 good_enough = (result or self._new(key)).good_enough
                 seconds, seed = question.budgets[-1] * unit, question.method_seed(key)
                 job = replace(job, seconds=seconds, good_enough=good_enough, seed=seed)
-            yield Call(method, scenario_runs.run_job, (job,))
+            yield Call(method, scenario_question.run_job, (job,))
 
     def _new(self, number: int) -> ScenarioResult:
         exact = find_optimum(self.question.scenario(number))

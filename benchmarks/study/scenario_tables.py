@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from benchmarks.study.page import markdown_table
-from benchmarks.study.scenario_runs import PLANNER
+from benchmarks.study.scenario_question import PLANNER
 from benchmarks.study.scenario_study import (
     MethodSummary,
     ScenarioStudy,
