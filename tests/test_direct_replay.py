@@ -13,7 +13,7 @@ from replay_worlds import hold, make_diagram, make_scenario, shipped_world
 from several_walls import hold_still, make_task, shipped
 
 from drake_aigto import TrajectoryError
-from drake_aigto.contact import Walls, support
+from drake_aigto.contact import RigidLaw, Walls, support
 from drake_aigto.simulation import (
     HeldControl,
     Parabolas,
@@ -73,7 +73,8 @@ def test_integrated_motion_is_the_same(name: str, seed: int, e: float) -> None:
     world = world_of(name)
     held = HeldControl(times, controls)
     span = held.start, held.end
-    oracle = RigidMotion(world, np.full(world.num_contacts, e), start, span).run(held)
+    law = RigidLaw(np.full(world.num_contacts, e))
+    oracle = RigidMotion(world, law, start, span).run(held)
     assert [i.contact for i in direct.impacts] == [i.contact for i in oracle.impacts]
     np.testing.assert_allclose(direct.times, oracle.times, rtol=0, atol=1e-9)
     np.testing.assert_allclose(direct.positions, oracle.positions, rtol=0, atol=1e-9)

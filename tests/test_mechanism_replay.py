@@ -250,8 +250,8 @@ def test_where_flight_is_a_parabola_it_is_the_one_by_roots(name: str, seed: int,
     direct = roll_out(name, e, start, times, controls)
     assume(not follows_chatter(direct))
     world = world_of(name)
-    restitutions, held = np.full(world.num_contacts, e), HeldControl(times, controls)
-    found = RigidMotion(world, restitutions, start, (held.start, held.end)).run(held)
+    law, held = RigidLaw(np.full(world.num_contacts, e)), HeldControl(times, controls)
+    found = RigidMotion(world, law, start, (held.start, held.end)).run(held)
     assert [i.contact for i in direct.impacts] == [i.contact for i in found.impacts]
     np.testing.assert_allclose(direct.times, found.times, rtol=0, atol=1e-9)
     np.testing.assert_allclose(direct.positions, found.positions, rtol=0, atol=1e-9)

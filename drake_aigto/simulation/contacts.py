@@ -71,7 +71,18 @@ def _find_contacts(
     alone[:, index] = impulses + np.append(held, 0.0)
     changes = world.calc_velocity_change(trajectory.positions, alone)
     runs = _find_runs(trajectory, impulses, held, np.linalg.norm(changes, axis=1))
-    return [_contact(trajectory, energies, changes, run[0], run[-1], index) for run in runs]
+    still = _STILL**2 * np.max(energies[0])  # Rounding of the largest on the way is none.
+    energies = np.where(energies > still, energies, 0.0)
+    return [
+        PlannedContact(
+            time=float(trajectory.times[run[0]]),
+            last_time=float(trajectory.times[run[-1]]),
+            velocity_change=float(np.linalg.norm(changes[run[0] : run[-1] + 1].sum(axis=0))),
+            energy_ratio=_divide(float(energies[0, run[0]]), float(energies[1, run[-1]])),
+            index=index,
+        )
+        for run in runs
+    ]
 
 
 def _find_runs(trajectory: Trajectory, impulses: Floats, held: Floats, sizes: Floats) -> list[Ints]:
@@ -92,23 +103,8 @@ def max_penetration(world: World, trajectory: Trajectory) -> float:
     return -float(np.min(world.calc_clearance(trajectory.positions), initial=0.0))
 
 
-def _contact(
-    trajectory: Trajectory, energies: Floats, changes: Floats, first: int, last: int, index: int
-) -> PlannedContact:
-    """Returns the contact of knots first … last."""
-    return PlannedContact(
-        time=float(trajectory.times[first]),
-        last_time=float(trajectory.times[last]),
-        velocity_change=float(np.linalg.norm(changes[first : last + 1].sum(axis=0))),
-        energy_ratio=_energy_ratio(energies[0, first], energies[1, last], np.max(energies[0])),
-        index=index,
-    )
-
-
-def _energy_ratio(before: float, after: float, largest: float) -> float:
-    """Returns kinetic energy after / before; rounding of the largest on the way is none."""
-    least = _STILL**2 * largest
-    given, returned = (float(energy) if energy > least else 0.0 for energy in (before, after))
-    if given == 0:
-        return 1.0 if returned == 0 else np.inf
-    return returned / given
+def _divide(before: float, after: float) -> float:
+    """Returns kinetic energy after / before; 1 if neither is any."""
+    if before == 0:
+        return 1.0 if after == 0 else np.inf
+    return after / before

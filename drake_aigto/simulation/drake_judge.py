@@ -150,7 +150,10 @@ class ContactTrace:
 
     def add(self, time: float, x: Floats) -> None:
         """Appends a step's end."""
-        clearances = self._find_clearances(x)
+        if self._world.has_constant_inertia:
+            clearances = self._motion_at(x).calc_clearances(x)
+        else:  # Without a mass matrix, which only contacts need.
+            clearances = read_clearances(self._world, x)
         assert self._held is not None, "a control is held from the start"
         self._samples.append(_Sample(time, x, self._held.control, clearances))
         for solid, near in enumerate(clearances):
@@ -160,12 +163,6 @@ class ContactTrace:
                     self._touched[solid] = time + SETTLED * delay, near.contact
             elif solid in self._touched:
                 self.bounces.append(self._touched.pop(solid)[1])
-
-    def _find_clearances(self, x: Floats) -> list[Clearance]:
-        """Returns that of each solid, without a mass matrix that only contacts need."""
-        if self._world.has_constant_inertia:
-            return self._motion_at(x).calc_clearances(x)
-        return read_clearances(self._world, x)
 
     def hold(self, time: float, held: Held) -> None:
         """Appends a control, held from now on."""
@@ -332,37 +329,18 @@ def read_steps(world: World, rows: list[StepEnd], recording: Recording) -> None:
     q, v = np.split(states, 2, axis=1)
     distances, rates = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
     recording.max_penetration = find_depth(times, distances, rates)
-    for contact in range(world.num_contacts):
-        _read_contact(world, rows, contact, distances[:, contact], rates[:, contact], recording)
-    recording.impacts.sort(key=lambda impact: impact.time)
-
-
-def _read_contact(
-    world: World,
-    rows: list[StepEnd],
-    contact: int,
-    distances: Floats,
-    rates: Floats,
-    recording: Recording,
-) -> None:
-    """Adds the touches of one contact, given φ and φ̇ at each row, shape (K,)."""
     outside = distances > 0
-    for before in np.flatnonzero(outside[:-1] & ~outside[1:]):
+    for before, contact in np.argwhere(outside[:-1] & ~outside[1:]).tolist():
         a, b = rows[before], rows[before + 1]
-        push = (rates[before + 1] - rates[before]) / (b.time - a.time)
-        wait = calc_time_to_wall(distances[before], rates[before], push)
-        time, x = _interpolate(a, b, wait)
-        touch = read_touch(world, time, x, contact, b.control)
-        after = np.flatnonzero(outside[before + 1 :])
+        step, (q, v), (_, later) = b.time - a.time, np.split(a.x, 2), np.split(b.x, 2)
+        push = (rates[before + 1, contact] - rates[before, contact]) / step
+        wait = calc_time_to_wall(distances[before, contact], rates[before, contact], push)
+        t, acceleration = min(wait, step), (later - v) / step
+        x = np.concatenate([q + t * (v + t / 2 * acceleration), v + t * acceleration])
+        touch = read_touch(world, a.time + t, x, contact, b.control)
+        after = np.flatnonzero(outside[before + 1 :, contact])
         end = rows[before + 1 + after[0]] if len(after) else rows[-1]
         energy = float(world.calc_kinetic_energy(*np.split(end.x, 2)))
         recording.impacts.append(touch._replace(energy_after=energy))
-
-
-def _interpolate(a: StepEnd, b: StepEnd, wait: float) -> tuple[float, Floats]:
-    """Returns time and state a wait [s] after one row, at most at the next."""
-    step = b.time - a.time
-    t = min(wait, step) if math.isfinite(wait) else step
-    (q, v), (_, later) = np.split(a.x, 2), np.split(b.x, 2)
-    acceleration = (later - v) / step
-    return a.time + t, np.concatenate([q + t * (v + t / 2 * acceleration), v + t * acceleration])
+    # Of several at one time, the first of the world's comes first.
+    recording.impacts.sort(key=lambda impact: (impact.time, impact.contact))

@@ -41,15 +41,12 @@ class EventDriven:
             recording = Springs(world, law, start, controller.start).run(controller)
             recording.simulator = "integrated"
             return recording
-        if law.rubs:
-            motion = SlidingMotion(world, law.restitution, law.friction, start, span)
-            recording = motion.run(controller)
-        elif not world.has_constant_dynamics:
-            recording = RigidMotion(world, law.restitution, start, span).run(controller)
-        elif isinstance(controller, HeldControl) and controller.is_open_loop:
+        is_parabola = world.has_constant_dynamics and not law.rubs
+        if is_parabola and isinstance(controller, HeldControl) and controller.is_open_loop:
             flights = Parabolas(world.constant_dynamics, law.restitution, start, controller.times)
             recording = flights.record(controller.controls)
         else:
-            recording = Flights(world, law.restitution, start, span).run(controller)
+            kind = Flights if is_parabola else SlidingMotion if law.rubs else RigidMotion
+            recording = kind(world, law, start, span).run(controller)
         recording.simulator = "event-driven"
         return recording

@@ -146,8 +146,7 @@ def calc_lateness(world: World, scenario: Scenario, times: Floats, controls: Flo
         if impact.time < times[-1]:
             state = np.array([recording.positions[row], recording.velocities[row]])
             change = state[1] - recording.velocities[row - 1]
-            others = _displace(world, scenario, impact, state)
-            others += _drag(world, scenario, impact, state, change)
+            others = _displace(world, scenario, impact, state, change)
             (rigid, price), *runs = (run(each, impact.time) for each in [state, *others])
             for other, paid in runs:
                 moved = other.positions[-1] - rigid.positions[-1]
@@ -160,24 +159,20 @@ def calc_lateness(world: World, scenario: Scenario, times: Floats, controls: Flo
     return Lateness(min(error, _MOST * float(path)) + creep, cost)
 
 
-def _displace(world: World, scenario: Scenario, impact: Impact, state: Floats) -> list[Floats]:
-    """Returns states after an impact, each off by what a compliant wall may do, shape (2, nv)."""
+def _displace(
+    world: World, scenario: Scenario, impact: Impact, state: Floats, change: Floats
+) -> list[Floats]:
+    """Returns states after an impact, each off by what a compliant wall may do, shape (2, nv).
+
+    The last one, with friction, is off by what that may do as it drags on. The impact changed v by
+    `change`, shape (nv,).
+    """
     i, e = impact.contact, float(world.restitutions(scenario)[impact.contact])
     motion = ContactMotion.at(world, state.ravel())
     delay, lift = calc_delays(motion, world.stiffness)[i], motion.walls.lifts[i, :-1]
-    return [state + np.outer(sizes, lift) for sizes in _calc_offsets(impact, e, delay)]
-
-
-def _drag(
-    world: World, scenario: Scenario, impact: Impact, state: Floats, change: Floats
-) -> list[Floats]:
-    """Returns a state after an impact with friction that drags on, off by what that may do.
-
-    The impact changed v by so much, shape (nv,).
-    """
-    i, (q, _) = impact.contact, state
-    if not world.friction_coefficients(scenario)[i]:
-        return []
-    delay = calc_delays(ContactMotion.at(world, state.ravel()), world.stiffness)[i]
-    slip = abs(float(world.rubbing.calc_tangent_jacobian(q)[i] @ change))
-    return [state + np.outer((slip * delay, world.stiction_speed), calc_slide(world, q, i))]
+    others = [state + np.outer(sizes, lift) for sizes in _calc_offsets(impact, e, delay)]
+    if world.friction_coefficients(scenario)[i]:
+        slip = abs(float(world.rubbing.calc_tangent_jacobian(state[0])[i] @ change))
+        slide = calc_slide(world, state[0], i)
+        others.append(state + np.outer((slip * delay, world.stiction_speed), slide))
+    return others

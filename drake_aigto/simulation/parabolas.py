@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.contact import Walls, calc_depth
+from drake_aigto.contact import RigidLaw, Walls, calc_depth
 from drake_aigto.dynamics import ConstantDynamics
 from drake_aigto.kernels import kernel
 from drake_aigto.simulation.flights import (
@@ -77,7 +77,17 @@ class Parabolas:
                 break
             log = make_log(count, n)
         log = log[:count]
-        times, rows = self._insert_impacts(states, impacts_until, log)
+        # Two rows for each impact between those of knots.
+        at_knots = np.arange(knots) + 2 * impacts_until
+        times, rows = np.empty(knots + 2 * count), np.empty((knots + 2 * count, 2, n))
+        times[at_knots], rows[at_knots] = self._times, states
+        is_impact = np.ones(times.size, dtype=bool)
+        is_impact[at_knots] = False
+        at_impacts = np.flatnonzero(is_impact)
+        q, *velocities = log[:, STATE:].reshape(-1, 3, n).transpose(1, 0, 2)
+        for part, v in enumerate(velocities):
+            rows[at_impacts[part::2], 0], rows[at_impacts[part::2], 1] = q, v
+            times[at_impacts[part::2]] = log[:, TIME]
         return Recording(
             times=times,
             positions=rows[:, 0],
@@ -87,23 +97,6 @@ class Parabolas:
             impacts=list_impacts(log, self._dynamics.mass_matrix),
             max_penetration=calc_depth(self._walls, rows[:, 0]),
         )
-
-    def _insert_impacts(
-        self, states: Floats, impacts_until: Ints, log: Floats
-    ) -> tuple[Floats, Floats]:
-        """Returns times and states (q, v), with two rows for each impact between the knots'."""
-        knots, _, n = states.shape
-        at_knots = np.arange(knots) + 2 * impacts_until
-        times, rows = np.empty(knots + 2 * len(log)), np.empty((knots + 2 * len(log), 2, n))
-        times[at_knots], rows[at_knots] = self._times, states
-        is_impact = np.ones(times.size, dtype=bool)
-        is_impact[at_knots] = False
-        at_impacts = np.flatnonzero(is_impact)
-        q, *velocities = log[:, STATE:].reshape(-1, 3, n).transpose(1, 0, 2)
-        for part, v in enumerate(velocities):
-            rows[at_impacts[part::2], 0], rows[at_impacts[part::2], 1] = q, v
-            times[at_impacts[part::2]] = log[:, TIME]
-        return times, rows
 
     def _calc_accelerations(self, controls: Floats) -> Floats:
         """Returns v̇ without contact, shape (…, nv) [m/s²]."""
@@ -130,17 +123,13 @@ class Flights(HybridMotion):
     """The same under a controller of an open or a closed loop."""
 
     def __init__(
-        self,
-        world: World,
-        restitutions: Floats,
-        state: tuple[Floats, Floats],
-        span: tuple[float, float],
+        self, world: World, law: RigidLaw, state: tuple[Floats, Floats], span: tuple[float, float]
     ) -> None:
         """Starts at rest on nothing; arguments are those of `RigidMotion`."""
         super().__init__(world, state, span[0])
         self._dynamics = world.constant_dynamics
         self._walls = Walls.of(self._dynamics)
-        self._rules = Rules(restitutions, span[1] - span[0])
+        self._rules = Rules(law.restitution, span[1] - span[0])
         self._phase = start_phase(state, world.num_contacts)
         self._log = make_log(_USUAL_IMPACTS, world.num_positions)
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.contact import Closed, ContactMotion, Mode
+from drake_aigto.contact import Closed, ContactMotion, Mode, RigidLaw
 from drake_aigto.simulation import flights
 from drake_aigto.simulation.flights import MOST_IMPACTS, STATE, HybridState, Rules
 from drake_aigto.simulation.smooth import HybridMotion
@@ -36,24 +36,19 @@ class RigidMotion(HybridMotion):
     """
 
     def __init__(
-        self,
-        world: World,
-        restitutions: Floats,
-        state: tuple[Floats, Floats],
-        span: tuple[float, float],
+        self, world: World, law: RigidLaw, state: tuple[Floats, Floats], span: tuple[float, float]
     ) -> None:
-        """Starts at rest on nothing.
+        """Starts at rest on nothing, with nothing known of contacts.
 
         Args:
             world: its dynamics and its contacts.
-            restitutions: e of each contact, in [0, 1], shape (m,).
+            law: of these contacts.
             state: the start, (q, v).
             span: from when to when will be simulated [s].
         """
         super().__init__(world, state, span[0])
-        self._rules = Rules(restitutions, span[1] - span[0])
+        self._rules, self._friction = Rules(law.restitution, span[1] - span[0]), law.friction
         m = world.num_contacts
-        self._friction = np.zeros(m)
         self._held, self._counts = np.zeros(m, dtype=bool), np.zeros(m)
         self._log = flights.make_log(MOST_IMPACTS, world.num_positions + 1)
 
@@ -68,8 +63,13 @@ class RigidMotion(HybridMotion):
 
     def _move(self, control: Floats, until: float) -> None:
         """Moves on smoothly until something may happen."""
-        n = self.world.num_positions
-        ahead, beside = self._find_faces()
+        n, (q, _) = self.world.num_positions, self._split()
+        # Faces that may be touched, and those behind of solids that are rested on. A solid is
+        # entered only when the last of the faces falls that the sphere is in front of.
+        distances, clear = self.world.calc_signed_distance(q), calc_air(q) / 2
+        is_held = self.world.are_of_one_solid @ self._held
+        ahead = np.flatnonzero(~is_held & (distances > clear))
+        beside = np.flatnonzero(is_held & ~self._held & (distances < -clear))
         closed = self._close(np.flatnonzero(self._held))
         lasting = self._watch(closed, control)
 
@@ -107,18 +107,6 @@ class RigidMotion(HybridMotion):
         """Returns with how little of a pull contacts let go, shape (k,) [N]."""
         masses = self.world.inertia_at(self.x[: self.world.num_positions]).masses[closed.contacts]
         return _PULL * max(1.0, float(np.max(np.abs(acceleration)))) * masses
-
-    def _find_faces(self) -> tuple[Ints, Ints]:
-        """Returns the faces that may be touched, and those behind of solids that are rested on.
-
-        A solid is entered only when the last of the faces falls that the sphere is in front of.
-        """
-        q, _ = self._split()
-        distances, clear = self.world.calc_signed_distance(q), calc_air(q) / 2
-        is_held = self.world.are_of_one_solid @ self._held
-        ahead = ~is_held & (distances > clear)
-        beside = is_held & ~self._held & (distances < -clear)
-        return np.flatnonzero(ahead), np.flatnonzero(beside)
 
     def _resolve(self, control: Floats) -> None:
         """Lets go of walls, or bounces off them, at this instant."""

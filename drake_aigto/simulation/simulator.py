@@ -185,13 +185,15 @@ class ContactMonitor:
         self._simulator = weakref.ref(simulator)  # It holds this: neither would ever be freed.
         self._motion_at = ContactMotion.reader(world)
         self._stiffness = world.stiffness
-        self._matching = _Matching(world, restitutions)
+        self.speeds: list[float] = []
         start, flight = simulator.get_context().get_time(), _FLIGHT * duration
         self._longest_delay = math.inf if world.has_constant_inertia else flight
-        self._solids = [_SolidPace(faces, flight, start, self._matching) for faces in world.solids]
+        self._solids = [
+            _SolidPace(world, restitutions, faces, flight, start, self.speeds)
+            for faces in world.solids
+        ]
         self._planned, self._due = -math.inf, -math.inf  # [s]
         self._longest_step = math.inf
-        self.speeds = self._matching.speeds
 
     def __call__(self, root: Context) -> None:
         """Plans, unless the next step can't lead beyond what was planned."""
@@ -204,9 +206,15 @@ class ContactMonitor:
         stretch, step = self._find_steps(root)
         simulator = self._simulator()
         assert simulator is not None, "it called"
-        if step > self._longest_step:
-            _forget(simulator)
         integrator = simulator.get_mutable_integrator()
+        if step > self._longest_step:
+            # What leaves a wall starts anew: Radau's rule keeps its Jacobian as long as Newton's
+            # method converges with it. That of a contact is a million times too stiff for flight,
+            # and may converge to a wrong velocity, in tiny steps.
+            accuracy = integrator.get_target_accuracy()
+            integrator.Reset()
+            integrator.set_target_accuracy(accuracy)
+            integrator.Initialize()
         integrator.set_maximum_step_size(step)
         integrator.request_initial_step_size_target(step)  # Else Drake refuses to start anew.
         self._longest_step = step
@@ -242,53 +250,20 @@ class ContactMonitor:
         return min(stretch for stretch, _ in plans), min(step for _, step in plans)
 
 
-def _forget(simulator: Simulator) -> None:
-    """Starts the integrator anew, which leaves a wall.
-
-    Radau's rule keeps its Jacobian as long as Newton's method converges with it. That of a contact
-    is a million times too stiff for flight, and may converge to a wrong velocity, in tiny steps.
-    """
-    integrator = simulator.get_mutable_integrator()
-    accuracy = integrator.get_target_accuracy()
-    integrator.Reset()
-    integrator.set_target_accuracy(accuracy)
-    integrator.Initialize()
-
-
-class _Matching:
-    """Gives contacts the dissipation for the impact that is coming."""
-
-    def __init__(self, world: World, restitutions: Floats) -> None:
-        self._world = world
-        self._restitutions = restitutions.tolist()
-        self.speeds: list[float] = []
-
-    def match(
-        self, root: Context, near: Clearance, push: float, slowest: float, delay: float
-    ) -> None:
-        """Sets the dissipation for the speed of an approach, or of rest, or the slowest."""
-        e, dissipation = self._restitutions[near.contact], 0.0
-        speed = math.sqrt(max(near.rate**2 - 2 * push * near.distance, 0.0))
-        speed = max(speed, slowest, abs(push) * delay)
-        if e < 1 and speed > 0:
-            dissipation = calc_dissipation(e, speed)
-            self.speeds.append(speed)
-        set_dissipation(self._world, root, near.contact, dissipation)
-
-    def soften(self, root: Context, contact: int, factor: float) -> None:
-        """Sets the stiffness of a contact to this part of the model's."""
-        set_stiffness(self._world, root, contact, factor)
-
-
 class _SolidPace:
-    """What one solid asks for."""
+    """What one solid asks for, and what its contacts are given for the impact that is coming."""
 
     def __init__(
-        self, faces: tuple[int, ...], flight: float, start: float, matching: _Matching
+        self,
+        world: World,
+        restitutions: Floats,
+        faces: tuple[int, ...],
+        flight: float,
+        start: float,
+        speeds: list[float],
     ) -> None:
-        self._faces = faces
-        self._flight = flight
-        self._matching = matching
+        self._world, self._restitutions = world, restitutions
+        self._faces, self._flight, self._speeds = faces, flight, speeds
         self._touched = start  # no contact that is still going on began before this [s]
         self._is_slow = False
         self._is_matched = False
@@ -314,7 +289,7 @@ class _SolidPace:
         time, delay = root.get_time(), min(delays[i] for i in self._faces)
         self._fastest = max(self._fastest, -near.rate)
         if near.distance > 0 and self._held is not None:
-            self._matching.soften(root, self._held, 1.0)
+            set_stiffness(self._world, root, self._held, 1.0)
             self._held = None
         if 0 < near.distance < blurred:
             leaving = calc_time_to_wall(blurred - near.distance, -near.rate, -push)
@@ -329,16 +304,25 @@ class _SolidPace:
                 return stretch, stretch
             self._touched, self._is_slow = time, -near.rate <= _SLOW * self._fastest
         if near.rate < 0 and not self._is_matched:
-            slowest = _SLOWEST_MATCH * self._fastest
-            self._matching.match(root, near, push, slowest, delays[near.contact])
+            self._match(root, near, push, delays[near.contact])
             self._is_matched = True
         is_settled = time - self._touched > SETTLED * delay
         if is_settled and self._held is None:
             self._held = near.contact
-            self._matching.soften(root, near.contact, _HELD_STIFFNESS)
+            set_stiffness(self._world, root, near.contact, _HELD_STIFFNESS)
         if self._is_slow or is_settled:
             return 2 * _COARSE_STEP * delay, _COARSE_STEP * delay
         return delay, _FINE_STEP * delay
+
+    def _match(self, root: Context, near: Clearance, push: float, delay: float) -> None:
+        """Sets the dissipation for the speed of an approach, or of rest, or the slowest."""
+        e, dissipation = float(self._restitutions[near.contact]), 0.0
+        speed = math.sqrt(max(near.rate**2 - 2 * push * near.distance, 0.0))
+        speed = max(speed, _SLOWEST_MATCH * self._fastest, abs(push) * delay)
+        if e < 1 and speed > 0:
+            dissipation = calc_dissipation(e, speed)
+            self._speeds.append(speed)
+        set_dissipation(self._world, root, near.contact, dissipation)
 
 
 def calc_acceleration(
@@ -362,7 +346,7 @@ def set_dissipation(world: World, root: Context, contact: int, dissipation: floa
     other contacts too, as a ball between walls, its own becomes 0 and the other one's makes up for
     it, so that no other contact which is going on is another.
     """
-    shapes = world.shapes[contact]
+    shapes, source = world.shapes[contact], world.plant.get_source_id()
     k = [read_given(world.scene_graph, shape, STIFFNESS) for shape in shapes]
     alone = [_is_alone(world, shape) for shape in shapes]
     values = [dissipation, dissipation]
@@ -370,7 +354,6 @@ def set_dissipation(world: World, root: Context, contact: int, dissipation: floa
         own = alone.index(True)
         values[1 - own] = 0.0
         values[own] = dissipation * (k[0] + k[1]) / k[1 - own]
-    source = world.plant.get_source_id()
     for shape, value in zip(shapes, values, strict=True):
         set_material(world.scene_graph, source, root, shape, DISSIPATION, value)
 
@@ -382,8 +365,7 @@ def set_stiffness(world: World, root: Context, contact: int, factor: float) -> N
     contact is another. Where both do, nothing is changed.
     """
     shapes = [shape for shape in world.shapes[contact] if _is_alone(world, shape)]
-    whole = world.stiffness[contact]
-    source = world.plant.get_source_id()
+    whole, source = world.stiffness[contact], world.plant.get_source_id()
     for shape in shapes:
         k = read_given(world.scene_graph, shape, STIFFNESS)
         # 1/k of all is (Σ 1/k_i): what is added to it falls to those that may yield.

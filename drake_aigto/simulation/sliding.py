@@ -9,6 +9,7 @@ from drake_aigto.contact import (
     RANK,
     Closed,
     Mode,
+    RigidLaw,
     Touching,
     calc_contact_turning,
     calc_velocity_after,
@@ -47,30 +48,26 @@ class SlidingMotion(RigidMotion):
     """
 
     def __init__(
-        self,
-        world: World,
-        restitutions: Floats,
-        friction: Floats,
-        state: tuple[Floats, Floats],
-        span: tuple[float, float],
+        self, world: World, law: RigidLaw, state: tuple[Floats, Floats], span: tuple[float, float]
     ) -> None:
-        """Starts with nothing known of contacts.
-
-        Args:
-            world: its dynamics and its contacts.
-            restitutions: e of each contact, in [0, 1], shape (m,).
-            friction: μ of each contact, shape (m,).
-            state: the start, (q, v).
-            span: from when to when will be simulated [s].
-        """
-        super().__init__(world, restitutions, state, span)
-        self._friction = friction
+        """Starts at rest on nothing; arguments are those of `RigidMotion`."""
+        super().__init__(world, law, state, span)
         self._modes = np.full(world.num_contacts, Mode.OPEN, dtype=int)
         self._last, self._stalls, self._fastest = -np.inf, 0, 1.0
 
     def _move(self, control: Floats, until: float) -> None:
-        self._count_stalls()
-        start, creep, rough = self.time, self._calc_creep(), self._held & (self._friction > 0)
+        self._stalls = self._stalls + 1 if self.time == self._last else 0
+        self._last = self.time
+        if self._stalls > MOST_IMPACTS:
+            raise FrictionError(
+                f"contact with friction at {self.time:g} s",
+                got=f"more than {MOST_IMPACTS} changes between stick and slip at once",
+                expected="motion that goes on",
+                remedy="Ask for contact: compliant.",
+            )
+        start, (q, _), rough = self.time, self._split(), self._held & (self._friction > 0)
+        stuck = np.flatnonzero(self._held & (self._modes == Mode.STICK))
+        creep = sum(float(np.linalg.norm(calc_slide(self.world, q, int(i)))) for i in stuck)
         super()._move(control, until)
         self.recording.creep += creep * (self.time - start)
         for i in np.flatnonzero(rough) if self.time > start else ():
@@ -107,12 +104,6 @@ class SlidingMotion(RigidMotion):
         chosen = edges(self.x) > 0
         return lambda x: edges(x)[..., chosen]
 
-    def _calc_creep(self) -> float:
-        """Returns ‖q̇‖ that slips of 1 m/s of all contacts that stick add up to at most."""
-        stuck = np.flatnonzero(self._held & (self._modes == Mode.STICK))
-        q, _ = self._split()
-        return float(sum(np.linalg.norm(calc_slide(self.world, q, int(i))) for i in stuck))
-
     def _calc_still(self) -> float:
         """Returns below which a velocity is none [m/s]."""
         self._fastest = max(self._fastest, float(np.max(np.abs(self._split()[1]))))
@@ -132,8 +123,11 @@ class SlidingMotion(RigidMotion):
             if not len(hit):
                 break
             self._hit(int(hit[0]), control)
-        else:
-            self._hold_together()
+        else:  # A collapse ends in an impact of all that touch, which returns nothing.
+            q, v = self._split()
+            touching = self._describe(self._find_closed(), None)
+            if (going := next(list_modes(touching), None)) is not None:
+                self.x = np.concatenate([q, v + going.change])
         self._go_on(control)
 
     def _find_closed(self) -> Ints:
@@ -165,14 +159,6 @@ class SlidingMotion(RigidMotion):
             self.recording.add(self.time, q, v)
             self.recording.add(self.time, q, after)
         self.x = np.concatenate([q, after])
-
-    def _hold_together(self) -> None:
-        """Ends a collapse: an impact of all that touch, which returns nothing."""
-        touching = self._describe(self._find_closed(), None)
-        going = next(list_modes(touching), None)
-        if going is not None:
-            n = self.world.num_positions
-            self.x = np.concatenate([self.x[:n], self.x[n:] + going.change])
 
     def _describe(self, closed: Ints, control: Floats | None) -> Touching:
         """Returns closed contacts, and how they go on without forces; None: without impulses."""
@@ -226,18 +212,6 @@ class SlidingMotion(RigidMotion):
             kicks = np.linalg.solve(self.world.calc_mass_matrix(q), rows.T)
             v = v - kicks @ (np.linalg.pinv(rows @ kicks, RANK) @ (rows @ v))
             self.x = np.concatenate([q, v])
-
-    def _count_stalls(self) -> None:
-        """Refuses events without end at one instant."""
-        self._stalls = self._stalls + 1 if self.time == self._last else 0
-        self._last = self.time
-        if self._stalls > MOST_IMPACTS:
-            raise FrictionError(
-                f"contact with friction at {self.time:g} s",
-                got=f"more than {MOST_IMPACTS} changes between stick and slip at once",
-                expected="motion that goes on",
-                remedy="Ask for contact: compliant.",
-            )
 
 
 def calc_slide(world: World, q: Floats, contact: int) -> Floats:

@@ -157,20 +157,15 @@ def _find_fall(watched: Watched, piece: _Piece) -> tuple[float, int]:
     coefficients = _FIT @ watched(piece.states(piece.at(_NODES)))
     # A Chebyshev polynomial nowhere exceeds the sum of its coefficients' sizes.
     least = coefficients[0] - np.sum(np.abs(coefficients[1:]), axis=0)
-    falls = [(_find_first_fall(coefficients[:, i]), int(i)) for i in np.flatnonzero(least <= 0)]
-    first, fallen = min(falls, default=(np.inf, -1))
-    if not np.isfinite(first):
-        return piece.end, -1
-    return float(piece.at(np.array(first))), fallen
-
-
-def _find_first_fall(coefficients: Floats) -> float:
-    """Returns the first abscissa in [−1, 1] after which a polynomial is negative, or infinity."""
-    roots = chebyshev.chebroots(chebyshev.chebtrim(coefficients, 1e-17))
-    real = np.real(roots[np.abs(np.imag(roots)) < _REAL])
-    edges = np.concatenate([[-1.0], np.sort(real[np.abs(real) < 1]), [1.0]])
-    values = chebyshev.chebval((edges[:-1] + edges[1:]) / 2, coefficients)
-    return float(edges[np.argmax(values < 0)]) if np.any(values < 0) else np.inf
+    first, fallen = np.inf, -1
+    for i in np.flatnonzero(least <= 0).tolist():
+        roots = chebyshev.chebroots(chebyshev.chebtrim(coefficients[:, i], 1e-17))
+        real = np.real(roots[np.abs(np.imag(roots)) < _REAL])
+        edges = np.concatenate([[-1.0], np.sort(real[np.abs(real) < 1]), [1.0]])
+        falls = chebyshev.chebval((edges[:-1] + edges[1:]) / 2, coefficients[:, i]) < 0
+        if np.any(falls) and edges[np.argmax(falls)] < first:
+            first, fallen = float(edges[np.argmax(falls)]), i
+    return (float(piece.at(np.array(first))), fallen) if fallen >= 0 else (piece.end, -1)
 
 
 def _refuse(time: float) -> TrajectoryError:

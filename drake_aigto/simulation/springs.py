@@ -72,19 +72,20 @@ class Springs(HybridMotion):
 
     def _advance(self, control: Floats, until: float, feels_contact: bool) -> None:
         while self.time < until:
-            contact, phase = self._follow_phases(control, until)
-            if contact < 0:
+            if (end := self._follow_phases(control, until)) is None:
                 return
-            before, self._phases[contact] = self._phases[contact], phase
+            contact, before = end.contact, self._phases[end.contact]
+            self._phases[contact] = end.next
             if before == _Phase.FREE:
-                self._touch(contact, control)
-            elif phase == _Phase.FREE:
+                self.recording.add(self.time, *self._split())
+                self._touched[contact] = read_touch(self.world, self.time, self.x, contact, control)
+            elif end.next == _Phase.FREE:
                 self._leave(contact)
                 if feels_contact:
                     return
 
-    def _follow_phases(self, control: Floats, until: float) -> tuple[int, int]:
-        """Moves on until a phase ends: of which contact, −1 if none, and what it is in then."""
+    def _follow_phases(self, control: Floats, until: float) -> _End | None:
+        """Moves on until a phase ends, and returns which did."""
         n, law, calc_rates = self.world.num_positions, self._law, self._calc_rates
         pressed, ends = self._phases == _Phase.PRESSED, self._list_ends()
         force = self.world.actuation @ control
@@ -97,15 +98,12 @@ class Springs(HybridMotion):
 
         def watched(x: Floats) -> Floats:
             distances, speeds, _ = self._measure(x)
-            values = np.where(
-                is_rate,
-                (1 - law.dissipation * speeds)[..., contacts],
-                distances[..., contacts],
-            )
+            slacks = 1 - law.dissipation * speeds
+            values = np.where(is_rate, slacks[..., contacts], distances[..., contacts])
             return signs * values + overlap
 
         fallen = self._follow(rates, watched, control, until)
-        return (-1, _Phase.FREE) if fallen < 0 else (ends[fallen].contact, ends[fallen].next)
+        return None if fallen < 0 else ends[fallen]
 
     def _list_ends(self) -> list[_End]:
         """Returns what ends the phase of each contact."""
@@ -126,11 +124,6 @@ class Springs(HybridMotion):
         n, world = self.world.num_positions, self.world
         q, v = x[..., :n], x[..., n:]
         return self._law.find_gaps(world.calc_signed_distance(q), world.calc_contact_rate(q, v))
-
-    def _touch(self, contact: int, control: Floats) -> None:
-        """Notes that a contact begins."""
-        self.recording.add(self.time, *self._split())
-        self._touched[contact] = read_touch(self.world, self.time, self.x, contact, control)
 
     def _leave(self, contact: int) -> None:
         """Notes that a contact ends, unless it began inside the wall."""

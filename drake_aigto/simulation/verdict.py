@@ -87,7 +87,13 @@ def calc_cost(
         return calc_plain_cost(scenario, times, controls, end)
     task = TaskCost.of(world, scenario)
     cost = float(task.final(end, recording.velocities[-1]))
-    for samples, control in recording.samples or [_sample_rows(recording, times, controls)]:
+    sampled = recording.samples
+    if not sampled:  # Between rows, with the control at each sample.
+        states = np.hstack([recording.positions, recording.velocities])
+        samples = sample_cubics(np.array(recording.times), states)
+        held = np.searchsorted(times, samples.times, side="right") - 1
+        sampled = [(samples, controls[held])]
+    for samples, control in sampled:
         q, v = np.split(samples.states, 2, axis=-1)
         u = np.broadcast_to(control, (len(q), controls.shape[1]))
         cost += float(samples.weights @ task.running(samples.times, q, v, u))
@@ -114,14 +120,6 @@ def explain_cost(world: World, scenario: Scenario, end: Floats, error: float) ->
     size = float(np.sqrt(missed @ task.QT @ missed))
     explained = error * float(np.sqrt(np.linalg.eigvalsh(task.QT).max()))
     return size**2 - max(0.0, size - explained) ** 2
-
-
-def _sample_rows(recording: Recording, times: Floats, controls: Floats) -> tuple[Samples, Floats]:
-    """Returns samples between a recording's rows, and the control at each."""
-    states = np.hstack([recording.positions, recording.velocities])
-    samples = sample_cubics(np.array(recording.times), states)
-    held = np.searchsorted(times, samples.times, side="right") - 1
-    return samples, controls[held]
 
 
 def sample_steps(times: Floats, states: Floats, controls: Floats) -> tuple[Samples, Floats]:
