@@ -191,7 +191,9 @@ class ContactTrace:
             depth = self._calc_depth(solid)
             recording.max_penetration = max(recording.max_penetration, depth)
             for first, last in self._find_contacts(solid):
-                touch, release = self._find_touch(solid, first), self._find_release(solid, last)
+                # From the flights before and after it, or the very start and end.
+                touch = self._extrapolate(solid, first, max(first - 1, 0))
+                release = self._extrapolate(solid, last, min(last + 1, len(self._samples) - 1))
                 deepest = min(
                     self._samples[first : last + 1],
                     key=lambda sample: sample.clearances[solid].distance,
@@ -228,22 +230,10 @@ class ContactTrace:
             if any(self._is_on_face(solid, index) for index in (first, last))
         ]
 
-    def _find_touch(self, solid: int, first: int) -> _Row:
-        """Returns when and how contact began: from the flight before it, or the very start."""
-        before = self._samples[max(first - 1, 0)]
-        control, face = self._samples[first].control, self._face(solid, first)
-        return self._extrapolate(before, control, face, 1.0 if first else 0.0)
-
-    def _find_release(self, solid: int, last: int) -> _Row:
-        """Returns when and how contact ended: from the flight after it, or the very end."""
-        ends = last == len(self._samples) - 1
-        after = self._samples[last if ends else last + 1]
-        return self._extrapolate(after, after.control, self._face(solid, last), float(ends) - 1)
-
-    def _extrapolate(self, sample: _Sample, control: Floats, face: int, direction: float) -> _Row:
-        """Returns when and how flight is at the wall, forward (+1) or backward (−1); 0: as is."""
-        x = sample.x
-        clearances = sample.clearances
+    def _extrapolate(self, solid: int, index: int, beside: int) -> _Row:
+        """Returns when and how flight of the sample beside a sample in contact is at the wall."""
+        (time, x, _, clearances), face = self._samples[beside], self._face(solid, index)
+        control, direction = self._samples[max(index, beside)].control, float(index - beside)
         motion = self._motion_at(x)
         acceleration = calc_acceleration(self._world, motion, x, control, clearances, but=face)
         push = motion.calc_pushes(acceleration)[face]
@@ -252,7 +242,7 @@ class ContactTrace:
         t = direction * t if direction and math.isfinite(t) else 0.0
         q, v = np.split(x, 2)
         moved = np.concatenate([q + t * v + t**2 / 2 * acceleration, v + t * acceleration])
-        return _Row(sample.time + t, moved, push)
+        return _Row(time + t, moved, push)
 
     def _calc_impact(self, contact: int, touch: _Row, release: _Row) -> Impact | None:
         """Returns the impact, or None if the control alone could stop so slow a ball in contact."""

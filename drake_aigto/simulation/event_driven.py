@@ -6,8 +6,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw, contact_law
 from drake_aigto.simulation.parabolas import Flights, Parabolas
 from drake_aigto.simulation.recording import Controller, HeldControl, Recording
-from drake_aigto.simulation.rigid import RigidMotion
-from drake_aigto.simulation.sliding import SlidingMotion
+from drake_aigto.simulation.rigid import RigidMotion, SlidingMotion
 from drake_aigto.simulation.springs import Springs
 from drake_aigto.world import Scenario, World
 

@@ -15,7 +15,7 @@ from drake_aigto.contact import (
 )
 from drake_aigto.simulation.event_driven import EventDriven
 from drake_aigto.simulation.recording import HeldControl, Impact, Recording, Rest, find_impacts
-from drake_aigto.simulation.sliding import calc_slide
+from drake_aigto.simulation.rigid import calc_slide
 from drake_aigto.simulation.verdict import calc_cost, explain_cost
 from drake_aigto.world import Scenario, TaskCost, World
 
