@@ -48,10 +48,14 @@ from drake_aigto import (
     World,
 )
 from drake_aigto.arrays import Floats
-from drake_aigto.control import ClosedLoopRun, Disturbance, run_in_loop
-from drake_aigto.control.horizon import Horizon
-from drake_aigto.control.horizons import make_horizon
-from drake_aigto.control.motion import Motion
+from drake_aigto.control import (
+    ClosedLoopRun,
+    Disturbance,
+    Horizon,
+    Motion,
+    make_horizon,
+    run_in_loop,
+)
 from drake_aigto.planning import needs_shooting
 from drake_aigto.simulation import Held
 from drake_aigto.world import Scales, find_model, package_map

@@ -9,8 +9,7 @@ import pytest
 
 from drake_aigto import ModelPredictiveController, Planner, PlanOptions, Scenario, World
 from drake_aigto.arrays import Floats
-from drake_aigto.control import Disturbance, run_in_loop
-from drake_aigto.control.bounces_seen import SeenBounces
+from drake_aigto.control import Disturbance, SeenBounces, run_in_loop
 
 CORRIDOR = Scenario.named("corridor/three_bounces")
 OFF, WEIGHT = 0.05, 1e-9  # [m], [m²/s²]

@@ -23,8 +23,7 @@ from drake_aigto import (
     TrackingController,
     World,
 )
-from drake_aigto.control import ClosedLoopRun, Disturbance, TickStatus, run_in_loop
-from drake_aigto.control.horizons import make_horizon
+from drake_aigto.control import ClosedLoopRun, Disturbance, TickStatus, make_horizon, run_in_loop
 from drake_aigto.planning import MECHANISM_LADDER
 from drake_aigto.simulation import make_simulator
 from drake_aigto.world import TaskCost

@@ -32,7 +32,7 @@ from benchmarks.robustness.study import (
     run_task,
 )
 from drake_aigto import OptionsError, PlanningError, Scenario
-from drake_aigto.control import FlightFeedback, track_event_driven
+from drake_aigto.control import Feedback, track_event_driven
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.plain import from_plain, to_plain
 from drake_aigto.simulation import replay_event_driven
@@ -96,7 +96,7 @@ def test_outcomes_are_replays_of_the_perturbed_truth() -> None:
     world, scenario = shipped_world(), result.scenario
     gradient = next(plan for plan in result.plans if plan.method == GRADIENT)
     plan = plan_without_contact(world, scenario)
-    controller = FlightFeedback(world, scenario, plan)
+    controller = Feedback(world, scenario, plan)
     perturbations = SMALL.perturbations(scenario)
     assert result.kinds == tuple(perturbation.kind for perturbation in perturbations)
     for i in (0, 5, 7, len(perturbations) - 1):

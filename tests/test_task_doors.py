@@ -16,7 +16,7 @@ from several_walls import make_task, shipped
 from benchmarks.baselines import BASELINES, run_baseline
 from benchmarks.optima import block_optimum, masses_optimum, walls_optimum
 from drake_aigto import Planner, PlanOptions, Scenario, ScenarioError, World
-from drake_aigto.control import FlightFeedback, track_drake, track_event_driven
+from drake_aigto.control import track_drake, track_event_driven
 from drake_aigto.paper import (
     LiteralWithForces,
     RigidWithForces,
@@ -45,7 +45,6 @@ EXTRAS: dict[str, Any] = {
     "duration_range": (0.5, 2.0),
 }
 CONTROLLER = HeldControl(*hold(0.0))
-NO_PLAN: Any = None
 DOORS: dict[str, Callable[[World, Scenario], Any]] = {
     "plan_literal": lambda world, task: plan_literal(task, world=world),
     "make_literal_task": make_literal_task,
@@ -62,7 +61,6 @@ DOORS: dict[str, Callable[[World, Scenario], Any]] = {
     "block_optimum": block_optimum,
     "track_event_driven": lambda world, task: track_event_driven(world, task, CONTROLLER),
     "track_drake": lambda world, task: track_drake(world, task, CONTROLLER),
-    "FlightFeedback": lambda world, task: FlightFeedback(world, task, NO_PLAN),
     **{name: partial(_run_baseline, name) for name in BASELINES},
 }
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drake_aigto.control.motion import Motion
-from drake_aigto.control.touches_left import choose, find_left
+from drake_aigto.control import Motion, choose, find_left
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
 

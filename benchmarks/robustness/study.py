@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from benchmarks.robustness.question import RobustnessQuestion, Task
 from benchmarks.study.study import Call, Study, round_to
-from drake_aigto.control import FlightFeedback, track_drake, track_event_driven
+from drake_aigto.control import Feedback, track_drake, track_event_driven
 from drake_aigto.errors import AigtoError
 from drake_aigto.local import solve_with_drake
 from drake_aigto.paper import rigid_optimum
@@ -161,7 +161,7 @@ def _judge(
     """Returns what becomes of a plan, or why there is none that can be tracked."""
     try:
         plan = make_plan(world, scenario)
-        controller = FlightFeedback(world, scenario, plan)
+        controller = Feedback(world, scenario, plan)
     except AigtoError as error:
         return PlanResult(method, error=str(error))
     control = plan.times, plan.controls

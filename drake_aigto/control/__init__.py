@@ -1,37 +1,21 @@
-"""What runs a plan, or plans again: LeafSystems, and feedback in simulations of our own."""
+"""Controllers that run a plan, or plan again: LeafSystems, and feedback in our own simulations."""
 
-from drake_aigto.control.closed_loop import run_in_loop
-from drake_aigto.control.disturbance import Disturbance
-from drake_aigto.control.feedback import (
-    Feedback,
-    FlightFeedback,
-    KnotFeedback,
-    Tracked,
-    track_drake,
-    track_event_driven,
+from typing import Any
+
+import lazy_loader
+
+# Loaded when first used: the planner behind them takes a second.
+_find, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+# Names of the past, and what stands for them now.
+_GONE = dict.fromkeys(
+    ("FlightFeedback", "KnotFeedback", "PhaseFeedback", "make_feedback"),
+    "Feedback, one law for every plan",
 )
-from drake_aigto.control.laws import make_feedback
-from drake_aigto.control.loop_run import ClosedLoopRun, PlannedPath, PlanSwitch, is_run
-from drake_aigto.control.phase_feedback import PhaseFeedback
-from drake_aigto.control.predictive import ModelPredictiveController, TickStatus
-from drake_aigto.control.tracking import TrackingController
 
-__all__ = [
-    "ClosedLoopRun",
-    "Disturbance",
-    "Feedback",
-    "FlightFeedback",
-    "KnotFeedback",
-    "ModelPredictiveController",
-    "PhaseFeedback",
-    "PlanSwitch",
-    "PlannedPath",
-    "TickStatus",
-    "Tracked",
-    "TrackingController",
-    "is_run",
-    "make_feedback",
-    "run_in_loop",
-    "track_drake",
-    "track_event_driven",
-]
+
+def __getattr__(name: str) -> Any:
+    """Returns a public name; of one that is gone, says where it is now."""
+    if name in _GONE:
+        raise ImportError(f"drake_aigto.control.{name} is gone: use {_GONE[name]}.")
+    return _find(name)

@@ -10,6 +10,7 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.contact import RANK, Closed, Mode, stack_rows
+from drake_aigto.errors import TrajectoryError
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import World
 
@@ -18,6 +19,8 @@ from drake_aigto.world import World
 _NONE = 1e-5
 # Just after an impact a slip is known from the motion to the next knot only, which is no parabola.
 _NEARLY_NONE = 1e-2
+# An impact that is approached by less than this part of the plan's largest velocity is a graze.
+_GRAZE = 1e-6
 # Steps of the differences of J v and T v by q, as a part of 1 m or 1 rad.
 _DIFFERENCE = 1e-6
 
@@ -151,3 +154,46 @@ def touches_walls(world: World, trajectory: Trajectory) -> bool:
     """Returns whether a plan hits a wall, or lies at one between knots."""
     lies = _read_modes(world, np.zeros(world.num_contacts), trajectory) != Mode.OPEN
     return bool(trajectory.impulses.any() or lies.any())
+
+
+def check_sizes(world: World, trajectory: Trajectory) -> None:
+    """Refuses the trajectory of another world.
+
+    Raises:
+        TrajectoryError: says which sizes do not fit.
+    """
+    sizes = world.num_positions, world.num_actuators, world.num_contacts
+    got = tuple(
+        each.shape[1] for each in (trajectory.positions, trajectory.controls, trajectory.impulses)
+    )
+    if got != sizes:
+        raise TrajectoryError(
+            "the trajectory",
+            got=f"{got} positions, controls and contacts",
+            expected=f"the world's, {sizes}",
+        )
+
+
+def check_impacts(world: World, trajectory: Trajectory) -> None:
+    """Refuses impacts that no feedback is known for.
+
+    Raises:
+        TrajectoryError: several at once, one at the start, or one that only grazes its wall.
+    """
+    times, impulses = trajectory.times, trajectory.impulses[:-1]
+    remedy = "Track plans whose contacts are bounces one by one."
+    if impulses[0].any():
+        rigid = "Track plans of the rigid transcription, whose contacts are bounces one by one."
+        raise _refuse("a push at the very start", rigid)
+    several = np.flatnonzero(np.count_nonzero(impulses, axis=1) > 1)
+    if several.size:
+        raise _refuse(f"several at once, at {times[several[0]]:.3f} s", remedy)
+    speeds = world.calc_contact_rate(trajectory.positions[:-1], trajectory.velocities[:-1])
+    slowest = -_GRAZE * float(np.max(np.linalg.norm(trajectory.velocities, axis=1)))
+    grazes = np.flatnonzero(((impulses != 0) & (speeds >= slowest)).any(axis=1))
+    if grazes.size:
+        raise _refuse(f"one that grazes, at {times[grazes[0]]:.3f} s", remedy)
+
+
+def _refuse(got: str, remedy: str) -> TrajectoryError:
+    return TrajectoryError("contacts of a plan to track", got, "bounces", remedy)

@@ -17,7 +17,7 @@ from pydrake.systems.framework import (
 )
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.control.laws import make_feedback
+from drake_aigto.control.feedback import Feedback
 from drake_aigto.control.ports import check_period, read_start
 from drake_aigto.control.watch import BounceWatch
 from drake_aigto.planning import Plan
@@ -45,10 +45,9 @@ class TrackingController(LeafSystem):
         builder.Connect(plant.get_state_output_port(), controller.get_input_port(0))
         builder.Connect(controller.get_output_port(0), plant.get_actuation_input_port())
 
-    Between rigid walls a plan has flights, each with its own gains, and the next one begins when
-    the ball or the mechanism bounces (`FlightFeedback`, `PhaseFeedback`). A mechanism may lie at
-    walls, too, stick and slip there: then it has gains of what moves then. Plans of mechanisms
-    between walls that yield, or that touch nothing, have gains at knots (`KnotFeedback`).
+    Between rigid walls a plan has phases, each with its own gains, and the next one begins when a
+    wall is hit, or a slip stops. While contacts last, gains are those of what can move then. Plans
+    of mechanisms between compliant walls, or that touch nothing, have one phase (`Feedback`).
 
     A bounce is over when a ball leaves a wall that it has touched, with J_i v > 0. Touches are
     *felt*, at every step of the simulation, where the plant's contact results are connected; the
@@ -81,14 +80,14 @@ class TrackingController(LeafSystem):
 
         Raises:
             ModelError: from `Plan.find_world`.
-            TrajectoryError: no feedback is known for its contacts (`make_feedback`).
+            TrajectoryError: no feedback is known for its contacts (`Feedback`).
             ControlError: the period is not a number above zero.
         """
         super().__init__()
         world = plan.find_world(world)
         self.plan = plan
         self.period = plan.scenario.time_step if period is None else check_period(period)
-        self.feedback = make_feedback(world, plan.scenario, plan.trajectory)
+        self.feedback = Feedback(world, plan.scenario, plan.trajectory)
         self._watch = BounceWatch(world)
         n, m, nu = world.num_positions, world.num_contacts, world.num_actuators
         self._estimate = self.DeclareVectorInputPort("estimated_state", 2 * n)

@@ -1,9 +1,9 @@
-"""Feedback about a plan of a mechanism that bounces off rigid walls, or lies at them."""
+"""Gains along a plan, by Riccati's equation through its impacts and sustained contacts."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +11,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import calc_saltation, calc_velocity_after
-from drake_aigto.control.feedback import Feedback
-from drake_aigto.control.flights import check_bounces
-from drake_aigto.control.stretches import Cut, Stretch, is_at_rest_on, read_stretches
-from drake_aigto.simulation import Held
+from drake_aigto.control.stretches import Cut, Stretch, read_stretches
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scales, Scenario, TaskCost, World
 
@@ -23,7 +20,8 @@ _SUBSTEPS = 4
 # Differences are over this part of 1 m, 1 rad, or 1 of their rates: what is left of fourth order
 # and of rounding is 1e-9 of what is differentiated.
 _DIFFERENCE = 1e-5
-# Flights go on before and after their bounces by this part of the plan's duration.
+# Phases go on before and after their own part of the plan by this part of its duration; where M is
+# constant, by all of it.
 _BEYOND = 0.1
 # A hard goal weighs as if so many of the task's costs were to be paid for missing it by its length.
 # A block on a floor whose friction and mass were up to 10 % off ended 38 mm off with a hundred of
@@ -31,8 +29,6 @@ _BEYOND = 0.1
 _HARD = 1e4
 # A control that is this near to its bound, as a part of the bounds' range, answers nothing.
 _AT_BOUND = 1e-6
-# Slip has ended at this part of its largest value in the plan.
-_STOPPED = 1e-2
 # What comes to its end more slowly than this, as a part of the rates there, may come at any time.
 _SLOWLY = 1e-6
 
@@ -43,112 +39,23 @@ class Phase:
 
     Attributes:
         times: of K + 1 knots, shape (K + 1,) [s].
-        positions: q(t), shape (n, 1).
-        velocities: v(t), shape (n, 1).
+        state: q(t) and v(t), shape (2n, 1).
         controls: held between knots, shape (K, nu).
         gains: K_k, shape (K, nu, 2n).
     """
 
     times: Floats
-    positions: PiecewisePolynomial
-    velocities: PiecewisePolynomial
+    state: PiecewisePolynomial
     controls: Floats
     gains: Floats
 
     def calc_state(self, time: float) -> Floats:
         """Returns q and v, shape (2n,); before and after all knots, those of the nearest."""
-        t = float(np.clip(time, self.times[0], self.times[-1]))
-        return np.concatenate([self.positions.value(t)[:, 0], self.velocities.value(t)[:, 0]])
-
-
-class PhaseFeedback(Feedback):
-    """Tracks a plan of a mechanism, whose M, h and J depend on q, through its contacts.
-
-    On phase i, in which the same contacts last in the same modes or none does (`Stretch`), a
-    control that is held from t_k on is
-
-        u = u_k + K_k (x − x_i(t)),    cut to the bounds of the control,
-
-    the best answer to a deviation x̃ from the phase to second order (Riccati's discrete equation):
-
-        V_k(x̃) = min over ũ   h_k (ũᵀ R ũ + x̃ᵀ diag(Q, Q_v) x̃) + V_{k+1}(F_k x̃ + G_k ũ)
-
-    with the scenario's weights, those of angles as at their goal, and F_k, G_k the derivatives of
-    the motion under a held control, with the forces of contacts that last: what sticks stays, what
-    slips is braked by μ λ_n. Of a deviation from there, only that counts which walls leave
-    (`Stretch.calc_projection`). Past an impact V is that of the next phase, of Ξ x̃: by the
-    saltation matrix a deviation before it becomes one after it, as it comes sooner or later, and
-    elsewhere,
-
-        Ξ = D + (f⁺ − D f⁻) ∇gᵀ / (∇gᵀ f⁻),    D = ∂(q, v⁺)/∂(q, v⁻),    f = (q̇, v̇),    g = φ,
-
-    friction of the impact included. Where a slip ends, g = s and D = 1; where a control lets go of
-    a wall, or of stick, forces are those before and Ξ = 1.
-
-    The next phase begins when the mechanism hits its wall, or stops to slip, as for balls
-    (`FlightFeedback`): each goes on for a tenth of the plan's duration before and after its own
-    stretch, as if its contacts were all there is. What a control ends, ends by the clock.
-    """
-
-    feels_contact = True
-
-    def __init__(self, world: World, scenario: Scenario, trajectory: Trajectory) -> None:
-        """Computes the gains.
-
-        Raises:
-            TrajectoryError: it does not fit the world; or it has several impacts at once, one at
-                the start, or one that only grazes a wall: no feedback is known there.
-        """
-        check_bounces(world, trajectory, may_last=True)
-        self._world, times = world, trajectory.times
-        self.start, self.end = float(times[0]), float(times[-1])
-        self.longest_hold = float(np.max(np.diff(times)))
-        self._bounds = world.bounds(scenario).control
-        self._norm = scenario.control_norm or np.inf
-        sweep = Sweep(world, scenario, trajectory)
-        self._phases, self._ends = sweep.run(), sweep.find_ends()
-
-    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
-        """Returns u_k + K_k (x − x_i(t)), within bounds."""
-        phase = self._phases[self.find_phase(time, x, bounces)]
-        last = len(phase.controls) - 1
-        k = int(np.clip(np.searchsorted(phase.times, time, side="right") - 1, 0, last))
-        u = phase.controls[k] + phase.gains[k] @ (x - phase.calc_state(time))
-        size = float(np.linalg.norm(u := np.clip(u, *self._bounds)))
-        return Held(u * min(1.0, self._norm / size) if size else u, float(phase.times[k + 1]))
-
-    def find_state(self, time: float, bounces: Sequence[int]) -> Floats:
-        """Returns where the phase is, or would be, that the mechanism is in.
-
-        Whether it lies at a wall, or has stopped to slip, no bounce tells: that is as planned.
-        """
-        return self._phases[self.find_phase(time, None, bounces)].calc_state(time)
-
-    def find_phase(self, time: float, x: Floats | None, bounces: Sequence[int]) -> int:
-        """Returns in which phase it is: all that ends those before it has happened."""
-        left = list(bounces)
-        for i, end in enumerate(self._ends):
-            if end.stretch.cut == Cut.HIT and end.stretch.contact in left:
-                left.remove(end.stretch.contact)
-            elif not self._is_over(end, time, x):
-                return i
-        return len(self._ends)
-
-    def _is_over(self, end: _End, time: float, x: Floats | None) -> bool:
-        """Returns whether a phase has ended other than by an impact that was counted."""
-        if end.stretch.cut == Cut.CLOCK or (x is None and end.is_shown_by_state):
-            return time >= end.time
-        if x is None or time < end.earliest or not end.is_shown_by_state:
-            return False
-        contact, (q, v) = end.stretch.contact, np.split(x, 2)
-        if end.stretch.cut == Cut.HIT:
-            return bool(is_at_rest_on(self._world, q, v, end.speed / 2)[contact])
-        slip = float(self._world.rubbing.calc_slips(q, v)[contact])
-        return slip * end.stretch.find_mode(contact) <= _STOPPED * end.speed
+        return self.state.value(float(np.clip(time, self.times[0], self.times[-1])))[:, 0]
 
 
 @dataclass(frozen=True)
-class _End:
+class PhaseEnd:
     """What ends a phase, but for the last one.
 
     Attributes:
@@ -169,12 +76,29 @@ class _End:
 class Sweep:
     """Riccati's equation from the end of a plan to its start.
 
+    A control that is held from t_k on answers a deviation x̃ from the plan by K_k x̃, the best
+    answer to second order:
+
+        V_k(x̃) = min over ũ   h_k (ũᵀ R ũ + x̃ᵀ diag(Q, Q_v) x̃) + V_{k+1}(F_k x̃ + G_k ũ)
+
+    with the scenario's weights, those of angles as at their goal, and F_k, G_k the derivatives of
+    the motion under a held control, with the forces of contacts that last: what sticks stays, what
+    slides is braked by μ λ_n. Of a deviation from there, only that counts which walls leave
+    (`Stretch.calc_projection`). Past an impact V is that of the next phase, of Ξ x̃: by the
+    saltation matrix a deviation before it becomes one after it, as it comes sooner or later, and
+    elsewhere,
+
+        Ξ = D + (f⁺ − D f⁻) ∇gᵀ / (∇gᵀ f⁻),    D = ∂(q, v⁺)/∂(q, v⁻),    f = (q̇, v̇),    g = φ,
+
+    friction of the impact included. Where a slip ends, g = s and D = 1; where a control lets go of
+    a wall, or of stick, forces are those before and Ξ = 1.
+
     Attributes:
         stretches: of the plan.
     """
 
     def __init__(self, world: World, scenario: Scenario, trajectory: Trajectory) -> None:
-        """Takes a plan whose impacts come one by one (`check_bounces`)."""
+        """Takes a plan whose impacts come one by one (`check_impacts`)."""
         self._world, self._scenario, self._plan = world, scenario, trajectory
         self._cost = TaskCost.of(world, scenario)
         self._friction = world.friction_coefficients(scenario)
@@ -194,7 +118,7 @@ class Sweep:
                 value = jump.T @ value @ jump
         return phases[::-1]
 
-    def find_ends(self) -> list[_End]:
+    def find_ends(self) -> list[PhaseEnd]:
         """Returns what ends each stretch but the last."""
         plan, world, last = self._plan, self._world, float(self._plan.times[0])
         found = []
@@ -208,7 +132,7 @@ class Sweep:
             elif stretch.cut == Cut.STOP:
                 slips = world.rubbing.calc_slips(plan.positions[knots], plan.velocities[knots])
                 speed, lies = float(np.max(np.abs(slips[:, contact]))), True
-            found.append(_End(stretch, time, (last + time) / 2, speed, lies))
+            found.append(PhaseEnd(stretch, time, (last + time) / 2, speed, lies))
             last = time
         return found
 
@@ -235,9 +159,10 @@ class Sweep:
                 stretch, states[k], controls[k], times[k + 1] - times[k], values[k + 1]
             )
         gains[end:] = gains[end - 1]
-        q, v = np.split(states.T, 2)
-        positions = PiecewisePolynomial.CubicHermite(times, q, v)
-        return Phase(times, positions, positions.derivative(), controls, gains), values[begin]
+        q, v = np.split(states, 2, axis=1)
+        none = np.zeros((len(times), self._world.num_contacts))
+        state, _ = Trajectory(times, q, v, controls, none, none[1:]).to_piecewise()
+        return Phase(times, state, controls, gains), values[begin]
 
     def _step(
         self, stretch: Stretch, x: Floats, u: Floats, h: float, value: Floats
@@ -274,7 +199,8 @@ class Sweep:
         states = np.hstack([plan.positions, plan.velocities])[first : last + 1]
         if plan.impulses[first].any():
             states[0] = self._hit(int(np.argmax(plan.impulses[first])), stretch, states[0])
-        span, step = _BEYOND * float(plan.times[-1] - plan.times[0]), float(np.mean(np.diff(times)))
+        beyond = 1.0 if self._world.has_constant_inertia else _BEYOND
+        span, step = beyond * float(plan.times[-1] - plan.times[0]), float(np.mean(np.diff(times)))
         if first > 0:
             early, ahead = _coast(stretch, states[0], controls[0], -step, span)
             times = np.concatenate([times[0] + early[::-1], times])
