@@ -15,7 +15,7 @@ from drake_aigto import Scenario, World
 from drake_aigto.simulation import replay_event_driven
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import RigidTranscription
-from drake_aigto.transcription.directions import ImpulseDirections
+from drake_aigto.transcription.rigid import ImpulseDirections
 
 Array = npt.NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from drake_aigto.contact import JointImpact
 from drake_aigto.dynamics import ConstantInertia
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence, joint_times
-from drake_aigto.transcription.rigid_contact import rigid_defects
+from drake_aigto.transcription.transcription import rigid_defects
 from drake_aigto.world import models_directory
 
 G = 9.81

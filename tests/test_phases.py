@@ -22,7 +22,7 @@ from rest_solutions import least_rest
 from drake_aigto import Scenario, World
 from drake_aigto.local import LocalStatus
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
-from drake_aigto.transcription.guesses import straight_path
+from drake_aigto.transcription.timeline import straight_path
 
 # Free flight.
 

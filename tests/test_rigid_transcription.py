@@ -21,7 +21,7 @@ from drake_aigto.contact import JointImpact
 from drake_aigto.dynamics import Contact
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Transcription
-from drake_aigto.transcription.rigid_contact import rigid_defects
+from drake_aigto.transcription.transcription import rigid_defects
 
 Array = npt.NDArray[np.float64]
 

@@ -14,8 +14,13 @@ from pydrake.symbolic import Expression
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError, OptionsError
-from drake_aigto.transcription.rows import DYNAMICS, KINEMATICS, NONPENETRATION
-from drake_aigto.transcription.shared import as_expression, shared_constraint
+from drake_aigto.transcription.rows import (
+    DYNAMICS,
+    KINEMATICS,
+    NONPENETRATION,
+    as_expression,
+    shared_constraint,
+)
 from drake_aigto.transcription.transcription import Transcription
 from drake_aigto.world import Scenario, World
 

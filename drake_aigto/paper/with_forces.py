@@ -28,10 +28,15 @@ from pydrake.symbolic import Expression, MakeVectorVariable
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper.literal import LiteralTranscription
-from drake_aigto.transcription.penalties import cut_to
 from drake_aigto.transcription.rigid import RigidTranscription
-from drake_aigto.transcription.rows import CONTACT, DYNAMICS, RESTITUTION
-from drake_aigto.transcription.shared import as_expression, shared_constraint
+from drake_aigto.transcription.rows import (
+    CONTACT,
+    DYNAMICS,
+    RESTITUTION,
+    as_expression,
+    cut_to,
+    shared_constraint,
+)
 from drake_aigto.transcription.transcription import Transcription
 from drake_aigto.world import Scenario, World
 

@@ -15,7 +15,7 @@ from drake_aigto.terms import parse_costs
 from drake_aigto.transcription import Transcription
 from drake_aigto.transcription.additions import Additions
 from drake_aigto.transcription.consistency import check_together
-from drake_aigto.transcription.penalties import Bounds
+from drake_aigto.transcription.rows import Bounds
 
 _LOG = logging.getLogger(__name__)
 

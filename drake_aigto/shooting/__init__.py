@@ -8,7 +8,7 @@ all other bounds. NumPy and Numba only.
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.descent import expand_motion
 from drake_aigto.shooting.mechanism import Mechanism
-from drake_aigto.shooting.phases import Phases
+from drake_aigto.shooting.optimal_control import Phases
 from drake_aigto.shooting.problem import ShootingProblem
 from drake_aigto.shooting.solve import ShootingOptions, ShootingResult, Smoothing
 from drake_aigto.shooting.tables import make_memory

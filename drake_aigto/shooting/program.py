@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.shooting.optimal_control import OptimalControlProblem
-from drake_aigto.shooting.phases import Layout
+from drake_aigto.shooting.optimal_control import Layout, OptimalControlProblem
 from drake_aigto.shooting.tables import (
     CHORDAL,
     COEFFICIENT,

@@ -7,7 +7,6 @@ from drake_aigto.transcription.additions import (
     Place,
     Samples,
 )
-from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.mechanism_program import (
     COST,
     DISTANCES,
@@ -17,13 +16,18 @@ from drake_aigto.transcription.mechanism_program import (
     MechanismProgram,
     soften,
 )
-from drake_aigto.transcription.motion_program import MotionProgram
-from drake_aigto.transcription.open_program import OpenProgram
-from drake_aigto.transcription.penalties import cut_to_bounds, penalize
+from drake_aigto.transcription.open_program import MotionProgram, OpenProgram
 from drake_aigto.transcription.phases import PhaseTranscription
 from drake_aigto.transcription.rigid import RigidTranscription
-from drake_aigto.transcription.rows import NONPENETRATION
-from drake_aigto.transcription.touch import Touch, TouchSequence, joint_times, touches_at_once
+from drake_aigto.transcription.rows import NONPENETRATION, cut_to_bounds, penalize
+from drake_aigto.transcription.touches import (
+    Facing,
+    Touch,
+    TouchSequence,
+    find_facings,
+    joint_times,
+    touches_at_once,
+)
 from drake_aigto.transcription.transcription import Transcription
 
 __all__ = [

@@ -10,8 +10,7 @@ from pydrake.solvers import Binding, ClpSolver, MathematicalProgram, SolutionRes
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ProgramError
-from drake_aigto.transcription.added_rows import SLACK
-from drake_aigto.transcription.additions import Additions
+from drake_aigto.transcription.additions import SLACK, Additions
 
 
 def check_bounds_of(additions: Additions) -> None:

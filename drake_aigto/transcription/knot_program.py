@@ -7,21 +7,70 @@ import operator
 from abc import abstractmethod
 from collections.abc import Hashable, Iterable
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.solvers import BoundingBoxConstraint, Cost, EvaluatorBase, MathematicalProgram
 from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
-from drake_aigto.arrays import Ints
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.errors import ProgramError
 from drake_aigto.terms import read_bounds
 from drake_aigto.transcription.knots import Knots
-from drake_aigto.transcription.parameters import Parameters
-from drake_aigto.transcription.penalties import Bounds
-from drake_aigto.transcription.shared import SharedEvaluator, substitutions
+from drake_aigto.transcription.rows import Bounds, SharedEvaluator, substitutions
 from drake_aigto.world import Scenario, World
+
+
+class Parameters(NamedTuple):
+    """What a program reads of a scenario, but for its start: numbers, or symbols for them.
+
+    Rows divide by none of these, so that programs are polynomials of the symbols.
+
+    Attributes:
+        goal: where q(T) should be, shape (nq,) [m].
+        control_weight: w_u [1/(N² s)].
+        goal_weight: w_f [1/m²].
+        time_step: dt [s].
+        rate: 1/dt [1/s].
+        per_length: 1/L, of the length scale [1/m].
+        restitutions: e of each contact, shape (m,).
+    """
+
+    goal: NDArray[Any]
+    control_weight: Any
+    goal_weight: Any
+    time_step: Any
+    rate: Any
+    per_length: Any
+    restitutions: NDArray[Any]
+
+    @classmethod
+    def of(cls, scenario: Scenario, length_scale: float, restitutions: Floats) -> Parameters:
+        """Returns a scenario's numbers."""
+        return cls(
+            goal=scenario.goal_position,
+            control_weight=scenario.control_weight,
+            goal_weight=scenario.goal_weight,
+            time_step=scenario.time_step,
+            rate=1 / scenario.time_step,
+            per_length=1 / length_scale,
+            restitutions=restitutions,
+        )
+
+    @classmethod
+    def symbols(cls, num_positions: int, num_contacts: int) -> Parameters:
+        """Returns new symbols."""
+        names = cls._fields[1:-1]
+        found = MakeVectorVariable(num_positions + len(names) + num_contacts, "p")
+        goal, scalars, returned = np.split(found, [num_positions, num_positions + len(names)])
+        given = dict(zip(names, scalars.tolist(), strict=True))
+        return cls(goal=goal, **given, restitutions=returned)
+
+    def vector(self) -> NDArray[Any]:
+        """Returns all of them, shape (nq + 5 + m,)."""
+        return np.array([*self.goal, *self[1:-1], *self.restitutions])
+
 
 _Self = TypeVar("_Self", bound="KnotProgram")
 

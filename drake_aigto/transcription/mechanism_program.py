@@ -11,9 +11,14 @@ from scipy.linalg import null_space
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.contact import CompliantLaw, RigidLaw, calc_dissipation
 from drake_aigto.terms import Sum, TermBlock, TooManyTermsError, add, constant, multiply, to_terms
-from drake_aigto.transcription.box_coordinates import BoxCoordinates, variables
-from drake_aigto.transcription.stage_sums import StageSums, combine, scaled
-from drake_aigto.transcription.tracking_sums import TrackingSums
+from drake_aigto.transcription.mechanism_sums import (
+    BoxCoordinates,
+    StageSums,
+    TrackingSums,
+    combine,
+    scaled,
+    variables,
+)
 from drake_aigto.world import TaskCost, World, find_anywhere
 
 # What blocks are called: J, what no control can meet, distances that are variables, hard goals.

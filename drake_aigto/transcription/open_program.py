@@ -1,4 +1,4 @@
-"""A program over knots that users add to, and what they added, for AIGO and local solvers."""
+"""Programs over knots that users add to, and what they added, for AIGO and local solvers."""
 
 from __future__ import annotations
 
@@ -12,22 +12,24 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.solvers import Binding, MathematicalProgram
-from pydrake.symbolic import Formula
+from pydrake.symbolic import Expression, Formula
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.errors import ProgramError
-from drake_aigto.transcription.added_rows import SLACK, AddedRow, make_rows
 from drake_aigto.transcription.additions import (
     NO_ADDITIONS,
+    SLACK,
+    AddedRow,
     Addition,
     Additions,
     Part,
     Place,
+    make_rows,
     read_binding,
 )
 from drake_aigto.transcription.consistency import check_bounds_of, check_linear, check_start
 from drake_aigto.transcription.knot_program import KnotProgram, numbers_of
-from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_cost
+from drake_aigto.transcription.rows import SharedEvaluator, as_expression, shared_cost
 from drake_aigto.world import Scenario, World
 
 _NO_OTHERS = (
@@ -315,3 +317,40 @@ def _late() -> ProgramError:
         expected="all of them before",
         remedy="Make a new Planner.",
     )
+
+
+_START = "initial state"
+
+
+class MotionProgram(OpenProgram):
+    """Costs and constraints of users on the knots of a motion that shooting integrates.
+
+    Its variables are q_k, v_k and u_k at the scenario's time steps, k = 0 … N; only x_0 is given.
+    """
+
+    @property
+    def _always_met(self) -> tuple[str, ...]:
+        return (_START,)
+
+    @property
+    def _duration(self) -> Expression:
+        return Expression(self._dt)
+
+    def _is_bounded(self) -> Bools:
+        return np.zeros(self.world.num_contacts, dtype=bool)
+
+    def _add_scenario(self) -> None:
+        start = np.concatenate([self.scenario.initial_position, self.scenario.initial_velocity])
+        self._bound(self.state(0), start, start, _START)
+
+    def _stage(self, k: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
+        pairs = [(self.state(), self.state(k))]
+        return [*pairs, (self.input(), self.input(k))] if k < len(self._u) else pairs
+
+    def defects(self, x: Floats) -> dict[str, float]:
+        """Returns {}: a program without rows has none."""
+        return {}
+
+    def impulses(self, x: Floats) -> Floats:
+        """Returns zeros, shape (N+1, m) [N s]: the program knows no contact."""
+        return np.zeros((len(self._q), self.world.num_contacts))

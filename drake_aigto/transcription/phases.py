@@ -15,14 +15,32 @@ from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.contact import JointImpact
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.additions import NO_ADDITIONS, Additions
-from drake_aigto.transcription.facings import Facing, find_facings
-from drake_aigto.transcription.guesses import make_guess, straight_path
-from drake_aigto.transcription.rigid_contact import ImpactTranscription, rigid_defects
-from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, NONPENETRATION, RESTITUTION
-from drake_aigto.transcription.settling import find_settlings
-from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_constraint
-from drake_aigto.transcription.timeline import Phase, check_sequence, make_timeline
-from drake_aigto.transcription.touch import Touch, TouchSequence, touches_at_once
+from drake_aigto.transcription.rows import (
+    CONTACT,
+    DYNAMICS,
+    FLIGHT,
+    NONPENETRATION,
+    RESTITUTION,
+    SharedEvaluator,
+    as_expression,
+    shared_constraint,
+)
+from drake_aigto.transcription.timeline import (
+    Phase,
+    check_sequence,
+    find_settlings,
+    make_guess,
+    make_timeline,
+    straight_path,
+)
+from drake_aigto.transcription.touches import (
+    Facing,
+    Touch,
+    TouchSequence,
+    find_facings,
+    touches_at_once,
+)
+from drake_aigto.transcription.transcription import ImpactTranscription, rigid_defects
 from drake_aigto.world import Scenario, World
 
 # The least parts of the duration. Flights: times of a trajectory have to increase, and a bounce may

@@ -1,4 +1,4 @@
-"""What a contact sequence says about every knot: phases, and who touches, rests or stays away."""
+"""What a contact sequence says about every knot, how long hops take, and guesses for motions."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.arrays import Bools, Floats, Ints, interpolate
+from drake_aigto.dynamics import ConstantInertia
 from drake_aigto.errors import OptionsError
-from drake_aigto.transcription.facings import Facing, Fronts
-from drake_aigto.transcription.touch import TouchSequence, joint_times
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription.touches import Facing, Fronts, Touch, TouchSequence, joint_times
 from drake_aigto.world import Scenario, World
 
 
@@ -160,3 +161,146 @@ def _spread(durations: Floats, count: int) -> Ints:
     spare = count - len(durations)  # Each gets one first.
     ends = np.round(spare * shares).astype(int)
     return 1 + np.diff(ends, prepend=0)
+
+
+@dataclass(frozen=True)
+class Settling:
+    """A contact of 0 < e < 1 that lasts, and may be touched at a speed.
+
+    Hops of e, e², … that speed follow, without control, and take as long as the wall's force of a
+    ball that rests, λ, takes to push by 2 e/(1 − e) m J v: the momentum p that is left of that is
+
+        p_first = 2 e/(1 − e) m J v_first ≤ 0,    p_{k+1} = p_k + h_k λ_k,    p_last ≥ 0
+
+    exact where λ is steady. m = (J M⁻¹ Jᵀ)⁻¹ is the mass that the contact feels.
+
+    Attributes:
+        contact: which.
+        first: the knot that it is touched at.
+        last: the knot that it is left at.
+        mass: m [kg].
+        factor: 2 e/(1 − e) m [kg].
+    """
+
+    contact: int
+    first: int
+    last: int
+    mass: float
+    factor: float
+
+    def momenta(self, motion: Trajectory, jacobian: Floats) -> Floats:
+        """Returns p at the knots first … last of a motion, shape (last − first + 1,) [N s]."""
+        steps = slice(self.first, self.last)
+        pushes = np.diff(motion.times)[steps] * motion.forces[steps, self.contact]
+        closing = jacobian[self.contact] @ motion.velocities[self.first]
+        momenta: Floats = self.factor * closing + np.append(0.0, np.cumsum(pushes))
+        return momenta
+
+
+def find_settlings(
+    timeline: Timeline, sequence: TouchSequence, restitutions: Floats, inertia: ConstantInertia
+) -> tuple[Settling, ...]:
+    """Returns those of a sequence."""
+    return tuple(
+        Settling(i, first, last, inertia.masses[i], 2 * e / (1 - e) * inertia.masses[i])
+        for touch, (first, last) in zip(sequence, timeline.spans, strict=True)
+        if touch.lasts and 0 < (e := restitutions[i := touch.contact]) < 1
+    )
+
+
+def straight_path(
+    world: World, scenario: Scenario, sequence: Sequence[Touch], through: ArrayLike | None = None
+) -> tuple[Floats, Floats]:
+    """Returns start, goal and the stops between, when and where: shapes (J+2,) [s], (J+2, nq) [m].
+
+    There is a stop at each of a sequence's `joint_times`, on the straight way from start to goal
+    unless it is given, (J, nq), and moved to the walls that are touched then.
+    """
+    times = np.array([0.0, *joint_times(sequence), scenario.duration])
+    ends = scenario.initial_position, scenario.goal_position
+    stops = ends[0] + np.outer(times / times[-1], ends[1] - ends[0])
+    if through is not None:
+        stops[1:-1] = np.reshape(through, (len(times) - 2, world.num_positions))
+    for stop, time in zip(stops[1:-1], times[1:-1], strict=True):
+        touched = [touch.contact for touch in sequence if touch.start <= time <= touch.end]
+        stop[:] = world.move_onto(stop, touched)
+    return times, stops
+
+
+def make_guess(
+    world: World, scenario: Scenario, timeline: Timeline, times: Floats, stops: Floats
+) -> Trajectory:
+    """Returns a motion at all knots; contacts that last go straight, pressed by what pulls.
+
+    Flights are without control, bent as gravity bends them. After a rest, which leaves no speed to
+    fly with, they are pushed by as much as it takes, and less and less:
+
+        q(t) = q₀ + t w + t²/2 a + t²/2 (1 − t/(3τ)) p,    u(t) = G⁺ p (1 − t/τ),    G = M⁻¹ B
+
+    with the speed w along the wall, the acceleration a without control, and p such that q(τ) is the
+    next stop.
+
+    Args:
+        world: the plant, read.
+        scenario: the task.
+        timeline: of the sequence.
+        times: of the stops, shape (J+2,) [s].
+        stops: shape (J+2, nq) [m].
+    """
+    N, line, inertia = scenario.num_steps, timeline, world.constant_inertia
+    knots = [0, *(phase.last for phase in line.phases)]
+    t = np.interp(range(N + 1), knots, line.times)
+    q = interpolate(t, times, stops)
+    v = np.vstack([scenario.initial_velocity, np.diff(q, axis=0) / np.diff(t)[:, np.newaxis]])
+    u, forces = np.zeros((N, world.num_actuators)), np.zeros((N, world.num_contacts))
+    still, idle = np.zeros(world.num_velocities), np.zeros(world.num_actuators)
+    rested: tuple[int, ...] = ()
+    for phase in line.phases:
+        middle = (q[phase.first] + q[phase.last]) / 2
+        pull = world.calc_acceleration(middle, still, idle)
+        if rested and not phase.rests:
+            _jump(phase, pull, (t, q, v, u), inertia.inverse_mass @ world.actuation)
+        elif not phase.rests:
+            inside = slice(phase.first, phase.last + 1)
+            since, left = t[inside] - t[phase.first], t[phase.last] - t[inside]
+            q[inside] -= np.outer(since * left / 2, pull)
+            v[inside][1:] += np.outer((since - left)[1:] / 2, pull)
+        rested = phase.rests
+        weights = np.maximum(-inertia.masses * (inertia.jacobian @ pull), 0.0)
+        forces[phase.first : phase.last, rested] = weights[[*rested]]
+    return Trajectory(t, q, v, u, np.zeros(line.held.shape), forces)
+
+
+def _jump(
+    phase: Phase, pull: Floats, motion: tuple[Floats, Floats, Floats, Floats], gain: Floats
+) -> None:
+    """Writes a flight that begins with no more speed than the phase before ends with.
+
+    Args:
+        phase: the flight.
+        pull: a, shape (nv,) [m/s²].
+        motion: t, q, v and u at all knots.
+        gain: G, shape (nv, nu) [1/kg].
+    """
+    t, q, v, u = motion
+    first, inside = phase.first, slice(phase.first, phase.last + 1)
+    s, w = (t[inside] - t[first])[:, np.newaxis], v[first]
+    whole = s[-1]
+    push = 3 / whole**2 * (q[phase.last] - q[first] - whole * w - whole**2 / 2 * pull)
+    q[inside] = q[first] + s * w + s**2 / 2 * (pull + (1 - s / (3 * whole)) * push)
+    v[inside] = w + s * (pull + (1 - s / (2 * whole)) * push)
+    middles = (s[1:] + s[:-1]) / 2
+    u[first : phase.last] = (1 - middles / whole) * (np.linalg.pinv(gain) @ push)
+
+
+def bend(path: tuple[Floats, Floats], times: Floats, stops: Floats) -> tuple[Floats, Floats]:
+    """Returns a path moved to where it has to be at some times, and between them in proportion.
+
+    Args:
+        path: times and positions.
+        times: from the path's first to its last, shape (K,) [s].
+        stops: shape (K, nq) [m].
+    """
+    grid = np.unique([*path[0], *times])
+    at = interpolate(grid, *path)
+    return grid, at + interpolate(grid, times, stops - interpolate(times, grid, at))

@@ -32,7 +32,7 @@ from drake_aigto.planning.sequences import (
     swapped,
 )
 from drake_aigto.transcription import Touch, TouchSequence
-from drake_aigto.transcription.touch import joint_times
+from drake_aigto.transcription.touches import joint_times
 
 _LOG = logging.getLogger(__name__)
 
