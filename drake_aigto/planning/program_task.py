@@ -183,16 +183,12 @@ class ProgramTask(ABC):
         q, v = coast.positions[rows], coast.velocities[rows]
         around = self._transcribe_around(q)
         compiled = self._programs.compile(around)
-        box = Box(*around.box_around(q, v, _COAST_SHARE))
-        return Start(around, compiled.at(around), box, compiled.row_names)
+        first = Box(*around.box_around(q, v, _COAST_SHARE))
+        return Start(around, compiled.at(around), first, compiled.row_names)
 
     def _transcribe_around(self, positions: Floats) -> Transcription:
         """Returns the transcription for boxes around a path, shape (N+1, nq) [m]."""
         return self.transcription
-
-    @cached_property
-    def _nlp(self) -> PolynomialNlp:
-        return compile_nlp(self.transcription.prog())
 
     @property
     def num_threads(self) -> int:
@@ -277,6 +273,10 @@ class ProgramTask(ABC):
         x = self.solve_program(self.transcription.prog(), guess, lambda: self._nlp)
         return self.transcription.close_rows(x)
 
+    @cached_property
+    def _nlp(self) -> PolynomialNlp:
+        return compile_nlp(self.transcription.prog())
+
     def solve_program(
         self,
         prog: MathematicalProgram,
@@ -358,9 +358,8 @@ class ProgramTask(ABC):
         """Returns the candidate's replays: its own, and Drake's if the options confirm."""
         if not self.options.confirm:
             return Replays(candidate.replay, None)
-        world, scenario = self.transcription.world, self.transcription.scenario
-        motion = candidate.trajectory
-        drake = replay_drake(world, scenario, motion.times, motion.controls)
+        motion, scenario = candidate.trajectory, self.transcription.scenario
+        drake = replay_drake(self.world, scenario, motion.times, motion.controls)
         return Replays(candidate.replay, add_to_replay(drake, self.additions, motion))
 
     def idle_candidate(self) -> Candidate:

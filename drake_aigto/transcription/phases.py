@@ -47,8 +47,6 @@ from drake_aigto.world import Scenario, World
 # come right after the start, or sooner still (`touches_at_once`). Contacts that last: what is
 # shorter is a bounce, and without a bound the solver would chase a contact that wants to vanish.
 _SHORTEST_FLIGHT, _SHORTEST_CONTACT = 1e-7, 1e-3
-# A wall is grazed where it is nearer than this part of the length scale.
-_GRAZE = 1e-5
 # What comes at less than this part of the velocity scale comes to rest without hops.
 _SLOW = 1e-6
 
@@ -332,20 +330,6 @@ class PhaseTranscription(ImpactTranscription):
             return self.GetSampleTimes()
         elapsed = np.cumsum(x[self._steps])
         return np.append(0.0, self.scenario.duration * (elapsed / elapsed[-1]))
-
-    def grazes(self, x: Floats) -> list[Touch]:
-        """Returns bounces where the motion keeps off a wall at φ = 0 by its control alone.
-
-        There a touch that the sequence lacks may pay. One for each run of such knots.
-        """
-        times, length = self.sample_times(x), self.length_scale()
-        near = self.timeline.apart & (self.signed_distances(x) < _GRAZE * length)
-        found = []
-        for contact, knots in enumerate(near[1:-1].T):
-            where = np.flatnonzero(knots) + 1
-            runs = np.split(where, np.flatnonzero(np.diff(where) > 1) + 1) if where.size else []
-            found += [Touch.bounce(float(np.mean(times[run])), contact) for run in runs]
-        return found
 
     def contact_sequence(self, x: Floats) -> TouchSequence:
         """Returns the sequence with its times at x."""

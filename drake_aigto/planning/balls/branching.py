@@ -13,7 +13,12 @@ import numpy as np
 from drake_aigto.aigo import AigoResult
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
-from drake_aigto.planning.balls.neighbors import find_insertions, find_pulls, find_rests
+from drake_aigto.planning.balls.neighbors import (
+    find_grazes,
+    find_insertions,
+    find_pulls,
+    find_rests,
+)
 from drake_aigto.planning.balls.phases import Path, Solved
 from drake_aigto.planning.balls.task import BallTask
 from drake_aigto.planning.candidate import LARGEST_DEFECT, ChangeName, Origin
@@ -108,7 +113,7 @@ class BranchingSearch(SequenceSearch):
         phases, x = self.solved[sequence]
         origin = self.by_sequence[sequence].origin
         path = phases.sample_times(x), phases.split(x)[0]
-        more = [*phases.grazes(x), *find_insertions(phases, x)]
+        more = [*find_grazes(phases, x), *find_insertions(phases, x)]
         optimum = phases.contact_sequence(x)
         others = [*find_rests(phases, x), *retimed(optimum, self._pulling, self._duration)]
         for other in [*others, *neighbors(optimum, more)]:

@@ -12,6 +12,8 @@ from drake_aigto.arrays import Floats
 from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
 from drake_aigto.world import World
 
+# A wall is grazed where it is nearer than this part of the length scale.
+_GRAZE = 1e-5
 # Distance of a new touch to those before and after it, as a part of the time between them.
 _ROOM = 0.2
 # Of one that comes soon before the next.
@@ -54,6 +56,25 @@ def find_insertions(phases: PhaseTranscription, x: Floats) -> list[Touch]:
             found.append(Touch.bounce(time, contact))
             if pulls[contact] > 0:
                 found.append(Touch.bounce(end - _LATE * (end - start), contact))
+    return found
+
+
+def find_grazes(phases: PhaseTranscription, x: Floats) -> list[Touch]:
+    """Returns bounces where the motion keeps off a wall at φ = 0 by its control alone.
+
+    There a touch that the sequence lacks may pay. One for each run of such knots.
+
+    Args:
+        phases: the multi-phase problem of a motion.
+        x: its decision variables.
+    """
+    times, length = phases.sample_times(x), phases.length_scale()
+    near = phases.timeline.apart & (phases.signed_distances(x) < _GRAZE * length)
+    found = []
+    for contact, knots in enumerate(near[1:-1].T):
+        where = np.flatnonzero(knots) + 1
+        runs = np.split(where, np.flatnonzero(np.diff(where) > 1) + 1) if where.size else []
+        found += [Touch.bounce(float(np.mean(times[run])), contact) for run in runs]
     return found
 
 

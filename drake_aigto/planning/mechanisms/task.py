@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from functools import cache, cached_property
 from typing import ClassVar
 
 import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
-from drake_aigto.contact import CompliantLaw, RigidLaw, contact_law
+from drake_aigto.contact import CompliantLaw
 from drake_aigto.planning.candidate import (
     NO_CONTROL,
     Candidate,
@@ -20,7 +21,6 @@ from drake_aigto.planning.candidate import (
 )
 from drake_aigto.planning.mechanisms.boxes import (
     Center,
-    CompiledMechanism,
     StartedBoxes,
     round_duration,
     sample_cubic,
@@ -36,16 +36,10 @@ from drake_aigto.planning.mechanisms.closing import (
     find_tight,
     steady,
 )
+from drake_aigto.planning.mechanisms.posed import PosedTask
 from drake_aigto.planning.mechanisms.traces import trace
-from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.rungs import MechanismRung, Renewal
-from drake_aigto.shooting import (
-    Mechanism,
-    Phases,
-    ShootingOptions,
-    ShootingProblem,
-    ShootingResult,
-)
+from drake_aigto.shooting import ShootingOptions, ShootingResult
 from drake_aigto.simulation import (
     BOUNDS,
     Replay,
@@ -55,12 +49,11 @@ from drake_aigto.simulation import (
     narrow_bounds,
     replay_drake,
     replay_event_driven,
-    state_scales,
 )
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import NO_ADDITIONS, Additions, Ends, Samples, soften
+from drake_aigto.transcription import Ends, Samples, soften
 from drake_aigto.transcription.rows import INTEGRATION
-from drake_aigto.world import Scales, Scenario, TaskCost, World
+from drake_aigto.world import Scenario
 
 # Runge-Kutta steps of a finalist are halved until cost and end change by this part of their scales.
 _EXACT, _MOST_SUBSTEPS = 1e-3, 64
@@ -75,57 +68,14 @@ _PATIENT = 2
 _PRICE, _MUCH = 10.0, 1e-2
 
 
-class MechanismTask:
+class MechanismTask(PosedTask):
     """A task of a mechanism between walls that yield, or of one that touches nothing.
 
     Boxes of its positions shrink (`MechanismBoxes`), and the motion that they show is closed by
     shooting (`ShootingProblem`). Both are compiled for the world and the task's weights, once.
-
-    Attributes:
-        world: the mechanism.
-        scenario: the task.
-        options: numerics.
-        ladder: the starts of AIGO.
-        task: the scenario's cost.
-        bounds: of positions, velocities and controls.
     """
 
     transcription_name: ClassVar[str] = "shooting"
-
-    def __init__(
-        self,
-        world: World,
-        scenario: Scenario,
-        options: PlanOptions,
-        compiled: CompiledMechanism | None = None,
-        additions: Additions = NO_ADDITIONS,
-    ) -> None:
-        """Reads the task; programs are compiled as they are needed.
-
-        Args:
-            world: the mechanism.
-            scenario: the task.
-            options: numerics.
-            compiled: of the same world, law and additions.
-            additions: costs and constraints of users.
-
-        Raises:
-            OptionsError: an option does not count for mechanisms.
-            ProgramError: what users added can't be planned here; says why.
-            UnsupportedTermError: it has a factor that is no power, sin or cos.
-        """
-        options.check_for_mechanisms()
-        self.world, self.scenario, self.options = world, scenario, options
-        self.ladder = options.mechanism_ladder
-        self.task, self.bounds = TaskCost.of(world, scenario), world.bounds(scenario)
-        self.law = contact_law(world, scenario)
-        self.scales = Scales.of(world, scenario)
-        self._compiled = compiled or CompiledMechanism.of(world, self.law, additions)
-        self.additions = self._compiled.additions
-        if isinstance(self.law, RigidLaw) or scenario.duration_range is not None:
-            self._compiled.added.check_untimed()
-        self._boxes = cache(self._start_boxes)
-        self.shooting = cache(self._pose)
 
     @property
     def sources(self) -> str:
@@ -136,11 +86,6 @@ class MechanismTask:
     def remedy(self) -> str:
         """What a user may try where no candidate meets the rows."""
         return "Allow more time or control, or try more renewals."
-
-    @property
-    def search_steps(self) -> int:
-        """How many time steps motions have while they are searched for."""
-        return min(self.scenario.num_steps, self.options.search_steps)
 
     @property
     def renewal_steps(self) -> int:
@@ -167,11 +112,6 @@ class MechanismTask:
     def _usual_steps(self) -> int:
         return max(2, self.search_steps // 4)
 
-    @property
-    def mechanism(self) -> Mechanism:
-        """What moves while motions are searched for."""
-        return self._compiled.mechanism
-
     @cached_property
     def launch(self) -> Launch:
         """From where on boxes have a say; the start where they may be late, or something rubs."""
@@ -193,6 +133,10 @@ class MechanismTask:
         time_step = self.scenario.duration / self.search_steps
         return soften(self.world, self.law, time_step, self.scales.velocity)
 
+    @cached_property
+    def _boxes(self) -> Callable[[int, float], StartedBoxes]:
+        return cache(self._start_boxes)
+
     def _start_boxes(self, num_steps: int, duration: float) -> StartedBoxes:
         """Returns boxes of so many time steps from this start; programs are of any."""
         boxes = self._compiled.find_boxes(
@@ -205,17 +149,6 @@ class MechanismTask:
             self.bounds.control,
         )
         return boxes.start(self._ends)
-
-    @cached_property
-    def _hard_goal(self) -> Floats:
-        """What of q and v is given at the end, shape (2n,); NaN where nothing is."""
-        scenario, n = self.scenario, self.world.num_positions
-        hard = np.full(2 * n, np.nan)
-        if scenario.hard_goal:
-            hard[:n] = self.task.goal
-            if scenario.goal_velocity is not None:
-                hard[n:] = self.task.goal_velocity
-        return hard
 
     def run_aigo(self, rung: MechanismRung) -> Center:
         """Returns what the boxes of a rung show."""
@@ -237,37 +170,6 @@ class MechanismTask:
         if rung.start == "coast":
             return self.coast.states[self.launch.knot :, : self.world.num_positions]
         return boxes.rest() if rung.start == "rest" else boxes.line()
-
-    @cached_property
-    def coast(self) -> ShootingResult:
-        """The motion without control."""
-        problem = self.shooting(self.search_steps)
-        controls = np.zeros((self.search_steps, self.world.num_actuators))
-        return problem.simulate(controls, substeps=4)
-
-    def _pose(self, num_steps: int) -> ShootingProblem:
-        """Returns the task in so many time steps."""
-        scenario, bounds = self.scenario, self.bounds
-        T, free = scenario.duration, scenario.duration_range
-        return ShootingProblem(
-            mechanism=self.mechanism,
-            cost=self.task,
-            times=np.linspace(0.0, T, num_steps + 1),
-            start=np.concatenate([scenario.initial_position, scenario.initial_velocity]),
-            scales=self.state_scales,
-            state_bounds=np.hstack([bounds.position, bounds.velocity]),
-            control_bounds=bounds.control,
-            hard_goal=self._hard_goal,
-            control_norm=scenario.control_norm or np.inf,
-            length=self.scales.length,
-            phases=None if free is None else Phases.free(T, free),
-            added=self._compiled.added,
-        )
-
-    @cached_property
-    def state_scales(self) -> Floats:
-        """How much of q and v is much, shape (2n,)."""
-        return state_scales(self.world, self.scenario)
 
     def close(self, center: Center, aim: Aim) -> ShootingResult:
         """Returns the motion near a box center, as far as a few steps lead."""
