@@ -86,18 +86,15 @@ class PlantReader:
             slopes = np.array([[each.Jacobian(self.q) for each in row] for row in mass_matrix])
             momentum_rate = slopes @ self.v @ self.v
             energy_slope = slopes.T @ self.v @ self.v / 2  # M is symmetric.
-            h = tidy(momentum_rate - energy_slope - gravity + self._read_springs())
+            # Forces of joints.
+            nothing, units = np.zeros(len(self.q)), np.eye(len(self.q))
+            constant = self._calc_joint_forces(nothing, nothing)
+            K = np.array([self._calc_joint_forces(unit, nothing) - constant for unit in units]).T
+            D = np.array([self._calc_joint_forces(nothing, unit) - constant for unit in units]).T
+            springs = K @ self.q + D @ self.v + constant
+            h = tidy(momentum_rate - energy_slope - gravity + springs)
         self._check_bias(h)
         return h
-
-    def _read_springs(self) -> NDArray[Any]:
-        """Returns K q + D v + constant, the forces of joints, shape (nv,)."""
-        n = len(self.q)
-        nothing, units = np.zeros(n), np.eye(n)
-        constant = self._calc_joint_forces(nothing, nothing)
-        K = np.array([self._calc_joint_forces(unit, nothing) - constant for unit in units]).T
-        D = np.array([self._calc_joint_forces(nothing, unit) - constant for unit in units]).T
-        return np.asarray(K @ self.q + D @ self.v + constant)
 
     def _calc_joint_forces(self, q: Floats, v: Floats) -> Floats:
         """Returns all of h(q, v) but gravity, Coriolis and centrifugal terms, shape (nv,)."""

@@ -213,7 +213,7 @@ class Rubbing:
     @cached_property
     def _slides(self) -> Floats:
         """1 for each face along which a sphere can slide, else 0."""
-        return np.array([float(_can_slide(self._plant, face)) for face in self._faces])
+        return np.array([float(_Motion(self._plant, face).can_slide()) for face in self._faces])
 
     @cached_property
     def _tangents(self) -> list[NDArray[Any] | None]:
@@ -238,21 +238,6 @@ class Rubbing:
             unlike = (f for f, mu in pairs if mu.static_friction() != mu.dynamic_friction())
             return {shape for face in unlike for shape in face.shapes}
         return {face.shapes[0] for face, mu in pairs if mu.static_friction() > 0}
-
-
-def _can_slide(plant: MultibodyPlant, face: SphereAndFace) -> bool:
-    """Returns whether a sphere's point of contact can move along the face."""
-    context = plant.CreateDefaultContext()
-    plant.SetPositions(context, find_anywhere(plant))
-    body, wall = face.sphere_body.body_frame(), face.face_body.body_frame()
-    edges, normal = np.split(face.X_BF.rotation().matrix(), [2], axis=1)
-    normal = plant.CalcRelativeTransform(context, body, wall).rotation().matrix() @ normal
-    touch = face.p_SC - face.radius * normal[:, 0]
-    rates = plant.CalcJacobianTranslationalVelocity(
-        context, JacobianWrtVariable.kV, body, touch, wall, wall
-    )
-    along = edges.T @ rates
-    return bool(np.any(np.abs(along) > _ROUNDING * np.max(np.abs(rates), initial=0.0)))
 
 
 def _read_tangent(
@@ -330,9 +315,8 @@ class _Motion:
         n = self._plant.num_velocities()
 
         def calc_slip(q: Floats) -> Floats:
-            center, turning, moving = self._calc_center(q), *self._calc_rates(q)
-            lever = self._face.radius + share * (center[2] - self._face.radius)
-            return moving[:2] - lever * np.stack([turning[1], -turning[0]])
+            lever = self._face.radius + share * (self._calc_center(q)[2] - self._face.radius)
+            return self._calc_point(q, lever)[:2]
 
         slips = np.hstack([calc_slip(q) for q in self.probes])
         directions, sizes, _ = np.linalg.svd(slips, full_matrices=False)
@@ -363,6 +347,16 @@ class _Motion:
             return np.asarray(d @ moving - lever * (e @ turning))
 
         return calc_slip
+
+    def can_slide(self) -> bool:
+        """Returns whether the sphere's point of contact can move along the face."""
+        rates = self._calc_point(find_anywhere(self._plant), self._face.radius)
+        return bool(np.any(np.abs(rates[:2]) > _ROUNDING * np.max(np.abs(rates), initial=0.0)))
+
+    def _calc_point(self, q: Floats, lever: float) -> Floats:
+        """Returns the Jacobian of the point below the center, in the face's frame, (3, nv)."""
+        turning, moving = self._calc_rates(q)
+        return moving - lever * np.stack([turning[1], -turning[0], 0.0 * turning[2]])
 
     def _calc_center(self, q: Floats) -> Floats:
         """Returns the sphere's center in the face's frame, shape (3,) [m]."""

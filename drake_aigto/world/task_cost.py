@@ -68,10 +68,17 @@ class TaskCost(ArrayRecord):
         """
         n, is_hinge = world.num_positions, world.is_hinge
         is_turning = np.any(world.actuation[is_hinge] != 0, axis=0)  # Of u: a torque, no force.
-        times, positions, velocities = _find_reference(scenario, n)
-        final = (
-            np.zeros((n, n)) if scenario.hard_goal else _weigh(scenario, "goal_weight", is_hinge)
-        )
+        given = ("goal_velocity", "reference_positions", "reference_velocities")
+        for name in (name for name in given if getattr(scenario, name) is not None):
+            check_size(name, getattr(scenario, name), n)
+        # Where none is given, the goal's velocity is zero, and the reference the goal.
+        times = np.zeros(1) if scenario.reference_times is None else scenario.reference_times
+        goal, speed = scenario.goal_position, scenario.goal_velocity
+        speed = np.zeros(n) if speed is None else speed
+        places, speeds = scenario.reference_positions, scenario.reference_velocities
+        final = np.zeros((n, n))
+        if not scenario.hard_goal:
+            final = _weigh(scenario, "goal_weight", is_hinge)
         if scenario.angles != "exact":
             _check_angles(scenario.angles, final, is_hinge)
         return cls(
@@ -80,13 +87,13 @@ class TaskCost(ArrayRecord):
             Qv=_weigh(scenario, "velocity_weight", is_hinge).diagonal(),
             QT=final,
             QTv=_weigh(scenario, "goal_velocity_weight", is_hinge),
-            goal=scenario.goal_position,
-            goal_velocity=_find_goal_velocity(scenario, n),
+            goal=goal,
+            goal_velocity=speed,
             is_modulo=is_hinge & (scenario.angles == "modulo"),
             is_chordal=is_hinge & (scenario.angles == "chordal"),
             times=times,
-            positions=positions,
-            velocities=velocities,
+            positions=np.tile(goal, (len(times), 1)) if places is None else places,
+            velocities=np.tile(speed, (len(times), 1)) if speeds is None else speeds,
         )
 
     def __post_init__(self) -> None:
@@ -163,29 +170,6 @@ def _weigh(scenario: Scenario, name: str, is_angle: Bools) -> Floats:
     return np.diag(weight) if weight.ndim == 1 else weight
 
 
-def _find_goal_velocity(scenario: Scenario, n: int) -> Floats:
-    """Returns the goal's velocity, zero if none is given, (n,)."""
-    if scenario.goal_velocity is None:
-        return np.zeros(n)
-    check_size("goal_velocity", scenario.goal_velocity, n)
-    return scenario.goal_velocity
-
-
-def _find_reference(scenario: Scenario, n: int) -> tuple[Floats, Floats, Floats]:
-    """Returns a reference's times, positions and velocities; where none is given, the goal's."""
-    times = np.zeros(1) if scenario.reference_times is None else scenario.reference_times
-    tables = []
-    for name, goal in (
-        ("reference_positions", scenario.goal_position),
-        ("reference_velocities", _find_goal_velocity(scenario, n)),
-    ):
-        table = getattr(scenario, name)
-        if table is not None:
-            check_size(name, table, n)
-        tables.append(np.tile(goal, (len(times), 1)) if table is None else table)
-    return times, tables[0], tables[1]
-
-
 def _check_angles(angles: str, final: Floats, is_hinge: Bools) -> None:
     """Refuses angles that are compared in a way that has no meaning here."""
     if not np.any(is_hinge):
@@ -225,8 +209,14 @@ class Scales:
     @classmethod
     def of(cls, world: EquationsOfMotion, scenario: Scenario) -> Scales:
         """Returns the scales of a scenario in its world."""
-        length, T = _calc_length(world, scenario), scenario.duration
-        push = calc_inertia(world, scenario.initial_position) * length / T**2
+        q0, goal, T = scenario.initial_position, scenario.goal_position, scenario.duration
+        # A slider askew to the wall has to go farther than φ; of a hinge no such factor is the same
+        # all the way.
+        jacobian = world.calc_contact_jacobian(q0)
+        steepness = 1.0 if world.is_hinge.any() else np.linalg.norm(jacobian, axis=1)
+        ways = world.calc_signed_distance(np.array([q0, goal])) / steepness
+        length = float(max(np.max(np.abs(goal - q0)), np.max(ways, initial=0.0))) or 1.0
+        push = calc_inertia(world, q0) * length / T**2
         effort = float(np.max(scenario.control_weight)) * T * push**2
         if scenario.is_plain:
             return cls(length, T, scenario.goal_weight * length**2 or effort)
@@ -245,13 +235,3 @@ class Scales:
 def calc_inertia(world: EquationsOfMotion, q: Floats) -> float:
     """Returns the largest entry of B⁺ M(q): control per acceleration [kg]."""
     return float(np.abs(world.inverse_actuation @ world.calc_mass_matrix(q)).max())
-
-
-def _calc_length(world: EquationsOfMotion, scenario: Scenario) -> float:
-    q0, goal = scenario.initial_position, scenario.goal_position
-    # A slider askew to the wall has to go farther than φ; of a hinge no such factor is the same
-    # all the way.
-    jacobian = world.calc_contact_jacobian(q0)
-    steepness = 1.0 if world.is_hinge.any() else np.linalg.norm(jacobian, axis=1)
-    ways = world.calc_signed_distance(np.array([q0, goal])) / steepness
-    return float(max(np.max(np.abs(goal - q0)), np.max(ways, initial=0.0))) or 1.0

@@ -193,12 +193,8 @@ class World(EquationsOfMotion):
         A model has its own as the proximity property ("material", "restitution") of a shape; of two
         shapes that have it, the smaller one counts.
         """
-        return np.array(
-            [
-                scenario.restitution if contact.restitution is None else contact.restitution
-                for contact in self.contacts
-            ]
-        )
+        owns = (contact.restitution for contact in self.contacts)
+        return np.array([scenario.restitution if own is None else own for own in owns])
 
     @cached_property
     def stiffness(self) -> Floats:
@@ -258,9 +254,8 @@ class World(EquationsOfMotion):
             context = self.plant.GetMyMutableContextFromRoot(root)
             find_sphere_body(self.plant, self._reachable).SetMass(context, self.mass)
         if self.ignored_shapes:
-            exclude_shapes(
-                self.scene_graph, root, find_shapes(self.scene_graph, self.ignored_shapes)
-            )
+            shapes = find_shapes(self.scene_graph, self.ignored_shapes)
+            exclude_shapes(self.scene_graph, root, shapes)
         return root
 
     @property
@@ -341,13 +336,11 @@ class World(EquationsOfMotion):
     def _check_made_for(self, scenario: Scenario) -> None:
         """Refuses a scenario with another mass or friction, or other ignored shapes, than here."""
         given, mine = scenario.dry_friction, self.dry_friction
-        masses = [
-            "None, the model's" if mass is None else f"{mass:g} kg"
-            for mass in (scenario.mass, self.mass)
-        ]
+        each = (scenario.mass, self.mass)
+        masses = ["None, the model's" if mass is None else f"{mass:g} kg" for mass in each]
         shapes = [", ".join(names) for names in (scenario.ignored_shapes, self.ignored_shapes)]
-        speeds = [f"{each.stiction_speed:g} m/s" for each in (scenario, self)]
-        frictions = ["none" if each is None else each.tolist() for each in (given, mine)]
+        speeds = [f"{side.stiction_speed:g} m/s" for side in (scenario, self)]
+        frictions = ["none" if side is None else side.tolist() for side in (given, mine)]
         is_other_shape = set(scenario.ignored_shapes) != set(self.ignored_shapes)
         own = 0.0 if mine is None else mine
         for name, is_other, (got, expected) in (
