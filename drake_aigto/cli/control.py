@@ -29,7 +29,7 @@ from drake_aigto.errors import ControlError, OptionsError
 from drake_aigto.output import check_writable, write_text
 from drake_aigto.planning import Planner, PlanOptions
 from drake_aigto.show import INTERRUPTED as CUT_SHORT
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import World
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -64,7 +64,14 @@ def add_control(commands: Any) -> None:
     control = add_command(commands, "control", _control, text, _EXAMPLES)
     add_scenario(control)
     _add_controller(control.add_argument_group("controller"))
-    _add_disturbance(control.add_argument_group("what the controller does not know"))
+    unknown = control.add_argument_group("what the controller does not know")
+    for name, text in _DISTURBANCES.items():
+        look: dict[str, Any] = {"type": float, "metavar": "X"}
+        if name in _ROWS:
+            look["nargs"] = "+"
+        elif name == "noise_seed":
+            look = {"type": natural, "metavar": "N"}
+        unknown.add_argument(f"--{name.replace('_', '-')}", help=text, **look)
     add_json(control, "write the log: motion, controls, ticks, plans at switches")
     control.add_argument("--html", metavar="FILE", help="write one self-contained page")
     text = "show the plant in Meshcat as it moves, in real time, and wait"
@@ -92,43 +99,37 @@ def _add_controller(group: Any) -> None:
     group.add_argument("--renewals", type=natural, metavar="N", help=text)
 
 
-def _add_disturbance(group: Any) -> None:
-    for name, text in _DISTURBANCES.items():
-        look: dict[str, Any] = {"type": float, "metavar": "X"}
-        if name in _ROWS:
-            look["nargs"] = "+"
-        elif name == "noise_seed":
-            look = {"type": natural, "metavar": "N"}
-        group.add_argument(f"--{name.replace('_', '-')}", help=text, **look)
-
-
 def _control(options: argparse.Namespace) -> int:
     check_writable(options.json)
     check_writable(options.html)
-    scenario, disturbance = load_scenario(options), _read_disturbance(options)
+    scenario = load_scenario(options)
+    given = {name: getattr(options, name) for name in _DISTURBANCES}
+    given = {name: value for name, value in given.items() if value is not None}
+    if "noise_seed" in given:
+        given["seed"] = given.pop("noise_seed")
+    disturbance = Disturbance(**given)
     _check_flags(options, disturbance)
     world = World.from_scenario(scenario)
     disturbance.apply(world, scenario)  # Refused before long work.
     numerics = None if options.renewals is None else PlanOptions(renewals=options.renewals)
     planner = Planner(scenario, numerics, world)
-    meshcat = _open_live(options)
+    meshcat = None
+    if options.live:  # A browser may look at it from the start on.
+        from drake_aigto.show import open_meshcat
+
+        meshcat = open_meshcat(options.port)
+        print(f"Meshcat shows it at {meshcat.web_url()}", flush=True)
     with show_progress(options, "planning") as progress:
         controller = _make_controller(options, planner)
-        duration = _find_duration(options, controller, scenario)
+        duration = options.seconds or scenario.duration
+        if options.seconds is None and isinstance(controller, TrackingController):
+            duration = float(controller.plan.trajectory.times[-1])
         run = run_in_loop(controller, scenario, world, disturbance, duration, meshcat, progress)
     status = _answer(options, run, meshcat)
     if isinstance(controller, TrackingController) and controller.plan.is_interrupted:
         print(f"of the plan: {CUT_SHORT}", flush=True)
         return INTERRUPTED
     return status
-
-
-def _read_disturbance(options: argparse.Namespace) -> Disturbance:
-    given = {name: getattr(options, name) for name in _DISTURBANCES}
-    given = {name: value for name, value in given.items() if value is not None}
-    if "noise_seed" in given:
-        given["seed"] = given.pop("noise_seed")
-    return Disturbance(**given)
 
 
 def _check_flags(options: argparse.Namespace, disturbance: Disturbance) -> None:
@@ -167,30 +168,6 @@ def _make_controller(
             if options.method or options.search_every or options.horizon:
                 raise
     return TrackingController(planner.plan(), planner.world, options.period)
-
-
-def _find_duration(
-    options: argparse.Namespace,
-    controller: ModelPredictiveController | TrackingController,
-    scenario: Scenario,
-) -> float:
-    """Returns how long to simulate: as asked, or as long as the plan or the scenario."""
-    if options.seconds is not None:
-        return float(options.seconds)
-    if isinstance(controller, TrackingController):
-        return float(controller.plan.trajectory.times[-1])
-    return scenario.duration
-
-
-def _open_live(options: argparse.Namespace) -> Meshcat | None:
-    """Returns a Meshcat that a browser may look at from the start on, if it is asked for."""
-    if not options.live:
-        return None
-    from drake_aigto.show import open_meshcat
-
-    meshcat = open_meshcat(options.port)
-    print(f"Meshcat shows it at {meshcat.web_url()}", flush=True)
-    return meshcat
 
 
 def _answer(options: argparse.Namespace, run: ClosedLoopRun, meshcat: Meshcat | None) -> int:

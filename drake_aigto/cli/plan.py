@@ -7,7 +7,7 @@ import json
 import sys
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 from drake_aigto.cli.flags import (
     FINE,
@@ -37,9 +37,6 @@ from drake_aigto.planning import (
 from drake_aigto.planning.options import LocalSolverName
 from drake_aigto.show import cost_text, format_plan, format_replays
 from drake_aigto.world import Scenario, World
-
-if TYPE_CHECKING:
-    from drake_aigto.jobs import Answer
 
 # Option → what it is; for balls between rigid walls, any other task, or the paper's plans.
 _NUMERICS = {
@@ -216,7 +213,12 @@ def _plan_many(options: argparse.Namespace) -> int:
         with show_progress(options, "checking the questions") as progress:
             kept = {"folder": options.into, "resume": options.resume}
             for answer in plan_many(questions, **where, **kept, progress=progress):
-                print(f"{answer.name:{width}}  {_format_answer(answer)}", flush=True)
+                text = f"failed  {' '.join((answer.error or '').split())}"
+                if (plan := answer.plan) and answer.holds:
+                    cost = cost_text(plan.cost, 3, plan.best.scales.cost)
+                    touches = plan.best.describe_contacts()
+                    text = f"holds  cost {cost:>9}  {answer.seconds:7.2f} s  {touches}"
+                print(f"{answer.name:{width}}  {text}", flush=True)
                 status = status if answer.holds else NOTHING_HOLDS
     except KeyboardInterrupt:
         if options.into:
@@ -239,14 +241,6 @@ def _read_questions(names: list[str]) -> dict[str, Scenario]:
             raise OptionsError(f"SCENARIO {name}", got="two of one name", expected="each once")
         questions[short] = read_scenario(name)
     return questions
-
-
-def _format_answer(answer: Answer) -> str:
-    """Returns the cost of a plan that holds, or why there is none."""
-    if answer.plan is None or not answer.holds:
-        return f"failed  {' '.join((answer.error or '').split())}"
-    cost = cost_text(answer.plan.cost, 3, answer.plan.best.scales.cost)
-    return f"holds  cost {cost:>9}  {answer.seconds:7.2f} s  {answer.plan.best.describe_contacts()}"
 
 
 def add_table1(commands: Any) -> None:

@@ -57,7 +57,9 @@ def _play(options: argparse.Namespace) -> int:
     check_writable(options.html)
     shown = _load(options.plan)
     if isinstance(shown, ClosedLoopRun):
-        _check_run_flags(options)
+        only_plans = {"--beside": options.beside, "--optimization": options.optimization}
+        for flag in (flag for flag, is_given in only_plans.items() if is_given):
+            raise OptionsError(flag, got="the log of a run in the loop", expected="a plan file")
     # A page needs Meshcat, too, but nobody looks for it at a port.
     meshcat = open_meshcat(_ANY_PORT if options.html and options.port is None else options.port)
     if isinstance(shown, Plan):
@@ -67,23 +69,15 @@ def _play(options: argparse.Namespace) -> int:
     if options.html:
         save_html(meshcat, options.html)
         print(f"wrote {options.html}")
-        return FINE
-    wait_at(meshcat)
+    else:
+        wait_at(meshcat)
     return FINE
 
 
 def _load(path: str) -> Plan | ClosedLoopRun:
     """Returns what is in a file, which says itself what that is."""
-    return (ClosedLoopRun if is_run(read_json(path, "plan file", PlanFileError)) else Plan).load(
-        path
-    )
-
-
-def _check_run_flags(options: argparse.Namespace) -> None:
-    """Refuses flags that only plans have."""
-    for flag, is_given in (("--beside", options.beside), ("--optimization", options.optimization)):
-        if is_given:
-            raise OptionsError(flag, got="the log of a run in the loop", expected="a plan file")
+    is_log = is_run(read_json(path, "plan file", PlanFileError))
+    return (ClosedLoopRun if is_log else Plan).load(path)
 
 
 def _publish(options: argparse.Namespace, plan: Plan, meshcat: Meshcat, world: World) -> None:
@@ -123,11 +117,10 @@ def _report(options: argparse.Namespace) -> int:
 
     check_writable(options.html)
     shown = _load(options.plan)
-    with show_progress(options) as progress:
-        if isinstance(shown, Plan):
-            page = report_plan(shown, progress=progress)
-        else:
-            page = report_run(shown, progress)
+    with show_progress(options) as say:
+        page = (
+            report_plan(shown, progress=say) if isinstance(shown, Plan) else report_run(shown, say)
+        )
     write_text(options.html, page)
     print(f"wrote {options.html}, {len(page.encode()) / 1e6:.1f} MB")
     return FINE

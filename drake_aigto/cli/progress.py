@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from drake_aigto.progress import Count, Notice
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.progress import Progress
 
 _BAR_WIDTH = 20
@@ -33,7 +32,12 @@ def show_progress(
     if options.quiet:
         yield None
         return
-    keep = _ignore if options.verbose else _keep
+
+    def keep(line: str) -> None:
+        """Writes a line that stays; a bar moves aside for that."""
+        if isinstance(line, Notice) and not options.verbose:
+            print(f"drake-aigto: {line}", file=sys.stderr, flush=True)
+
     if not sys.stderr.isatty():
         yield keep
         return
@@ -58,20 +62,17 @@ def show_progress(
         progress.stop()
 
 
-def _keep(line: str) -> None:
-    """Writes a line that stays; a bar moves aside for that."""
-    if isinstance(line, Notice):
-        print(f"drake-aigto: {line}", file=sys.stderr, flush=True)
-
-
-def _ignore(line: str) -> None:
-    """Does nothing."""
-
-
 def _make_progress() -> Progress:
     """Returns all columns; the last is cut to what the terminal has left."""
     from rich import progress as rich  # It takes its time.
+    from rich.console import Console
     from rich.table import Column
+
+    class StandardError(Console):
+        """Its cursor is left alone: a process that is killed could not show it again."""
+
+        def show_cursor(self, show: bool = True) -> bool:
+            return False
 
     return rich.Progress(
         rich.SpinnerColumn("line"),
@@ -84,23 +85,11 @@ def _make_progress() -> Progress:
             markup=False,
             table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis"),
         ),
-        console=_make_console(),
+        console=StandardError(stderr=True),
         expand=True,
         transient=True,
         redirect_stdout=False,  # What is printed there is the answer, perhaps to a file.
     )
-
-
-def _make_console() -> Console:
-    from rich.console import Console
-
-    class StandardError(Console):
-        """Its cursor is left alone: a process that is killed could not show it again."""
-
-        def show_cursor(self, show: bool = True) -> bool:
-            return False
-
-    return StandardError(stderr=True)
 
 
 class _ToStandardError(logging.Handler):
