@@ -41,8 +41,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw, RigidLaw, contact_law
 from drake_aigto.dynamics import SumMap
 from drake_aigto.errors import MissingExtraError, TrajectoryError
-from drake_aigto.planning import MechanismTask, Origin, PlanOptions
-from drake_aigto.planning.mechanisms.closing import find_tight
+from drake_aigto.planning import MechanismTask, Origin, PlanOptions, find_tight
 from drake_aigto.simulation import state_scales
 from drake_aigto.terms import FunctionKind
 from drake_aigto.world import Scenario, TaskCost, World

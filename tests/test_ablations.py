@@ -33,8 +33,7 @@ from benchmarks.study.scenario_study import ScenarioStudy, calc_good_enough
 from drake_aigto import OptionsError, PlanOptions, Scenario, jobs
 from drake_aigto.cli import FINE
 from drake_aigto.paper import rigid_optimum
-from drake_aigto.planning import Rung
-from drake_aigto.planning.rungs import BALL_LADDER
+from drake_aigto.planning import BALL_LADDER, Rung
 from drake_aigto.show import WIDTH
 
 BARE = VARIANTS["bare"].options

@@ -15,8 +15,13 @@ from replay_worlds import shipped_world
 
 from drake_aigto.errors import AigtoError, ProgramError, UnsupportedTermError
 from drake_aigto.planning import BallTask
-from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
-from drake_aigto.transcription.additions import Samples
+from drake_aigto.transcription import (
+    PhaseTranscription,
+    RigidTranscription,
+    Samples,
+    Touch,
+    TouchSequence,
+)
 from drake_aigto.world import Scenario
 
 # 1 m from a wall, towards it at 2 m/s.

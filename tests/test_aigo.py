@@ -31,8 +31,7 @@ from drake_aigto.aigo import (
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
-from drake_aigto.transcription import RigidTranscription
-from drake_aigto.transcription.rows import NONPENETRATION, RESTITUTION
+from drake_aigto.transcription import NONPENETRATION, RESTITUTION, RigidTranscription
 from drake_aigto.world import Scenario, World
 
 ALGORITHMS: dict[str, Algorithm] = {

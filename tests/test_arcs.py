@@ -13,8 +13,7 @@ from several_walls import make_task, shipped
 
 from drake_aigto import ModelError, Scenario, UnsupportedTermError, World
 from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp
-from drake_aigto.planning.balls.arc_program import ArcPrograms
-from drake_aigto.planning.balls.arcs import Arcs, solve_in_arcs
+from drake_aigto.planning import ArcPrograms, Arcs, solve_in_arcs
 from drake_aigto.transcription import Facing, PhaseTranscription, Touch, TouchSequence
 
 # Contacts of the room, and of the block in it.

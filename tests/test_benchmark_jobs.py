@@ -17,7 +17,7 @@ from benchmarks import growth
 from benchmarks.script import plan_all, read_flags, run_all, run_as, run_jobs
 from drake_aigto import OptionsError, PlanOptions, Scenario, jobs
 from drake_aigto.cli import BAD_INPUT
-from drake_aigto.jobs import ProcessDiedError, many, workers
+from drake_aigto.jobs import ProcessDiedError
 
 
 def parse(*flags: str, **others: Any) -> argparse.Namespace:
@@ -102,7 +102,7 @@ def test_what_is_kept_is_gone_on_from_and_only_with_the_same_flags(
 def test_plans_of_a_script_are_those_of_plan_many(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(many, "open_workers", Some)
+    monkeypatch.setattr("drake_aigto.jobs.many.open_workers", Some)
     scenario = dataclasses.replace(Scenario.named("table1/3"), time_step=0.05)
     options, keep = PlanOptions(confirm=False, threads=1), str(tmp_path / "jobs")
     found = plan_all({"a": scenario}, options, parse("--keep", keep))
@@ -114,7 +114,7 @@ def test_a_script_without_its_scheduler_ends_with_one_clear_error(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.undo()
-    monkeypatch.setattr(workers, "find_spec", lambda name: None)
+    monkeypatch.setattr("drake_aigto.jobs.workers.find_spec", lambda name: None)
     monkeypatch.setattr("sys.argv", ["random_programs", "--count", "1", "--scheduler", "tcp://a:1"])
     with pytest.raises(SystemExit) as ended:
         run_as("benchmarks.random_programs")

@@ -14,8 +14,7 @@ from pydrake.geometry import Meshcat
 from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
 from drake_aigto.aigo import AigoResult, FullGradient, SlowMotion, minimize
 from drake_aigto.errors import OptionsError
-from drake_aigto.paper import LiteralOptions, plan_literal
-from drake_aigto.paper.options import LITERAL_LADDER
+from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal
 from drake_aigto.planning import Origin, make_ball_task
 from drake_aigto.show import ROOT, BoxRun, make_mesh, play_boxes, run_boxes
 

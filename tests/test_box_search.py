@@ -16,7 +16,6 @@ from drake_aigto.aigo import (
     FaceFlow,
     Iterate,
     LowPoint,
-    box_search,
 )
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
@@ -229,7 +228,7 @@ def test_the_best_that_no_polish_led_to_is_kept_apart(monkeypatch: pytest.Monkey
     alone = BoxSearch(rounds=4).run(f, box)
     assert alone.unpolished is alone.best
     for name in ("_MOST_STEPS", "_BOLD_STEPS"):
-        monkeypatch.setattr(box_search, name, 1)
+        monkeypatch.setattr(f"drake_aigto.aigo.box_search.{name}", 1)
     once = BoxSearch(first=(FaceFlow(max_steps=1),), rounds=4)
     found = once.run(f, box, lambda x: np.ones(2))
     assert found.best.is_polished and found.best.cost == 0
@@ -241,10 +240,10 @@ def test_only_renewals_that_lead_below_the_best_get_all_their_newton_steps(
 ) -> None:
     f, box = rosenbrock_pair(), Box(np.zeros(2), np.full(2, 3.0))
     search = BoxSearch(first=(FaceFlow(max_steps=1),), rounds=30, patience=30)
-    monkeypatch.setattr(box_search, "_MOST_STEPS", 60)
+    monkeypatch.setattr("drake_aigto.aigo.box_search._MOST_STEPS", 60)
     found = {}
     for steps in (2, 60):
-        monkeypatch.setattr(box_search, "_TRIAL_STEPS", steps)
+        monkeypatch.setattr("drake_aigto.aigo.box_search._TRIAL_STEPS", steps)
         found[steps] = search.run(f, box)
         assert found[steps].best.cost < 1e-10 and found[steps].num_rounds == 30
     assert found[2].num_steps < 0.9 * found[60].num_steps

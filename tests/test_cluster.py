@@ -21,7 +21,7 @@ from benchmarks.study import ScenarioQuestion
 from benchmarks.study.scenario_question import Spread
 from benchmarks.study.scenario_study import ScenarioStudy
 from drake_aigto.errors import StudyError
-from drake_aigto.jobs import cluster, open_workers
+from drake_aigto.jobs import open_workers
 
 PLANS = ScenarioQuestion(
     count=8, seed=1, num_steps=20, restitution=Spread((0.8,)), methods=("aigto",)
@@ -104,7 +104,7 @@ def silent() -> Iterator[str]:
 def test_a_scheduler_that_does_not_answer_is_told_within_seconds(
     silent: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster, "_PATIENCE", 1.0)
+    monkeypatch.setattr("drake_aigto.jobs.cluster._PATIENCE", 1.0)
     started = time.monotonic()
     for address, why in (
         (silent, r"nothing within 1 s\. Start one \(dask scheduler\)"),
@@ -130,7 +130,7 @@ def test_workers_that_are_not_fit_are_refused_by_name(
 ) -> None:
     if drake is not None:
         here = get_package_info(("drake_aigto",)) | {"drake": drake}
-        monkeypatch.setattr(cluster, "get_package_info", lambda names: here)
+        monkeypatch.setattr("drake_aigto.jobs.cluster.get_package_info", lambda names: here)
     with scheduler(workers, threads) as local:
         refused = open_workers(scheduler=local.scheduler_address)
         with pytest.raises(StudyError, match=message), refused:

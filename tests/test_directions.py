@@ -14,8 +14,7 @@ from pydrake.solvers import LinearConstraint
 from drake_aigto import Scenario, World
 from drake_aigto.simulation import replay_event_driven
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import RigidTranscription
-from drake_aigto.transcription.rigid import ImpulseDirections
+from drake_aigto.transcription import ImpulseDirections, RigidTranscription
 
 Array = npt.NDArray[np.float64]
 

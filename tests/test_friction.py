@@ -25,7 +25,6 @@ from drake_aigto import (
     plan,
     replay_drake,
 )
-from drake_aigto.planning import planner
 from drake_aigto.show import format_plan
 from drake_aigto.world import models_directory
 
@@ -101,7 +100,7 @@ def test_friction_whose_impacts_are_not_planned_is_refused_before_any_work(
     rough_room: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rough = dataclasses.replace(Scenario.named("room/bank_shot"), model=str(rough_room))
-    monkeypatch.setattr(planner, "BallTask", refuse_work)
+    monkeypatch.setattr("drake_aigto.planning.planner.BallTask", refuse_work)
     pendulum = dataclasses.replace(Scenario.named("pendulum/off_the_wall"), friction=0.2)
     with pytest.raises(ModelError, match=r"got friction 0.2 and a mechanism of one coordinate"):
         Planner(pendulum)

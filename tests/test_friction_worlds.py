@@ -20,8 +20,7 @@ from drake_aigto import Scenario, World
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import calc_drag, calc_pushes, contact_law
 from drake_aigto.errors import MissingExtraError
-from drake_aigto.planning import MechanismTask, PlanOptions
-from drake_aigto.planning.mechanisms.closing import Aim
+from drake_aigto.planning import Aim, MechanismTask, PlanOptions
 
 _STEPS = 199
 

@@ -13,7 +13,7 @@ from drake_aigto import Scenario, World
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.contact import Closed, Mode, RigidLaw
 from drake_aigto.errors import ProgramError
-from drake_aigto.planning.mechanisms.traces import add_impulses, replay_at_knots, trace
+from drake_aigto.planning import add_impulses, replay_at_knots, trace
 from drake_aigto.shooting import (
     Mechanism,
     Phases,

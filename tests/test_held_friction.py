@@ -13,12 +13,20 @@ from test_shooting_phases import weigh
 from drake_aigto import PlanOptions, Scenario, World, plan
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import Closed, Mode, RigidLaw
-from drake_aigto.planning import MECHANISM_LADDER
-from drake_aigto.planning.candidate import COASTING, Origin
-from drake_aigto.planning.mechanisms.mode_edges import lead_over_edges
-from drake_aigto.planning.mechanisms.modes import drop, in_order, is_closed, list_hold_changes
-from drake_aigto.planning.mechanisms.phases import BouncingResult, lay_out
-from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask, make_mechanism_task
+from drake_aigto.planning import (
+    COASTING,
+    MECHANISM_LADDER,
+    BouncingResult,
+    Origin,
+    RigidMechanismTask,
+    drop,
+    in_order,
+    is_closed,
+    lay_out,
+    lead_over_edges,
+    list_hold_changes,
+    make_mechanism_task,
+)
 from drake_aigto.shooting import (
     Mechanism,
     Phases,

@@ -17,7 +17,6 @@ from drake_aigto.terms import (
     FunctionKind,
     HiddenError,
     Term,
-    hidden_polynomials,
     is_hidden_polynomial,
     read_polynomial,
 )
@@ -109,7 +108,7 @@ def test_what_values_do_not_tell_is_not_guessed(formula: Any, message: str) -> N
 def test_more_monomials_than_can_be_told_apart_are_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(hidden_polynomials, "_MOST_MONOMIALS", 20)
+    monkeypatch.setattr("drake_aigto.terms.hidden_polynomials._MOST_MONOMIALS", 20)
     _, cost = hide(3, lambda x: sum(x) ** 4)
     with pytest.raises(HiddenError, match="more than 20 monomials"):
         read_polynomial(cost)

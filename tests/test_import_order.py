@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import graphlib
 import subprocess
 import sys
@@ -85,6 +86,57 @@ def test_a_step_imports_only_from_itself_and_those_before_it(path: Path) -> None
 )
 def test_an_import_is_seen_in_every_spelling(source: str) -> None:
     assert steps_imported(source, "drake_aigto.world") == {"planning"}
+
+
+ROOMS = sorted(path.parent.name for path in PACKAGE.glob("*/__init__.py"))
+CHECKOUT = PACKAGE.parent
+OUTSIDE = [*CHECKOUT.glob("tests/*.py"), *CHECKOUT.glob("benchmarks/**/*.py")]
+
+
+def names_of_door(room: str) -> set[str]:
+    """Returns what a room's `__init__`, or the stub beside it, imports."""
+    door = PACKAGE / room / "__init__.pyi"
+    door = door if door.exists() else door.with_suffix(".py")
+    tree = ast.parse(door.read_text(encoding="utf-8"))
+    imports = (node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom))
+    return {alias.asname or alias.name for node in imports for alias in node.names}
+
+
+NAMES = {room: names_of_door(room) for room in ROOMS}
+
+
+def past_doors(source: str, package: str) -> list[str]:
+    """Returns what a file imports of rooms other than its own that their doors do not name."""
+    found = []
+    for name in imported_modules(source, package):
+        parts = name.split(".")
+        if parts[0] == "drake_aigto" and len(parts) > 2 and parts[1] in ROOMS:
+            is_own = package.split(".")[:2] == parts[:2]
+            is_named = len(parts) == 3 and (parts[2] in NAMES[parts[1]] or parts[2] == "*")
+            if not (is_own or is_named):
+                found.append(name)
+    return found
+
+
+@pytest.mark.parametrize(
+    "path", [*FILES, *OUTSIDE], ids=lambda path: f"{path.parent.name}/{path.name}"
+)
+def test_nothing_is_imported_past_a_rooms_door(path: Path) -> None:
+    package = ".".join(path.relative_to(CHECKOUT).parts[:-1])
+    assert past_doors(path.read_text(encoding="utf-8"), package) == []
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from drake_aigto.box.tapes import TapeBuilder",
+        "from drake_aigto.box import tapes",
+        "def later():\n    import drake_aigto.box.tapes",
+    ],
+)
+def test_imports_past_a_door_are_found(source: str) -> None:
+    assert past_doors(source, "drake_aigto.aigo") and not past_doors(source, "drake_aigto.box")
+    assert not past_doors("from drake_aigto.box import BoxPolynomial", "tests")
 
 
 def test_no_files_import_each_other_in_a_circle() -> None:

@@ -12,9 +12,7 @@ from several_walls import make_task, shipped
 from benchmarks.optima import masses_optimum
 from benchmarks.worlds import WORLDS
 from drake_aigto import PlanOptions, Scenario, World, plan
-from drake_aigto.planning import BallSearch, make_ball_task
-from drake_aigto.planning.balls.neighbors import find_insertions
-from drake_aigto.planning.sequences import kinds
+from drake_aigto.planning import BallSearch, find_insertions, kinds, make_ball_task
 from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
 
 QUICK = PlanOptions(confirm=False)

@@ -20,8 +20,13 @@ from drake_aigto import OptionsError, Scenario, World
 from drake_aigto.contact import JointImpact
 from drake_aigto.dynamics import ConstantInertia
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence, joint_times
-from drake_aigto.transcription.transcription import rigid_defects
+from drake_aigto.transcription import (
+    PhaseTranscription,
+    Touch,
+    TouchSequence,
+    joint_times,
+    rigid_defects,
+)
 from drake_aigto.world import models_directory
 
 G = 9.81

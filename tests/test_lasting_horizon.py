@@ -10,11 +10,8 @@ import pytest
 
 from drake_aigto import ModelPredictiveController, Planner, PlanOptions, Scenario, World
 from drake_aigto.arrays import Floats
-from drake_aigto.control import Disturbance, run_in_loop
-from drake_aigto.control.motion import Motion
-from drake_aigto.control.rigid_mechanism_horizon import RigidMechanismHorizon
-from drake_aigto.planning import MECHANISM_LADDER
-from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask
+from drake_aigto.control import Disturbance, Motion, RigidMechanismHorizon, run_in_loop
+from drake_aigto.planning import MECHANISM_LADDER, RigidMechanismTask
 from drake_aigto.simulation import EVENT_DRIVEN, HeldControl, replay_event_driven
 from drake_aigto.transcription import Touch
 

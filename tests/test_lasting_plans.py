@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from drake_aigto import Planner, Scenario
-from drake_aigto.planning import PlanOptions
-from drake_aigto.planning.mechanisms.phases import lay_out
-from drake_aigto.planning.rungs import MECHANISM_LADDER
+from drake_aigto.planning import MECHANISM_LADDER, PlanOptions, lay_out
 from drake_aigto.transcription import Touch
 
 MODELS = Path(__file__).parents[1] / "models"

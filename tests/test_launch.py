@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drake_aigto.planning import MechanismRung, PlanOptions, Renewal
-from drake_aigto.planning.mechanisms.closing import Aim, Launch
-from drake_aigto.planning.mechanisms.task import MechanismTask
+from drake_aigto.planning import Aim, Launch, MechanismRung, MechanismTask, PlanOptions, Renewal
 from drake_aigto.world import Scenario, World
 
 # 0.37 m deep in the right wall, and free.

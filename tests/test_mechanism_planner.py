@@ -17,16 +17,18 @@ from pydrake.systems.framework import DiagramBuilder
 from drake_aigto import Plan, Planner, PlanningError, Scenario, World
 from drake_aigto.errors import OptionsError
 from drake_aigto.planning import (
+    BALL_LADDER,
+    MECHANISM_LADDER,
+    Aim,
+    Candidate,
     Center,
     MechanismRung,
     MechanismSearch,
+    MechanismTask,
     PlanOptions,
     Renewal,
+    Replays,
 )
-from drake_aigto.planning.candidate import Candidate, Replays
-from drake_aigto.planning.mechanisms.closing import Aim
-from drake_aigto.planning.mechanisms.task import MechanismTask
-from drake_aigto.planning.rungs import BALL_LADDER, MECHANISM_LADDER
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.simulation import replay_event_driven
 

@@ -18,14 +18,13 @@ from test_direct_replay import draw_task, follows_chatter, roll_out, world_of
 
 from drake_aigto import Scenario, TrajectoryError, World
 from drake_aigto.contact import Closed, Mode, RigidLaw
-from drake_aigto.planning.mechanisms.traces import _find_rates, _integrate
+from drake_aigto.planning import find_rates, integrate_rates
 from drake_aigto.simulation import (
     HeldControl,
     Replay,
     RigidMotion,
     replay_costs,
     replay_event_driven,
-    smooth,
 )
 
 
@@ -275,8 +274,8 @@ def test_a_motion_that_goes_ever_faster_is_not_followed_for_hours(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     swing((0.0, 0.0), 1.0, torque=-1e3)
-    monkeypatch.setattr(smooth, "_MOST_PIECES_IN_ALL", 100)
-    monkeypatch.setattr(smooth, "_MOST_EACH", 0)
+    monkeypatch.setattr("drake_aigto.simulation.smooth._MOST_PIECES_IN_ALL", 100)
+    monkeypatch.setattr("drake_aigto.simulation.smooth._MOST_EACH", 0)
     swing((0.0, 0.0), 1.0, torque=1.0)
     with pytest.raises(TrajectoryError, match=r"goes ever faster, at 0\.\d+ s"):
         swing((0.0, 0.0), 1.0, torque=-1e3)
@@ -308,6 +307,6 @@ def test_a_trace_in_steps_that_are_too_long_runs_away_without_an_error() -> None
     world, law = build("pendulum"), RigidLaw(np.ones(1))
     x = np.array([[np.arcsin(-(0.6 - 0.05) / 0.8), 0.0]])  # The tip rests at the wall.
     x[0, 0] = world.move_onto(x[0, :1], [0])[0]
-    rates = _find_rates(world, law, x, np.array([[-1e150]]), np.full((1, 1), Mode.OPEN))
-    end, _ = _integrate(rates, x, np.array([1e150]), 1)
+    rates = find_rates(world, law, x, np.array([[-1e150]]), np.full((1, 1), Mode.OPEN))
+    end, _ = integrate_rates(rates, x, np.array([1e150]), 1)
     assert not np.all(np.isfinite(end))

@@ -160,7 +160,7 @@ def test_numba_keeps_its_cache_where_it_is_told(installed: Path) -> None:
     cache = installed / "cache"
     program = """
 import numpy as np
-from drake_aigto.box.functions import factor_mean
+from drake_aigto.box import factor_mean
 factor_mean(0, 2, 1.0, 0.0, 3.0, 1.0, np.zeros(6))
 """
     run_python(program, installed, NUMBA_CACHE_DIR=str(cache))

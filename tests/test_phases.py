@@ -21,8 +21,13 @@ from rest_solutions import least_rest
 
 from drake_aigto import Scenario, World
 from drake_aigto.local import LocalStatus
-from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
-from drake_aigto.transcription.timeline import straight_path
+from drake_aigto.transcription import (
+    PhaseTranscription,
+    RigidTranscription,
+    Touch,
+    TouchSequence,
+    straight_path,
+)
 
 # Free flight.
 

@@ -26,7 +26,7 @@ from drake_aigto import (
 )
 from drake_aigto.cli import BAD_INPUT, FINE, main
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal
-from drake_aigto.planning.rungs import BALL_LADDER
+from drake_aigto.planning import BALL_LADDER
 from drake_aigto.show import format_plan, play, play_boxes, report_plan, run_boxes
 
 QUICK = PlanOptions(aigo_steps=20, finalists=1, ladder=BALL_LADDER[:2])

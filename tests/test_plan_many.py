@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import pytest
@@ -28,7 +29,7 @@ from drake_aigto import (
     plan_many,
 )
 from drake_aigto.cli import FINE, INTERRUPTED, NOTHING_HOLDS, main
-from drake_aigto.jobs import Answer, load_answers, many
+from drake_aigto.jobs import Answer, load_answers
 
 QUESTIONS = {
     name: dataclasses.replace(Scenario.named(name), time_step=0.02)
@@ -39,7 +40,7 @@ FAST = PlanOptions(confirm=False, threads=1)
 
 @pytest.fixture(autouse=True)
 def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(many, "open_workers", Inline)
+    monkeypatch.setattr("drake_aigto.jobs.many.open_workers", Inline)
 
 
 def refuse_work(*arguments: Any) -> Answer:
@@ -57,7 +58,7 @@ def dies_of(name: str) -> Callable[..., Answer]:
     return answer
 
 
-WORK = many.answer_question
+WORK = resolve_name("drake_aigto.jobs.many:answer_question")
 
 
 def test_answers_are_the_plans_of_each_question_alone() -> None:
@@ -87,16 +88,16 @@ def test_what_is_kept_is_gone_on_from(tmp_path: Path, monkeypatch: pytest.Monkey
     lines = (folder / "answers.jsonl").read_text(encoding="utf-8")
     (folder / "answers.jsonl").write_text(f'{lines}{{"name": "cut sh', encoding="utf-8")
 
-    monkeypatch.setattr(many, "answer_question", dies_of("table1/3"))
+    monkeypatch.setattr("drake_aigto.jobs.many.answer_question", dies_of("table1/3"))
     *again, died = plan_many(QUESTIONS, FAST, folder=folder, resume=True)
     assert again == done
     assert died.died and not died.holds and "two processes that died of it" in str(died.error)
     assert load_answers(folder) == [*done, died]
 
-    monkeypatch.setattr(many, "answer_question", WORK)
+    monkeypatch.setattr("drake_aigto.jobs.many.answer_question", WORK)
     *_, last = plan_many(QUESTIONS, FAST, folder=folder, resume=True)
     assert last.name == "table1/3" and last.holds
-    monkeypatch.setattr(many, "answer_question", refuse_work)
+    monkeypatch.setattr("drake_aigto.jobs.many.answer_question", refuse_work)
     assert list(plan_many(QUESTIONS, FAST, folder=folder, resume=True)) == [*done, last]
 
 
@@ -147,7 +148,7 @@ def test_a_question_that_fails_takes_no_other_with_it(
 def test_bad_questions_are_refused_before_any_work(
     scenarios: Any, options: Any, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(many, "open_jobs", refuse_work)
+    monkeypatch.setattr("drake_aigto.jobs.many.open_jobs", refuse_work)
     with pytest.raises(AigtoError, match=message):
         plan_many(scenarios, **options)
 
@@ -184,7 +185,7 @@ def test_the_command_prints_each_answer_and_keeps_it(
     assert main(command) == FINE
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert [row[:3] for row in rows] == [["table1/2", "holds", "cost"], ["mine", "holds", "cost"]]
-    monkeypatch.setattr(many, "answer_question", dies_of("table1/1"))
+    monkeypatch.setattr("drake_aigto.jobs.many.answer_question", dies_of("table1/1"))
     assert main(["plan-many", "table1/1", *command[1:], "--resume"]) == NOTHING_HOLDS
     *_, last = capsys.readouterr().out.splitlines()
     assert last.startswith("table1/1  failed  table1/1: got two processes that died of it")

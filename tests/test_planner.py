@@ -14,14 +14,13 @@ from drake_aigto import Scenario
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import (
     LITERAL_LADDER,
+    AlgorithmName,
     LiteralOptions,
     LiteralTask,
     LiteralTranscription,
     plan_literal,
 )
-from drake_aigto.paper.options import AlgorithmName
-from drake_aigto.planning import Planner, PlanningError, PlanOptions, SearchOptions
-from drake_aigto.planning.options import LocalSolverName
+from drake_aigto.planning import LocalSolverName, Planner, PlanningError, PlanOptions, SearchOptions
 from drake_aigto.simulation import find_contacts
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import World

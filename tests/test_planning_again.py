@@ -15,7 +15,7 @@ from benchmarks.study import ScenarioQuestion
 from benchmarks.worlds import WORLDS
 from drake_aigto import Scenario, World
 from drake_aigto.errors import ScenarioError
-from drake_aigto.planning import Plan, Planner, PlanOptions, make_ball_task, programs
+from drake_aigto.planning import Plan, Planner, PlanOptions, make_ball_task
 from drake_aigto.terms import TermBlock, parse_costs
 from drake_aigto.transcription import OpenProgram, RigidTranscription
 
@@ -133,7 +133,7 @@ def test_programs_are_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
         parsed.append(prog.num_vars())
         return parse_costs(prog)
 
-    monkeypatch.setattr(programs, "parse_costs", count)
+    monkeypatch.setattr("drake_aigto.planning.programs.parse_costs", count)
     first, *others = draw("point mass", 6, seed=3)
     planner = Planner(first, dataclasses.replace(UNCONFIRMED, aigo_steps=10))
     for scenario in (first, *others, first):

@@ -12,8 +12,7 @@ import pytest
 from benchmarks.optima import walls_optimum
 from benchmarks.worlds import WORLDS, load_unequal
 from drake_aigto import PlanOptions, Scenario, World, plan, scenario_names
-from drake_aigto.planning import BallSearch, Origin, make_ball_task
-from drake_aigto.planning.balls.neighbors import find_grazes
+from drake_aigto.planning import BallSearch, Origin, find_grazes, make_ball_task
 from drake_aigto.transcription import PhaseTranscription, Touch
 
 QUICK = PlanOptions(confirm=False)

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from drake_aigto import Plan, Planner, Scenario
-from drake_aigto.planning import PlanOptions
-from drake_aigto.planning.mechanisms.phases import lay_out
-from drake_aigto.planning.mechanisms.rigid_search import RigidMechanismSearch
-from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask
-from drake_aigto.planning.rungs import MECHANISM_LADDER
-from drake_aigto.planning.search import Progress
+from drake_aigto.planning import (
+    MECHANISM_LADDER,
+    PlanOptions,
+    Progress,
+    RigidMechanismSearch,
+    RigidMechanismTask,
+    lay_out,
+)
 from drake_aigto.simulation import replay_event_driven
 from drake_aigto.transcription import Touch
 

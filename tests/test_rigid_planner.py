@@ -15,6 +15,7 @@ from table1_plans import COARSE, UNCONFIRMED, bounce_plan, table1
 from drake_aigto import Scenario, World
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal, rigid_optimum
 from drake_aigto.planning import (
+    BALL_LADDER,
     BallTask,
     Origin,
     Plan,
@@ -23,9 +24,6 @@ from drake_aigto.planning import (
     make_ball_task,
     plan,
 )
-from drake_aigto.planning.balls import phases as ball_phases
-from drake_aigto.planning.balls import task as ball_task
-from drake_aigto.planning.rungs import BALL_LADDER
 from drake_aigto.show import format_plan
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch
 
@@ -50,8 +48,8 @@ def test_which_contacts_a_plan_has_does_not_depend_on_the_time_step(name: str, s
 def test_a_plan_that_arcs_do_not_lead_to_has_so_many_steps_at_most_and_says_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(ball_phases, "solve_in_arcs", lambda *_: None)
-    monkeypatch.setattr(ball_task, "_MOST_GENERAL", 80)
+    monkeypatch.setattr("drake_aigto.planning.balls.phases.solve_in_arcs", lambda *_: None)
+    monkeypatch.setattr("drake_aigto.planning.balls.task._MOST_GENERAL", 80)
     found = plan(table1(1, time_step=1e-3), UNCONFIRMED, shipped_world())
     assert len(found.trajectory.controls) == 80
     assert found.cost == pytest.approx(2.1805e-4, rel=1e-3)

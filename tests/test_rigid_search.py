@@ -21,6 +21,7 @@ from drake_aigto import World
 from drake_aigto.aigo import AigoResult, Iterate, Status
 from drake_aigto.errors import OptionsError
 from drake_aigto.planning import (
+    BALL_LADDER,
     BallSearch,
     BallTask,
     Origin,
@@ -31,7 +32,6 @@ from drake_aigto.planning import (
     make_ball_task,
     plan,
 )
-from drake_aigto.planning.rungs import BALL_LADDER
 from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
 
 

@@ -20,8 +20,12 @@ from drake_aigto.box import BoxPolynomial
 from drake_aigto.contact import JointImpact
 from drake_aigto.dynamics import Contact
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Transcription
-from drake_aigto.transcription.transcription import rigid_defects
+from drake_aigto.transcription import (
+    PhaseTranscription,
+    RigidTranscription,
+    Transcription,
+    rigid_defects,
+)
 
 Array = npt.NDArray[np.float64]
 

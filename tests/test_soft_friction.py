@@ -12,9 +12,7 @@ from matplotlib.figure import Figure
 from drake_aigto import Planner, Scenario, World
 from drake_aigto.contact import CompliantLaw, calc_drag, calc_pushes, contact_law
 from drake_aigto.dynamics import calc_friction_share
-from drake_aigto.planning import PlanOptions
-from drake_aigto.planning.mechanisms.closing import steady
-from drake_aigto.planning.mechanisms.task import MechanismTask
+from drake_aigto.planning import MechanismTask, PlanOptions, steady
 from drake_aigto.shooting import Mechanism
 from drake_aigto.show import Motion, plot_friction
 from drake_aigto.simulation import compile_springs, replay_drake, replay_event_driven

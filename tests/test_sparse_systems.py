@@ -16,7 +16,7 @@ from sparse_matrices import grid, whole
 from drake_aigto import AigoOptions, AigoSolver
 from drake_aigto.aigo import Annealing, BoundedAnnealing, Box, CenterObjective, Status, minimize
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.linear import Factorization, storage
+from drake_aigto.linear import Factorization
 from drake_aigto.local import InteriorPoint, LocalStatus, compile_nlp
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 
@@ -25,7 +25,7 @@ from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 def only_bands() -> Iterator[None]:
     """No sparse factors are chosen."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(storage, "_SPARSE_CALL", np.inf)
+        patch.setattr("drake_aigto.linear.storage._SPARSE_CALL", np.inf)
         yield
 
 
@@ -96,7 +96,9 @@ def test_sparse_hessians_are_the_banded_ones(centers_only: bool) -> None:
 )
 def test_boxes_end_where_banded_systems_lead(make, algorithm) -> None:  # type: ignore[no-untyped-def]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(storage, "_SPARSE_UNIT", 0.0)  # A small grid would stay a band.
+        patch.setattr(
+            "drake_aigto.linear.storage._SPARSE_UNIT", 0.0
+        )  # A small grid would stay a band.
         f = make()
     with only_bands():
         g = make()

@@ -16,8 +16,7 @@ from drake_aigto import Plan, PlanOptions, Scenario, World, plan
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import Mobility, RigidLaw, calc_impulse
 from drake_aigto.errors import ProgramError
-from drake_aigto.planning import MECHANISM_LADDER
-from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask, make_mechanism_task
+from drake_aigto.planning import MECHANISM_LADDER, RigidMechanismTask, make_mechanism_task
 from drake_aigto.shooting import (
     Mechanism,
     Phases,

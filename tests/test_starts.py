@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 
 from drake_aigto import OptionsError, PlanOptions, Scenario, World
-from drake_aigto.planning import make_ball_task
-from drake_aigto.planning.balls.task import BallTask
-from drake_aigto.planning.rungs import BALL_LADDER, Rung
-from drake_aigto.planning.sequences import read_sequences
+from drake_aigto.planning import BALL_LADDER, BallTask, Rung, make_ball_task, read_sequences
 from drake_aigto.simulation import replay_event_driven
 
 COASTING = [rung for rung in BALL_LADDER if rung.start == "coast"]

@@ -9,7 +9,6 @@ import pytest
 from scenario_studies import Inline
 
 from drake_aigto.paper import ROWS, Cell, RigidCell, RigidOptimum, run_rigid_cell, run_table1
-from drake_aigto.paper import table1 as table1_module
 from drake_aigto.plain import to_plain
 from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions, Replays
 from drake_aigto.world import Scenario
@@ -78,8 +77,8 @@ def quick_cells(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     def run_rigid(row: int, confirm: bool) -> object:
         return make((row, "rigid"), RigidCell(row, 1.0, NOTHING, 1e-4, ()))
 
-    monkeypatch.setattr(table1_module, "run_cell", run_cell)
-    monkeypatch.setattr(table1_module, "run_rigid_cell", run_rigid)
+    monkeypatch.setattr("drake_aigto.paper.table1.run_cell", run_cell)
+    monkeypatch.setattr("drake_aigto.paper.table1.run_rigid_cell", run_rigid)
     return interrupted
 
 

@@ -15,7 +15,7 @@ from replay_worlds import make_diagram, make_scenario, shipped_world
 from rigid_worlds import Array, make_motion, physics_of
 
 from drake_aigto import World
-from drake_aigto.planning.sequences import is_same, neighbors, read_sequences, retimed, swapped
+from drake_aigto.planning import is_same, neighbors, read_sequences, retimed, swapped
 from drake_aigto.simulation import find_contacts
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence

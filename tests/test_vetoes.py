@@ -18,7 +18,6 @@ from drake_aigto import Scenario, World, plan
 from drake_aigto.cli import INTERRUPTED, main
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal, rigid_optimum
 from drake_aigto.planning import BallTask, Plan, Planner, PlanningError, ProgramTask
-from drake_aigto.planning import program_task as planning_problem
 from drake_aigto.show import Page, add_verdict, format_plan
 from drake_aigto.simulation import Replay, replay_event_driven
 
@@ -84,7 +83,7 @@ def contradict(number: int) -> Any:
 
 
 def test_the_next_candidate_is_taken_if_drake_contradicts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planning_problem, "replay_drake", contradict(1))
+    monkeypatch.setattr("drake_aigto.planning.program_task.replay_drake", contradict(1))
     found = plan(table1(1, **COARSE))
     assert found.holds and found.cost > bounce_plan().cost
     assert found.candidates[1].cost == bounce_plan().cost
@@ -94,7 +93,7 @@ def test_a_candidate_that_drake_contradicts_is_told_in_the_plan_and_wherever_it_
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path
 ) -> None:
     caplog.set_level(logging.INFO, "drake_aigto")
-    monkeypatch.setattr(planning_problem, "replay_drake", contradict(1))
+    monkeypatch.setattr("drake_aigto.planning.program_task.replay_drake", contradict(1))
     found = plan(table1(1, **COARSE))
     found.save(tmp_path / "plan.json")
     (veto,) = Plan.load(tmp_path / "plan.json").vetoes
@@ -118,7 +117,7 @@ def test_nothing_that_holds_is_an_error_that_says_what_was_tried(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     cost = bounce_plan().cost
-    monkeypatch.setattr(planning_problem, "replay_drake", contradict(99))
+    monkeypatch.setattr("drake_aigto.planning.program_task.replay_drake", contradict(99))
     message = (
         r"nothing that was planned holds in simulation: got \d candidates from 5 rungs of AIGO "
         r"\(contact at 0\.550 s for 2\.18e-04, replayed 2\.18e-04, in Drake 1\.00e\+00 and "

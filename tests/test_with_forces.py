@@ -26,8 +26,7 @@ from drake_aigto.paper import (
     RigidWithForces,
     rigid_optimum,
 )
-from drake_aigto.planning import BallSearch, BallTask, PlanOptions, Rung, run_search
-from drake_aigto.planning.rungs import BALL_LADDER
+from drake_aigto.planning import BALL_LADDER, BallSearch, BallTask, PlanOptions, Rung, run_search
 from drake_aigto.transcription import RigidTranscription, Transcription
 
 Array = npt.NDArray[np.float64]

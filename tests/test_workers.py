@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 
 from drake_aigto.errors import MissingExtraError, OptionsError
-from drake_aigto.jobs import ProcessDiedError, open_jobs, open_workers, workers
+from drake_aigto.jobs import ProcessDiedError, open_jobs, open_workers
 
 
 @pytest.fixture(params=["with Dask", "without Dask"])
 def kind(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     if request.param == "without Dask":
-        monkeypatch.setattr(workers, "find_spec", lambda name: None)
+        monkeypatch.setattr("drake_aigto.jobs.workers.find_spec", lambda name: None)
 
 
 def die_unless(path: Path) -> int:
@@ -112,7 +112,7 @@ def test_where_jobs_can_not_run_is_refused(count: int, scheduler: str | None, me
 
 
 def test_a_scheduler_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "find_spec", lambda name: None)
+    monkeypatch.setattr("drake_aigto.jobs.workers.find_spec", lambda name: None)
     told = (
         r"^scheduler tcp://a:1: got no module 'distributed'.*pip install 'drake_aigto\[cluster\]'"
     )

@@ -33,6 +33,7 @@ from drake_aigto.aigo import AigoResult, Algorithm, Alternating, FullGradient
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import RigidWithForces
 from drake_aigto.planning import (
+    BALL_LADDER,
     BallSearch,
     BallTask,
     Origin,
@@ -41,10 +42,15 @@ from drake_aigto.planning import (
     coarsen,
     run_search,
 )
-from drake_aigto.planning.rungs import BALL_LADDER
 from drake_aigto.simulation import replay_event_driven
-from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
-from drake_aigto.transcription.rows import CONTACT, DYNAMICS, RESTITUTION
+from drake_aigto.transcription import (
+    CONTACT,
+    DYNAMICS,
+    RESTITUTION,
+    RigidTranscription,
+    Touch,
+    TouchSequence,
+)
 from drake_aigto.world import Scenario, World
 
 Way: TypeAlias = Literal["plan", "replay", "listed"]

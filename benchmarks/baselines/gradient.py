@@ -21,10 +21,8 @@ from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import AigtoError
 from drake_aigto.paper import LiteralOptions, make_literal_task, random_guess
-from drake_aigto.planning import BallTask, PlanOptions, ProgramTask, make_ball_task
-from drake_aigto.planning.candidate import LARGEST_DEFECT
-from drake_aigto.transcription import Touch, TouchSequence
-from drake_aigto.transcription.rows import largest_defect
+from drake_aigto.planning import LARGEST_DEFECT, BallTask, PlanOptions, ProgramTask, make_ball_task
+from drake_aigto.transcription import Touch, TouchSequence, largest_defect
 from drake_aigto.world import World
 
 

@@ -25,16 +25,15 @@ from drake_aigto.cli.progress import show_progress
 from drake_aigto.cli.scenario_flags import add_scenario, is_file, load_scenario, read_scenario
 from drake_aigto.errors import OptionsError
 from drake_aigto.output import check_writable, write_text
-from drake_aigto.paper import ROWS, LiteralOptions, plan_literal, run_table1
-from drake_aigto.paper.options import AlgorithmName
+from drake_aigto.paper import ROWS, AlgorithmName, LiteralOptions, plan_literal, run_table1
 from drake_aigto.plain import to_plain
 from drake_aigto.planning import (
+    LocalSolverName,
     Plan,
     Planner,
     PlanningError,
     PlanOptions,
 )
-from drake_aigto.planning.options import LocalSolverName
 from drake_aigto.show import cost_text, format_plan, format_replays
 from drake_aigto.world import Scenario, World
 

@@ -15,6 +15,7 @@ from .loop_run import is_run as is_run
 from .motion import Motion as Motion
 from .predictive import ModelPredictiveController as ModelPredictiveController
 from .predictive import TickStatus as TickStatus
+from .rigid_mechanism_horizon import RigidMechanismHorizon as RigidMechanismHorizon
 from .sweep import Sweep as Sweep
 from .touches_left import choose as choose
 from .touches_left import find_left as find_left

@@ -16,11 +16,11 @@ from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermErr
 from drake_aigto.planning import (
     BallSearch,
     BallTask,
+    Path,
     PlanningError,
     PlanOptions,
     make_ball_task,
 )
-from drake_aigto.planning.balls.phases import Path
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import Scales, Scenario, World
 

@@ -1,6 +1,7 @@
 from .literal import LiteralTranscription as LiteralTranscription
 from .literal import PolynomialLaw as PolynomialLaw
 from .options import LITERAL_LADDER as LITERAL_LADDER
+from .options import AlgorithmName as AlgorithmName
 from .options import LiteralOptions as LiteralOptions
 from .planner import LiteralSearch as LiteralSearch
 from .planner import plan_literal as plan_literal

@@ -14,14 +14,14 @@ from pydrake.symbolic import Expression
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError, OptionsError
-from drake_aigto.transcription.rows import (
+from drake_aigto.transcription import (
     DYNAMICS,
     KINEMATICS,
     NONPENETRATION,
+    Transcription,
     as_expression,
     shared_constraint,
 )
-from drake_aigto.transcription.transcription import Transcription
 from drake_aigto.world import Scenario, World
 
 

@@ -7,8 +7,7 @@ from typing import Literal, get_args
 
 from drake_aigto.errors import OptionsError
 from drake_aigto.planning import Rung, SearchOptions
-from drake_aigto.transcription import NONPENETRATION
-from drake_aigto.transcription.rows import DYNAMICS, KINEMATICS
+from drake_aigto.transcription import DYNAMICS, KINEMATICS, NONPENETRATION
 
 AlgorithmName = Literal["annealing", "full gradient", "alternating"]
 

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from drake_aigto.contact import contact_delay
 from drake_aigto.paper.options import LiteralOptions
 from drake_aigto.paper.problem import Knots, LiteralTask, make_literal_task
-from drake_aigto.planning import Candidate, Plan, SequenceSearch, Stopwatch
-from drake_aigto.planning.search import Progress
+from drake_aigto.planning import Candidate, Plan, Progress, SequenceSearch, Stopwatch
 from drake_aigto.transcription import Touch
 from drake_aigto.world import Scenario, World
 

@@ -22,8 +22,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.paper.literal import LiteralTranscription, PolynomialLaw
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription.knots import Layout
-from drake_aigto.transcription.rows import as_expression, shared_cost
+from drake_aigto.transcription import Layout, as_expression, shared_cost
 from drake_aigto.world import Scenario, World
 
 # The next state but one has about the square of a state's terms: soon no memory holds them.

@@ -25,8 +25,15 @@ from drake_aigto.paper.problem import (
     make_literal_task,
 )
 from drake_aigto.paper.rigid_optimum import RigidOptimum, rigid_optimum
-from drake_aigto.planning import Candidate, Plan, Planner, PlanningError, PlanOptions, Replays
-from drake_aigto.planning.options import LocalSolverName
+from drake_aigto.planning import (
+    Candidate,
+    LocalSolverName,
+    Plan,
+    Planner,
+    PlanningError,
+    PlanOptions,
+    Replays,
+)
 from drake_aigto.progress import Count
 from drake_aigto.simulation import Replay
 from drake_aigto.world import Scenario, World

@@ -28,16 +28,16 @@ from pydrake.symbolic import Expression, MakeVectorVariable
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper.literal import LiteralTranscription
-from drake_aigto.transcription.rigid import RigidTranscription
-from drake_aigto.transcription.rows import (
+from drake_aigto.transcription import (
     CONTACT,
     DYNAMICS,
     RESTITUTION,
+    RigidTranscription,
+    Transcription,
     as_expression,
     cut_to,
     shared_constraint,
 )
-from drake_aigto.transcription.transcription import Transcription
 from drake_aigto.world import Scenario, World
 
 PUSH = "push"

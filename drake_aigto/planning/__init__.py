@@ -1,16 +1,36 @@
 """From a scenario to a plan: search, refinement, and replay on rigid walls."""
 
-from drake_aigto.planning.balls.phases import coarsen
+from drake_aigto.planning.balls.arc_program import ArcPrograms
+from drake_aigto.planning.balls.arcs import Arcs, solve_in_arcs
+from drake_aigto.planning.balls.neighbors import find_grazes, find_insertions
+from drake_aigto.planning.balls.phases import Path, coarsen
 from drake_aigto.planning.balls.search import BallSearch
 from drake_aigto.planning.balls.task import BallTask, make_ball_task
-from drake_aigto.planning.candidate import Candidate, Origin, Replays, Veto
+from drake_aigto.planning.candidate import (
+    COASTING,
+    LARGEST_DEFECT,
+    Candidate,
+    Origin,
+    Replays,
+    Veto,
+)
 from drake_aigto.planning.mechanisms.boxes import Center, MechanismBoxes, StartedBoxes
-from drake_aigto.planning.mechanisms.phases import BouncingResult, find_deepest, lay_onto
+from drake_aigto.planning.mechanisms.closing import Aim, Launch, find_tight, steady
+from drake_aigto.planning.mechanisms.mode_edges import lead_over_edges
+from drake_aigto.planning.mechanisms.modes import drop, in_order, is_closed, list_hold_changes
+from drake_aigto.planning.mechanisms.phases import BouncingResult, find_deepest, lay_onto, lay_out
 from drake_aigto.planning.mechanisms.rigid_search import RigidMechanismSearch
 from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask, make_mechanism_task
 from drake_aigto.planning.mechanisms.search import MechanismSearch
 from drake_aigto.planning.mechanisms.task import MechanismTask
-from drake_aigto.planning.options import PlanOptions, SearchOptions
+from drake_aigto.planning.mechanisms.traces import (
+    add_impulses,
+    find_rates,
+    integrate_rates,
+    replay_at_knots,
+    trace,
+)
+from drake_aigto.planning.options import LocalSolverName, PlanOptions, SearchOptions
 from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
 from drake_aigto.planning.planner import Planner, needs_shooting, plan, run_search, start_search
 from drake_aigto.planning.program_task import ProgramTask
@@ -21,28 +41,45 @@ from drake_aigto.planning.rungs import (
     Renewal,
     Rung,
 )
-from drake_aigto.planning.search import Proposal, Search, Stopwatch
+from drake_aigto.planning.search import Progress, Proposal, Search, Stopwatch
 from drake_aigto.planning.sequence_search import SequenceSearch
+from drake_aigto.planning.sequences import (
+    is_same,
+    kinds,
+    neighbors,
+    read_sequences,
+    retimed,
+    swapped,
+)
 
 __all__ = [
     "BALL_LADDER",
+    "COASTING",
+    "LARGEST_DEFECT",
     "MECHANISM_LADDER",
+    "Aim",
+    "ArcPrograms",
+    "Arcs",
     "BallSearch",
     "BallTask",
     "BouncingResult",
     "Candidate",
     "Center",
+    "Launch",
+    "LocalSolverName",
     "MechanismBoxes",
     "MechanismRung",
     "MechanismSearch",
     "MechanismTask",
     "Origin",
+    "Path",
     "Plan",
     "PlanOptions",
     "PlanStats",
     "Planner",
     "PlanningError",
     "ProgramTask",
+    "Progress",
     "Proposal",
     "Renewal",
     "Replays",
@@ -55,13 +92,35 @@ __all__ = [
     "StartedBoxes",
     "Stopwatch",
     "Veto",
+    "add_impulses",
     "coarsen",
+    "drop",
     "find_deepest",
+    "find_grazes",
+    "find_insertions",
+    "find_rates",
+    "find_tight",
+    "in_order",
+    "integrate_rates",
+    "is_closed",
+    "is_same",
+    "kinds",
     "lay_onto",
+    "lay_out",
+    "lead_over_edges",
+    "list_hold_changes",
     "make_ball_task",
     "make_mechanism_task",
     "needs_shooting",
+    "neighbors",
     "plan",
+    "read_sequences",
+    "replay_at_knots",
+    "retimed",
     "run_search",
+    "solve_in_arcs",
     "start_search",
+    "steady",
+    "swapped",
+    "trace",
 ]

@@ -19,8 +19,7 @@ from drake_aigto.simulation import (
     replay_event_driven,
 )
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import Additions, Samples, TouchSequence
-from drake_aigto.transcription.rows import largest_defect
+from drake_aigto.transcription import Additions, Samples, TouchSequence, largest_defect
 from drake_aigto.world import Scales, Scenario, World
 
 ChangeName = Literal["seen", "dropped", "added", "swapped", "moved", "mode", "left out"]

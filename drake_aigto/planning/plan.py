@@ -17,7 +17,7 @@ from drake_aigto.planning.candidate import Candidate, Replays, Veto
 from drake_aigto.planning.options import SearchOptions
 from drake_aigto.simulation import BOUNDS, HARD_GOAL, confirms
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription.rows import largest_defect
+from drake_aigto.transcription import largest_defect
 from drake_aigto.world import Fingerprint, Scenario, World
 
 FORMAT = "drake_aigto plan"

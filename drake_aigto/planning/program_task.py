@@ -43,8 +43,7 @@ from drake_aigto.simulation import (
     replay_drake,
     replay_event_driven,
 )
-from drake_aigto.transcription import Transcription
-from drake_aigto.transcription.rows import largest_defect
+from drake_aigto.transcription import Transcription, largest_defect
 from drake_aigto.world import Scales, World
 
 _LOG = logging.getLogger(__name__)

@@ -12,10 +12,7 @@ from drake_aigto.box import BoxPolynomial, ParametricPolynomial
 from drake_aigto.local import compile_nlp
 from drake_aigto.solver import may_be_feasible
 from drake_aigto.terms import parse_costs
-from drake_aigto.transcription import Transcription
-from drake_aigto.transcription.additions import Additions
-from drake_aigto.transcription.consistency import check_together
-from drake_aigto.transcription.rows import Bounds
+from drake_aigto.transcription import Additions, Bounds, Transcription, check_together
 
 _LOG = logging.getLogger(__name__)
 

@@ -11,8 +11,7 @@ import numpy as np
 from drake_aigto.aigo import Annealing
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.errors import OptionsError
-from drake_aigto.transcription import NONPENETRATION
-from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
+from drake_aigto.transcription import CONTACT, DYNAMICS, FLIGHT, NONPENETRATION, RESTITUTION
 
 StartName = Literal["line", "coast"]
 MechanismStart = Literal["rest", "coast", "line"]

@@ -18,7 +18,7 @@ from drake_aigto.kernels import tell_compilation
 from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Origin, Replays
 from drake_aigto.planning.options import SearchOptions
 from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
-from drake_aigto.transcription.rows import scaled_defects
+from drake_aigto.transcription import scaled_defects
 
 if TYPE_CHECKING:
     from drake_aigto.world import Scenario, World

@@ -10,7 +10,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.planning.candidate import LARGEST_DEFECT
 from drake_aigto.simulation import Replay, max_penetration
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription.rows import DYNAMICS, FLIGHT, NONPENETRATION
+from drake_aigto.transcription import DYNAMICS, FLIGHT, NONPENETRATION
 from drake_aigto.world import World
 
 # Changes of velocity below this part of the largest velocity are rounding.

@@ -26,7 +26,7 @@ from drake_aigto.show.text import (
     touch_names,
 )
 from drake_aigto.simulation import PlannedContact, Replay
-from drake_aigto.transcription.rows import UNITS
+from drake_aigto.transcription import UNITS
 from drake_aigto.world import Scenario, World
 
 Fact = tuple[str, str]

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact import JointImpact
 from drake_aigto.local import Monomial, NlpBuilder
-from drake_aigto.transcription import NONPENETRATION
-from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
+from drake_aigto.transcription import CONTACT, DYNAMICS, FLIGHT, NONPENETRATION, RESTITUTION
 
 if TYPE_CHECKING:
     from drake_aigto.dynamics import ConstantDynamics

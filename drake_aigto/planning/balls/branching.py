@@ -25,8 +25,7 @@ from drake_aigto.planning.candidate import LARGEST_DEFECT, ChangeName, Origin
 from drake_aigto.planning.search import Proposal, Stopwatch, scaled
 from drake_aigto.planning.sequence_search import SequenceSearch
 from drake_aigto.planning.sequences import is_same, kinds, neighbors, retimed
-from drake_aigto.transcription import TouchSequence
-from drake_aigto.transcription.rows import largest_defect
+from drake_aigto.transcription import TouchSequence, largest_defect
 
 # Parts of the duration by which the times of two sequences of the same contacts differ at most, if
 # their polish is expected to end in one optimum, and if it has.

@@ -16,9 +16,17 @@ from drake_aigto.planning.balls.arcs import solve_in_arcs
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.program_task import ProgramTask
 from drake_aigto.planning.programs import CompiledPrograms
-from drake_aigto.transcription import PhaseTranscription, RigidTranscription, TouchSequence
-from drake_aigto.transcription.timeline import bend, straight_path
-from drake_aigto.transcription.touches import AT_ONCE, Facing, find_facings, joint_times
+from drake_aigto.transcription import (
+    AT_ONCE,
+    Facing,
+    PhaseTranscription,
+    RigidTranscription,
+    TouchSequence,
+    bend,
+    find_facings,
+    joint_times,
+    straight_path,
+)
 from drake_aigto.world import Scenario, World
 
 # AIGO's boxes tell a bounce from the start's own push if so many steps lead to the wall; for that

@@ -31,8 +31,7 @@ from drake_aigto.planning.sequences import (
     kinds,
     swapped,
 )
-from drake_aigto.transcription import Touch, TouchSequence
-from drake_aigto.transcription.touches import joint_times
+from drake_aigto.transcription import Touch, TouchSequence, joint_times
 
 _LOG = logging.getLogger(__name__)
 

@@ -25,9 +25,9 @@ from drake_aigto.transcription import (
     RigidTranscription,
     TouchSequence,
     Transcription,
+    largest_defect,
     touches_at_once,
 )
-from drake_aigto.transcription.rows import largest_defect
 
 if TYPE_CHECKING:
     from drake_aigto.world import Scenario, World

@@ -38,8 +38,14 @@ from drake_aigto.shooting import (
 )
 from drake_aigto.simulation import Replay, find_impacts, replay_event_driven
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import NO_ADDITIONS, Additions, Touch, TouchSequence
-from drake_aigto.transcription.rows import INTEGRATION, RESTITUTION
+from drake_aigto.transcription import (
+    INTEGRATION,
+    NO_ADDITIONS,
+    RESTITUTION,
+    Additions,
+    Touch,
+    TouchSequence,
+)
 from drake_aigto.world import Scenario, World
 
 # A motion that is this deep inside of a wall between knots, as a part of the task's length, has a

@@ -51,8 +51,7 @@ from drake_aigto.simulation import (
     replay_event_driven,
 )
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import Ends, Samples, soften
-from drake_aigto.transcription.rows import INTEGRATION
+from drake_aigto.transcription import INTEGRATION, Ends, Samples, soften
 from drake_aigto.world import Scenario
 
 # Runge-Kutta steps of a finalist are halved until cost and end change by this part of their scales.

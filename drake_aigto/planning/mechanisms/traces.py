@@ -54,10 +54,10 @@ def trace(
     knots = np.clip(np.searchsorted(times, starts + h / 2) - 1, 0, len(controls) - 1)
     x = np.hstack([replay.positions, replay.velocities])
     modes = _read_modes(world, replay, starts + h / 2)
-    rates = _find_rates(world, law, x[:-1][is_step], controls[knots], modes)
+    rates = find_rates(world, law, x[:-1][is_step], controls[knots], modes)
     sizes, steps = np.max(np.abs(x), axis=0), _STEPS
     while True:
-        ends, pushes = _integrate(rates, x[:-1][is_step], h, steps)
+        ends, pushes = integrate_rates(rates, x[:-1][is_step], h, steps)
         if isinstance(law, RigidLaw):
             _begin_rest(world, ends, x[1:][is_step])
         off = np.abs(ends - x[1:][is_step])
@@ -82,7 +82,7 @@ def _read_modes(world: World, replay: Replay, times: Floats) -> Ints:
     return modes
 
 
-def _find_rates(world: World, law: ContactLaw, x: Floats, controls: Floats, modes: Ints) -> Rates:
+def find_rates(world: World, law: ContactLaw, x: Floats, controls: Floats, modes: Ints) -> Rates:
     """Returns the equations of motion of states (K, 2n), each under its control (K, nu).
 
     What rubs on a rigid wall is held in modes, shape (K, m).
@@ -163,8 +163,10 @@ def _begin_rest(world: World, ends: Floats, after: Floats) -> None:
         ends[row, n:] -= kicks @ np.linalg.lstsq(J @ kicks, speeds[row, begins[row]])[0]
 
 
-def _integrate(rates: Rates, x: Floats, durations: Floats, steps: int) -> tuple[Floats, Floats]:
-    """Returns where states (K, 2n) are after durations (K,) [s], and what contacts gave [N s].
+def integrate_rates(
+    rates: Rates, x: Floats, durations: Floats, steps: int
+) -> tuple[Floats, Floats]:
+    """Returns states (K, 2n) after durations (K,) [s], and the impulses of contacts [N s].
 
     Few steps may run away, to numbers that are not finite.
     """
