@@ -118,12 +118,13 @@ def past_doors(source: str, package: str) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize(
-    "path", [*FILES, *OUTSIDE], ids=lambda path: f"{path.parent.name}/{path.name}"
-)
-def test_nothing_is_imported_past_a_rooms_door(path: Path) -> None:
-    package = ".".join(path.relative_to(CHECKOUT).parts[:-1])
-    assert past_doors(path.read_text(encoding="utf-8"), package) == []
+def test_nothing_is_imported_past_a_rooms_door() -> None:
+    found = {}
+    for path in (*FILES, *OUTSIDE):
+        package = ".".join(path.relative_to(CHECKOUT).parts[:-1])
+        if past := past_doors(path.read_text(encoding="utf-8"), package):
+            found[str(path.relative_to(CHECKOUT))] = past
+    assert found == {}
 
 
 @pytest.mark.parametrize(

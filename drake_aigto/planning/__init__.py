@@ -15,7 +15,7 @@ from drake_aigto.planning.candidate import (
     Veto,
 )
 from drake_aigto.planning.mechanisms.boxes import Center, MechanismBoxes, StartedBoxes
-from drake_aigto.planning.mechanisms.closing import Aim, Launch, find_tight, steady
+from drake_aigto.planning.mechanisms.closing import COARSE, Aim, Launch, find_tight, steady
 from drake_aigto.planning.mechanisms.mode_edges import lead_over_edges
 from drake_aigto.planning.mechanisms.modes import drop, in_order, is_closed, list_hold_changes
 from drake_aigto.planning.mechanisms.phases import BouncingResult, find_deepest, lay_onto, lay_out
@@ -54,6 +54,7 @@ from drake_aigto.planning.sequences import (
 
 __all__ = [
     "BALL_LADDER",
+    "COARSE",
     "COASTING",
     "LARGEST_DEFECT",
     "MECHANISM_LADDER",
