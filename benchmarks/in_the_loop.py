@@ -53,7 +53,6 @@ from drake_aigto.control import (
     Disturbance,
     Horizon,
     Motion,
-    make_horizon,
     run_in_loop,
 )
 from drake_aigto.planning import needs_shooting
@@ -274,7 +273,7 @@ def prepare(name: str, num_steps: int | None = None) -> Task:
     world = World.from_scenario(scenario)
     options = MECHANISMS if needs_shooting(world, scenario) else BALLS
     planner = Planner(scenario, options, world)
-    horizon = make_horizon(planner, is_receding=False, iterations=5, period=PERIOD)
+    horizon = Horizon(planner, is_receding=False, iterations=5, period=PERIOD)
     x = np.concatenate([scenario.initial_position, scenario.initial_velocity])
     motion = horizon.search(0.0, x)
     assert motion is not None

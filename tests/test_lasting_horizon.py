@@ -10,7 +10,7 @@ import pytest
 
 from drake_aigto import ModelPredictiveController, Planner, PlanOptions, Scenario, World
 from drake_aigto.arrays import Floats
-from drake_aigto.control import Disturbance, Motion, RigidMechanismHorizon, run_in_loop
+from drake_aigto.control import Disturbance, Horizon, Motion, run_in_loop
 from drake_aigto.planning import MECHANISM_LADDER, RigidMechanismTask
 from drake_aigto.simulation import EVENT_DRIVEN, HeldControl, replay_event_driven
 from drake_aigto.transcription import Touch
@@ -30,8 +30,8 @@ def find_plan() -> Motion:
 
 
 @cache
-def find_horizon(is_receding: bool = False) -> RigidMechanismHorizon:
-    return RigidMechanismHorizon(find_world(), BLOCK, PlanOptions(), is_receding, 15, STEP)
+def find_horizon(is_receding: bool = False) -> Horizon:
+    return Horizon(Planner(BLOCK, PlanOptions(), find_world()), is_receding, 15, STEP)
 
 
 def push(now: float, x: Floats, control: Floats, friction: float) -> Floats:

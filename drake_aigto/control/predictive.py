@@ -15,9 +15,8 @@ from pydrake.trajectories import PiecewisePolynomial
 from drake_aigto.arrays import Floats
 from drake_aigto.control.bounces_seen import SeenBounces
 from drake_aigto.control.horizon import Horizon
-from drake_aigto.control.horizons import make_horizon
-from drake_aigto.control.motion import Motion
 from drake_aigto.control.ports import check_period, read_start
+from drake_aigto.control.touches_left import Motion
 from drake_aigto.errors import ControlError
 from drake_aigto.planning import Planner
 from drake_aigto.trajectory import Trajectory
@@ -191,13 +190,11 @@ class ModelPredictiveController(LeafSystem):
         self.period = check_period(period)
         self._world, self._every = planner.world, search_every
         self._margin, self._surprise, self._learns = margin, surprise, learns
-        self._horizon: Horizon = make_horizon(
-            planner, horizon == "receding", iterations, self.period
-        )
+        self._horizon = Horizon(planner, horizon == "receding", iterations, self.period)
         self._search_ticks = search_ticks
         if search_ticks is not None:
             # In its thread it shares nothing that changes.
-            self._searching = make_horizon(planner, horizon == "receding", iterations, self.period)
+            self._searching = Horizon(planner, horizon == "receding", iterations, self.period)
             self._thread = ThreadPoolExecutor(1, "search")
         n, nu = self._world.num_positions, self._world.num_actuators
         rest = self._horizon.rest(0.0, np.zeros(2 * n))

@@ -1,12 +1,14 @@
-"""Which touches of a plan may still come, and which motion is taken of several."""
+"""Motions over a horizon: which of their touches may still come, and which motion is taken."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.motion import Motion
+from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence
 
 # Touches that are planned within so many periods of now may have happened, or not yet.
@@ -15,6 +17,38 @@ _NEAR = 2.0
 _DEARER = 0.05
 # Touches are kept this part of the time that is left apart, and away from both ends.
 _APART = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A motion over a horizon.
+
+    Attributes:
+        trajectory: states and controls at knots, in the context's time.
+        cost: J from the first knot on.
+        touches: the contacts that are come into, by time, which is the context's.
+    """
+
+    trajectory: Trajectory
+    cost: float
+    touches: TouchSequence
+
+    def calc_control(self, time: float) -> Floats:
+        """Returns u at a time, shape (nu,); before and after the horizon its first and last."""
+        times, controls = self.trajectory.times, self.trajectory.controls
+        k = int(np.searchsorted(times, time, side="right")) - 1
+        return np.array(controls[min(max(k, 0), len(controls) - 1)])
+
+    def calc_state(self, time: float) -> Floats:
+        """Returns q and v at a time, shape (2n,); beyond the horizon its first and last."""
+        times = self.trajectory.times
+        state, _ = self.trajectory.to_piecewise()
+        return np.array(state.value(min(max(time, times[0]), times[-1]))[:, 0])
+
+    def later(self, by: float) -> Motion:
+        """Returns the same motion, later by a duration [s]."""
+        touches = (replace(each, start=each.start + by, end=each.end + by) for each in self.touches)
+        return Motion(self.trajectory.later(by), self.cost, tuple(touches))
 
 
 def find_left(

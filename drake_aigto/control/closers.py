@@ -1,0 +1,399 @@
+"""How the last motion becomes the next one: what differs between worlds that are planned again."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from drake_aigto.arrays import Bools, Floats, interpolate
+from drake_aigto.control.touches_left import Motion, choose, find_left, keep_apart
+from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
+from drake_aigto.planning import (
+    BallSearch,
+    BallTask,
+    BouncingResult,
+    MechanismSearch,
+    Path,
+    Planner,
+    PlanningError,
+    RigidMechanismTask,
+    find_deepest,
+    lay_onto,
+    make_ball_task,
+    make_mechanism_task,
+    start_search,
+)
+from drake_aigto.shooting import ShootingOptions, ShootingResult, Smoothing
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import Touch, TouchSequence
+from drake_aigto.world import Scenario
+
+# Iterations of the local solver for balls after plain Newton steps: none, but where these lead to
+# nothing. And the same of searches, whose unlikely touches would take most of their time.
+_ITERATIONS, _SEARCHED = (0, 20), 10
+# How many places of walls are kept compiled at most.
+_MOST_KEPT = 8
+# Where nothing promises more than this part of the cost, a descent ends before its iterations do.
+_TOLERANCE = 1e-4
+# A tick descends on compliant walls that are smoothed by this part of the task's length: about how
+# far off an estimate is that can still be planned from.
+_SMOOTHING, _SUBSTEPS = 1e-3, 4
+# Friction is resolved by Runge-Kutta steps that are no longer than these parts of a time step.
+_FEWEST, _MOST = 8, 64
+# What a search finds is led this near to its optimum, before it is compared.
+_FOUND = Smoothing(_SMOOTHING, 60, _TOLERANCE)
+# What misses its walls, bounds or hard goal by more than this part of the scales is no motion.
+_MUCH = 1e-2
+# A contact that lasts is this near to its wall, as a part of the task's length, and this slow, as a
+# part of its speed.
+_AT_WALL, _STILL = 1e-4, 1e-2
+# Times that differ by less than this part are the same.
+_SAME = 1e-9
+# How often a tick's iterations are run again, until walls are met.
+_UPDATES = 4
+# What is tried where these lead to nothing, and after a search. The last plan is near: steps that
+# close gaps at any cost leave it for motions that cost twice as much.
+_MORE = ShootingOptions(
+    rungs=(Smoothing(0.0, 20, _TOLERANCE),),
+    substeps=4,
+    order=2,
+    multiplier_updates=8,
+    is_wary=True,
+)
+
+
+class Closer(ABC):
+    """Local optima of a task that is asked from one state after another.
+
+    Attributes:
+        num_steps: time steps of a motion.
+        cost_scale: what the task costs where all is off by its scale.
+        is_rigid: whether walls return a part of the speed that they are hit with.
+    """
+
+    is_rigid = True
+    num_steps: int
+    cost_scale: float
+
+    @abstractmethod
+    def is_inside(self, x: Floats) -> bool:
+        """Returns whether a state is inside of a wall that nothing can be planned from."""
+
+    @abstractmethod
+    def lead(self, last: Motion, left: Trajectory, asked: Scenario) -> Motion | None:
+        """Returns the best motion near what is left of the last one; None if there is none.
+
+        Args:
+            last: the motion, with its touches and its cost.
+            left: what is left of it, from a state on.
+            asked: the task from there on.
+        """
+
+    @abstractmethod
+    def search(self, asked: Scenario, now: float, x: Floats) -> Motion | None:
+        """Returns the best motion that the planner finds from a state on; None if none."""
+
+
+class BallCloser(Closer):
+    """Balls between rigid walls: what has to be known of a plan is its touches.
+
+    Each tick polishes the multi-phase problem of those that are still to come, from the last
+    plan's times. Which these are, a state does not tell for sure: a bounce may come sooner or later
+    than it was planned. So near a touch, or where one was just seen, the motion with it and that
+    without it are polished, the likelier first, and the other where that costs more than the last
+    plan did: to repeat a bounce that has been costs more, and so does to leave one out.
+    """
+
+    def __init__(self, planner: Planner, period: float) -> None:
+        """Compiles the planner's task, for ticks a period [s] apart."""
+        world, scenario = planner.world, planner.scenario
+        self._task = make_ball_task(world, scenario, planner.options).in_brief(_SEARCHED)
+        self.num_steps, self._period = scenario.num_steps, period
+        self.cost_scale = self._task.transcription.cost_scale()
+        self._bounced: int | None = None
+        self._kept: dict[tuple[float, ...], BallTask] = {}
+
+    def knowing(self, bounced: int | None, nearer: tuple[float, ...]) -> BallCloser:
+        """Returns the same where a contact was just seen to bounce, and walls stand nearer [m]."""
+        learned = copy.copy(self)
+        learned._bounced = bounced
+        if any(nearer):
+            if nearer not in self._kept:
+                if len(self._kept) >= _MOST_KEPT:
+                    del self._kept[next(iter(self._kept))]
+                # Its diagram, where walls are as they were, is not simulated.
+                moved = self._task.world.with_walls_nearer(np.array(nearer))
+                self._kept[nearer] = self._task.in_world(moved)
+            learned._task = self._kept[nearer]
+        return learned
+
+    def is_inside(self, x: Floats) -> bool:
+        """Returns whether a wall is touched: how fast a ball is there, no rigid wall tells."""
+        return bool(np.any(self._task.world.calc_clearance(np.split(x, 2)[0]) <= 0))
+
+    def lead(self, last: Motion, left: Trajectory, asked: Scenario) -> Motion | None:
+        """Returns the best polished motion of the touches that may be left; None if none is."""
+        task, now = self._task.again(asked), float(left.times[0])
+        rates = task.world.calc_contact_rate(left.positions[0], left.velocities[0])
+        may_be_left = find_left(
+            last.touches, now, asked.duration, self._period, rates, self._bounced
+        )
+        sequences = [each for each in may_be_left if task.fits(each)]
+        path = left.times - now, left.positions
+        for most in _ITERATIONS:
+            tried = (_polish(task, path, touches, most) for touches in sequences)
+            if found := choose(tried, last.cost):
+                return found.later(now)
+        return None
+
+    def search(self, asked: Scenario, now: float, x: Floats) -> Motion | None:
+        """Returns the best motion that boxes, neighbors and polishes lead to; None if none."""
+        search = BallSearch(self._task.again(asked))
+        try:
+            search.run()
+            best = search.find_best()
+        except PlanningError:
+            return None
+        if search.is_interrupted:
+            raise KeyboardInterrupt
+        if not best.is_confirmed:
+            return None
+        touches = tuple(Touch(each.time, each.last_time, each.index) for each in best.contacts)
+        return Motion(best.trajectory, best.cost, touches).later(now)
+
+
+def _polish(
+    task: BallTask, path: Path, touches: TouchSequence, max_iterations: int
+) -> Motion | None:
+    """Returns the local optimum with these touches; None if no motion has them, or none is met."""
+    try:
+        solved = task.follow(path, touches, max_iterations)
+    except (OptionsError, TrajectoryError, UnsupportedTermError):
+        return None
+    if solved is None:
+        return None
+    phases, x = solved
+    return Motion(phases.trajectory(x), task.cost(phases, x), phases.contact_sequence(x))
+
+
+class _ShootingCloser(Closer):
+    """Mechanisms, whose motions a descent leads from one tick to the next."""
+
+    def __init__(self, planner: Planner) -> None:
+        """Compiles the planner's task."""
+        self.world = planner.world
+        self._task = make_mechanism_task(planner.world, planner.scenario, planner.options)
+        self.num_steps, self.cost_scale = self._task.search_steps, self._task.scales.cost
+
+    def _search(self, asked: Scenario) -> ShootingResult | None:
+        """Returns the best motion that boxes, renewals and neighbors lead to, from time 0 on."""
+        search = start_search(self._task.again(asked))
+        assert isinstance(search, MechanismSearch)
+        search.explore()
+        return search.motions[0].result if search.motions else None
+
+
+class CompliantCloser(_ShootingCloser):
+    """A mechanism between compliant walls, or one that touches nothing.
+
+    There a motion is all that has to be known of a plan, and a few iterations of the descent lead
+    from the last one to the next (`ShootingProblem`).
+    """
+
+    is_rigid = False
+
+    def __init__(self, planner: Planner, iterations: int) -> None:
+        """Compiles the planner's task, for at most this many iterations in a tick."""
+        super().__init__(planner)
+        task = self._task.shooting(self.num_steps)
+        self._problem = dataclasses.replace(task, duration=planner.scenario.duration)
+        self._has_friction = task.mechanism.rubs
+        substeps, order = _SUBSTEPS, 2
+        if self._has_friction:
+            substeps, order = min(max(task.rubbing_substeps, _FEWEST), _MOST), 4
+        rungs = (Smoothing(_SMOOTHING, iterations, _TOLERANCE),)
+        self._options = ShootingOptions(rungs, substeps, order=order, multiplier_updates=1)
+
+    def is_inside(self, x: Floats) -> bool:
+        """Returns False: compliant walls may be planned in."""
+        return False
+
+    def lead(self, last: Motion, left: Trajectory, asked: Scenario) -> Motion | None:
+        """Returns what a few iterations make of what is left of a motion."""
+        states = np.hstack([left.positions, left.velocities])
+        return self._descend(left.times, states, left.controls, self._options, last.cost)
+
+    def search(self, asked: Scenario, now: float, x: Floats) -> Motion | None:
+        """Returns the best motion that boxes and renewals find from a state; None if none."""
+        found = self._search(asked)
+        if found is None:
+            return None
+        states = np.vstack([x, found.states[1:]])
+        options = dataclasses.replace(self._options, rungs=(_FOUND,))
+        return self._descend(now + found.times, states, found.controls, options, np.inf)
+
+    def _descend(
+        self,
+        times: Floats,
+        states: Floats,
+        controls: Floats,
+        options: ShootingOptions,
+        last_cost: float,
+    ) -> Motion | None:
+        """Returns the best motion near another one, whose gaps it closes; None if it finds none.
+
+        Steps that close gaps let go of what is pushed by friction, and stay off it. So, with
+        friction, what the controls lead to is tried before, from which no step costs more than the
+        one before; gaps are closed where that costs more than the last plan did.
+        """
+        problem = dataclasses.replace(self._problem, times=times, start=states[0])
+        starts = (None, states) if self._has_friction else (states,)
+        tried = (self._read(problem.solve(controls, start, options)) for start in starts)
+        return choose(tried, last_cost)
+
+    def _read(self, found: ShootingResult) -> Motion | None:
+        """Returns a result as a motion; None if it leads nowhere."""
+        if not (np.isfinite(found.cost) and np.all(np.isfinite(found.states))):
+            return None
+        q, v = np.split(found.states, 2, axis=1)
+        none = np.zeros((len(q), self.world.num_contacts))
+        motion = Trajectory(found.times, q, v, found.controls, none, none[1:])
+        inside = self.world.calc_signed_distance(q) <= 0
+        comes = inside & ~np.vstack([np.zeros_like(inside[:1]), inside[:-1]])
+        touches = (Touch.bounce(found.times[k], int(i)) for k, i in np.argwhere(comes))
+        return Motion(motion, found.cost, tuple(touches))
+
+
+class RigidCloser(_ShootingCloser):
+    """A mechanism between rigid walls: a plan is its touches, and its motion.
+
+    A few iterations of the descent, in the phases between the touches that are still to come, lead
+    from the last plan to the next (`Phases`). Which touches these are is asked as for balls. Where
+    they lead into a wall, as after a kick, a bounce is added there. With friction each touch keeps
+    its mode, stick or slip. A contact that lasts does so as long as it was planned to, in the modes
+    of the last plan, but for a slip that is seen to be another.
+    """
+
+    _task: RigidMechanismTask
+
+    def __init__(self, planner: Planner, iterations: int, period: float) -> None:
+        """Compiles the planner's task, for at most this many iterations of a descent in a tick.
+
+        The period is that between ticks [s].
+        """
+        super().__init__(planner)
+        self._period = period
+        rungs = (Smoothing(0.0, iterations, _TOLERANCE),)
+        self._options = dataclasses.replace(_MORE, rungs=rungs, multiplier_updates=_UPDATES)
+
+    def is_inside(self, x: Floats) -> bool:
+        """Returns whether a wall is touched, and no contact lasts there.
+
+        How fast something is in a rigid wall, the wall does not tell.
+        """
+        of_solids = self.world.are_of_one_solid @ self._lasts(x)
+        inside = self.world.calc_signed_distance(np.split(x, 2)[0]) <= 0
+        return any(
+            np.all(inside[list(faces)]) and not np.any(of_solids[list(faces)])
+            for faces in self.world.solids
+        )
+
+    def _lasts(self, x: Floats) -> Bools:
+        """Returns which contacts last in a state, shape (m,)."""
+        scales, (q, v) = self._task.scales, np.split(x, 2)
+        at = np.abs(self.world.calc_signed_distance(q)) <= _AT_WALL * scales.length
+        rates = self.world.calc_contact_rate(q, v)
+        return np.asarray(at & (np.abs(rates) <= _STILL * scales.velocity))
+
+    def _read_slips(self, x: Floats) -> dict[int, int]:
+        """Returns, of contacts that last, the sign of the slip, 0 if they stick."""
+        q, v = np.split(x, 2)
+        slips = self.world.rubbing.calc_slips(q, v)
+        is_still = np.abs(slips) <= _STILL * self._task.scales.velocity
+        has_friction = self._task.rigid_law.friction > 0
+        signs = np.where(is_still | ~has_friction, 0.0, np.sign(slips)).astype(int)
+        return {int(i): int(signs[i]) for i in np.flatnonzero(self._lasts(x))}
+
+    def lead(self, last: Motion, left: Trajectory, asked: Scenario) -> Motion | None:
+        """Returns what a few iterations make of what is left of a motion; None if that is none."""
+        now, q, v = float(left.times[0]), left.positions[0], left.velocities[0]
+        duration, rates = float(left.times[-1]) - now, self.world.calc_contact_rate(q, v)
+        touches, slips = _go_on(last), self._read_slips(np.concatenate([q, v]))
+        sequences = list(find_left(touches, now, duration, self._period, rates, None, slips))
+        missed = list[BouncingResult]()
+        for options in (self._options, _MORE):
+            missed.clear()
+            if found := choose(self._close(left, sequences, options, missed), last.cost):
+                return found
+        return choose((self._with_bounce(each, now) for each in missed), last.cost)
+
+    def _close(
+        self,
+        left: Trajectory,
+        sequences: Iterable[TouchSequence],
+        options: ShootingOptions,
+        found: list[BouncingResult],
+    ) -> Iterator[Motion | None]:
+        """Yields the motions of descents, and appends what they led to, which may be none."""
+        for touches in sequences:
+            found.append(self._descend(left, touches, options))
+            yield self._read(found[-1], float(left.times[0]))
+
+    def search(self, asked: Scenario, now: float, x: Floats) -> Motion | None:
+        """Returns the best motion that boxes, renewals and neighbors lead to; None if none."""
+        found = self._search(asked)
+        if found is None:
+            return None
+        assert isinstance(found, BouncingResult)
+        motion = found.as_trajectory(self.world).later(now)
+        q, v = np.split(x, 2)
+        left = dataclasses.replace(
+            motion,
+            positions=np.vstack([q, motion.positions[1:]]),
+            velocities=np.vstack([v, motion.velocities[1:]]),
+            impulses=np.vstack([0 * motion.impulses[0], motion.impulses[1:]]),
+        )
+        return self._read(self._descend(left, found.touches, _MORE), now)
+
+    def _with_bounce(self, missed: BouncingResult, now: float) -> Motion | None:
+        """Returns the best motion near one that misses walls, with a bounce where it is deepest."""
+        dip = find_deepest(self.world, missed) if np.isfinite(missed.cost) else None
+        if dip is None:
+            return None
+        motion = missed.as_trajectory(self.world)
+        apart = keep_apart(self._task.with_dip(missed, dip), 0.0, float(motion.times[-1]))
+        return self._read(self._descend(motion.later(now), apart, _MORE), now)
+
+    def _descend(
+        self, left: Trajectory, touches: TouchSequence, options: ShootingOptions
+    ) -> BouncingResult:
+        """Returns the best motion near a trajectory, with touches as times after its start."""
+        q, elapsed = left.positions, left.times - left.times[0]
+        times, phases = lay_onto(touches, elapsed, self.world.num_contacts)
+        after = np.hstack([q, left.velocities + self.world.calc_velocity_change(q, left.impulses)])
+        middles = (times[1:] + times[:-1]) / 2
+        problem = dataclasses.replace(self._task.pose_phases(times, phases), start=after[0])
+        controls = left.controls[np.searchsorted(elapsed, middles) - 1]
+        found = problem.solve(controls, interpolate(times, elapsed, after), options)
+        return BouncingResult.of(found, phases)
+
+    def _read(self, found: BouncingResult, now: float) -> Motion | None:
+        """Returns a result as a motion from now on; None if it leads nowhere, or misses walls."""
+        is_finite = np.isfinite(found.cost) and np.all(np.isfinite(found.states))
+        if not is_finite or found.violation > _MUCH:
+            return None
+        motion = found.as_trajectory(self.world)
+        return Motion(motion, self._task.price(found), found.touches).later(now)
+
+
+def _go_on(motion: Motion) -> TouchSequence:
+    """Returns the touches of a motion; what lasts to its end goes on beyond it."""
+    end = (1 - _SAME) * float(motion.trajectory.times[-1])
+    return tuple(
+        dataclasses.replace(touch, end=np.inf) if touch.lasts and touch.end >= end else touch
+        for touch in motion.touches
+    )
