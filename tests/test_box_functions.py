@@ -13,7 +13,6 @@ from box_programs import evaluate, evaluate_in_a_program
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rational_means import exact_factor_mean, exact_row, relative_error
-from scipy.integrate import quad
 
 from drake_aigto.box import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE
 from drake_aigto.terms import Factor, FunctionKind
@@ -185,30 +184,6 @@ def test_scale_and_offset_act_as_a_change_of_variable(
     chain = np.ones(6)
     chain[[D_C, D_CZ]], chain[D_CC] = scale, scale * scale
     np.testing.assert_array_equal(outer, inner * chain)
-
-
-@pytest.mark.parametrize(
-    ("factor", "function", "center", "half_width"),
-    [
-        (HINGE, lambda y: max(-y, 0.0), 0.3, 0.7),
-        (HINGE, lambda y: max(-y, 0.0), -5.0, 2.0),
-        (SQUARED_HINGE, lambda y: min(y, 0.0) ** 2, 0.3, 0.7),
-        (SQUARED_HINGE, lambda y: min(y, 0.0) ** 2, -0.3, 0.7),
-        (SQUARED_HINGE, lambda y: min(y, 0.0) ** 2, -5.0, 2.0),
-        (SQUARED_HINGE, lambda y: min(y, 0.0) ** 2, 5.0, 2.0),
-        (NEG_LOG, lambda y: -math.log(y), 3.0, 2.9),
-        (NEG_LOG, lambda y: -math.log(y), 3.0, 0.9),
-        (NEG_LOG, lambda y: -math.log(y), 3.0, 0.1),
-        (Factor(0, FunctionKind.POWER, 5), lambda y: y**5, -1.5, 2.0),
-    ],
-)
-def test_means_agree_with_quadrature(
-    factor: Factor, function: Callable[[float], float], center: float, half_width: float
-) -> None:
-    low, high = center - half_width, center + half_width
-    integral, error = quad(function, low, high, points=[0.0] if low < 0.0 < high else None)
-    computed = evaluate(factor, center, half_width)[VALUE]
-    assert computed == pytest.approx(integral / (2 * half_width), abs=2 * error, rel=1e-13)
 
 
 @given(

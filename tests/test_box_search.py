@@ -93,7 +93,7 @@ def test_a_bent_valley_is_followed_to_its_end() -> None:
 @given(st.integers(0, 10**6), st.floats(-1.5, 1.5), st.floats(0.1, 1.0))
 def test_every_candidate_is_inside_the_box(seed: int, shift: float, width: float) -> None:
     f, _, _ = sextic_chain(4, seed)
-    box = Box(np.full(4, shift), np.full(4, width))
+    box = Box(np.full(4, shift), width * np.array([1.0, 0.0, 1.0, 0.5]))  # One variable is held.
     result = BoxSearch(rounds=15).run(f, box)
     for candidate in result.candidates:
         assert np.all(candidate.x >= box.center - box.half_width)
@@ -102,15 +102,6 @@ def test_every_candidate_is_inside_the_box(seed: int, shift: float, width: float
     costs = [candidate.cost for candidate in result.candidates]
     assert costs == sorted(costs, reverse=True)
     assert result.best.cost == costs[-1]
-
-
-def test_held_variables_stay() -> None:
-    f, _, _ = sextic_chain(5, 2)
-    box = Box(np.array([0.0, 0.3, 0.0, 0.0, -1.0]), np.array([2.2, 0.0, 2.2, 2.2, 0.0]))
-    result = BoxSearch(rounds=20).run(f, box)
-    for candidate in result.candidates:
-        assert candidate.x[1] == 0.3
-        assert candidate.x[4] == -1.0
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_one_other_boxes() -> None:

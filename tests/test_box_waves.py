@@ -12,7 +12,6 @@ from box_programs import evaluate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rational_means import exact_factor_mean, exact_row
-from scipy.integrate import quad
 
 from drake_aigto.box import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE
 from drake_aigto.terms import WAVES, Factor, FunctionKind
@@ -196,24 +195,6 @@ def test_a_sine_is_a_cosine_a_quarter_later_and_both_know_their_symmetry(box: Bo
     slack = 1e-14 + math.ulp(max(abs(b), math.pi))
     for column, size in sizes.items():
         assert abs(sine[column] - cosine[column]) <= slack * float(size)
-
-
-@pytest.mark.parametrize("kind", WAVES)
-@pytest.mark.parametrize(("center", "half_width"), [(1.5, 0.7), (-4.0, 6.0), (20.0, 3.0)])
-@pytest.mark.parametrize("exponent", [0, 1, 3, 6])
-def test_means_agree_with_quadrature(
-    kind: FunctionKind, exponent: int, center: float, half_width: float
-) -> None:
-    factor = Factor(0, kind, exponent, -0.8, 0.3)
-
-    def function(x: float) -> float:
-        return x**exponent * PLAIN[kind](-0.8 * x + 0.3)
-
-    integral, error = quad(function, center - half_width, center + half_width, limit=200)
-    size = float(natural_sizes(factor, center, half_width)[VALUE])
-    computed = evaluate(factor, center, half_width)[VALUE]
-    slack = 1e-13 * size + error / half_width
-    assert computed == pytest.approx(integral / (2 * half_width), rel=0.0, abs=slack)
 
 
 def test_an_exponential_overflows_to_infinity_and_underflows_to_zero_without_nan() -> None:

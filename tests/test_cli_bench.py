@@ -121,16 +121,12 @@ def test_all_stands_for_every_method(tmp_path: Path, monkeypatch: pytest.MonkeyP
     ("arguments", "message"),
     [
         (["--count", "0"], "count: got 0, expected a whole number, 1 or more"),
-        (["--start", "0:1"], "start 0.0:1.0: initial_position is inside, behind or against"),
         (["--velocity", "-3:x"], "--velocity: got -3:x, expected a number, several (1 0.8 0.5)"),
         (["--velocity", "0:-3"], "--velocity: got 0.0:-3.0, expected low:high"),
         (
             ["--methods", "aigto", "cost"],
             "unknown baseline 'cost': expected aigto, the planner,",
         ),
-        (["--methods", "aigto", "absent"], "no_such_library"),
-        (["--methods", "coast"], "seconds_per_unit: got none, expected seconds"),
-        (["--budgets", "0"], "budgets: got (0.0,), expected numbers above 0"),
         (["--json", "no/folder/x.json"], "no/folder/x.json can't be written"),
     ],
 )

@@ -8,22 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
 from mechanisms import MECHANISMS, build, build_world
 from pydrake.multibody.tree import JacobianWrtVariable
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk, ellipkinc
-from test_direct_replay import draw_task, follows_chatter, roll_out, world_of
 
 from drake_aigto import Scenario, TrajectoryError, World
 from drake_aigto.contact import Closed, Mode, RigidLaw
 from drake_aigto.planning import find_rates, integrate_rates
 from drake_aigto.simulation import (
-    HeldControl,
     Replay,
-    RigidMotion,
-    replay_costs,
     replay_event_driven,
 )
 
@@ -239,30 +233,6 @@ def test_an_interval_cut_in_parts_is_the_same(name: str) -> None:
 
 
 # Others.
-
-
-@pytest.mark.parametrize("name", ["point mass", "room_with_block", "two_masses"])
-@settings(max_examples=15, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.sampled_from([1.0, 0.8, 0.5, 0.0]))
-def test_where_flight_is_a_parabola_it_is_the_one_by_roots(name: str, seed: int, e: float) -> None:
-    start, times, controls = draw_task(name, seed)
-    direct = roll_out(name, e, start, times, controls)
-    assume(not follows_chatter(direct))
-    world = world_of(name)
-    law, held = RigidLaw(np.full(world.num_contacts, e)), HeldControl(times, controls)
-    found = RigidMotion(world, law, start, (held.start, held.end)).run(held)
-    assert [i.contact for i in direct.impacts] == [i.contact for i in found.impacts]
-    np.testing.assert_allclose(direct.times, found.times, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(direct.positions, found.positions, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(direct.velocities[-1], found.velocities[-1], rtol=0, atol=1e-8)
-
-
-def test_many_controls_cost_what_each_does() -> None:
-    scenario = Scenario(initial_position=-1.0, initial_velocity=2.0, goal_position=0.3)
-    controls = np.array([[[0.0], [1.0]], [[2.0], [-3.0]]])
-    costs = replay_costs(read("pendulum"), scenario, [0, 0.5, 1.0], controls)
-    for cost, control in zip(costs, controls, strict=True):
-        assert cost == replay_event_driven(read("pendulum"), scenario, [0, 0.5, 1], control).cost
 
 
 def test_a_motion_that_runs_away_is_refused() -> None:

@@ -18,27 +18,6 @@ from benchmarks.robustness.question import (
 )
 from drake_aigto import ModelError
 from drake_aigto.errors import ScenarioError
-from drake_aigto.paper import rigid_optimum
-from drake_aigto.simulation import replay_event_driven
-
-
-@pytest.mark.parametrize("part", [0.02, -0.02])
-def test_a_moved_wall_is_a_moved_start_and_goal_for_a_point_mass(part: float) -> None:
-    world, scenario = shipped_world(), make_scenario(0.8, -1.5, restitution=0.8)
-    times, controls = np.linspace(0, 1, 11), np.full((10, 1), 0.3)
-    there = Perturbation("wall", wall=part).apply(world, scenario)
-    here = dataclasses.replace(
-        scenario,
-        initial_position=scenario.initial_position - 0.8 * part,
-        goal_position=scenario.goal_position - 0.8 * part,
-    )
-    moved, shifted = (
-        replay_event_driven(*truth, times, controls) for truth in (there, (world, here))
-    )
-    assert len(moved.bounce_times) == 1
-    assert moved.bounce_times == pytest.approx(shifted.bounce_times, abs=1e-12)
-    assert moved.cost == pytest.approx(shifted.cost, abs=1e-12)
-    assert rigid_optimum(*there).cost == pytest.approx(rigid_optimum(world, here).cost, rel=1e-9)
 
 
 def test_lengths_are_parts_of_the_first_clearance() -> None:

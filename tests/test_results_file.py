@@ -8,12 +8,10 @@ from pathlib import Path
 import pytest
 
 from benchmarks.study.study import (
-    check_results_file,
-    check_same_question,
     read_results,
     round_to,
 )
-from drake_aigto.errors import OutputFileError, ResultsFileError
+from drake_aigto.errors import ResultsFileError
 
 
 @pytest.fixture
@@ -49,29 +47,6 @@ def test_what_is_no_results_file_is_refused(file: Path, text: str, message: str)
 def test_a_file_that_is_missing_is_refused_where_it_is_read(tmp_path: Path) -> None:
     with pytest.raises(ResultsFileError, match=r"none\.json can't be read: got .*No such file"):
         read_results(tmp_path / "none.json")
-
-
-def test_a_file_is_not_written_over_unless_it_is_gone_on_from(file: Path) -> None:
-    with pytest.raises(ResultsFileError, match=r"got one that exists\. Go on from it \(--resume\)"):
-        check_results_file(file)
-    assert check_results_file(file, resume=True)
-    assert not check_results_file(file.with_name("new.json"))
-    assert not check_results_file(None)
-
-
-def test_a_folder_that_is_missing_is_refused_before_long_work(tmp_path: Path) -> None:
-    with pytest.raises(OutputFileError, match="no folder"):
-        check_results_file(tmp_path / "none" / "results.json")
-
-
-def test_another_question_is_refused_field_by_field() -> None:
-    there = {"seed": 0, "count": 5, "mass": "1"}
-    check_same_question("f.json", there, dict(there))
-    with pytest.raises(ResultsFileError) as error:
-        check_same_question("f.json", there, {"seed": 1, "count": 5, "speed": 2})
-    for field in ("seed 0", "seed 1", "mass 1", "mass None", "speed None", "speed 2"):
-        assert field in str(error.value)
-    assert "count" not in str(error.value)
 
 
 @pytest.mark.parametrize(

@@ -80,17 +80,6 @@ def test_the_corridor_is_exact(q: float, v: float, control: Any, e: float) -> No
     np.testing.assert_allclose(replay.energy_ratios, e**2, atol=1e-12)
 
 
-@settings(max_examples=50)
-@given(places, speeds, held_forces(1), st.sampled_from(RESTITUTIONS))
-def test_the_corridor_has_a_mirror(q: float, v: float, control: Any, e: float) -> None:
-    times, u = control
-    assume(exact_wall.run(q, v, times, u[:, 0].tolist(), e, length=1.0).shortest_hop > 1e-4)
-    one = run(shipped("corridor"), q, v, times, u, e)
-    other = run(shipped("corridor"), 1 - q, -v, times, -u, e)
-    assert other.positions[-1, 0] == pytest.approx(1 - one.positions[-1, 0], abs=EXACT)
-    assert other.bounce_contacts == tuple(1 - i for i in one.bounce_contacts)
-
-
 # The room.
 
 
