@@ -1,4 +1,7 @@
-"""Small programs with known optima, for the tests of the local solver."""
+"""Small programs with known optima, for the tests of the local solver.
+
+Programs for `AigoSolver`, and calls of it.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pydrake.solvers import (
-    ExpressionCost,
-    MathematicalProgram,
-)
+from pydrake.solvers import ExpressionCost, MathematicalProgram, MathematicalProgramResult
 from pydrake.symbolic import Expression, cos, exp, log, sin
 
 from benchmarks.collections.constrained_programs import constrained_problems
 from drake_aigto.local import InteriorPoint, LocalResult, compile_nlp
+from drake_aigto.solver import AigoOptions, AigoSolver
 
 INF = math.inf
 Formula = Callable[[Any], Any]
@@ -135,3 +136,30 @@ PROBLEMS = {
         lambda x: 2 * x[0] - log(x[0] - 3), lambda x: [], [9.0], 7.0 + math.log(2.0)
     ),
 }
+
+
+def make_program(
+    num_variables: int, cost: Formula, *rows: Formula, low: Any = None, high: Any = None
+) -> tuple[MathematicalProgram, Any]:
+    """Returns a program of a cost, rows and bounds, if there are any, and its variables x."""
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(num_variables, "x")
+    add_cost(prog, cost(x))
+    for row in rows:
+        prog.AddConstraint(row(x))
+    if low is not None:
+        prog.AddBoundingBoxConstraint(low, high, x)
+    return prog, x
+
+
+def himmelblau(tilt: float = 1.0) -> tuple[MathematicalProgram, Any]:
+    """Returns a function of four local minima; the tilt makes one of them the only global one."""
+
+    def cost(x: Any) -> Any:
+        return (x[0] ** 2 + x[1] - 11) ** 2 + (x[0] + x[1] ** 2 - 7) ** 2 + tilt * x[0]
+
+    return make_program(2, cost, low=-5, high=5)
+
+
+def solve(prog: MathematicalProgram, **options: Any) -> MathematicalProgramResult:
+    return AigoSolver(AigoOptions(**options)).Solve(prog)

@@ -7,10 +7,10 @@ import math
 
 import numpy as np
 import pytest
+from box_programs import NUM_VARIABLES, Boxes, boxes, dense, eighths, polynomials
+from box_programs import blocks as random_blocks
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from random_boxes import NUM_VARIABLES, Boxes, boxes, dense, eighths, polynomials
-from random_boxes import blocks as random_blocks
 
 from drake_aigto import OptionsError, UnsupportedTermError
 from drake_aigto.aigo import CenterObjective

@@ -8,10 +8,9 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from box_programs import evaluate
+from box_programs import evaluate, exact_factor_mean, exact_row
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rational_means import exact_factor_mean, exact_row
 
 from drake_aigto.box import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE
 from drake_aigto.terms import WAVES, Factor, FunctionKind

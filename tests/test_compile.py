@@ -8,7 +8,15 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from box_programs import ExpressionOf, add, compile_program, compiled, program
+from box_programs import (
+    ExpressionOf,
+    add,
+    compile_program,
+    compiled,
+    exact_mean,
+    program,
+    relative_error,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.solvers import ExpressionCost, MathematicalProgram
@@ -25,7 +33,6 @@ from pydrake.symbolic import (
 )
 from pydrake.symbolic import max as smax
 from pydrake.symbolic import min as smin
-from rational_means import exact_mean, relative_error
 
 from drake_aigto import OptionsError, UnsupportedTermError
 from drake_aigto.terms import FunctionKind

@@ -1,15 +1,35 @@
-"""Impacts with friction against Routh's path integrated, exact fractions, and closed forms."""
+"""Impacts with friction against Routh's path integrated, exact fractions, and closed forms.
+
+How contacts slip: T(q) against Drake's own slip speed, and friction of a world by contact.
+
+Which contacts stick, slip or open: one way by Coulomb's law, or a refusal.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy
+from pydrake.multibody.plant import CoulombFriction
+from rubbing_worlds import make_discs
 
+from drake_aigto import ModelError, Scenario, ScenarioError, World
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import Impulse, Mobility, Mode, calc_impulse
+from drake_aigto.contact import (
+    Impulse,
+    Mobility,
+    Mode,
+    Touching,
+    calc_impulse,
+    find_modes,
+    list_modes,
+)
+from drake_aigto.errors import FrictionError
+from drake_aigto.paper import plan_literal
 
 
 def draw(rng: np.random.Generator, size: int = 3) -> tuple[Mobility, Floats, Floats, Floats]:
@@ -108,3 +128,153 @@ def test_an_impact_whose_slip_turns_round_returns_no_more_work_than_was_taken() 
     assert found.mode == Mode.BACKWARD
     rest = (-now + min(1.0, math.sqrt(3 * taken))) / 1.5
     assert found == pytest.approx(Impulse(1 / 6 + rest, -1 / 12 + rest / 2, Mode.BACKWARD))
+
+
+def read_slip(world: World, q: Floats, v: Floats) -> float:
+    """Returns the slip speed of the only contact that Drake sees."""
+    root = world.create_context()
+    context = world.plant.GetMyMutableContextFromRoot(root)
+    world.plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
+    results = world.plant.get_contact_results_output_port().Eval(context)
+    assert results.num_point_pair_contacts() == 1
+    return float(results.point_pair_contact_info(0).slip_speed())
+
+
+def test_a_ball_slips_on_level_and_on_tilted_ground_as_in_drake() -> None:
+    world = World.from_diagram(make_discs(tilts=True, stiffness=300.0))
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        q, v = rng.uniform(-0.5, 0.5, (2, 4))
+        height = world.calc_signed_distance(q)[0]
+        q[1] -= (height + 0.01) / np.cos(q[3])  # 1 cm deep.
+        slip = read_slip(world, q, v)
+        assert abs(world.rubbing.calc_tangent_jacobian(q, is_compliant=True) @ v) == pytest.approx(
+            slip, rel=1e-12
+        )
+
+
+def test_two_balls_slip_about_each_other_as_in_drake_where_they_just_touch() -> None:
+    world = World.from_diagram(make_discs((0.1, 0.2)))
+    (pair,) = (i for i, each in enumerate(world.contacts) if "world" not in each.name)
+    rng = np.random.default_rng(2)
+    for angle in rng.uniform(0.0, np.pi, 5):
+        q, v = np.array([0.0, 1.0, 0.3, 0.0, 1.0, 0.2]), rng.uniform(-1.0, 1.0, 6)
+        q[3:5] += (0.3 - 1e-9) * np.array([np.cos(angle), np.sin(angle)])
+        slip = read_slip(world, q, v)
+        assert abs(world.rubbing.calc_slips(q, v)[pair]) == pytest.approx(slip, rel=1e-7)
+
+
+def test_the_slip_velocity_changes_as_its_bias_says() -> None:
+    world = World.from_diagram(make_discs((0.1, 0.2), tilts=True))
+    q, v = np.random.default_rng(3).uniform(-1.0, 1.0, (2, 7))
+    step = 1e-6
+    ends = [world.rubbing.calc_tangent_jacobian(q + sign * step * v) @ v for sign in (1, -1)]
+    change = (ends[0] - ends[1]) / (2 * step)
+    assert world.rubbing.calc_tangent_bias(q, v) == pytest.approx(change, rel=1e-8, abs=1e-8)
+
+
+def read_friction(world: World, friction: float | None) -> CoulombFriction:
+    """Returns what the ground has in a simulation."""
+    root = world.create_context()
+    world.rubbing.impose(root, friction)
+    query: Any = world.scene_graph.get_query_output_port()
+    inspector = query.Eval(world.scene_graph.GetMyContextFromRoot(root)).inspector()
+    ((_, ground),) = world.shapes
+    return inspector.GetProximityProperties(ground).GetProperty("material", "coulomb_friction")
+
+
+def ask(friction: float | None = None, num_positions: int = 3) -> Scenario:
+    """Returns a task of a ball above the ground."""
+    place = np.concatenate([[0.0, 1.0], np.zeros(num_positions - 2)])
+    still = np.zeros(num_positions)
+    return Scenario(
+        initial_position=place,
+        initial_velocity=still,
+        goal_position=place,
+        goal_weight=np.ones(num_positions),
+        friction=friction,
+    )
+
+
+@pytest.mark.parametrize(("asked", "expected"), [(None, 0.4), (0.7, 0.7), (0.0, 0.0)])
+def test_of_two_coefficients_the_dynamic_one_counts_unless_the_scenario_has_its_own(
+    asked: float | None, expected: float
+) -> None:
+    world = World.from_diagram(make_discs(friction=CoulombFriction(0.9, 0.4)))
+    assert world.friction_coefficients(ask(asked)) == pytest.approx([expected])
+    simulated = read_friction(world, asked)
+    both = simulated.static_friction(), simulated.dynamic_friction()
+    assert both == pytest.approx((expected or both[0], expected or both[1]))
+
+
+def test_what_counts_for_nothing_or_can_not_act_is_refused() -> None:
+    world = World.from_scenario(Scenario.named("table1/1"))
+    task = dataclasses.replace(Scenario.named("table1/1"), friction=0.2)
+    with pytest.raises(ScenarioError, match=r"friction: got 0\.2, in a world where no sphere can"):
+        world.check(task)
+    rough = World.from_diagram(make_discs(across=True))
+    with pytest.raises(ModelError, match=r"ball_0 against world_1: got μ = 0\.3 .* two directions"):
+        rough.check(ask(num_positions=4))
+    rough.check(ask(0.0, num_positions=4))
+
+
+@pytest.mark.parametrize("friction", [None, 0.7])
+def test_who_plans_without_friction_refuses_it(friction: float | None) -> None:
+    world = World.from_diagram(make_discs())
+    world.check(task := ask(friction))
+    with pytest.raises(ModelError, match=r"friction of ball_0 against world_1: got μ = 0\."):
+        plan_literal(task, world=world)
+
+
+def touch(
+    rows: Floats, mass_matrix: Floats, rates: Floats, friction: list[float], slips: list[int]
+) -> Touching:
+    """Returns closed contacts of rows [J; T] at a mass matrix."""
+    kicks = np.asarray(np.linalg.solve(mass_matrix, rows.T), dtype=float)
+    return Touching(kicks, rows, rates, np.array(friction), slips)
+
+
+def test_contacts_that_end_a_collapse_together_make_no_energy() -> None:
+    """Some way always exists, and it obeys Coulomb's law."""
+    rng = np.random.default_rng(5)
+    for _ in range(60):
+        n, k = int(rng.integers(2, 6)), int(rng.integers(1, 4))
+        root, rows = rng.normal(size=(n, n)), rng.normal(size=(2 * k, n))
+        M, v = root @ root.T + 0.2 * np.eye(n), rng.normal(size=n)
+        friction = rng.uniform(0.0, 1.5, k)
+        going = next(list_modes(touch(rows, M, rows @ v, friction.tolist(), [0] * k)))
+        after = v + going.change
+        normal, tangent = np.split(going.forces, 2)
+        rates, slips = np.split(rows @ after, 2)
+        assert after @ M @ after <= v @ M @ v * (1 + 1e-9)
+        assert np.all(rates >= -1e-9)
+        assert np.all(normal >= -1e-9)
+        assert np.all(np.abs(tangent) <= friction * normal + 1e-9)
+        assert normal @ rates == pytest.approx(0.0, abs=1e-8)
+        assert tangent @ slips == pytest.approx(-(friction * normal) @ np.abs(slips), abs=1e-8)
+
+
+# A rod that touches with its end: a = 1, b = −1, c = 2, so that slip backward at μ > 1 presses it
+# down harder than it is pushed up.
+ROD = np.array([[1.0, 0.0], [-1.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("push", "message"), [(-1.0, "got none of the ways"), (1.0, "several.*: backward or open")]
+)
+def test_what_painleve_found_is_refused(push: float, message: str) -> None:
+    rates = np.array([push, 0.0])
+    with pytest.raises(FrictionError, match=message):
+        find_modes(touch(ROD, np.eye(2), rates, [1.5], [-1]))
+    assert find_modes(touch(ROD, np.eye(2), rates, [0.5], [-1])).modes == (
+        Mode.BACKWARD if push < 0 else Mode.OPEN,
+    )
+
+
+def test_feet_that_hold_each_other_up_without_need_stay_as_long_as_any_forces_hold_them() -> None:
+    """A block on two feet, one of which carries next to nothing: the other holds it."""
+    rows = np.array([[0.0, 1.0, -1.0], [0.0, 1.0, 1.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    for push, mode in ((0.49, Mode.STICK), (0.51, Mode.FORWARD)):
+        rates = rows @ np.array([push, -1.0, 0.98])
+        going = find_modes(touch(rows, np.eye(3), rates, [0.5, 0.5], [0, 0]))
+        assert going.modes == (mode, mode)

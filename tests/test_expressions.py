@@ -7,13 +7,20 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from box_programs import ExpressionOf, add, compile_program, compiled, program
+from box_programs import (
+    ExpressionOf,
+    add,
+    compile_program,
+    compiled,
+    exact_mean,
+    program,
+    relative_error,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Expression, Variable, cos, exp, log, pow, sin
 from pydrake.symbolic import max as smax
-from rational_means import exact_mean, relative_error
 
 from drake_aigto import UnsupportedTermError
 from drake_aigto.box import BoxPolynomial

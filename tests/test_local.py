@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from box_programs import dense
 from local_problems import INF, PROBLEMS, Problem
 from pydrake.solvers import (
     BoundingBoxConstraint,
@@ -15,7 +16,6 @@ from pydrake.solvers import (
     SolverOptions,
 )
 from pydrake.symbolic import log
-from random_boxes import dense
 
 from drake_aigto import Scenario, UnsupportedTermError, World
 from drake_aigto.local import InteriorPoint, LocalStatus, NlpBuilder, PolynomialNlp, compile_nlp

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from general_programs import Formula, himmelblau, make_program, solve
-from local_problems import add_cost
+from local_problems import Formula, add_cost, himmelblau, make_program, solve
 from pydrake.solvers import MathematicalProgram, SnoptSolver, SolutionResult
 from pydrake.symbolic import cos, exp, log, sin, sqrt
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from general_programs import make_program as general_program
 from hypothesis import given
 from hypothesis import strategies as st
+from local_problems import make_program as general_program
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Polynomial, atan2, cos, exp, sin
 

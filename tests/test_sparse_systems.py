@@ -8,9 +8,9 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from box_programs import dense
 from pydrake.solvers import ExpressionConstraint, ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Variable
-from random_boxes import dense
 from sparse_matrices import grid, whole
 
 from drake_aigto import AigoOptions, AigoSolver

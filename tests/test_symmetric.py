@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from box_programs import dense
 from hypothesis import given
 from hypothesis import strategies as st
-from random_boxes import dense
 from sparse_matrices import whole
 
 from drake_aigto.linear import make_pattern

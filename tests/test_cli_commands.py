@@ -1,0 +1,351 @@
+"""The command line's commands and flags: what --help says of them, and where they stand.
+
+`drake-aigto play`: what it shows, and one clear error for each bad input.
+
+`drake-aigto report` and `table1 --html`: one page, whole or not at all.
+
+`drake-aigto control`: what it writes and shows, and one clear error for each bad input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import io
+import json
+import shlex
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from refusals import check_refused, refuse_work
+
+from drake_aigto import Plan, Scenario
+from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, load_scenario, main, make_parser
+from drake_aigto.paper import Table1
+
+
+def commands(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    """Yields a parser and those of all commands below it."""
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for command in action.choices.values():
+                yield from commands(command)
+
+
+COMMANDS = {command.prog: command for command in commands(make_parser())}
+
+
+def test_the_commands_are_all_there() -> None:
+    names = ("table1", "plan", "replay", "play", "report", "control")
+    assert {f"drake-aigto {name}" for name in names} < COMMANDS.keys()
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_fits_and_its_examples_are_understood(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    with pytest.raises(SystemExit) as ended:
+        main([*name.split()[1:], "--help"])
+    assert ended.value.code == FINE
+    shown = capsys.readouterr().out
+    assert shown.startswith(f"usage: {name} ")
+    assert max(map(len, shown.splitlines())) <= 100
+    examples = shown.split("\nexamples:\n")[1].split("\n\n")[0].replace("\\\n", " ")
+    assert examples.strip()
+    for example in examples.strip().splitlines():
+        words = shlex.split(example.split(">")[0], comments=True)
+        assert words[0] == "drake-aigto"
+        if "--help" not in words:
+            make_parser().parse_args(words[1:])
+
+
+@pytest.mark.parametrize("name", [[], ["--quiet"]])
+def test_without_a_command_help_is_shown(
+    name: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(name) == BAD_INPUT
+    shown = capsys.readouterr()
+    assert not shown.out
+    assert shown.err.startswith("usage: drake-aigto") and "\nexamples:\n" in shown.err
+
+
+def test_every_flag_of_a_command_says_what_it_is() -> None:
+    for name, command in COMMANDS.items():
+        for action in command._actions:
+            assert action.help or isinstance(action, argparse._SubParsersAction), (name, action)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["-v", "table1"],
+        ["table1", "--verbose"],
+        ["-qv", "table1", "-q", "-v"],
+    ],
+)
+def test_what_all_commands_take_stands_before_or_after_them(words: list[str]) -> None:
+    unset = argparse.Namespace(quiet=False, verbose=False)
+    options = make_parser().parse_args(words, unset)
+    assert options.verbose
+    assert options.quiet == any("q" in word for word in words)
+
+
+def test_small_negative_numbers_are_no_flags() -> None:
+    options = make_parser().parse_args(["plan", "table1/1", "--initial-velocity", "-1e-3", "-.5"])
+    assert options.initial_velocity == [-1e-3, -0.5]
+
+
+def test_every_field_of_a_scenario_has_a_flag_that_changes_it() -> None:
+    given: dict[str, Any] = {
+        "model": "other.sdf",
+        "initial_position": [1.0, 2.0],
+        "initial_velocity": [0.0, -3.0],
+        "goal_position": [0.5, 0.0],
+        "goal_velocity": [0.0, 1.0],
+        "hard_goal": True,
+        "angles": "modulo",
+        "duration": 2.0,
+        "time_step": 0.1,
+        "duration_range": [1.0, 3.0],
+        "control_weight": [0.1, 0.2],
+        "goal_weight": [[2.0, -1.0], [-1.0, 2.0]],
+        "goal_velocity_weight": [1.0, 0.0],
+        "position_weight": [3.0, 4.0],
+        "velocity_weight": 5.0,
+        "reference_times": [0.0, 1.0],
+        "reference_positions": [[0.0, 1.0], [1.0, 0.0]],
+        "reference_velocities": [[1.0, 1.0], [2.0, 2.0]],
+        "position_lower": [float("-inf"), -1.0],
+        "position_upper": 9.0,
+        "velocity_lower": -8.0,
+        "velocity_upper": [8.0, float("inf")],
+        "control_lower": [-7.0, -6.0],
+        "control_upper": 7.0,
+        "control_norm": 9.0,
+        "contact": "compliant",
+        "epsilon": 0.2,
+        "delta": 0.3,
+        "restitution": 1.0,
+        "mass": 3.0,
+        "friction": 0.0,
+        "dry_friction": [0.5, 0.6],
+        "stiction_speed": 0.02,
+        "ignored_shapes": ["foot", "3"],
+    }
+    scenario = Scenario(**given)
+    assert list(given) == [field.name for field in dataclasses.fields(Scenario)]
+    words = ["plan", "table1/1"]
+    for name, value in given.items():
+        words += [f"--{name.replace('_', '-')}", *_as_words(value)]
+    assert load_scenario(make_parser(words).parse_args(words)) == scenario
+
+
+def _as_words(value: Any) -> list[str]:
+    if value is True:
+        return []
+    items = value if isinstance(value, list) else [value]
+    return [",".join(map(str, item)) if isinstance(item, list) else str(item) for item in items]
+
+
+@pytest.mark.parametrize("flags", [[], ["--beside", "gradient"], ["--optimization"]])
+def test_play_writes_a_page(
+    flags: list[str], plan_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "plan.html"
+    assert main(["play", str(plan_file), *flags, "--html", str(page)]) == FINE
+    assert "<html" in page.read_text(encoding="utf-8")[:2000].lower()
+    assert capsys.readouterr().out == f"wrote {page}\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.html"]
+
+
+def test_play_waits_at_a_port(
+    plan_file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n"))
+    assert main(["play", str(plan_file), "--port", "0"]) == FINE
+    assert capsys.readouterr().out.startswith("Meshcat plays at http://localhost:")
+
+
+def test_a_port_in_use_is_told(plan_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as other:
+        other.bind(("0.0.0.0", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        assert main(["play", str(plan_file), "--port", str(port)]) == BAD_INPUT
+    assert capsys.readouterr().err == (
+        f"drake-aigto: Meshcat's port: got {port}, in use, expected a free one, 1024 to 65535. "
+        "Name another port, or 0 for any that is free.\n"
+    )
+
+
+@pytest.mark.parametrize("port", ["-1", "80", "65536"])
+def test_a_port_that_nobody_may_listen_at_is_told(
+    port: str, plan_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["play", str(plan_file), "--port", port]) == BAD_INPUT
+    assert f"Meshcat's port: got {port}, expected a free one" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"version": 1}, "got version 1, expected version"),
+        ({"candidates": []}, "is damaged: got plan: got candidates: got none"),
+        (None, "is cut short or no JSON"),
+    ],
+)
+def test_a_plan_that_can_not_be_read_leaves_no_page(
+    change: dict[str, Any] | None,
+    message: str,
+    plan_file: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    text = plan_file.read_text(encoding="utf-8")
+    bad = tmp_path / "bad.json"
+    bad.write_text(text[:500] if change is None else json.dumps({**json.loads(text), **change}))
+    page = tmp_path / "out" / "page.html"
+    page.parent.mkdir()
+    check_refused(["play", str(bad), "--html", str(page)], message, capsys)
+    assert not list(page.parent.iterdir())
+
+
+def test_a_folder_that_is_not_there_is_told_before_any_work(
+    plan_file: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Plan, "load", refuse_work)
+    assert main(["play", str(plan_file), "--html", str(tmp_path / "no" / "p.html")]) == BAD_INPUT
+    assert "got no folder" in capsys.readouterr().err
+
+
+def test_report_writes_a_page_without_a_display(
+    plan_file: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setenv("MPLBACKEND", "TkAgg")
+    page = tmp_path / "report.html"
+    assert main(["report", str(plan_file), "--html", str(page)]) == FINE
+    assert page.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"wrote {page}, 1.") and printed.endswith(" MB\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "begins"),
+    [
+        (["report", "PLAN"], "drake_aigto.planning.Plan.load"),
+        (["table1"], "drake_aigto.cli.plan.run_table1"),
+    ],
+)
+def test_a_page_that_could_not_be_written_is_refused_before_any_work(
+    arguments: list[str],
+    begins: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(begins, refuse_work)
+    page = tmp_path / "no" / "page.html"
+    message = "can't be written: got no folder"
+    check_refused([*arguments, "--html", str(page)], message, capsys)
+
+
+def test_a_plan_cut_short_leaves_no_page(
+    plan_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = tmp_path / "cut.json"
+    cut.write_text(plan_file.read_text(encoding="utf-8")[:-50], encoding="utf-8")
+    page = tmp_path / "page.html"
+    assert main(["report", str(cut), "--html", str(page)]) == BAD_INPUT
+    assert "is cut short or no JSON" in capsys.readouterr().err
+    assert not page.exists()
+
+
+@pytest.mark.parametrize(("rows", "status"), [((), FINE), ((4,), INTERRUPTED)])
+def test_table1_writes_a_page_and_tells_an_interruption(
+    rows: tuple[int, ...],
+    status: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    table = Table1((), (), rows)  # Of row 4, nothing is done.
+    monkeypatch.setattr("drake_aigto.cli.plan.run_table1", lambda **keywords: table)
+    monkeypatch.setattr("drake_aigto.show.report_table1", lambda got: f"page {got}")
+    page = tmp_path / "table1.html"
+    assert main(["table1", "--html", str(page)]) == status
+    assert page.read_text(encoding="utf-8") == f"page {table}"
+    assert ("Interrupted: 3 of 3 cells" in capsys.readouterr().out) == (status == INTERRUPTED)
+
+
+def test_control_writes_a_log_and_a_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, page = tmp_path / "run.json", tmp_path / "run.html"
+    words = ["control", "table1/1", "--method", "tracking", "--mass-factor", "1.1"]
+    assert main([*words, "--json", str(log), "--html", str(page)]) == FINE
+    told = capsys.readouterr().out
+    assert told.startswith("simulation") and "masses times 1.1" in told
+    data = json.loads(log.read_text(encoding="utf-8"))
+    assert data["format"] == "drake_aigto closed loop" and data["method"] == "tracking"
+    html = page.read_text(encoding="utf-8")
+    assert "What moves here is a simulation" in html and "data:image/svg+xml" in html
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run.html", "run.json"]
+    assert main(["report", str(log), "--html", str(again := tmp_path / "again.html")]) == FINE
+    assert "masses times 1.1" in again.read_text(encoding="utf-8")
+    capsys.readouterr()
+    check_refused(["play", str(log), "--optimization"], "--optimization: got the log", capsys)
+
+
+def test_control_plans_again_where_it_can_and_shows_it_live(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n"))
+    words = ["cart_pole/soft_06", "--seconds", "0.1", "--renewals", "0", "--live", "--port", "0"]
+    assert main(["control", *words]) == FINE
+    told = capsys.readouterr().out
+    assert told.startswith("Meshcat shows it at http://localhost:")
+    assert "ModelPredictiveController" in told and "press" in told
+
+
+def test_control_says_that_it_was_interrupted(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def press(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("drake_aigto.control.loop_recorder.LoopRecorder.kick", press)
+    words = ["control", "table1/1", "--method", "tracking", "--kick", "0.1", "--kick-time", "0.2"]
+    assert main(words) == INTERRUPTED
+    assert "Ctrl-C ended the simulation" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["table1/1", "--kick-time", "0.2"], "--kick-time: got no --kick"),
+        (["table1/1", "--noise-seed", "2"], "--noise-seed: got no --noise"),
+        (["table1/1", "--renewals", "4"], "renewals: got 4 for balls between rigid walls"),
+        (["table1/1", "--port", "0"], "--port: got no --live"),
+        (["table1/1", "--method", "tracking", "--search-every", "3"], "--search-every: got"),
+        (["table1/1", "--kick", "1", "2"], "kick: got 2 numbers, expected 1"),
+    ],
+)
+def test_what_can_not_be_done_is_refused_by_name(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "run.json"
+    check_refused(["control", *words, "--json", str(log)], message, capsys)
+    assert not log.exists()

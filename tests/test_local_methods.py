@@ -1,0 +1,331 @@
+"""Plain Newton steps end in what the interior point finds, or in nothing.
+
+Values, derivatives and ladders of penalties at points.
+
+The local solver where f or its rows are small sums of large terms, so that rounding shows.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from local_problems import Problem, add_cost
+from pydrake.solvers import MathematicalProgram
+from pydrake.symbolic import cos, exp, sin
+
+from benchmarks.collections.global_functions import planar_problems
+from benchmarks.collections.known_optimum import GlobalProblem
+from drake_aigto import Scenario
+from drake_aigto.kernels import kernel
+from drake_aigto.local import (
+    InteriorPoint,
+    LocalStatus,
+    NewtonLagrange,
+    NlpBuilder,
+    PenaltyLadder,
+    PolynomialNlp,
+    Progress,
+    compile_nlp,
+    differentiate,
+    evaluate,
+    factorize_band,
+    make_point_system,
+    make_point_tables,
+    solve_band,
+)
+from drake_aigto.planning import PlanOptions, make_ball_task
+from drake_aigto.transcription import Touch
+from drake_aigto.world import World
+
+
+def convex_problem(seed: int, bound: float = np.inf) -> PolynomialNlp:
+    """Returns Σ (x_i − a_i)² + b_i x_i⁴ / 10 over a chain of rows x_i x_{i+1} + x_i = d_i."""
+    rng = np.random.default_rng(seed)
+    builder = NlpBuilder()
+    x = builder.new(6)
+    targets, weights = rng.uniform(1.0, 2.0, 6), rng.uniform(0.0, 1.0, 6)
+    for place, target, weight in zip(x, targets, weights, strict=True):
+        terms = [(1.0, (0, 0)), (-2 * target, (0,)), (weight / 10, (0, 0, 0, 0))]
+        builder.add_cost("near", terms, np.array([place]))
+    for i in range(0, 4, 2):
+        row = [(1.0, (0, 1)), (1.0, (0,)), (-rng.uniform(2.0, 4.0), ())]
+        builder.add_row("chain", row, x[i : i + 2])
+    builder.bound(x, -bound, bound)
+    return builder.build()
+
+
+@given(seed=st.integers(0, 10**6))
+@settings(deadline=None, max_examples=25)
+def test_it_ends_in_the_optimum_of_the_interior_point(seed: int) -> None:
+    nlp, start = convex_problem(seed), np.ones(6)
+    found = NewtonLagrange().solve(nlp, start)
+    if found is None:
+        return  # No bound is active, but it never promised to get there.
+    known = InteriorPoint().solve(nlp, found.x)
+    assert known.is_success and known.iterations <= 3  # It is one.
+    np.testing.assert_allclose(found.x, known.x, atol=1e-8)
+    np.testing.assert_allclose(found.multipliers, known.multipliers, atol=1e-6)
+    assert found.cost == pytest.approx(known.cost)
+    assert found.residual <= 1e-12
+
+
+def test_it_mostly_gets_there() -> None:
+    found = [NewtonLagrange().solve(convex_problem(seed), np.ones(6)) for seed in range(20)]
+    assert sum(result is not None for result in found) >= 18
+
+
+def test_a_point_outside_of_bounds_is_none() -> None:
+    free = NewtonLagrange().solve(convex_problem(3), np.ones(6))
+    assert free is not None
+    largest = float(np.max(np.abs(free.x)))
+    wide, narrow = (convex_problem(3, share * largest) for share in (1.01, 0.99))
+    assert NewtonLagrange().solve(wide, np.ones(6)) is not None
+    assert NewtonLagrange().solve(narrow, np.ones(6)) is None
+
+
+def test_a_bound_that_rounding_crosses_is_kept() -> None:
+    builder = NlpBuilder()
+    x = builder.new(2)
+    builder.add_cost("cost", [(1.0, (0, 0))], x[1:])
+    builder.add_row("row", [(3.0, (0,)), (-0.3, ()), (1e-3, (1,))], x)
+    builder.bound(x[0], 0.0, 0.1)  # The row holds it there, but for rounding of 0.3 / 3.
+    found = NewtonLagrange().solve(builder.build(), [0.05, 0.5])
+    assert found is not None
+    assert found.x[0] <= 0.1
+    np.testing.assert_allclose(found.x, [0.1, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(("sign", "exists"), [(1.0, True), (-1.0, False)])
+def test_a_maximum_or_saddle_is_none(sign: float, exists: bool) -> None:
+    builder = NlpBuilder()
+    x = builder.new(3)
+    builder.add_cost("cost", [(1.0, (0, 0)), (sign, (1, 1)), (1.0, (2, 2))], x)
+    builder.add_row("row", [(1.0, (0,)), (-1.0, (2,))], x)
+    assert (NewtonLagrange().solve(builder.build(), [0.3, 0.2, 0.1]) is not None) == exists
+
+
+def test_what_runs_away_is_none_without_a_warning() -> None:
+    builder = NlpBuilder()
+    x = builder.new(1)
+    builder.add_cost("cost", [(1.0, (0,))], x)
+    builder.add_row("never", [(1.0, (0, 0)), (1.0, ())], x)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert NewtonLagrange(max_iterations=200).solve(builder.build(), [0.3]) is None
+
+
+@pytest.mark.parametrize("sequence", [(), (Touch.bounce(0.4),)])
+def test_a_polish_is_the_interior_points(
+    sequence: tuple[Touch, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.02)
+    problem = make_ball_task(World.from_scenario(scenario), scenario, PlanOptions(confirm=False))
+    quick = problem.polish(problem.box.center, sequence)
+    with monkeypatch.context() as patch:
+        patch.setattr(NewtonLagrange, "solve", lambda *arguments: None)
+        slow = problem.polish(problem.box.center, sequence)
+    np.testing.assert_allclose(quick[1], slow[1], atol=1e-8)
+    assert quick[0].scenario_cost(quick[1]) == pytest.approx(slow[0].scenario_cost(slow[1]))
+
+
+def chain(num_stages: int = 12) -> PolynomialNlp:
+    """Returns a program with all kinds of factors, in stages; one variable is held."""
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2 * num_stages, "x").reshape(num_stages, 2)
+    for i in range(num_stages):
+        a, b = x[i]
+        add_cost(prog, (a - 1.5) ** 4 + a * b**3 + b**2 * cos(2 * a + 0.3) + 0.1 * exp(b) * a)
+        if i:
+            before, _ = x[i - 1]
+            prog.AddConstraint(a - before + 0.3 * sin(b - before) - 0.2 * b == 0)
+    prog.AddBoundingBoxConstraint(-2.0, 2.0, x.ravel())
+    prog.AddBoundingBoxConstraint(0.7, 0.7, x[0, :1])
+    return compile_nlp(prog)
+
+
+@kernel
+def values_at(tables: Any, x: Any, values: Any, rows: Any) -> float:
+    return evaluate(tables, x, values, rows)
+
+
+@kernel
+def derivatives_at(tables: Any, x: Any, scale: float, multipliers: Any, system: Any) -> None:
+    differentiate(tables, x, scale, multipliers, system)
+
+
+@kernel
+def solution(band: Any, right: Any) -> bool:
+    is_definite = factorize_band(band)
+    if is_definite:
+        solve_band(band, right)
+    return is_definite
+
+
+def test_values_are_those_of_the_program() -> None:
+    nlp = chain()
+    tables = make_point_tables(nlp)
+    rows, values = np.empty(nlp.num_rows), np.empty(tables.functions.size)
+    for seed in range(5):
+        x = np.random.default_rng(seed).uniform(-2, 2, nlp.num_variables)
+        f, expected = nlp.evaluate(x)
+        assert values_at(tables, x, values, rows) == pytest.approx(f, rel=1e-12)
+        np.testing.assert_allclose(rows, expected, atol=1e-12)
+
+
+def test_derivatives_are_those_of_finite_differences() -> None:
+    nlp, step = chain(4), 1e-6
+    tables = make_point_tables(nlp)
+    system, rng = make_point_system(tables), np.random.default_rng(1)
+    x, multipliers = rng.uniform(-2, 2, nlp.num_variables), rng.normal(size=nlp.num_rows)
+    free = np.flatnonzero(tables.places >= 0)
+    places = tables.places[free]
+
+    def slopes(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        derivatives_at(tables, at, 3.0, multipliers, system)
+        jacobian = np.zeros((nlp.num_rows, tables.size))
+        rows = np.repeat(np.arange(nlp.num_rows), np.diff(tables.first_entries))
+        jacobian[rows, tables.entry_places] = system.jacobian
+        return system.gradient.copy(), jacobian
+
+    gradient, jacobian = slopes(x)
+    hessian = np.zeros((tables.size, tables.size))
+    for d in range(tables.bandwidth + 1):
+        column = np.arange(tables.size - d)
+        hessian[column, column + d] = hessian[column + d, column] = system.hessian[column, d]
+    for i, place in zip(free, places, strict=True):
+        ends = [x + sign * step * (np.arange(x.size) == i) for sign in (1, -1)]
+        (f, c), (g, e) = (nlp.evaluate(end) for end in ends)
+        assert gradient[place] == pytest.approx(3.0 * (f - g) / (2 * step), rel=1e-6, abs=1e-6)
+        np.testing.assert_allclose(jacobian[:, place], (c - e) / (2 * step), atol=1e-6)
+        (upper, above), (lower, below) = (slopes(end) for end in ends)
+        change = (upper + multipliers @ above - lower - multipliers @ below) / (2 * step)
+        np.testing.assert_allclose(hessian[:, place], change, atol=1e-5, rtol=1e-6)
+
+
+@pytest.mark.parametrize("bandwidth", [0, 1, 4])
+def test_bands_are_solved_unless_they_are_indefinite(bandwidth: int) -> None:
+    rng = np.random.default_rng(bandwidth)
+    band = rng.uniform(-1, 1, (9, bandwidth + 1))
+    band[:, 0] = 2.5 * (bandwidth + 1)
+    matrix = np.zeros((9, 9))
+    for d in range(bandwidth + 1):
+        matrix += np.diag(band[: 9 - d, d], -d)
+    matrix += np.tril(matrix, -1).T
+    x = rng.uniform(-1, 1, 9)
+    right = matrix @ x
+    assert solution(band.copy(), right)
+    np.testing.assert_allclose(right, x, atol=1e-12)
+    band[5, 0] = -1.0
+    assert not solution(band, right)
+
+
+def test_a_ladder_leads_from_anywhere_to_a_feasible_point_near_an_optimum() -> None:
+    nlp = chain()
+    center, half_width = np.zeros(nlp.num_variables), np.full(nlp.num_variables, 2.0)
+    tables, none = make_point_tables(nlp), np.empty(0, dtype=np.int64)
+    ladder = PenaltyLadder(nlp, tables, center, half_width, none, np.zeros(nlp.num_rows, bool))
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        end = ladder.climb(rng.uniform(-2, 2, center.size), 0.01, 1e3)
+        assert end.is_nearly_feasible
+        assert np.max(np.abs(nlp.evaluate(end.x)[1])) <= 1e-3
+        assert end.cost == pytest.approx(nlp.evaluate(end.x)[0])
+        # No feasible direction leads down by more than the last barrier is worth.
+        polished = InteriorPoint.warm().solve(nlp, end.x)
+        assert polished.is_success
+        assert polished.cost == pytest.approx(end.cost, rel=0.05)
+
+
+def test_a_ladder_to_a_point_too_dear_is_given_up() -> None:
+    nlp = chain()
+    center, half_width = np.zeros(nlp.num_variables), np.full(nlp.num_variables, 2.0)
+    tables, none = make_point_tables(nlp), np.empty(0, dtype=np.int64)
+    ladder = PenaltyLadder(nlp, tables, center, half_width, none, np.zeros(nlp.num_rows, bool))
+    whole = ladder.climb(center, 0.01, 1e3)
+    cut = ladder.climb(center, 0.01, 1e3, most=whole.cost - 10.0)
+    assert cut.steps < whole.steps and not cut.is_nearly_feasible
+
+
+PLANAR = planar_problems()
+NAMES = [problem.name for problem in PLANAR]
+
+
+@pytest.mark.parametrize("problem", PLANAR, ids=NAMES)
+def test_no_start_wastes_steps_at_a_minimum_that_rounding_blurs(problem: GlobalProblem) -> None:
+    nlp = compile_nlp(problem.prog())
+    for seed in range(20):
+        start = np.random.default_rng(seed).uniform(problem.lower, problem.upper)
+        result = InteriorPoint().solve(nlp, start)
+        assert result.status is LocalStatus.CONVERGED, seed
+        assert result.iterations <= 60, seed
+
+
+@pytest.mark.parametrize("problem", PLANAR, ids=NAMES)
+def test_tolerances_below_rounding_end_the_run_where_it_gets_no_further(
+    problem: GlobalProblem,
+) -> None:
+    nlp = compile_nlp(problem.prog())
+    for seed in range(5):
+        start = np.random.default_rng(seed).uniform(problem.lower, problem.upper)
+        result = InteriorPoint(tolerance=1e-15).solve(nlp, start)
+        assert result.status in (LocalStatus.CONVERGED, LocalStatus.STALLED), seed
+        assert result.iterations <= 120, seed
+        usual = InteriorPoint().solve(nlp, start)
+        rounding = 1e-14 * nlp.cost_magnitude(result.x)
+        assert result.cost <= usual.cost + rounding, seed
+
+
+def test_magnitudes_are_the_sums_of_absolute_terms() -> None:
+    problem = Problem(
+        lambda x: 3 * (x[0] - x[1]) ** 2 - x[0],
+        lambda x: [(x[0] - 10) ** 3 + x[1], x[0] * x[1] - 4],
+        [2.0, -3.0],
+    )
+    nlp = compile_nlp(problem.program())
+    assert nlp.cost_magnitude([2.0, -3.0]) == pytest.approx(3 * (2 + 3) ** 2 + 2)
+    np.testing.assert_allclose(np.sort(nlp.row_magnitudes([2.0, -3.0])), [6 + 4, 12**3 + 3])
+
+
+def test_a_row_that_rounding_keeps_from_its_tolerance_counts_as_held() -> None:
+    # (x − 300)³ multiplied out: terms of 3e7, so the row is known to 1e-8 or so.
+    result = Problem(
+        lambda x: x[1] ** 2 + x[0], lambda x: [(x[0] - 300) ** 3 - x[1]], [1.0, 2.0]
+    ).solve(tolerance=1e-11)
+    assert result.is_success
+    # y = t³ with t = x − 300: t⁶ + t is least at t = −6^(−1/5).
+    np.testing.assert_allclose(result.x[0] - 300, -(6**-0.2), atol=1e-7)
+
+
+def count_idle(steps: list[tuple[float, float, float]]) -> list[bool]:
+    """Returns whether progress has ended after each (θ, φ, error); φ is known to 0.1."""
+    progress, ended = Progress(), []
+    for (theta, phi, error), (new_theta, new_phi, _) in itertools.pairwise(steps):
+        progress.add((theta, new_theta), (phi, new_phi), 0.1, error)
+        ended.append(progress.has_ended)
+    return ended
+
+
+def test_steps_that_only_round_are_the_end() -> None:
+    noise = [(0.0, 0.01 * (i % 2), 1.0) for i in range(9)]
+    assert count_idle(noise)[-1]
+    assert not any(count_idle(noise)[:4])
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        [(0.0, -0.01 * i, 1.0) for i in range(30)],  # φ falls, slowly
+        [(0.0, 0.01 * (i % 2), 0.8**i) for i in range(30)],  # the gradient tells the way
+        [(0.8**i, 0.0, 1.0) for i in range(30)],  # rows close
+        [(0.0, float(i % 2), 1.0) for i in range(30)],  # a filter lets φ rise
+    ],
+)
+def test_steps_that_lead_somewhere_are_not(steps: list[tuple[float, float, float]]) -> None:
+    assert not any(count_idle(steps))
