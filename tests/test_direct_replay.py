@@ -15,16 +15,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from replay_worlds import hold, make_diagram, make_scenario, shipped_world
-from several_walls import hold_still, make_task, shipped
+from several_walls import hold_still, shipped
 
-from drake_aigto import ModelError, Scenario, TrajectoryError, World
+from drake_aigto import ModelError, Scenario, World
 from drake_aigto.contact import RigidLaw, Walls, support
 from drake_aigto.simulation import (
     HeldControl,
     Parabolas,
     Recording,
     RigidMotion,
-    replay_costs,
     replay_drake,
     replay_event_driven,
 )
@@ -157,32 +156,15 @@ def test_hundreds_of_impacts_are_all_recorded() -> None:
 # Many at once.
 
 
-@pytest.mark.parametrize("name", ["two_masses", "spring"])
-def test_costs_of_many_are_those_of_each(name: str) -> None:
-    if name == "spring":
-        world, scenario = World.from_diagram(make_diagram(spring=150.0)), make_scenario(0.4, 0.0)
-    else:
-        world = shipped(name)
-        scenario = make_task(name, [0.3, 0.7], [-1.0, 0.5], restitution=0.7)
-    times = np.linspace(0.0, 1.0, 11)
-    controls = np.random.default_rng(1).normal(0, 9, (6, 10, world.num_actuators))
-    each = [replay_event_driven(world, scenario, times, control).cost for control in controls]
-    assert replay_costs(world, scenario, times, controls).tolist() == each
-    assert replay_costs(world, scenario, times, controls[:0]).shape == (0,)
-
-
-@pytest.mark.parametrize(
-    ("controls", "message"),
-    [
-        (np.zeros((10, 1)), r"controls: got shape \(10, 1\), expected \(C, N, nu\)"),
-        (np.zeros((2, 9, 1)), r"controls: got shape \(9, 2\), expected 10 rows"),
-        (np.zeros((2, 10, 3)), r"controls: got shape \(2, 10, 3\), expected 1 columns, one for ea"),
-        (np.full((1, 10, 1), np.nan), r"controls: got nan at index \(0, 0\), expected finite"),
-    ],
-)
-def test_bad_batches_are_refused(controls: Array, message: str) -> None:
-    with pytest.raises(TrajectoryError, match=message):
-        replay_costs(shipped_world(), make_scenario(), np.linspace(0, 1, 11), controls)
+@pytest.mark.parametrize("name", ["two_masses", "room_with_block"])
+def test_ends_of_many_are_those_of_each(name: str) -> None:
+    start, times, _ = draw_task(name, 3)
+    world, rng = world_of(name), np.random.default_rng(1)
+    controls = rng.normal(0, 9, (6, len(times) - 1, world.num_actuators))
+    walls = Parabolas(world.constant_dynamics, np.full(world.num_contacts, 0.7), start, times)
+    each = [walls.record(control).positions[-1].tolist() for control in controls]
+    assert walls.find_ends(controls).tolist() == each
+    assert walls.find_ends(controls[:0]).shape == (0, world.num_positions)
 
 
 # The law of rest, of more contacts than a shipped world has at once.

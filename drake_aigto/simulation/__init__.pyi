@@ -19,7 +19,6 @@ from .replay import Judge as Judge
 from .replay import Replay as Replay
 from .replay import confirms as confirms
 from .replay import has_knots as has_knots
-from .replay import replay_costs as replay_costs
 from .replay import replay_drake as replay_drake
 from .replay import replay_event_driven as replay_event_driven
 from .replay import replay_with as replay_with

@@ -13,9 +13,8 @@ from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.simulation.drake_judge import DrakeJudge
 from drake_aigto.simulation.event_driven import EventDriven
-from drake_aigto.simulation.parabolas import Parabolas
 from drake_aigto.simulation.recording import ContactPhase, Controller, HeldControl, Recording
-from drake_aigto.simulation.verdict import calc_cost, calc_plain_cost, calc_violations, explain_cost
+from drake_aigto.simulation.verdict import calc_cost, calc_violations, explain_cost
 from drake_aigto.trajectory import check_control
 from drake_aigto.world import Scales, Scenario, World
 
@@ -178,35 +177,6 @@ def replay_with(judge: Judge, world: World, scenario: Scenario, controller: Cont
     return summarize(world, scenario, recording, controller.end)
 
 
-def replay_costs(world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike) -> Floats:
-    """Returns what many held controls cost on exactly rigid walls, shape (C,).
-
-    The costs of `replay_event_driven` to the last bit, without its records: where flight is a
-    parabola, compiled code runs them one after the other. Times (N+1,) are the same for all
-    controls, (C, N, nu); all else is as there.
-
-    Raises:
-        TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
-    """
-    u = np.asarray(controls, dtype=float)
-    if u.ndim != 3:
-        raise TrajectoryError("controls", got=f"shape {u.shape}", expected="(C, N, nu)")
-    if not len(u):
-        return np.empty(0)
-    # As one control of many columns: the same checks, of all at once.
-    columns = u.transpose(1, 0, 2).reshape(u.shape[1], -1)
-    t, _ = check_control(times, columns)
-    _check_columns(world, u)
-    rubs = world.friction_coefficients(scenario).any()
-    if rubs or not (world.has_constant_dynamics and scenario.is_plain):
-        return np.array([replay_event_driven(world, scenario, t, control).cost for control in u])
-    start = scenario.initial_position, scenario.initial_velocity
-    flights = Parabolas(world.constant_dynamics, world.restitutions(scenario), start, t)
-    ends = flights.find_ends(u)
-    pairs = zip(u, ends, strict=True)
-    return np.array([calc_plain_cost(scenario, t, control, end)[0] for control, end in pairs])
-
-
 def confirms(
     cost: float,
     replay: Replay,
@@ -255,21 +225,13 @@ def hold(world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike
         TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
     """
     t, u = check_control(times, controls)
-    _check_columns(world, u)
+    if u.shape[1] != world.num_actuators:
+        expected = f"{world.num_actuators} columns, one for each actuator"
+        raise TrajectoryError("controls", got=f"shape {u.shape}", expected=expected)
     if has_knots(scenario, t):
         return HeldControl(t, u)
     knots = np.union1d(t, _find_kinks(scenario, t))
     return HeldControl(knots, u[np.searchsorted(t, knots[:-1], side="right") - 1])
-
-
-def _check_columns(world: World, controls: Floats) -> None:
-    """Refuses controls whose last axis is not the actuators."""
-    if controls.shape[-1] != world.num_actuators:
-        raise TrajectoryError(
-            "controls",
-            got=f"shape {controls.shape}",
-            expected=f"{world.num_actuators} columns, one for each actuator",
-        )
 
 
 def has_knots(scenario: Scenario, times: Floats) -> bool:

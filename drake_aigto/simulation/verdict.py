@@ -83,8 +83,11 @@ def calc_cost(
             samples; if it has none, along the cubic between rows, exact where flight is a parabola.
     """
     end = recording.positions[-1]
-    if scenario.is_plain:
-        return calc_plain_cost(scenario, times, controls, end)
+    if scenario.is_plain:  # AIGTO's cost, in closed form.
+        effort = float(np.diff(times) @ np.sum(controls**2, axis=1))
+        goal_error = float(np.linalg.norm(end - scenario.goal_position))
+        cost = scenario.control_weight * effort + scenario.goal_weight * goal_error**2
+        return cost, goal_error
     task = TaskCost.of(world, scenario)
     cost = float(task.final(end, recording.velocities[-1]))
     sampled = recording.samples
@@ -98,15 +101,6 @@ def calc_cost(
         u = np.broadcast_to(control, (len(q), controls.shape[1]))
         cost += float(samples.weights @ task.running(samples.times, q, v, u))
     return cost, float(task.goal_error(end))
-
-
-def calc_plain_cost(
-    scenario: Scenario, times: Floats, controls: Floats, end: Floats
-) -> tuple[float, float]:
-    """Returns AIGTO's cost of a control that ends there, and how far from the goal that is [m]."""
-    effort = float(np.diff(times) @ np.sum(controls**2, axis=1))
-    goal_error = float(np.linalg.norm(end - scenario.goal_position))
-    return scenario.control_weight * effort + scenario.goal_weight * goal_error**2, goal_error
 
 
 def explain_cost(world: World, scenario: Scenario, end: Floats, error: float) -> float:
