@@ -57,7 +57,8 @@ def run_in_loop(
     true_world, true = disturbance.apply(world, scenario)
     diagram = _connect(true_world, controller, disturbance, end, meshcat)
     plant_world = true_world.of_diagram(diagram)
-    simulator, contacts = start_plant(plant_world, true)
+    plant_world.check(true)
+    simulator, contacts = start_plant(plant_world, true, (0.0, true.duration))
     disturbance.scale_masses(plant_world, simulator.get_mutable_context())
     if meshcat is not None:
         simulator.set_target_realtime_rate(1.0)

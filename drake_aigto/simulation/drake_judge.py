@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,10 +22,8 @@ from drake_aigto.simulation.lateness import calc_compliance_error, calc_lateness
 from drake_aigto.simulation.recording import Controller, Held, Impact, Recording, Rest
 from drake_aigto.simulation.simulator import (
     SETTLED,
-    ContactMonitor,
     calc_acceleration,
-    start_simulator,
-    start_soft_simulator,
+    start_plant,
 )
 from drake_aigto.simulation.springs import find_depth, read_touch
 from drake_aigto.simulation.verdict import sample_steps
@@ -45,13 +44,15 @@ class DrakeJudge:
     def simulate(self, world: World, scenario: Scenario, controller: Controller) -> Recording:
         """Runs a controller from the scenario's start.
 
+        A controller that feels contact is asked again when one with a stiff wall ends. While one
+        goes on it is not, for no plan says how fast the ball should be inside a wall; unless it
+        lasts so long that it is rest.
+
         Raises:
             ModelError: a shape of the contact has no stiffness.
         """
-        if scenario.contact == "compliant" or not world.num_contacts:
-            recording = simulate_plant(world, scenario, controller)
-        else:
-            recording = simulate_compliant_wall(world, scenario, controller)
+        recording, is_stiff = _simulate(world, scenario, controller)
+        if is_stiff:
             friction = world.friction_coefficients(scenario)
             if world.has_constant_inertia and not friction.any():
                 restitutions = world.restitutions(scenario)
@@ -64,30 +65,22 @@ class DrakeJudge:
         return recording
 
 
-def simulate_compliant_wall(world: World, scenario: Scenario, controller: Controller) -> Recording:
-    """Runs a controller on the world's own plant, by Radau's implicit rule.
+def _simulate(world: World, scenario: Scenario, controller: Controller) -> tuple[Recording, bool]:
+    """Runs a controller on the world's own plant, and says whether its walls are stiff.
 
-    Each contact gets, just before an impact, the dissipation that makes its restitution at the
-    speed that is coming (`ContactMonitor`). The plant and its scene graph stay as they are.
-
-    A controller that feels contact is asked again when one ends. While one goes on it is not, for
-    no plan says how fast the ball should be inside a wall; unless it lasts so long that it is rest.
+    Each contact with a stiff wall gets, just before an impact, the dissipation that makes its
+    restitution at the speed that is coming (`ContactMonitor`). The plant and its scene graph stay
+    as they are.
 
     Returns:
-        The states whenever the controller is asked, at the end, and where each contact begins, is
-        deepest, and ends.
-
-    Raises:
-        ModelError: a shape has no stiffness.
+        The states whenever the controller is asked, at the end, and where each contact with a stiff
+        wall begins, is deepest, and ends.
     """
     plant = world.plant
-    start = scenario.initial_position, scenario.initial_velocity
-    simulator = start_simulator(world, start, controller.start, scenario.friction)
+    simulator, contacts = start_plant(world, scenario, (controller.start, controller.end))
     root = simulator.get_mutable_context()
     context = plant.GetMyMutableContextFromRoot(root)
-    duration = controller.end - controller.start
-    contacts = ContactMonitor(world, simulator, world.restitutions(scenario), duration)
-    trace = ContactTrace(world)
+    trace = StepTrace(world) if contacts is None else ContactTrace(world)
 
     def watch(root: Context) -> EventStatus:
         # Of what belongs to the simulator it knows but this: neither would ever be freed.
@@ -95,7 +88,8 @@ def simulate_compliant_wall(world: World, scenario: Scenario, controller: Contro
         trace.add(now, plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root)))
         if trace.is_due(now, controller.feels_contact):
             return EventStatus.ReachedTermination(world.diagram, "the controller is asked again")
-        contacts(root)
+        if contacts is not None:
+            contacts(root)
         return EventStatus.DidNothing()
 
     simulator.set_monitor(watch)
@@ -105,20 +99,61 @@ def simulate_compliant_wall(world: World, scenario: Scenario, controller: Contro
             held = controller.sample(now, x, trace.bounces)
             trace.hold(now, held)
             plant.get_actuation_input_port().FixValue(context, held.control)
-            contacts.plan(root)
+            if contacts is not None:
+                contacts.plan(root)
         simulator.AdvanceTo(held.until if held.until > now else controller.end)
     recording = trace.read(controller.end)
-    recording.matched_speeds = contacts.speeds
-    return recording
+    recording.matched_speeds = [] if contacts is None else contacts.speeds
+    return recording, contacts is not None
 
 
-class _Sample(NamedTuple):
-    """The end of a step, and the control that led to it."""
+class StepEnd(NamedTuple):
+    """The end of a step."""
 
-    time: float
-    x: Floats
-    control: Floats
-    clearances: list[Clearance]  # of each solid
+    time: float  # [s]
+    x: Floats  # (q, v)
+    control: Floats  # that led there
+    clearances: Sequence[Clearance] = ()  # of each solid, between stiff walls
+
+
+class StepTrace:
+    """Every step of a simulation, and what is read off it: of walls as the model has them.
+
+    Attributes:
+        bounces: the contact of each touch of a stiff wall that has ended so far.
+    """
+
+    def __init__(self, world: World) -> None:
+        """Begins with nothing; the first control has to be held before the first step."""
+        self._world = world
+        self._samples: list[StepEnd] = []
+        self._held: Held | None = None
+        self._recording = Recording()
+        self.bounces: list[int] = []
+
+    def add(self, time: float, x: Floats) -> None:
+        """Appends a step's end."""
+        assert self._held is not None, "a control is held from the start"
+        if not self._samples or time > self._samples[-1].time:
+            self._samples.append(StepEnd(time, x, self._held.control))
+
+    def hold(self, time: float, held: Held) -> None:
+        """Appends a control, held from now on."""
+        self._recording.hold(time, held.control)
+        self._held = held
+
+    def is_due(self, time: float, feels_contact: bool) -> bool:
+        """Returns whether a controller is to be asked again, or for the first time."""
+        return self._held is None or time >= self._held.until
+
+    def read(self, end: float) -> Recording:
+        """Returns the states whenever the control changed and at the end, and the impacts."""
+        at_samples = {*self._recording.control_times, end}
+        for row in self._samples:
+            if row.time in at_samples:
+                self._recording.add(row.time, *np.split(row.x, 2))
+        read_steps(self._world, self._samples, self._recording)
+        return self._recording
 
 
 class _Row(NamedTuple):
@@ -129,24 +164,16 @@ class _Row(NamedTuple):
     push: float  # φ̈ without this contact [m/s²]
 
 
-class ContactTrace:
-    """Every step of a simulation between stiff walls, and the contacts that are read off it.
-
-    Attributes:
-        bounces: the contact of each touch that has ended so far.
-    """
+class ContactTrace(StepTrace):
+    """The same between stiff walls, with the contacts that are read off it."""
 
     def __init__(self, world: World) -> None:
         """Begins with nothing; the first control has to be held before the first step."""
-        self._world = world
+        super().__init__(world)
         self._motion_at = ContactMotion.reader(world)
-        self._samples: list[_Sample] = []
-        self._held: Held | None = None
-        self._recording = Recording()
         # Of each solid that is touched: when it is rest [s], and which face.
         self._touched: dict[int, tuple[float, int]] = {}
-        self.bounces: list[int] = []
-        self._known = 0  # of them when the controller was asked
+        self._known = 0  # bounces when the controller was asked
 
     def add(self, time: float, x: Floats) -> None:
         """Appends a step's end."""
@@ -155,7 +182,7 @@ class ContactTrace:
         else:  # Without a mass matrix, which only contacts need.
             clearances = read_clearances(self._world, x)
         assert self._held is not None, "a control is held from the start"
-        self._samples.append(_Sample(time, x, self._held.control, clearances))
+        self._samples.append(StepEnd(time, x, self._held.control, clearances))
         for solid, near in enumerate(clearances):
             if near.distance <= 0:
                 if solid not in self._touched:
@@ -166,8 +193,8 @@ class ContactTrace:
 
     def hold(self, time: float, held: Held) -> None:
         """Appends a control, held from now on."""
-        self._recording.hold(time, held.control)
-        self._held, self._known = held, len(self.bounces)
+        super().hold(time, held)
+        self._known = len(self.bounces)
 
     def is_due(self, time: float, feels_contact: bool) -> bool:
         """Returns whether a controller is to be asked again, or for the first time."""
@@ -267,48 +294,6 @@ class ContactTrace:
             if depth > deepest and self._is_on_face(solid, index + 1):
                 deepest = depth
         return deepest
-
-
-class StepEnd(NamedTuple):
-    """The end of a step."""
-
-    time: float  # [s]
-    x: Floats  # (q, v)
-    control: Floats  # that led there
-
-
-def simulate_plant(world: World, scenario: Scenario, controller: Controller) -> Recording:
-    """Runs a controller on the world's own plant, whose walls are as the model has them.
-
-    Returns:
-        The states whenever the controller is asked, at the end, and where each contact begins and
-        ends; and samples of all motion between.
-    """
-    span = controller.start, controller.end
-    state = scenario.initial_position, scenario.initial_velocity
-    simulator = start_soft_simulator(world, state, span, scenario.friction)
-    plant, root = world.plant, simulator.get_mutable_context()
-    context = plant.GetMyMutableContextFromRoot(root)
-    recording, control = Recording(), np.zeros(world.num_actuators)
-    rows = [StepEnd(controller.start, np.concatenate(state), control)]
-
-    def watch(root: Context) -> EventStatus:
-        x = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root))
-        if root.get_time() > rows[-1].time:
-            rows.append(StepEnd(root.get_time(), x, control))
-        return EventStatus.DidNothing()
-
-    simulator.set_monitor(watch)
-    recording.add(controller.start, *state)
-    while (now := context.get_time()) < controller.end:
-        held = controller.sample(now, plant.GetPositionsAndVelocities(context), recording.bounces)
-        recording.hold(now, held.control)
-        control = held.control
-        plant.get_actuation_input_port().FixValue(context, control)
-        simulator.AdvanceTo(held.until)
-        recording.add(held.until, *np.split(rows[-1].x, 2))
-    read_steps(world, rows, recording)
-    return recording
 
 
 def read_steps(world: World, rows: list[StepEnd], recording: Recording) -> None:

@@ -24,7 +24,7 @@ from drake_aigto.world import Scenario, TaskCost, World
 _LINGERING = 0.07
 # As a part of the path.
 _MOST = 0.03
-# Of restitution, by Radau's rule as `simulate_compliant_wall` runs it.
+# Of restitution, by Radau's rule as `DrakeJudge` runs it.
 _INTEGRATION = 4e-5
 
 

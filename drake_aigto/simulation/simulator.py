@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import weakref
+from collections.abc import Sequence
 
 import numpy as np
 from pydrake.geometry import GeometryId
@@ -26,15 +27,19 @@ from drake_aigto.world import DISSIPATION, STIFFNESS, Scenario, World, read_give
 _ACCURACY = 1e-5
 # Where flight is no parabola it takes this, to be off by less than stiff walls are late.
 _FINE_ACCURACY = 1e-6
+
+
+def _make_config(rule: str, accuracy: float) -> SimulatorConfig:
+    return SimulatorConfig(integration_scheme=rule, accuracy=accuracy, use_error_control=True)
+
+
 # Soft walls need no implicit rule, and none is as exact as this. It does not mind the kinks.
-_SOFT = SimulatorConfig(integration_scheme="runge_kutta5", accuracy=1e-10, use_error_control=True)
+_SOFT = _make_config("runge_kutta5", 1e-10)
 # Friction has kinks where it is whole, of which a pole that balances for 3 s makes much.
-_RUBBING = SimulatorConfig(
-    integration_scheme="runge_kutta5", accuracy=1e-12, use_error_control=True
-)
+_ROUGH = _make_config("runge_kutta5", 1e-12)
 # With a contact that lasts for fewer of the longest steps than this its trials leave all bounds.
 _RESOLVED = 10.0
-_STIFF = SimulatorConfig(integration_scheme="radau3", accuracy=1e-7, use_error_control=True)
+_STIFF = _make_config("radau3", 1e-7)
 # There no step is longer than this part of the simulated time, so that none passes over a touch.
 _LONGEST = 1 / 300
 # Flight advances by this part of the predicted time to the wall, then predicts again, …
@@ -91,69 +96,44 @@ def make_simulator(world: World, scenario: Scenario) -> Simulator:
         ScenarioError: it does not fit.
         ModelError: the model does not fit, or a shape has no stiffness.
     """
-    simulator, contacts = start_plant(world, scenario)
+    world.check(scenario)
+    simulator, contacts = start_plant(world, scenario, (0.0, scenario.duration))
     if contacts is not None:
         simulator.set_monitor(contacts)
     return simulator
 
 
-def start_plant(world: World, scenario: Scenario) -> tuple[Simulator, ContactMonitor | None]:
-    """Returns the Simulator of `make_simulator`, and its monitor if walls are stiff."""
-    world.check(scenario)
-    start = scenario.initial_position, scenario.initial_velocity
-    if scenario.contact == "compliant" or not world.num_contacts:
-        span = 0.0, scenario.duration
-        return start_soft_simulator(world, start, span, scenario.friction), None
-    simulator = start_simulator(world, start, friction=scenario.friction)
-    restitutions = world.restitutions(scenario)
-    return simulator, ContactMonitor(world, simulator, restitutions, scenario.duration)
-
-
-def start_simulator(
-    world: World,
-    state: tuple[Floats, Floats],
-    time: float = 0.0,
-    friction: float | None = None,
-    config: SimulatorConfig | None = None,
-) -> Simulator:
-    """Returns a Simulator, by Radau's rule if not told otherwise, which knows nothing of contacts.
+def start_plant(
+    world: World, scenario: Scenario, span: tuple[float, float]
+) -> tuple[Simulator, ContactMonitor | None]:
+    """Returns the Simulator of `make_simulator`, and the monitor that it needs if walls are stiff.
 
     Args:
         world: of the diagram.
-        state: the start, (q, v).
-        time: of the start [s].
-        friction: μ of all that slides, in its context; None: the model's.
-        config: of another integrator.
+        scenario: has to fit the world.
+        span: from when to when it will simulate [s].
+
+    Raises:
+        ModelError: a shape has no stiffness.
     """
     root = world.create_context()
-    world.rubbing.impose(root, friction)
+    world.rubbing.impose(root, scenario.friction)
     context = world.plant.GetMyMutableContextFromRoot(root)
+    state = scenario.initial_position, scenario.initial_velocity
     world.plant.SetPositionsAndVelocities(context, np.concatenate(state))
-    simulator = Simulator(world.diagram, root)
-    accuracy = _ACCURACY if world.has_constant_inertia else _FINE_ACCURACY
-    stiff = SimulatorConfig(integration_scheme="radau3", accuracy=accuracy, use_error_control=True)
-    ApplySimulatorConfig(config or stiff, simulator)
-    root.SetTime(time)
-    return simulator
-
-
-def start_soft_simulator(
-    world: World,
-    state: tuple[Floats, Floats],
-    span: tuple[float, float],
-    friction: float | None = None,
-) -> Simulator:
-    """Returns a Simulator of walls that are as the model has them, by an explicit rule.
-
-    Arguments are those of `start_simulator`, with from when to when it will simulate [s].
-    """
-    longest = _LONGEST * (span[1] - span[0])
+    simulator, duration = Simulator(world.diagram, root), span[1] - span[0]
+    root.SetTime(span[0])
+    if scenario.contact == "rigid" and world.num_contacts:
+        accuracy = _ACCURACY if world.has_constant_inertia else _FINE_ACCURACY
+        ApplySimulatorConfig(_make_config("radau3", accuracy), simulator)
+        monitor = ContactMonitor(world, simulator, world.restitutions(scenario), duration)
+        return simulator, monitor
+    longest = _LONGEST * duration
     is_stiff = min(contact_delays(world), default=math.inf) < _RESOLVED * longest
-    does_rub = world.dry_friction is not None or (world.frictions and friction != 0)
-    config = _STIFF if is_stiff else _RUBBING if does_rub else _SOFT
-    simulator = start_simulator(world, state, span[0], friction, config)
+    has_friction = world.dry_friction is not None or (world.frictions and scenario.friction != 0)
+    ApplySimulatorConfig(_STIFF if is_stiff else _ROUGH if has_friction else _SOFT, simulator)
     simulator.get_mutable_integrator().set_maximum_step_size(longest)
-    return simulator
+    return simulator, None
 
 
 class ContactMonitor:
@@ -330,7 +310,7 @@ def calc_acceleration(
     motion: ContactMotion,
     x: Floats,
     control: Floats,
-    clearances: list[Clearance],
+    clearances: Sequence[Clearance],
     but: int | None = None,
 ) -> Floats:
     """Returns v̇ as if the ball rested on all that it touches, but for one contact [m/s²]."""
