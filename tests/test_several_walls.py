@@ -13,7 +13,6 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from several_walls import hold_still, make_line, make_task, make_wedge, shipped
 
-from drake_aigto.contact import ContactMotion
 from drake_aigto.simulation import Replay, replay_event_driven
 from drake_aigto.world import World
 
@@ -324,19 +323,3 @@ def test_bodies_that_collapse_onto_each_other_do_not_hang() -> None:
         energy = np.diag(world.constant_inertia.mass_matrix) @ replay.velocities[-1] ** 2 / 2
         assert energy <= 50
         assert np.all(np.diff(replay.positions[-1]) >= -DEEPEST)
-
-
-# The law of rest.
-
-
-@settings(max_examples=100)
-@given(st.lists(st.floats(-10, 10), min_size=2, max_size=2), st.sampled_from([2, 3, 5]))
-def test_rest_is_gauss_principle(free: list[float], n: int) -> None:
-    inertia, a = make_wedge(math.pi / n).constant_inertia, np.array(free)
-    supported = ContactMotion(inertia).calc_supported(a, (0, 1))
-    M, J = inertia.mass_matrix, inertia.jacobian
-    forces = np.linalg.lstsq(J.T, M @ (supported - a), rcond=None)[0]
-    rates = J @ supported
-    assert np.all(rates >= -1e-12) and np.all(forces >= -1e-11)
-    assert forces @ rates == pytest.approx(0, abs=1e-11)
-    np.testing.assert_allclose(J.T @ forces, M @ (supported - a), atol=1e-11)
