@@ -52,7 +52,7 @@ from drake_aigto.control import (
     ClosedLoopRun,
     Disturbance,
     Horizon,
-    Motion,
+    PlannedMotion,
     run_in_loop,
 )
 from drake_aigto.planning import needs_shooting
@@ -106,7 +106,7 @@ class Task(NamedTuple):
     plan: Plan
     planner: Planner
     horizon: Horizon
-    motion: Motion
+    motion: PlannedMotion
 
     def has_better(self, time: float, kick: Floats) -> bool:
         """Returns whether another contact sequence is better after a kick, by the usual margin."""

@@ -10,7 +10,7 @@ import pytest
 
 from drake_aigto import ModelPredictiveController, Planner, PlanOptions, Scenario, World
 from drake_aigto.arrays import Floats
-from drake_aigto.control import Disturbance, Horizon, Motion, run_in_loop
+from drake_aigto.control import Disturbance, Horizon, PlannedMotion, run_in_loop
 from drake_aigto.planning import MECHANISM_LADDER, RigidMechanismTask
 from drake_aigto.simulation import EVENT_DRIVEN, HeldControl, replay_event_driven
 from drake_aigto.transcription import Touch
@@ -21,12 +21,12 @@ find_world = cache(lambda: World.from_scenario(BLOCK))
 
 
 @cache
-def find_plan() -> Motion:
+def find_plan() -> PlannedMotion:
     """Returns the cheapest push over a meter, which slides to rest."""
     problem = RigidMechanismTask(find_world(), BLOCK, PlanOptions())
     slides, lies = Touch(0.0, 1.0, 0, -1), Touch(1.0, 2.0, 0, 0)
     found = problem.polish(problem.bounce((slides, lies), problem.idle_motion))
-    return Motion(found.as_trajectory(find_world()), found.cost, found.touches)
+    return PlannedMotion(found.as_trajectory(find_world()), found.cost, found.touches)
 
 
 @cache

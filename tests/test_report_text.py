@@ -13,7 +13,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from drake_aigto import Plan, Planner, PlanOptions, Scenario, World, __version__
-from drake_aigto.paper import Entry, Method, RigidCell, RigidOptimum, Table1
+from drake_aigto.paper import Entry, RigidCell, RigidOptimum, Table1, TableMethod
 from drake_aigto.planning import Replays
 from drake_aigto.show import (
     Page,
@@ -145,7 +145,7 @@ def test_what_is_added_is_text() -> None:
 
 def test_table_1_has_a_row_for_each_plan_with_all_that_it_is_worth(plan: Plan) -> None:
     entry = Entry("AIGTO, rigid", plan.best, plan.replay.drake, plan.holds)
-    method = Method("AIGTO, rigid", (plan.cost,), 1, (entry,), 0.5)
+    method = TableMethod("AIGTO, rigid", (plan.cost,), 1, (entry,), 0.5)
     optimum = RigidOptimum(2.18e-4, (0.55,), (-1.7,), 1.0)
     cells = tuple(RigidCell(row, 1.0, optimum, 1e-4, (method,)) for row in (1, 3))
     table = Table1((), cells, rows=(1, 3), num_guesses=2, seed=7, confirm=False)

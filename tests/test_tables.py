@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drake_aigto.paper import Cell, Entry, Method, RigidCell, RigidOptimum, Table1
+from drake_aigto.paper import Cell, Entry, RigidCell, RigidOptimum, Table1, TableMethod
 from drake_aigto.planning import Candidate, Origin, Plan, Planner, Replays, Rung
 from drake_aigto.show import format_plan, format_replays, format_table1
 from drake_aigto.simulation import PlannedContact, Replay
@@ -47,7 +47,7 @@ def rigid_cell(plan: Plan, optimum: float, drake: bool = True) -> RigidCell:
     )
     confirmed = dataclasses.replace(compliant, cost=0.99e-4) if drake else None
     entry = Entry("AIGTO, rigid", candidate, confirmed, True)
-    method = Method("AIGTO, rigid", (candidate.cost,), 1, (entry,), 0.5)
+    method = TableMethod("AIGTO, rigid", (candidate.cost,), 1, (entry,), 0.5)
     return RigidCell(1, 0.8, RigidOptimum(optimum, (0.5123,), (-2.0,), 1.0), 1.2e-4, (method,))
 
 

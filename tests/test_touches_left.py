@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drake_aigto.control import Motion, choose, find_left
+from drake_aigto.control import PlannedMotion, choose, find_left
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
 
@@ -70,10 +70,10 @@ def test_what_is_late_to_lie_comes_at_once_and_what_slips_otherwise_does_so_firs
 
 
 def test_the_first_motion_that_is_not_dearer_is_taken_or_else_the_cheapest() -> None:
-    def motion(cost: float) -> Motion:
+    def motion(cost: float) -> PlannedMotion:
         row = np.zeros((2, 1))
         still = Trajectory(np.array([0.0, 1.0]), row, row, row[:1], row, row[:1])
-        return Motion(still, cost, ())
+        return PlannedMotion(still, cost, ())
 
     same, cheap, dear = motion(1.01), motion(0.5), motion(2.0)
     assert choose([None, dear, same, cheap], 1.0) is same

@@ -146,10 +146,10 @@ class BoxSearch:
                 `polished_renewals` and for the end of the search.
             callback: called with every improvement.
         """
-        return _Search(self, f, box, polish, callback).run()
+        return _SearchRun(self, f, box, polish, callback).run()
 
 
-class _Search:
+class _SearchRun:
     """One run."""
 
     def __init__(

@@ -26,7 +26,7 @@ class _Scope(NamedTuple):
     values: slice
 
 
-class _Part(NamedTuple):
+class _FusedProduct(NamedTuple):
     """A summand of a step: a table's number, and how its axes become those of the step."""
 
     table: int
@@ -39,7 +39,7 @@ class _Step(NamedTuple):
 
     variable: int
     given: tuple[int, ...]
-    parts: tuple[_Part, ...]
+    parts: tuple[_FusedProduct, ...]
 
 
 class Fusion:
@@ -185,9 +185,9 @@ def _spread(block: TermBlock, num_points: int, num_variables: int) -> TermBlock:
     return TermBlock(block.name, block.terms, variables, block.weight)
 
 
-def _part(table: int, read: tuple[int, ...], variables: tuple[int, ...]) -> _Part:
+def _part(table: int, read: tuple[int, ...], variables: tuple[int, ...]) -> _FusedProduct:
     """Returns how a table over `read` is one over `variables`; others have their first value."""
     others = [k for k, i in enumerate(read) if i not in variables]
     axes = sorted(set(range(len(read))) - set(others), key=lambda k: variables.index(read[k]))
     index = [slice(None) if i in read else None for i in variables]
-    return _Part(table, (*others, *axes), (*[0] * len(others), *index))
+    return _FusedProduct(table, (*others, *axes), (*[0] * len(others), *index))

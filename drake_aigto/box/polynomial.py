@@ -235,7 +235,7 @@ class BoxPolynomial:
         return c, w
 
 
-class _Summand(NamedTuple):
+class _CoefficientTerm(NamedTuple):
     """factor · ∏ p_j^powers_j, a part of a coefficient."""
 
     coefficient: int
@@ -270,7 +270,7 @@ class ParametricPolynomial:
         derivatives: Iterable[Order] = (Order.MEAN, Order.BOXES),
     ) -> None:
         """Takes coefficients apart."""
-        summands: list[_Summand] = []
+        summands: list[_CoefficientTerm] = []
         known: dict[tuple[object, ...], tuple[Term, ...]] = {}
         structure: list[TermBlock] = []
         for block in blocks:
@@ -302,7 +302,7 @@ class ParametricPolynomial:
 
 
 def _take_apart(
-    block: TermBlock, places: list[int], num_parameters: int, summands: list[_Summand]
+    block: TermBlock, places: list[int], num_parameters: int, summands: list[_CoefficientTerm]
 ) -> tuple[Term, ...]:
     """Returns the terms of a block over x alone, and adds the parts of their coefficients.
 
@@ -326,5 +326,5 @@ def _take_apart(
                     expected="powers of parameters",
                 )
         number = numbers.setdefault(tuple(kept), first + len(numbers))
-        summands.append(_Summand(number, term.coefficient, tuple(powers)))
+        summands.append(_CoefficientTerm(number, term.coefficient, tuple(powers)))
     return tuple(Term(float(number), factors) for factors, number in numbers.items())

@@ -58,7 +58,7 @@ class Line:
 
 
 @dataclass(frozen=True, eq=False)
-class Flights:
+class FlightFamily:
     """Flights of one kind, as functions of what they depend on.
 
     Attributes:
@@ -131,7 +131,7 @@ def _flights(
     cost: sym.Expression,
     places: Sequence[sym.Expression],
     is_convex: bool = False,
-) -> Flights:
+) -> FlightFamily:
     """Returns flights from or to a wall, whose places are within the room beside it."""
     index = {variable.get_id(): i for i, variable in enumerate(variables)}
     formulas = []
@@ -141,7 +141,7 @@ def _flights(
         formulas.append(formula.finish())
     others = [abs(other.position - wall.position) for other in line.walls if other is not wall]
     most = min(others, default=math.inf) + line.slack
-    return Flights(make_tape(formulas), -line.slack, most, is_convex)
+    return FlightFamily(make_tape(formulas), -line.slack, most, is_convex)
 
 
 def _effort(h: Any, way: Any, before: Any, after: Any, pull: float) -> Any:
@@ -160,7 +160,7 @@ def _cubic(h: Any, ends: tuple[Any, Any], speeds: tuple[Any, Any]) -> list[Any]:
     ]
 
 
-def first_flights(line: Line, wall: Wall) -> Flights:
+def first_flights(line: Line, wall: Wall) -> FlightFamily:
     """Returns flights from the start to a wall, by the time and speed of the touch."""
     h, a = sym.Variable("h"), sym.Variable("a")
     y, v = wall.side * (line.position - wall.position), wall.side * line.velocity
@@ -168,7 +168,7 @@ def first_flights(line: Line, wall: Wall) -> Flights:
     return _flights(line, wall, (h, a), cost, _cubic(h, (y, 0.0), (v, -a)))
 
 
-def hops(line: Line, wall: Wall, other: Wall) -> Flights:
+def hops(line: Line, wall: Wall, other: Wall) -> FlightFamily:
     """Returns flights from a wall to a wall, by how long they take and the speeds of touches."""
     h, a, b = sym.Variable("h"), sym.Variable("a"), sym.Variable("b")
     v, pull = wall.restitution * a, -wall.side * line.drift
@@ -182,7 +182,7 @@ def hops(line: Line, wall: Wall, other: Wall) -> Flights:
     return _flights(line, wall, (h, a, b), _effort(h, way, v, b, pull), places)
 
 
-def last_flights(line: Line, wall: Wall) -> Flights:
+def last_flights(line: Line, wall: Wall) -> FlightFamily:
     """Returns flights from a wall to the end, by the time and speed of the touch."""
     t, a = sym.Variable("t"), sym.Variable("a")
     pull, w, left = -wall.side * line.drift, line.weight, 1.0 - t

@@ -106,7 +106,7 @@ class Summand:
 
 
 @dataclass(frozen=True, eq=False)
-class Row(Summand):
+class BoundedFormula(Summand):
     """lower ≤ formula ≤ upper."""
 
     lower: float
@@ -127,7 +127,7 @@ class Formulas:
 
     names: tuple[str, ...]
     summands: tuple[Summand, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[BoundedFormula, ...]
     lower: Floats
     upper: Floats
 
@@ -148,7 +148,7 @@ def read_formulas(prog: MathematicalProgram) -> Formulas:
     index = {variable.get_id(): i for i, variable in enumerate(prog.decision_variables())}
     lower, upper = np.full(prog.num_vars(), -np.inf), np.full(prog.num_vars(), np.inf)
     summands: list[Summand] = []
-    rows: list[Row] = []
+    rows: list[BoundedFormula] = []
     for binding in prog.GetAllCosts():
         (total,), own = _expressions(binding, index, *_COSTS)
         parts = operands(total) if total.get_kind() == ExpressionKind.Add else [total]
@@ -163,7 +163,7 @@ def read_formulas(prog: MathematicalProgram) -> Formulas:
             continue
         formulas, own = _expressions(binding, index, *_ROWS)
         for formula, low, high in zip(formulas, *(b.tolist() for b in bounds), strict=True):
-            rows.append(Row(binding, formula, own, _read(formula, own), low, high))
+            rows.append(BoundedFormula(binding, formula, own, _read(formula, own), low, high))
     for row in rows:
         _bound_by(row, lower, upper)
     names = tuple(variable.get_name() for variable in prog.decision_variables())
@@ -196,7 +196,7 @@ def _read(e: Expression, index: Index) -> tuple[int, ...]:
     return tuple(sorted({index[variable.get_id()] for variable in e.GetVariables()}))
 
 
-def _bound_by(row: Row, lower: Floats, upper: Floats) -> None:
+def _bound_by(row: BoundedFormula, lower: Floats, upper: Floats) -> None:
     """Bounds a variable by a row a x ≤ b, rounded outward."""
     e = row.expression
     if len(row.variables) != 1 or not e.is_polynomial():

@@ -14,7 +14,14 @@ from functools import reduce
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.certify.formulas import Entry, Formulas, Operation, Row, Summand, formula_of
+from drake_aigto.certify.formulas import (
+    BoundedFormula,
+    Entry,
+    Formulas,
+    Operation,
+    Summand,
+    formula_of,
+)
 from drake_aigto.certify.intervals import LIBRARY, UNIT
 
 # Indices of a product's factors, rising; a square has one twice.
@@ -66,7 +73,7 @@ def variables_of(p: Iterable[Monomial]) -> set[int]:
     return {i for monomial in p for i in monomial}
 
 
-class _Reader:
+class _PolynomialReader:
     """Reads formulas over n variables; cos x_i and sin x_i become variables n, n + 1, ….
 
     Args:
@@ -183,7 +190,7 @@ def box_program(formulas: Formulas) -> BoxProgram:
     Raises:
         NoSquaresError: the cost is none, or reads a variable without bounds.
     """
-    reader = _Reader(formulas.lower.size)
+    reader = _PolynomialReader(formulas.lower.size)
     cost: Polynomial = {}
     for summand in formulas.summands:
         cost = plus(cost, reader.read(summand))
@@ -212,7 +219,7 @@ def box_program(formulas: Formulas) -> BoxProgram:
     )
 
 
-def _sides(reader: _Reader, row: Row) -> Iterator[tuple[Polynomial, bool]]:
+def _sides(reader: _PolynomialReader, row: BoundedFormula) -> Iterator[tuple[Polynomial, bool]]:
     """Yields what is 0 or more, or 0 where it says so, of a row that is a polynomial."""
     try:
         p = reader.read(row)

@@ -33,7 +33,7 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.certify.flights import (
-    Flights,
+    FlightFamily,
     Line,
     direct_cost,
     first_flights,
@@ -123,7 +123,7 @@ class _Paths(NamedTuple):
     followers: Ints
 
 
-class _Walls:
+class _LineFlights:
     """All flights on a line, and what they cost between cells.
 
     Args:
@@ -181,7 +181,7 @@ class _Walls:
             costs.edges[own] = np.fmax(costs.edges[own], bounds)
         return costs
 
-    def _hops_of(self, cells: _Cells, edges: Ints) -> Iterator[tuple[Ints, Flights]]:
+    def _hops_of(self, cells: _Cells, edges: Ints) -> Iterator[tuple[Ints, FlightFamily]]:
         """Yields the edges from one wall to another that are no rests."""
         (first, second), moves = cells.walls[edges], ~self._rests(cells, edges)
         for (i, j), flights in self._hops.items():
@@ -229,7 +229,7 @@ class _Walls:
         return replace(cells, slopes=found)
 
 
-def _expand_hops(flights: Flights, cells: _Cells, edges: Ints) -> Floats:
+def _expand_hops(flights: FlightFamily, cells: _Cells, edges: Ints) -> Floats:
     """Returns bounds of f + p'(z' − c') − p (z − c) of flights between cells (E,)."""
     (sources, targets), (p, q) = edges, cells.slopes[edges]
     low, high = cells.boxes(edges)
@@ -257,7 +257,7 @@ def bound_line(line: Line, most: float) -> float:
 
 def _search(line: Line, most: float) -> float:
     """Returns a bound of the cost on a line, or the most if no motion costs less."""
-    walls, cells = _Walls(line, most), _first_cells(line, most)
+    walls, cells = _LineFlights(line, most), _first_cells(line, most)
     best, last, enough = 0.0, -math.inf, min(most, direct_cost(line))
     edges = np.indices((cells.walls.size,) * 2).reshape(2, -1)
     for _ in range(_LEVELS):
@@ -326,7 +326,7 @@ def _relax(values: Floats, sources: Ints, targets: Ints, weights: Floats) -> Flo
         values = lower
 
 
-def _cut(walls: _Walls, cells: _Cells, edges: Ints, paths: _Paths) -> tuple[_Cells, Ints]:
+def _cut(walls: _LineFlights, cells: _Cells, edges: Ints, paths: _Paths) -> tuple[_Cells, Ints]:
     """Returns a quarter each of the cells that are left, and the edges between them."""
     most = walls.most * (1.0 + 1e-12)
     alive, left = np.flatnonzero(paths.cells <= most), np.flatnonzero(paths.edges <= most)

@@ -14,7 +14,7 @@ from .loop_run import is_run as is_run
 from .predictive import ModelPredictiveController as ModelPredictiveController
 from .predictive import TickStatus as TickStatus
 from .sweep import Sweep as Sweep
-from .touches_left import Motion as Motion
+from .touches_left import PlannedMotion as PlannedMotion
 from .touches_left import choose as choose
 from .touches_left import find_left as find_left
 from .tracking import TrackingController as TrackingController

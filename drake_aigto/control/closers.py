@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, interpolate
-from drake_aigto.control.touches_left import Motion, choose, find_left, keep_apart
+from drake_aigto.control.touches_left import PlannedMotion, choose, find_left, keep_apart
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.planning import (
     BallSearch,
@@ -84,7 +84,7 @@ class Closer(ABC):
         """Returns whether a state is inside of a wall that nothing can be planned from."""
 
     @abstractmethod
-    def lead(self, last: Motion, left: Trajectory, asked: Scenario) -> Motion | None:
+    def lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
         """Returns the best motion near what is left of the last one; None if there is none.
 
         Args:
@@ -94,7 +94,7 @@ class Closer(ABC):
         """
 
     @abstractmethod
-    def search(self, asked: Scenario, now: float, x: Floats) -> Motion | None:
+    def search(self, asked: Scenario, now: float, x: Floats) -> PlannedMotion | None:
         """Returns the best motion that the planner finds from a state on; None if none."""
 
 
@@ -135,7 +135,7 @@ class BallCloser(Closer):
         """Returns whether a wall is touched: how fast a ball is there, no rigid wall tells."""
         return bool(np.any(self._task.world.calc_clearance(np.split(x, 2)[0]) <= 0))
 
-    def lead(self, last: Motion, left: Trajectory, asked: Scenario) -> Motion | None:
+    def lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
         """Returns the best polished motion of the touches that may be left; None if none is."""
         task, now = self._task.again(asked), float(left.times[0])
         rates = task.world.calc_contact_rate(left.positions[0], left.velocities[0])
@@ -150,7 +150,7 @@ class BallCloser(Closer):
                 return found.later(now)
         return None
 
-    def search(self, asked: Scenario, now: float, x: Floats) -> Motion | None:
+    def search(self, asked: Scenario, now: float, x: Floats) -> PlannedMotion | None:
         """Returns the best motion that boxes, neighbors and polishes lead to; None if none."""
         search = BallSearch(self._task.again(asked))
         try:
@@ -163,12 +163,12 @@ class BallCloser(Closer):
         if not best.is_confirmed:
             return None
         touches = tuple(Touch(each.time, each.last_time, each.index) for each in best.contacts)
-        return Motion(best.trajectory, best.cost, touches).later(now)
+        return PlannedMotion(best.trajectory, best.cost, touches).later(now)
 
 
 def _polish(
     task: BallTask, path: Path, touches: TouchSequence, max_iterations: int
-) -> Motion | None:
+) -> PlannedMotion | None:
     """Returns the local optimum with these touches; None if no motion has them, or none is met."""
     try:
         solved = task.follow(path, touches, max_iterations)
@@ -177,7 +177,7 @@ def _polish(
     if solved is None:
         return None
     phases, x = solved
-    return Motion(phases.trajectory(x), task.cost(phases, x), phases.contact_sequence(x))
+    return PlannedMotion(phases.trajectory(x), task.cost(phases, x), phases.contact_sequence(x))
 
 
 class _ShootingCloser(Closer):
@@ -222,12 +222,12 @@ class CompliantCloser(_ShootingCloser):
         """Returns False: compliant walls may be planned in."""
         return False
 
-    def lead(self, last: Motion, left: Trajectory, asked: Scenario) -> Motion | None:
+    def lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
         """Returns what a few iterations make of what is left of a motion."""
         states = np.hstack([left.positions, left.velocities])
         return self._descend(left.times, states, left.controls, self._options, last.cost)
 
-    def search(self, asked: Scenario, now: float, x: Floats) -> Motion | None:
+    def search(self, asked: Scenario, now: float, x: Floats) -> PlannedMotion | None:
         """Returns the best motion that boxes and renewals find from a state; None if none."""
         found = self._search(asked)
         if found is None:
@@ -243,7 +243,7 @@ class CompliantCloser(_ShootingCloser):
         controls: Floats,
         options: ShootingOptions,
         last_cost: float,
-    ) -> Motion | None:
+    ) -> PlannedMotion | None:
         """Returns the best motion near another one, whose gaps it closes; None if it finds none.
 
         Steps that close gaps let go of what is pushed by friction, and stay off it. So, with
@@ -255,7 +255,7 @@ class CompliantCloser(_ShootingCloser):
         tried = (self._read(problem.solve(controls, start, options)) for start in starts)
         return choose(tried, last_cost)
 
-    def _read(self, found: ShootingResult) -> Motion | None:
+    def _read(self, found: ShootingResult) -> PlannedMotion | None:
         """Returns a result as a motion; None if it leads nowhere."""
         if not (np.isfinite(found.cost) and np.all(np.isfinite(found.states))):
             return None
@@ -265,7 +265,7 @@ class CompliantCloser(_ShootingCloser):
         inside = self.world.calc_signed_distance(q) <= 0
         comes = inside & ~np.vstack([np.zeros_like(inside[:1]), inside[:-1]])
         touches = (Touch.bounce(found.times[k], int(i)) for k, i in np.argwhere(comes))
-        return Motion(motion, found.cost, tuple(touches))
+        return PlannedMotion(motion, found.cost, tuple(touches))
 
 
 class RigidCloser(_ShootingCloser):
@@ -318,7 +318,7 @@ class RigidCloser(_ShootingCloser):
         signs = np.where(is_still | ~has_friction, 0.0, np.sign(slips)).astype(int)
         return {int(i): int(signs[i]) for i in np.flatnonzero(self._lasts(x))}
 
-    def lead(self, last: Motion, left: Trajectory, asked: Scenario) -> Motion | None:
+    def lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
         """Returns what a few iterations make of what is left of a motion; None if that is none."""
         now, q, v = float(left.times[0]), left.positions[0], left.velocities[0]
         duration, rates = float(left.times[-1]) - now, self.world.calc_contact_rate(q, v)
@@ -337,13 +337,13 @@ class RigidCloser(_ShootingCloser):
         sequences: Iterable[TouchSequence],
         options: ShootingOptions,
         found: list[BouncingResult],
-    ) -> Iterator[Motion | None]:
+    ) -> Iterator[PlannedMotion | None]:
         """Yields the motions of descents, and appends what they led to, which may be none."""
         for touches in sequences:
             found.append(self._descend(left, touches, options))
             yield self._read(found[-1], float(left.times[0]))
 
-    def search(self, asked: Scenario, now: float, x: Floats) -> Motion | None:
+    def search(self, asked: Scenario, now: float, x: Floats) -> PlannedMotion | None:
         """Returns the best motion that boxes, renewals and neighbors lead to; None if none."""
         found = self._search(asked)
         if found is None:
@@ -359,7 +359,7 @@ class RigidCloser(_ShootingCloser):
         )
         return self._read(self._descend(left, found.touches, _MORE), now)
 
-    def _with_bounce(self, missed: BouncingResult, now: float) -> Motion | None:
+    def _with_bounce(self, missed: BouncingResult, now: float) -> PlannedMotion | None:
         """Returns the best motion near one that misses walls, with a bounce where it is deepest."""
         dip = find_deepest(self.world, missed) if np.isfinite(missed.cost) else None
         if dip is None:
@@ -381,16 +381,16 @@ class RigidCloser(_ShootingCloser):
         found = problem.solve(controls, interpolate(times, elapsed, after), options)
         return BouncingResult.of(found, phases)
 
-    def _read(self, found: BouncingResult, now: float) -> Motion | None:
+    def _read(self, found: BouncingResult, now: float) -> PlannedMotion | None:
         """Returns a result as a motion from now on; None if it leads nowhere, or misses walls."""
         is_finite = np.isfinite(found.cost) and np.all(np.isfinite(found.states))
         if not is_finite or found.violation > _MUCH:
             return None
         motion = found.as_trajectory(self.world)
-        return Motion(motion, self._task.price(found), found.touches).later(now)
+        return PlannedMotion(motion, self._task.price(found), found.touches).later(now)
 
 
-def _go_on(motion: Motion) -> TouchSequence:
+def _go_on(motion: PlannedMotion) -> TouchSequence:
     """Returns the touches of a motion; what lasts to its end goes on beyond it."""
     end = (1 - _SAME) * float(motion.trajectory.times[-1])
     return tuple(

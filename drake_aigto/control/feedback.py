@@ -16,7 +16,7 @@ from drake_aigto.control.stretches import (
     is_at_rest_on,
     touches_walls,
 )
-from drake_aigto.control.sweep import Phase, PhaseEnd, Sweep
+from drake_aigto.control.sweep import FeedbackPhase, PhaseEnd, Sweep
 from drake_aigto.planning import MechanismTask, PlanOptions, needs_shooting
 from drake_aigto.simulation import DRAKE, EVENT_DRIVEN, Controller, Held, Judge, Replay, summarize
 from drake_aigto.trajectory import Trajectory
@@ -70,7 +70,7 @@ class Feedback(Controller):
         self._norm = scenario.control_norm or np.inf
         touches = scenario.contact == "rigid" and touches_walls(world, trajectory)
         self.feels_contact = touches or not needs_shooting(world, scenario)
-        self.phases, self.ends = list[Phase](), list[PhaseEnd]()
+        self.phases, self.ends = list[FeedbackPhase](), list[PhaseEnd]()
         if self.feels_contact:
             check_impacts(world, trajectory)
             sweep = Sweep(world, scenario, trajectory)
@@ -80,7 +80,7 @@ class Feedback(Controller):
             problem = replace(task, times=times, phases=None)
             gains = problem.calc_gains(trajectory.controls, _SUBSTEPS, _SMOOTHING)
             state, _ = trajectory.to_piecewise()
-            self.phases = [Phase(times, state, trajectory.controls, gains)]
+            self.phases = [FeedbackPhase(times, state, trajectory.controls, gains)]
 
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
         """Returns u_k + K_k (x − x_i(t)), within bounds."""

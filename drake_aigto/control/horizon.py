@@ -10,7 +10,7 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.control.bounces_seen import SeenBounces
 from drake_aigto.control.closers import BallCloser, Closer, CompliantCloser, RigidCloser
-from drake_aigto.control.touches_left import Motion
+from drake_aigto.control.touches_left import PlannedMotion
 from drake_aigto.errors import ControlError
 from drake_aigto.planning import Planner
 from drake_aigto.trajectory import Trajectory
@@ -89,7 +89,7 @@ class Horizon:
         """Returns whether a state is inside of a wall that nothing can be planned from."""
         return self._closer.is_inside(x)
 
-    def rest(self, now: float, x: Floats) -> Motion:
+    def rest(self, now: float, x: Floats) -> PlannedMotion:
         """Returns no control, as far as bounds allow, where nothing better is known."""
         count, m = self._closer.num_steps, self.world.num_contacts
         times = np.linspace(now, max(self.end(now), now + self._step), count + 1)
@@ -97,16 +97,16 @@ class Horizon:
         none = np.zeros((count, self.world.num_actuators))
         controls = np.clip(none, *self.world.bounds(self.scenario).control)
         impulses, forces = np.zeros((count + 1, m)), np.zeros((count, m))
-        return Motion(Trajectory(times, q, v, controls, impulses, forces), np.inf, ())
+        return PlannedMotion(Trajectory(times, q, v, controls, impulses, forces), np.inf, ())
 
-    def advance(self, motion: Motion, now: float, x: Floats) -> Motion | None:
+    def advance(self, motion: PlannedMotion, now: float, x: Floats) -> PlannedMotion | None:
         """Returns the best motion near what is left of another one; None if there is none."""
         if now >= motion.trajectory.times[-1]:  # Where it leads from there on, no plan says.
             motion = self.rest(now, x)
         left = self._shift(motion.trajectory, now, x)
         return self._closer.lead(motion, left, self._ask(now, x))
 
-    def search(self, now: float, x: Floats) -> Motion | None:
+    def search(self, now: float, x: Floats) -> PlannedMotion | None:
         """Returns the best motion that the planner finds; None if it finds none.
 
         It takes what the planner's options allow: counts, not seconds.

@@ -16,7 +16,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.control.bounces_seen import SeenBounces
 from drake_aigto.control.horizon import Horizon
 from drake_aigto.control.ports import check_period, read_start
-from drake_aigto.control.touches_left import Motion
+from drake_aigto.control.touches_left import PlannedMotion
 from drake_aigto.errors import ControlError
 from drake_aigto.planning import Planner
 from drake_aigto.trajectory import Trajectory
@@ -57,13 +57,13 @@ class _Pending(NamedTuple):
     """A search that goes on in its thread."""
 
     due: int  # the tick that waits for it
-    found: Future[Motion | None]
+    found: Future[PlannedMotion | None]
 
 
 class _Choice(NamedTuple):
     """What a tick decides."""
 
-    motion: Motion
+    motion: PlannedMotion
     reason: str
     has_switched: bool = False
     pending: _Pending | None = None
@@ -297,8 +297,8 @@ class ModelPredictiveController(LeafSystem):
         return _Choice(motion, reason, pending=pending)
 
     def _find_other(
-        self, before: _Moment, question: _Question, motion: Motion | None
-    ) -> tuple[bool, Motion | None, _Pending | None]:
+        self, before: _Moment, question: _Question, motion: PlannedMotion | None
+    ) -> tuple[bool, PlannedMotion | None, _Pending | None]:
         """Returns whether a search is done, what it found, and one that goes on."""
         last, pending, tick = before.choice.motion.cost, before.choice.pending, before.tick + 1
         now, x, seen, horizon = question

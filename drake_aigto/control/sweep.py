@@ -34,7 +34,7 @@ _SLOWLY = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Phase:
+class FeedbackPhase:
     """A stretch of a plan, with what comes before and after it if contacts go on as they do in it.
 
     Attributes:
@@ -107,7 +107,7 @@ class Sweep:
         margin = _AT_BOUND * np.where(np.isfinite(high - low), high - low, 1.0)
         self._inside = low + margin, high - margin
 
-    def run(self) -> list[Phase]:
+    def run(self) -> list[FeedbackPhase]:
         """Returns the phases of all stretches."""
         value, phases = self._find_final(), []
         for stretch in reversed(self.stretches):
@@ -148,7 +148,7 @@ class Sweep:
                 value[n:, n:] += _HARD * scales.cost / scales.velocity**2 * np.eye(n)
         return value
 
-    def _sweep(self, stretch: Stretch, value: Floats) -> tuple[Phase, Floats]:
+    def _sweep(self, stretch: Stretch, value: Floats) -> tuple[FeedbackPhase, Floats]:
         """Returns the phase of a stretch, and V where it begins."""
         times, states, controls = self._continue(stretch)
         begin, end = np.searchsorted(times, self._plan.times[[stretch.first, stretch.last]])
@@ -162,7 +162,7 @@ class Sweep:
         q, v = np.split(states, 2, axis=1)
         none = np.zeros((len(times), self._world.num_contacts))
         state, _ = Trajectory(times, q, v, controls, none, none[1:]).to_piecewise()
-        return Phase(times, state, controls, gains), values[begin]
+        return FeedbackPhase(times, state, controls, gains), values[begin]
 
     def _step(
         self, stretch: Stretch, x: Floats, u: Floats, h: float, value: Floats

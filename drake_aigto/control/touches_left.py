@@ -20,7 +20,7 @@ _APART = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class PlannedMotion:
     """A motion over a horizon.
 
     Attributes:
@@ -45,10 +45,10 @@ class Motion:
         state, _ = self.trajectory.to_piecewise()
         return np.array(state.value(min(max(time, times[0]), times[-1]))[:, 0])
 
-    def later(self, by: float) -> Motion:
+    def later(self, by: float) -> PlannedMotion:
         """Returns the same motion, later by a duration [s]."""
         touches = (replace(each, start=each.start + by, end=each.end + by) for each in self.touches)
-        return Motion(self.trajectory.later(by), self.cost, tuple(touches))
+        return PlannedMotion(self.trajectory.later(by), self.cost, tuple(touches))
 
 
 def find_left(
@@ -105,14 +105,14 @@ def _list_left(
         yield from (whole, fewer) if is_near or not comes else (whole,)
 
 
-def choose(tried: Iterable[Motion | None], last: float) -> Motion | None:
+def choose(tried: Iterable[PlannedMotion | None], last: float) -> PlannedMotion | None:
     """Returns the first motion that is no dearer than the last plan, or else the cheapest one.
 
     Args:
         tried: motions, the likelier ones first.
         last: what the last plan costs.
     """
-    found: list[Motion] = []
+    found: list[PlannedMotion] = []
     for motion in tried:
         found += [motion] if motion else []
         if motion and motion.cost <= (1 + _DEARER) * last:

@@ -21,9 +21,9 @@ from .table1 import PAPER_COSTS as PAPER_COSTS
 from .table1 import ROWS as ROWS
 from .table1 import Cell as Cell
 from .table1 import Entry as Entry
-from .table1 import Method as Method
 from .table1 import RigidCell as RigidCell
 from .table1 import Table1 as Table1
+from .table1 import TableMethod as TableMethod
 from .table1 import run_cell as run_cell
 from .table1 import run_rigid_cell as run_rigid_cell
 from .table1 import run_table1 as run_table1

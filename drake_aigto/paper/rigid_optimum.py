@@ -99,8 +99,8 @@ def bounce_costs(world: World, scenario: Scenario, times: ArrayLike, speeds: Arr
     return np.where(task.way_is_clear(s, impact), costs, np.nan)
 
 
-class _Bounce(NamedTuple):
-    """A motion that touches once; all in units of `_Task`."""
+class _TouchOnce(NamedTuple):
+    """A motion that touches once; all in units of `_UnitTask`."""
 
     cost: float
     time: float
@@ -108,7 +108,7 @@ class _Bounce(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Task:
+class _UnitTask:
     """The problem in unit time: minimize ∫₀¹ ẍ² ds + weight (x(1) − goal)², x ≥ 0.
 
     Attributes:
@@ -143,7 +143,7 @@ class _Task:
         """Returns how far from the goal it ends if nothing is done."""
         return self.goal - self.position - self.velocity
 
-    def find_bounces(self) -> Iterator[_Bounce]:
+    def find_bounces(self) -> Iterator[_TouchOnce]:
         """Yields the stationary motions that touch once; the best of all touching ones is there."""
         # In 1/s: early touches, of which a bit too late is dear, come out most exactly.
         roots = np.roots(self._make_slope().coef)
@@ -154,14 +154,14 @@ class _Task:
             if r >= max(1.0, -self.velocity / (3 * self.position)):
                 yield self._make_bounce(1 / r)
 
-    def _make_bounce(self, s: float) -> _Bounce:
+    def _make_bounce(self, s: float) -> _TouchOnce:
         """Returns the cheapest motion that touches at time s, at the bottom of the parabola."""
         p, v, g, e = self.position, self.velocity, self.goal, self.restitution
         left = 1 - s
         free = -(3 * p + v * s) / (2 * s)  # velocity at the wall if it costs nothing
         price = _calc_goal_price(self.weight, left)
         impact = (4 * free - price * s * e * left * g) / (4 + price * s * (e * left) ** 2)
-        return _Bounce(self.calc_bounce_cost(s, impact), s, impact)
+        return _TouchOnce(self.calc_bounce_cost(s, impact), s, impact)
 
     def calc_bounce_cost(self, s: Any, impact: Any) -> Any:
         """Returns the least cost of touching at time s with velocity V; numbers or arrays."""
@@ -204,13 +204,13 @@ def _calc_goal_price(weight: float, left: Any) -> Any:
     return 3 * weight / (3 + weight * left**3)
 
 
-def _make_task(world: World, scenario: Scenario) -> tuple[_Task, float]:
+def _make_task(world: World, scenario: Scenario) -> tuple[_UnitTask, float]:
     """Returns the problem in unit time, and what its unit of cost is worth."""
     dynamics = _read_line(world)
     start, (J,) = scenario.initial_position, dynamics.jacobian[0]
     (effort,) = calc_efforts(dynamics)
     price = scenario.control_weight * effort / scenario.duration**3
-    task = _Task(
+    task = _UnitTask(
         position=float(world.calc_signed_distance(start)[0]),
         velocity=float(J * scenario.initial_velocity[0] * scenario.duration),
         goal=float(world.calc_signed_distance(scenario.goal_position)[0]),

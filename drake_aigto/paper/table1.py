@@ -91,7 +91,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Method:
+class TableMethod:
     """What one method came to on one row of the table.
 
     Attributes:
@@ -126,7 +126,7 @@ class Cell:
 
     row: int
     nonpenetration: bool
-    methods: tuple[Method, ...]
+    methods: tuple[TableMethod, ...]
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class RigidCell:
     restitution: float
     optimum: RigidOptimum
     contact_delay: float
-    methods: tuple[Method, ...]
+    methods: tuple[TableMethod, ...]
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,9 @@ def run_table1(
     )
 
 
-def _aigo_methods(world: World, scenario: Scenario, options: LiteralOptions) -> Iterator[Method]:
+def _aigo_methods(
+    world: World, scenario: Scenario, options: LiteralOptions
+) -> Iterator[TableMethod]:
     for name, algorithm in ALGORITHMS.items():
         chosen = dataclasses.replace(options, algorithm=algorithm)
         yield _plan_method(name, plan_literal(scenario, chosen, world))
@@ -265,7 +267,7 @@ def _gradient_methods(
     options: LiteralOptions,
     num_guesses: int,
     generator: np.random.Generator,
-) -> Iterator[Method]:
+) -> Iterator[TableMethod]:
     def problem_for(solver: LocalSolverName) -> LiteralTask:
         chosen = dataclasses.replace(options, local_solver=solver)
         return make_literal_task(world, scenario, chosen)
@@ -283,7 +285,7 @@ def _run_gradient(
     problem: LiteralTask,
     run: Callable[[LiteralTask], Candidate],
     num_guesses: int | None = None,
-) -> Method:
+) -> TableMethod:
     """Returns a run of a gradient solver, or several, with those replayed that are shown."""
     start = time.perf_counter()
     runs = [run(problem) for _ in range(num_guesses or 1)]
@@ -297,15 +299,15 @@ def _run_gradient(
             f"{name}: best of {num_guesses}": ranked[0],
         }
     entries = tuple(_entry(label, each, problem.confirm(each)) for label, each in shown.items())
-    return Method(name, tuple(each.cost for each in feasible), len(runs), entries, seconds)
+    return TableMethod(name, tuple(each.cost for each in feasible), len(runs), entries, seconds)
 
 
-def _plan_method(name: str, plan: Plan) -> Method:
+def _plan_method(name: str, plan: Plan) -> TableMethod:
     """Returns a plan's summary; its time is without replays."""
     costs = sorted(run.cost for run in plan.candidates if run.is_feasible)
     seconds = sum(plan.stats.seconds[part] for part in ("build", "aigo", "polish"))
     entry = _entry(name, plan.best, plan.replay)
-    return Method(name, tuple(costs), len(plan.candidates), (entry,), seconds)
+    return TableMethod(name, tuple(costs), len(plan.candidates), (entry,), seconds)
 
 
 def _plan(planner: Planner) -> Plan:

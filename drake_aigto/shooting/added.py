@@ -13,7 +13,7 @@ from drake_aigto.arrays import Floats, Ints
 from drake_aigto.dynamics import EquationsOfMotion
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.acceleration import evaluate_tape
-from drake_aigto.shooting.mechanism import Sum, Tape, TapeBuilder
+from drake_aigto.shooting.mechanism import Sum, SumTape, TapeBuilder
 from drake_aigto.shooting.tables import FLOW, Added
 from drake_aigto.terms import parse_costs, parse_rows
 from drake_aigto.transcription import Addition, Additions
@@ -22,7 +22,7 @@ from drake_aigto.transcription import Addition, Additions
 EVERYWHERE, AT_END = -1.0, float(np.inf)
 
 
-class AddedRow(NamedTuple):
+class AddedFunction(NamedTuple):
     """A function f(q, v, u) of a user: a cost, or a row of a constraint.
 
     Attributes:
@@ -60,8 +60,8 @@ class AddedTerms:
         tape: of values, slopes, and curvatures of costs, by (q, v, u); see `tables.Added`.
     """
 
-    rows: tuple[AddedRow, ...]
-    tape: Tape
+    rows: tuple[AddedFunction, ...]
+    tape: SumTape
 
     @classmethod
     def of(cls, world: EquationsOfMotion, additions: Additions) -> AddedTerms:
@@ -142,7 +142,7 @@ class AddedTerms:
         return Added(*self.tape, is_running, factors), np.stack(bounds)
 
 
-def _find_stages(row: AddedRow, kinds: Ints, times: Floats | None) -> Ints:
+def _find_stages(row: AddedFunction, kinds: Ints, times: Floats | None) -> Ints:
     """Returns the stages at whose start a function counts, K where it does at the end."""
     flights = np.append(np.flatnonzero(kinds == FLOW), len(kinds))
     if row.time == AT_END:
@@ -160,7 +160,7 @@ NO_TERMS = AddedTerms((), TapeBuilder([]).build([], []))
 
 def _read_all(
     builder: TapeBuilder, world: EquationsOfMotion, additions: Additions
-) -> Iterator[tuple[AddedRow, Sum]]:
+) -> Iterator[tuple[AddedFunction, Sum]]:
     """Yields each function with what it is."""
     for each in additions.running:
         yield from _read(builder, world, each, EVERYWHERE, is_running=True)
@@ -191,12 +191,14 @@ def _read(
     addition: Addition,
     time: float,
     is_running: bool = False,
-) -> Iterator[tuple[AddedRow, Sum]]:
+) -> Iterator[tuple[AddedFunction, Sum]]:
     """Yields the functions of one addition over (q, v, u)."""
     n, label = world.num_positions, f"'{addition.name}' can't be planned for a mechanism"
     first = {"q": 0, "v": n, "u": 2 * n}
     variables = [first[place.part] + place.coordinate for place in addition.places]
-    row = AddedRow(addition.name, True, is_running, -np.inf, np.inf, time, addition.reads_control)
+    row = AddedFunction(
+        addition.name, True, is_running, -np.inf, np.inf, time, addition.reads_control
+    )
     if addition.is_cost:
         scratch = MathematicalProgram()
         scratch.AddDecisionVariables(builder.variables)

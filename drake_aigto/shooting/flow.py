@@ -8,7 +8,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.kernels import inner, pasted
 from drake_aigto.shooting.acceleration import accelerate, factor_mass, run_tape
 from drake_aigto.shooting.hold import hold, strike
-from drake_aigto.shooting.tables import CHORDAL, MODULO, FlowMemory, Memory, Program, Task
+from drake_aigto.shooting.tables import CHORDAL, MODULO, CostTable, FlowMemory, Memory, Program
 
 
 @inner
@@ -32,7 +32,7 @@ def _find_error(kind: int, error: float) -> tuple[float, float]:
 
 
 @pasted
-def _measure(task: Task, time: float, y: Floats, errors: Floats) -> float:
+def _measure(task: CostTable, time: float, y: Floats, errors: Floats) -> float:
     """Returns Σ w e² about the reference, and computes the gradient and the reference's motion."""
     weights, times, reference = task.running, task.times, task.reference
     last, row, share, pace, rate = times.size - 1, 0, 0.0, 0.0, 0.0
@@ -257,7 +257,7 @@ def jump(
 
 
 @inner
-def measure_end(task: Task, z: Floats, has_slopes: bool, memory: Memory) -> float:
+def measure_end(task: CostTable, z: Floats, has_slopes: bool, memory: Memory) -> float:
     """Returns eᵀ W e of the last state, with its derivatives if asked."""
     K, nx, cost = memory.controls.shape[0], task.goal.size, 0.0
     weights, errors, squares = task.final, memory.flow.points[4], memory.flow.points[5]

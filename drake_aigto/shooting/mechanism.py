@@ -33,7 +33,7 @@ _IMMOBILE = 1e-12
 Sum = dict[tuple[int, ...], float]
 
 
-class Tape(NamedTuple):
+class SumTape(NamedTuple):
     """Z sums f: ℝⁿ → ℝᶻ of products, in the order in which they are computed.
 
     Each value has a place: 1 at 0, then the n coordinates, then cos y and sin y of each of W waves,
@@ -54,7 +54,7 @@ class Tape(NamedTuple):
 
 
 class TapeBuilder:
-    """Reads sums, differentiates them, and compiles them to a `Tape`."""
+    """Reads sums, differentiates them, and compiles them to a `SumTape`."""
 
     def __init__(self, variables: Iterable[Any]) -> None:
         """Takes the variables of the sums, in their order."""
@@ -110,7 +110,7 @@ class TapeBuilder:
                     _add(found, tuple(sorted((*rest, other))), slope)
         return {product: c for product, c in found.items() if c != 0.0}
 
-    def build(self, values: list[Sum], slopes: list[Sum]) -> Tape:
+    def build(self, values: list[Sum], slopes: list[Sum]) -> SumTape:
         """Returns the tape of sums: values and slopes; values can be computed alone."""
         sums = [*values, *slopes]
         places = _ProductPlaces(1 + len(self.variables) + 2 * len(self._waves))
@@ -133,7 +133,7 @@ class TapeBuilder:
             code += [number, len(summands), *summands]
             numbers += summands.values()
         constants = [0.0 if any(sum_) else sum_.get((), 0.0) for sum_ in sums]
-        return Tape(read_only(code, np.int64), read_only(numbers), read_only(constants))
+        return SumTape(read_only(code, np.int64), read_only(numbers), read_only(constants))
 
 
 class _ProductPlaces:
@@ -305,7 +305,7 @@ class Mechanism:
         return memory.sums
 
 
-def _compile(world: EquationsOfMotion, is_rigid: bool, rows: Sequence[Row]) -> Tape:
+def _compile(world: EquationsOfMotion, is_rigid: bool, rows: Sequence[Row]) -> SumTape:
     """Returns the tape of M, h, φ, J and T and of their derivatives; what holding takes if rigid.
 
     Rows T are expressions, shape (n,) each.

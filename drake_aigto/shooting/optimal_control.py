@@ -91,7 +91,7 @@ class Phases(ArrayRecord):
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class StageLayout:
     """The stages of a problem: flights between knots and, of phases, what starts each."""
 
     kinds: Ints  # FLOW, START or a contact, of each of K stages, shape (K,)
@@ -101,7 +101,7 @@ class Layout:
     shares: Floats  # how long each lasts [s]; of phases, as a share of its phase; shape (K,)
 
     @classmethod
-    def of(cls, times: Floats, phases: Phases | None, num_contacts: int) -> Layout:
+    def of(cls, times: Floats, phases: Phases | None, num_contacts: int) -> StageLayout:
         """Returns the stages of knots at these times, shape (N + 1,)."""
         steps = np.diff(times)
         if phases is None:
@@ -246,9 +246,9 @@ class OptimalControlProblem:
         return inverse @ force + np.finfo(float).tiny
 
     @cached_property
-    def layout(self) -> Layout:
+    def layout(self) -> StageLayout:
         """Its stages."""
-        return Layout.of(self.times, self.phases, self.mechanism.num_contacts)
+        return StageLayout.of(self.times, self.phases, self.mechanism.num_contacts)
 
     def fit_friction(self, substeps: int) -> Floats:
         """Returns the numbers of friction in so short Runge-Kutta steps, see `fit_to_steps`."""

@@ -10,7 +10,7 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.shooting.optimal_control import OptimalControlProblem
 from drake_aigto.shooting.program import make_program
-from drake_aigto.shooting.solve import ShootingOptions, ShootingResult, Smoothing, Solve
+from drake_aigto.shooting.solve import ShootingOptions, ShootingResult, ShootingRun, Smoothing
 from drake_aigto.shooting.tables import Program
 
 
@@ -116,8 +116,8 @@ class ShootingProblem(OptimalControlProblem):
         states: Floats | None,
         options: ShootingOptions,
         prices: Floats | None = None,
-    ) -> Solve:
-        return Solve(self, self.make_program(options), controls, states, options, prices)
+    ) -> ShootingRun:
+        return ShootingRun(self, self.make_program(options), controls, states, options, prices)
 
     def lasting(self, duration: float) -> ShootingProblem:
         """Returns the same problem, whose phases, if any, last for a sum at first [s]."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.shooting.optimal_control import Layout, OptimalControlProblem
+from drake_aigto.shooting.optimal_control import OptimalControlProblem, StageLayout
 from drake_aigto.shooting.tables import (
     CHORDAL,
     COEFFICIENT,
@@ -14,9 +14,9 @@ from drake_aigto.shooting.tables import (
     MODULO,
     SOURCE,
     Bounds,
+    CostTable,
     Mechanics,
     Program,
-    Task,
     copy_writable,
 )
 from drake_aigto.world import TaskCost
@@ -66,7 +66,7 @@ def make_program(problem: OptimalControlProblem, substeps: int, order: int) -> P
     return copy_writable(program)
 
 
-def _find_closed(layout: Layout, mechanics: Mechanics) -> tuple[Bools, Floats, Floats]:
+def _find_closed(layout: StageLayout, mechanics: Mechanics) -> tuple[Bools, Floats, Floats]:
     """Returns which rows vanish in each stage, (K, m + R), how contacts lean, (K, m), and e, (K,).
 
     Contacts are held during flights, and struck where something is hit.
@@ -85,13 +85,13 @@ def _find_closed(layout: Layout, mechanics: Mechanics) -> tuple[Bools, Floats, F
     return np.hstack([touching, sticks]), leans, e
 
 
-def _make_task(cost: TaskCost) -> Task:
+def _make_task(cost: TaskCost) -> CostTable:
     n = len(cost.goal)
     final = np.zeros((2 * n, 2 * n))
     final[:n, :n], final[n:, n:] = cost.QT, cost.QTv
     errors = np.where(cost.is_modulo, MODULO, np.where(cost.is_chordal, CHORDAL, EXACT))
     running = np.concatenate([cost.Q, cost.Qv])
-    return Task(
+    return CostTable(
         control=cost.R,
         running=running,
         final=(final + final.T) / 2,
@@ -102,7 +102,7 @@ def _make_task(cost: TaskCost) -> Task:
     )
 
 
-def _make_bounds(problem: OptimalControlProblem, layout: Layout, of_users: Floats) -> Bounds:
+def _make_bounds(problem: OptimalControlProblem, layout: StageLayout, of_users: Floats) -> Bounds:
     """Returns bounds at knots after the first, the hard goal among them."""
     lower, upper = _bound_states(problem, len(layout.kinds))
     low, high = _bound_distances(problem, layout)
@@ -152,7 +152,7 @@ def _bound_states(problem: OptimalControlProblem, num_stages: int) -> Floats:
     return np.concatenate([bounds, times], axis=2)
 
 
-def _bound_distances(problem: OptimalControlProblem, layout: Layout) -> Floats:
+def _bound_distances(problem: OptimalControlProblem, layout: StageLayout) -> Floats:
     """Returns lower and upper bounds of φ at knots, shape (2, K + 1, m)."""
     m, num_stages = problem.mechanism.num_contacts, len(layout.kinds)
     free = np.full((num_stages + 1, m), np.inf)
@@ -175,7 +175,7 @@ def _bound_distances(problem: OptimalControlProblem, layout: Layout) -> Floats:
     return bounds
 
 
-def _bound_controls(problem: OptimalControlProblem, layout: Layout) -> Floats:
+def _bound_controls(problem: OptimalControlProblem, layout: StageLayout) -> Floats:
     """Returns lower and upper bounds of what stages choose, shape (2, K, nu)."""
     bounds = np.array(problem.control_bounds)
     if bounds.shape[1] == 1:

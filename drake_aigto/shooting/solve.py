@@ -144,7 +144,7 @@ class ShootingResult(ArrayRecord):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
-class Solve:
+class ShootingRun:
     """One solve: the motion, the multipliers and the memory."""
 
     def __init__(

@@ -55,7 +55,7 @@ class MechanicsMemory(NamedTuple):
     by_force: Floats  # the derivative of λ by (q, v, u), transposed, shape (2n + nu, w)
 
 
-class Task(NamedTuple):
+class CostTable(NamedTuple):
     """The cost, see `TaskCost`; L times of the reference."""
 
     control: Floats  # R, shape (nu,)
@@ -104,7 +104,7 @@ class Program(NamedTuple):
     """A shooting problem of K stages, whose state z is (q, v), or (q, v, τ, t) of phases."""
 
     mechanics: Mechanics
-    task: Task
+    task: CostTable
     bounds: Bounds
     added: Added
     kinds: Ints  # FLOW, START or a contact, of each stage, shape (K,)

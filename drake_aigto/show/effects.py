@@ -122,7 +122,7 @@ class _Load(NamedTuple):
     vectors: Floats  # in the world: forces [N] or torques [N m], shape (K, 3)
 
 
-class _Push(NamedTuple):
+class _PushArrow(NamedTuple):
     """Forces [N] or impulses [N s] of one contact of a motion."""
 
     motion: Motion
@@ -267,13 +267,13 @@ class Effects:
         motion, (forces, impulses) = self._motions[index], self._friction[index]
         keys = [(self._film.frame(time), row, True) for row, time in enumerate(motion.times)]
         for contact in np.flatnonzero(np.any(forces.normals > 0, axis=0)).tolist():
-            push = _Push(motion, forces, contact, self.largest[2], _MAGENTA)
+            push = _PushArrow(motion, forces, contact, self.largest[2], _MAGENTA)
             cones = f"{folder}/friction/{contact}/force"
             self._add_push(push, keys, aside, f"{folder}/contacts/{contact}/force", cones)
         end = round(_LASTING * self._film.rate)
         lasting = {-1: False, 0: True, end: True, end + 1: False}
         for contact in np.flatnonzero(np.any(impulses.largest > 0, axis=0)).tolist():
-            push = _Push(motion, impulses, contact, self.largest[3], _VIOLET)
+            push = _PushArrow(motion, impulses, contact, self.largest[3], _VIOLET)
             rows = np.flatnonzero(impulses.largest[:, contact] > 0)
             moments = self._film.moments(motion.times[rows], lasting)
             keys = [(frame, int(rows[number]), seen) for frame, number, seen in moments]
@@ -284,7 +284,7 @@ class Effects:
                 self._add_flashes(motion, contact, aside, f"{folder}/contacts/{contact}/impacts")
 
     def _add_push(
-        self, push: _Push, keys: Sequence[_Key], aside: RigidTransform, arrow: str, cones: str
+        self, push: _PushArrow, keys: Sequence[_Key], aside: RigidTransform, arrow: str, cones: str
     ) -> None:
         """Adds the arrow of a contact's force or impulse, and its cones if there is friction."""
         motion, friction, contact, largest, color = push

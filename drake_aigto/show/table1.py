@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from drake_aigto.arrays import Floats
-from drake_aigto.paper import PAPER_COSTS, Cell, Entry, Method, RigidCell, Table1
+from drake_aigto.paper import PAPER_COSTS, Cell, Entry, RigidCell, Table1, TableMethod
 from drake_aigto.show.figures import plot_motions
 from drake_aigto.show.motion import PLAN_LABEL, SIMULATION_LABELS, Motion
 from drake_aigto.show.page import Page
@@ -113,7 +113,7 @@ def _excess(cell: RigidCell, cost: float) -> str:
     return f"{percent:+.3f} %" if abs(percent) < 9.9995 else f"{percent:+.2g} %"
 
 
-def _method_lines(methods: Iterable[Method]) -> Iterator[str]:
+def _method_lines(methods: Iterable[TableMethod]) -> Iterator[str]:
     for method in methods:
         for entry in method.entries:
             run, seconds = entry.candidate, f"{method.seconds:.1f}" if entry is method.best else ""

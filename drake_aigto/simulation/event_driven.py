@@ -7,7 +7,7 @@ from drake_aigto.contact import CompliantLaw, contact_law
 from drake_aigto.simulation.parabolas import Flights, Parabolas
 from drake_aigto.simulation.recording import Controller, HeldControl, Recording
 from drake_aigto.simulation.rigid import RigidMotion, SlidingMotion
-from drake_aigto.simulation.springs import Springs
+from drake_aigto.simulation.springs import SpringMotion
 from drake_aigto.world import Scenario, World
 
 
@@ -18,7 +18,7 @@ class EventDriven:
     rounding, by roots alone (`Parabolas`, `Flights`); only hops too short to follow become rest.
     Elsewhere it is integrated nearly to rounding (`RigidMotion` has the equations), and so it is
     with friction (`SlidingMotion`): what sticks, slips or rolls, and until when, is found by roots,
-    too. Compliant walls are springs that may be entered (`Springs`).
+    too. Compliant walls are springs that may be entered (`SpringMotion`).
     """
 
     def simulate(
@@ -37,7 +37,7 @@ class EventDriven:
         law, span = contact_law(world, scenario), (controller.start, controller.end)
         start = state or (scenario.initial_position, scenario.initial_velocity)
         if isinstance(law, CompliantLaw):
-            recording = Springs(world, law, start, controller.start).run(controller)
+            recording = SpringMotion(world, law, start, controller.start).run(controller)
             recording.simulator = "integrated"
             return recording
         is_parabola = world.has_constant_dynamics and not law.rubs

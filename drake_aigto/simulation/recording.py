@@ -74,7 +74,7 @@ class HeldControl(Controller):
         return Held(self.controls[k - 1], float(self.times[k]))
 
 
-class Samples(NamedTuple):
+class MotionSamples(NamedTuple):
     """A motion at nodes of a quadrature, ∫ f dt ≈ Σ_k weights_k f(times_k, states_k)."""
 
     times: Floats  # shape (K,) [s]
@@ -156,7 +156,7 @@ class Recording:
     phases: list[ContactPhase] = field(default_factory=list)
     control_times: Rows = field(default_factory=list)
     controls: Rows = field(default_factory=list)
-    samples: list[tuple[Samples, Floats]] = field(default_factory=list)
+    samples: list[tuple[MotionSamples, Floats]] = field(default_factory=list)
 
     @property
     def bounces(self) -> list[int]:

@@ -14,7 +14,7 @@ from numpy.polynomial import chebyshev, legendre
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import TrajectoryError
-from drake_aigto.simulation.recording import Controller, Recording, Samples
+from drake_aigto.simulation.recording import Controller, MotionSamples, Recording
 from drake_aigto.world import World
 
 # Of one step, relative and absolute: in flight a thousand of them are off by 1e-10.
@@ -47,7 +47,7 @@ class Course(NamedTuple):
     end: float  # [s]
     state: Floats  # (q, v) there, shape (2 nv,)
     fallen: int  # which fell; −1: none
-    samples: list[Samples]  # of all of its pieces
+    samples: list[MotionSamples]  # of all of its pieces
     step: float  # the longest that was proposed [s]
 
 
@@ -62,11 +62,11 @@ class _Piece(NamedTuple):
         """Returns times of abscissae in [−1, 1]."""
         return self.start + (self.end - self.start) / 2 * (abscissae + 1)
 
-    def sample(self, end: float) -> Samples:
+    def sample(self, end: float) -> MotionSamples:
         """Returns samples until some time in it."""
         part = self._replace(end=end)
         times = part.at(_ABSCISSAE)
-        return Samples(times, (end - self.start) / 2 * _WEIGHTS, self.states(times))
+        return MotionSamples(times, (end - self.start) / 2 * _WEIGHTS, self.states(times))
 
 
 def follow(

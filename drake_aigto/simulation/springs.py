@@ -31,7 +31,7 @@ class _End(NamedTuple):
     is_rate: bool  # whether y is 1 − d φ̇
 
 
-class _Phase(IntEnum):
+class _ContactState(IntEnum):
     """What a contact is in."""
 
     FREE = 0  # φ > 0
@@ -39,7 +39,7 @@ class _Phase(IntEnum):
     SLACK = 2  # φ < 0, but it leaves so fast that the spring can't follow
 
 
-class Springs(HybridMotion):
+class SpringMotion(HybridMotion):
     """A world whose walls push as its contact law says (`CompliantLaw`).
 
         M v̇ + h(q, v) = B u + Jᵀ f + d,    f = k x max(0, 1 + d ẋ),    x = max(0, −φ)
@@ -58,8 +58,8 @@ class Springs(HybridMotion):
         self._law, self._calc_rates = law, compile_springs(world, law)
         q, v = state
         distances, rates = world.calc_signed_distance(q), world.calc_contact_jacobian(q) @ v
-        inside = np.where(law.dissipation * rates < 1, _Phase.PRESSED, _Phase.SLACK)
-        self._phases = np.where(distances > 0, _Phase.FREE, inside)
+        inside = np.where(law.dissipation * rates < 1, _ContactState.PRESSED, _ContactState.SLACK)
+        self._phases = np.where(distances > 0, _ContactState.FREE, inside)
         self._touched: dict[int, Impact] = {}  # each contact that goes on, as it began
 
     def run(self, controller: Controller) -> Recording:
@@ -76,10 +76,10 @@ class Springs(HybridMotion):
                 return
             contact, before = end.contact, self._phases[end.contact]
             self._phases[contact] = end.next
-            if before == _Phase.FREE:
+            if before == _ContactState.FREE:
                 self.recording.add(self.time, *self._split())
                 self._touched[contact] = read_touch(self.world, self.time, self.x, contact, control)
-            elif end.next == _Phase.FREE:
+            elif end.next == _ContactState.FREE:
                 self._leave(contact)
                 if feels_contact:
                     return
@@ -87,7 +87,7 @@ class Springs(HybridMotion):
     def _follow_phases(self, control: Floats, until: float) -> _End | None:
         """Moves on until a phase ends, and returns which did."""
         n, law, calc_rates = self.world.num_positions, self._law, self._calc_rates
-        pressed, ends = self._phases == _Phase.PRESSED, self._list_ends()
+        pressed, ends = self._phases == _ContactState.PRESSED, self._list_ends()
         force = self.world.actuation @ control
         contacts = np.array([end.contact for end in ends], dtype=int)
         signs, is_rate = np.array([end.sign for end in ends]), [end.is_rate for end in ends]
@@ -109,14 +109,14 @@ class Springs(HybridMotion):
         """Returns what ends the phase of each contact."""
         ends = []
         for i, phase in enumerate(self._phases):
-            if phase == _Phase.FREE:
-                ends.append(_End(i, _Phase.PRESSED, 1.0, False))
+            if phase == _ContactState.FREE:
+                ends.append(_End(i, _ContactState.PRESSED, 1.0, False))
                 continue
-            ends.append(_End(i, _Phase.FREE, -1.0, False))
-            if phase == _Phase.SLACK:
-                ends.append(_End(i, _Phase.PRESSED, -1.0, True))
+            ends.append(_End(i, _ContactState.FREE, -1.0, False))
+            if phase == _ContactState.SLACK:
+                ends.append(_End(i, _ContactState.PRESSED, -1.0, True))
             elif self._law.dissipation[i] > 0:
-                ends.append(_End(i, _Phase.SLACK, 1.0, True))
+                ends.append(_End(i, _ContactState.SLACK, 1.0, True))
         return ends
 
     def _measure(self, x: Floats) -> tuple[Floats, Floats, Floats]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from drake_aigto.arrays import Floats
-from drake_aigto.simulation.recording import Recording, Samples
+from drake_aigto.simulation.recording import MotionSamples, Recording
 from drake_aigto.world import Limits, Scales, Scenario, TaskCost, World
 
 BOUNDS, HARD_GOAL = "bounds", "hard goal"
@@ -116,7 +116,7 @@ def explain_cost(world: World, scenario: Scenario, end: Floats, error: float) ->
     return size**2 - max(0.0, size - explained) ** 2
 
 
-def sample_steps(times: Floats, states: Floats, controls: Floats) -> tuple[Samples, Floats]:
+def sample_steps(times: Floats, states: Floats, controls: Floats) -> tuple[MotionSamples, Floats]:
     """Returns samples between the ends of steps, and the control at each.
 
     Args:
@@ -128,7 +128,7 @@ def sample_steps(times: Floats, states: Floats, controls: Floats) -> tuple[Sampl
     return sample_cubics(times, states), np.repeat(held, len(_NODES), axis=0)
 
 
-def sample_cubics(times: Floats, states: Floats) -> Samples:
+def sample_cubics(times: Floats, states: Floats) -> MotionSamples:
     """Returns samples along the cubics between rows of states (q, v), shape (K, 2 nv)."""
     lasts = np.flatnonzero(np.diff(times) > 0)
     steps = np.diff(times)[lasts, np.newaxis]
@@ -141,4 +141,4 @@ def sample_cubics(times: Floats, states: Floats) -> Samples:
     at = times[lasts, np.newaxis] + s[..., 0].T * steps
     weights = steps / 2 * _WEIGHTS
     rows = np.concatenate([q, v], axis=-1).transpose(1, 0, 2)
-    return Samples(at.ravel(), weights.ravel(), rows.reshape(-1, states.shape[1]))
+    return MotionSamples(at.ravel(), weights.ravel(), rows.reshape(-1, states.shape[1]))

@@ -29,7 +29,7 @@ _PLAIN = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class CheckedPoint:
     """A point, its origin, and f multiplied out, which is off by its rounding at most."""
 
     x: Floats
@@ -61,8 +61,8 @@ class Answers:
         """Starts without any; `observe` is called with every better point, and a line about it."""
         self.program, self.staged = program, staged
         self._options, self._observe = options, observe
-        self.best: Answer | None = None
-        self._best_cost: tuple[Answer, float] | None = None  # by the program's own formulas
+        self.best: CheckedPoint | None = None
+        self._best_cost: tuple[CheckedPoint, float] | None = None  # by the program's own formulas
         reduced = program.reduced
         is_unbounded = np.isinf(reduced.lower) | np.isinf(reduced.upper)
         self.is_unbounded = is_unbounded[: program.source.num_vars()]
@@ -101,14 +101,14 @@ class Answers:
             cost, rounding = program.cost(x), 0.0
         if not np.isfinite(cost):
             return
-        answer = Answer(x, cost, rounding, program.violation(x), origin)
+        answer = CheckedPoint(x, cost, rounding, program.violation(x), origin)
         if self.best is None or self._is_better(answer, self.best):
             self.best = answer
             self._observe(x, f"cost {cost:.9g}, violation {answer.violation:.1e}: {origin}")
             if self._is_beyond(x):  # Nearer is as good where a cost is flat.
                 self.keep(np.where(self.is_unbounded, np.clip(x, -_OUT, _OUT), x), origin)
 
-    def _is_better(self, answer: Answer, best: Answer) -> bool:
+    def _is_better(self, answer: CheckedPoint, best: CheckedPoint) -> bool:
         """Whether an answer violates less beyond the tolerance, or costs less.
 
         Where rounding hides which costs less, the program's own formulas decide, which take long.

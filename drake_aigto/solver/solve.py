@@ -11,7 +11,7 @@ from pydrake.solvers import GetProgramType, ProgramType
 from drake_aigto.aigo import Box
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.certify import Certificate, Certifier, relative_gap
-from drake_aigto.solver.answers import FAR, Answer, Answers, Observer
+from drake_aigto.solver.answers import FAR, Answers, CheckedPoint, Observer
 from drake_aigto.solver.boxes import BoxStage, make_first_box
 from drake_aigto.solver.details import AigoDetails, AigoOptions, AigoStatus
 from drake_aigto.solver.parsed import Bounds, ContradictionError, may_be_feasible, tighten
@@ -326,12 +326,12 @@ class Solve:
         best = self._answers.best
         return best is not None and bool(np.max(np.abs(best.x)) < FAR) and self._is_outermost(best)
 
-    def _is_outermost(self, best: Answer) -> bool:
+    def _is_outermost(self, best: CheckedPoint) -> bool:
         """Whether a point is in the outermost decade."""
         decade = self._outside.decade(self._program.reduce(best.x))
         return self._decades > 0 and decade > self._decades - 1
 
-    def _judge(self, best: Answer) -> AigoStatus:
+    def _judge(self, best: CheckedPoint) -> AigoStatus:
         found = self._certificate
         if not self._answers.is_feasible:
             if found and found.is_infeasible:
@@ -347,7 +347,7 @@ class Solve:
         is_whole = is_convex or not np.any(self._outside.is_open)
         return AigoStatus.SOLVED if is_whole else AigoStatus.SOLVED_IN_PART
 
-    def _details(self, best: Answer, status: AigoStatus) -> AigoDetails:
+    def _details(self, best: CheckedPoint, status: AigoStatus) -> AigoDetails:
         first, reduced, boxes = self._outside.box, self._program.reduced, self._boxes
         n = best.x.size
         half_width = np.full(reduced.lower.size, np.nan)

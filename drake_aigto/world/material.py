@@ -31,7 +31,7 @@ _UNGIVEN = {
 }
 
 
-class Springs(NamedTuple):
+class SpringMaterial(NamedTuple):
     """Numbers of compliant contacts, shape (m,) each (`CompliantLaw` has the letters)."""
 
     stiffness: Floats  # k [N/m]
@@ -39,7 +39,7 @@ class Springs(NamedTuple):
     reaches: Floats  # R of two spheres that move about each other, else 0 [m]
 
 
-def read_springs(scene_graph: SceneGraph, reachable: Sequence[ReachableFace]) -> Springs:
+def read_springs(scene_graph: SceneGraph, reachable: Sequence[ReachableFace]) -> SpringMaterial:
     """Returns stiffness and dissipation of contacts as their shapes have it.
 
         k = k₁ k₂ / (k₁ + k₂),    d = (k₂ d₁ + k₁ d₂) / (k₁ + k₂)
@@ -56,7 +56,7 @@ def read_springs(scene_graph: SceneGraph, reachable: Sequence[ReachableFace]) ->
         d1, d2 = (read_given(scene_graph, shape, DISSIPATION) for shape in each.face.shapes)
         dissipation.append((k2 * d1 + k1 * d2) / (k1 + k2))
     reaches = np.array([each.reach for each in reachable])
-    return Springs(read_stiffness(scene_graph, reachable), np.array(dissipation), reaches)
+    return SpringMaterial(read_stiffness(scene_graph, reachable), np.array(dissipation), reaches)
 
 
 def read_stiffness(scene_graph: SceneGraph, reachable: Sequence[ReachableFace]) -> Floats:

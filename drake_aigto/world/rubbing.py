@@ -213,7 +213,9 @@ class Rubbing:
     @cached_property
     def _slides(self) -> Floats:
         """1 for each face along which a sphere can slide, else 0."""
-        return np.array([float(_Motion(self._plant, face).can_slide()) for face in self._faces])
+        return np.array(
+            [float(_SphereMotion(self._plant, face).can_slide()) for face in self._faces]
+        )
 
     @cached_property
     def _tangents(self) -> list[NDArray[Any] | None]:
@@ -272,7 +274,7 @@ def _read_tangent(
     Raises:
         ModelError: it depends on too many joints.
     """
-    motion = _Motion(plant, face)
+    motion = _SphereMotion(plant, face)
     if motion.is_off_line:
         rates = motion.find_turning(is_compliant)
     else:
@@ -295,7 +297,7 @@ def _read_tangent(
     return tangent if max(errors) <= _ROUNDING * max(1.0, size) else None
 
 
-class _Motion:
+class _SphereMotion:
     """How a sphere moves before a face, as numbers."""
 
     def __init__(self, plant: MultibodyPlant, face: SphereAndFace) -> None:

@@ -29,7 +29,7 @@ from drake_aigto.world.diagram import (
 from drake_aigto.world.fields import as_number
 from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.limits import Limits, check_sizes
-from drake_aigto.world.material import Springs, read_materials, read_springs, read_stiffness
+from drake_aigto.world.material import SpringMaterial, read_materials, read_springs, read_stiffness
 from drake_aigto.world.pairs import (
     ReachableFace,
     SphereAndFace,
@@ -206,7 +206,7 @@ class World(EquationsOfMotion):
         return read_stiffness(self.scene_graph, self._reachable)
 
     @cached_property
-    def springs(self) -> Springs:
+    def springs(self) -> SpringMaterial:
         """Stiffness, dissipation and reaches of compliant contacts.
 
         Raises:

@@ -112,7 +112,7 @@ class ArcPrograms:
 
 
 @dataclass(frozen=True, eq=False)
-class Walls:
+class WallBounds:
     """Bounds of φ = J q + φ(0), W of them, that each are bounds of one position.
 
     Attributes:
@@ -128,7 +128,7 @@ class Walls:
     limits: Floats
 
     @classmethod
-    def of(cls, rows: list[tuple[int, int, float, float, float]]) -> Walls:
+    def of(cls, rows: list[tuple[int, int, float, float, float]]) -> WallBounds:
         """Returns those of these unknowns, contacts, slopes, and lower and upper bounds."""
         table = np.array(rows, dtype=float).reshape(-1, 5).T
         return cls(table[0].astype(np.int64), table[1].astype(np.int64), table[2], table[3:])
@@ -282,7 +282,7 @@ class ArcProgram:
                 else:
                     both = np.append(J, 1.0), np.append(q, self.offset[i])
                     self._builder.bound_sum(name, *both, lower, upper)
-        self.walls = Walls.of(alone)
+        self.walls = WallBounds.of(alone)
 
     def _add_touches(self) -> None:
         """Adds how the ball comes to walls, and that no wall pulls in an impact."""

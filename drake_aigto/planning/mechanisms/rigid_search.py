@@ -23,8 +23,8 @@ from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask
 from drake_aigto.planning.mechanisms.search import (
     SAME,
     Closed,
+    KeptMotion,
     MechanismSearch,
-    Motion,
 )
 from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.search import Proposal, Stopwatch, scaled
@@ -66,7 +66,7 @@ class RigidMechanismSearch(MechanismSearch):
         """Starts with no motion."""
         super().__init__(task, clock)
         self._tried: set[_Key] = set()
-        self._branched: list[Motion] = []
+        self._branched: list[KeptMotion] = []
 
     def propose(self) -> Iterator[Sequence[Proposal]]:
         """Yields the centers of all rungs, and motions with the first touches of coasting.
@@ -102,7 +102,7 @@ class RigidMechanismSearch(MechanismSearch):
         assert isinstance(problem, RigidMechanismTask)
         return problem.polish(motion, self._scale_best(self.beaten))
 
-    def _find_unbranched(self) -> Motion | None:
+    def _find_unbranched(self) -> KeptMotion | None:
         """Returns one of the best whose neighbors were not tried yet."""
         best = self.motions[:_MOST_BRANCHED]
         for motion in best:
@@ -112,7 +112,7 @@ class RigidMechanismSearch(MechanismSearch):
                 return motion
         return None
 
-    def _is_better(self, motion: Motion, known: Motion) -> bool:
+    def _is_better(self, motion: KeptMotion, known: KeptMotion) -> bool:
         """Returns whether a motion costs less, or as much with fewer touches.
 
         One optimum has many sequences, with touches that hardly push. Each makes it more likely
@@ -185,7 +185,7 @@ class RigidMechanismSearch(MechanismSearch):
         )
 
 
-def _read(motion: Motion) -> BouncingResult:
+def _read(motion: KeptMotion) -> BouncingResult:
     """Returns a motion of this search, which is in phases."""
     assert isinstance(motion.result, BouncingResult)
     return motion.result

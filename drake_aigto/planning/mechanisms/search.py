@@ -49,7 +49,7 @@ _MOST_RENEWED = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class KeptMotion:
     """A motion that the search keeps.
 
     Attributes:
@@ -86,11 +86,11 @@ class MechanismSearch(Search):
     def __init__(self, task: MechanismTask, clock: Stopwatch | None = None) -> None:
         """Starts with no motion."""
         super().__init__(task, clock)
-        self.motions: list[Motion] = []
+        self.motions: list[KeptMotion] = []
         self._candidates: list[Candidate] = []
-        self._tight: list[Motion] = []  # The best motions, in shorter steps.
-        self._known: list[Motion] = []  # Those that were polished, and what became of them.
-        self._beaten: list[tuple[Motion, ShootingResult]] = []  # Polished, but not simulated.
+        self._tight: list[KeptMotion] = []  # The best motions, in shorter steps.
+        self._known: list[KeptMotion] = []  # Those that were polished, and what became of them.
+        self._beaten: list[tuple[KeptMotion, ShootingResult]] = []  # Polished, but not simulated.
         self._aim = Aim()
         self._num_closed = self._num_of_use = 0
 
@@ -99,7 +99,7 @@ class MechanismSearch(Search):
         """The finalists, as they were judged."""
         return self._candidates
 
-    def list_found(self) -> Sequence[Motion]:
+    def list_found(self) -> Sequence[KeptMotion]:
         """Returns the best motions so far."""
         return self.motions
 
@@ -169,17 +169,17 @@ class MechanismSearch(Search):
         self.aigo_steps += steps
         self._num_closed += 1
         self._num_of_use += self.task.is_of_use(result)
-        motion = Motion(origin, result, self.task.rank(result))
+        motion = KeptMotion(origin, result, self.task.rank(result))
         near = [known for known in self.motions if self._are_same(known, motion)]
         if np.isfinite(motion.cost) and all(self._is_better(motion, known) for known in near):
             others = [known for known in self.motions if known not in near]
             self.motions = sorted([*others, motion], key=lambda each: each.rank)[:_MOST_KEPT]
 
-    def _is_better(self, motion: Motion, known: Motion) -> bool:
+    def _is_better(self, motion: KeptMotion, known: KeptMotion) -> bool:
         """Returns whether a motion takes the place of one that leads to the same optimum."""
         return motion.rank < known.rank
 
-    def _are_same(self, one: Motion, other: Motion) -> bool:
+    def _are_same(self, one: KeptMotion, other: KeptMotion) -> bool:
         """Returns whether two motions lead to one optimum, by cost or by path."""
         is_as_dear = abs(one.cost - other.cost) <= SAME * abs(one.cost)
         return is_as_dear or self._are_near(one.result, other.result)
@@ -212,18 +212,18 @@ class MechanismSearch(Search):
             if not any(self._are_same(motion, other) for other in self._known):
                 polished = self._polish(motion)
                 rank = self.task.rank(polished)
-                self._known += [motion, Motion(motion.origin, polished, rank)]
+                self._known += [motion, KeptMotion(motion.origin, polished, rank)]
 
-    def _tighten(self) -> list[Motion]:
+    def _tighten(self) -> list[KeptMotion]:
         """Returns the motions by what they cost in shorter steps."""
-        tight: list[Motion] = []
+        tight: list[KeptMotion] = []
         with self.clock("polish"), self.ended_by_ctrl_c(lambda: self.motions):
             for motion in self.motions[: 1 if self.is_interrupted else None]:
                 result = self.task.tighten(motion.result)
-                tight.append(Motion(motion.origin, result, self.task.rank(result)))
+                tight.append(KeptMotion(motion.origin, result, self.task.rank(result)))
         return sorted(tight, key=lambda each: each.rank) or self.motions[:1]
 
-    def _is_hopeless(self, motion: Motion) -> bool:
+    def _is_hopeless(self, motion: KeptMotion) -> bool:
         """Returns whether a motion costs more than its polish can win back."""
         return motion.cost > self._scale_best(self.dear)
 
@@ -250,7 +250,7 @@ class MechanismSearch(Search):
         """Returns the optimum near a motion."""
         return problem.polish(motion)
 
-    def _polish(self, motion: Motion) -> ShootingResult:
+    def _polish(self, motion: KeptMotion) -> ShootingResult:
         """Adds the candidate that a motion becomes, and returns its motion.
 
         Where it leaves its bounds in simulation, it is polished within narrower ones.
@@ -282,7 +282,7 @@ class MechanismSearch(Search):
         self._add(candidate)
         return polished
 
-    def _simulate(self, motion: Motion, polished: ShootingResult) -> Candidate:
+    def _simulate(self, motion: KeptMotion, polished: ShootingResult) -> Candidate:
         with self.clock("replay"):
             return self.task.judge(motion.origin, motion.result, polished)
 
