@@ -280,7 +280,7 @@ def test_control_says_that_it_was_interrupted(
     def press(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("drake_aigto.control.loop_recorder.LoopRecorder.kick", press)
+    monkeypatch.setattr("drake_aigto.control.LoopRecorder.kick", press)
     words = ["control", "table1/1", "--method", "tracking", "--kick", "0.1", "--kick-time", "0.2"]
     assert main(words) == INTERRUPTED
     assert "Ctrl-C ended the simulation" in capsys.readouterr().out

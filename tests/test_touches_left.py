@@ -47,7 +47,7 @@ STILL = np.zeros(2)
 def hold(now: float, rates: np.ndarray = STILL, **slips: int) -> list[tuple[float, ...]]:
     """Returns the likeliest touches left as start, end, contact and mode; slips by contact."""
     lying = {int(name[1:]): slip for name, slip in slips.items()}
-    touches = next(find_left(HOLDS, now, LEFT - now, PERIOD, rates, None, lying))
+    touches = find_left(HOLDS, now, LEFT - now, PERIOD, rates, None, lying)[0]
     return [(touch.start, touch.end, touch.contact, touch.mode) for touch in touches]
 
 

@@ -1,12 +1,11 @@
-from .bounces_seen import SeenBounces as SeenBounces
-from .closed_loop import run_in_loop as run_in_loop
 from .disturbance import Disturbance as Disturbance
 from .feedback import Feedback as Feedback
 from .feedback import Tracked as Tracked
 from .feedback import track_drake as track_drake
 from .feedback import track_event_driven as track_event_driven
 from .horizon import Horizon as Horizon
-from .loop_recorder import LoopRecorder as LoopRecorder
+from .loop import LoopRecorder as LoopRecorder
+from .loop import run_in_loop as run_in_loop
 from .loop_run import ClosedLoopRun as ClosedLoopRun
 from .loop_run import PlannedPath as PlannedPath
 from .loop_run import PlanSwitch as PlanSwitch
@@ -14,7 +13,8 @@ from .loop_run import is_run as is_run
 from .predictive import ModelPredictiveController as ModelPredictiveController
 from .predictive import TickStatus as TickStatus
 from .sweep import Sweep as Sweep
-from .touches_left import PlannedMotion as PlannedMotion
-from .touches_left import choose as choose
-from .touches_left import find_left as find_left
+from .touches import PlannedMotion as PlannedMotion
+from .touches import SeenBounces as SeenBounces
+from .touches import choose as choose
+from .touches import find_left as find_left
 from .tracking import TrackingController as TrackingController

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, interpolate
-from drake_aigto.control.touches_left import PlannedMotion, choose, find_left, keep_apart
+from drake_aigto.control.touches import PlannedMotion, choose, find_left, keep_apart
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.planning import (
     BallSearch,
@@ -323,7 +323,7 @@ class RigidCloser(_ShootingCloser):
         now, q, v = float(left.times[0]), left.positions[0], left.velocities[0]
         duration, rates = float(left.times[-1]) - now, self.world.calc_contact_rate(q, v)
         touches, slips = _go_on(last), self._read_slips(np.concatenate([q, v]))
-        sequences = list(find_left(touches, now, duration, self._period, rates, None, slips))
+        sequences = find_left(touches, now, duration, self._period, rates, None, slips)
         missed = list[BouncingResult]()
         for options in (self._options, _MORE):
             missed.clear()

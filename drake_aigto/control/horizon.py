@@ -8,9 +8,8 @@ import dataclasses
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.bounces_seen import SeenBounces
 from drake_aigto.control.closers import BallCloser, Closer, CompliantCloser, RigidCloser
-from drake_aigto.control.touches_left import PlannedMotion
+from drake_aigto.control.touches import PlannedMotion, SeenBounces
 from drake_aigto.errors import ControlError
 from drake_aigto.planning import Planner
 from drake_aigto.trajectory import Trajectory

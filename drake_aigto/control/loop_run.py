@@ -6,14 +6,12 @@ import dataclasses
 import json
 import os
 from dataclasses import dataclass
-from typing import Any, Literal, get_type_hints
-
-import numpy as np
+from typing import Literal
 
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.control.disturbance import Disturbance
 from drake_aigto.control.predictive import TickStatus
-from drake_aigto.errors import AigtoError, DamagedDataError, ResultsFileError
+from drake_aigto.errors import AigtoError, ResultsFileError
 from drake_aigto.output import write_text
 from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
 from drake_aigto.simulation import Replay
@@ -75,7 +73,7 @@ class ClosedLoopRun:
         ticks: what each tick of `ModelPredictiveController` said; of tracking, none.
         switches: when it changed its mind.
         is_interrupted: whether Ctrl-C ended it; then it is what happened by then.
-        world: that the controller knows; files do not have it (`load`).
+        known_world: see `world`; files do not have it (`load`).
     """
 
     method: Method
@@ -89,7 +87,14 @@ class ClosedLoopRun:
     ticks: tuple[TickStatus, ...]
     switches: tuple[PlanSwitch, ...]
     is_interrupted: bool
-    world: World = dataclasses.field(compare=False, repr=False, metadata=LEFT_OUT)
+    known_world: World | None = dataclasses.field(
+        default=None, compare=False, repr=False, metadata=LEFT_OUT
+    )
+
+    def __post_init__(self) -> None:
+        """Makes the arrays read-only."""
+        for name in ("control_times", "controls"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def __repr__(self) -> str:
         """Returns a line without arrays: the cost, and what no cost is shown without."""
@@ -106,6 +111,11 @@ class ClosedLoopRun:
             *(["interrupted"] if self.is_interrupted else []),
         ]
         return f"ClosedLoopRun({', '.join(told)})"
+
+    @property
+    def world(self) -> World:
+        """The world that the controller knows."""
+        return self.known_world or World.from_scenario(self.scenario)
 
     @property
     def cost(self) -> float:
@@ -150,37 +160,19 @@ class ClosedLoopRun:
                 expected=f"an object with the format {FORMAT!r}",
                 remedy="Write one with `drake-aigto control SCENARIO --json FILE`.",
             )
+        plain = {key: value for key, value in data.items() if key not in HEAD}
         if (version := data.get("version")) != FORMAT_VERSION:
             got, expected = f"version {version!r}", f"version {FORMAT_VERSION}"
             raise ResultsFileError(f"log {path}", got, expected, remedy="Run it again.")
         try:
-            values = _read_fields(cls, data)
-        except (AigtoError, AttributeError, TypeError) as error:
+            run = from_plain(cls, plain, "run")
+        except AigtoError as error:
             raise ResultsFileError(
                 f"log {path} is damaged", got=error, remedy="Run it again."
             ) from error
-        return cls(**values, world=world or World.from_scenario(values["scenario"]))
+        return dataclasses.replace(run, known_world=world or World.from_scenario(run.scenario))
 
 
 def is_run(data: object) -> bool:
     """Returns whether data of a file say that they are the log of a run."""
     return isinstance(data, dict) and data.get("format") == FORMAT
-
-
-def _read_fields(kind: type[ClosedLoopRun], data: dict[str, Any]) -> dict[str, Any]:
-    """Returns all fields of a run but its world, whose arrays are read-only.
-
-    Raises:
-        DamagedDataError: a field that is missing, unknown, or does not fit.
-    """
-    names = [field.name for field in dataclasses.fields(kind) if field.name != "world"]
-    if unknown := sorted(set(data) - {*names, *HEAD}):
-        raise DamagedDataError("run", f"unknown {', '.join(unknown)}", "fields of a run")
-    if missing := sorted(set(names) - set(data)):
-        raise DamagedDataError(f"run.{missing[0]}", got="nothing", expected="a value")
-    hints = get_type_hints(kind)
-    values = {name: from_plain(hints[name], data[name], f"run.{name}") for name in names}
-    return {
-        name: read_only(value) if isinstance(value, np.ndarray) else value
-        for name, value in values.items()
-    }

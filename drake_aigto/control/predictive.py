@@ -13,10 +13,9 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.bounces_seen import SeenBounces
 from drake_aigto.control.horizon import Horizon
-from drake_aigto.control.ports import check_period, read_start
-from drake_aigto.control.touches_left import PlannedMotion
+from drake_aigto.control.touches import PlannedMotion, SeenBounces
+from drake_aigto.control.tracking import check_period, read_start
 from drake_aigto.errors import ControlError
 from drake_aigto.planning import Planner
 from drake_aigto.trajectory import Trajectory

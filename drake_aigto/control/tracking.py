@@ -13,20 +13,22 @@ from pydrake.systems.framework import (
     DiscreteStateIndex,
     DiscreteValues,
     EventStatus,
+    InputPort,
     LeafSystem,
+    System,
 )
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.control.feedback import Feedback
-from drake_aigto.control.ports import check_period, read_start
-from drake_aigto.control.watch import BounceWatch
+from drake_aigto.control.stretches import is_at_rest_on
+from drake_aigto.errors import ControlError
 from drake_aigto.planning import Plan
 from drake_aigto.world import World
 
 # A period of what happens once [s]; and how near to a sample is the same, as a part of the period.
 _ONCE, _SAME = 1e12, 1e-6
-# Of a contact: it is touched, or was and is not over yet; it has lain there since the start; none.
-_TOUCHED, _LIES, _APART = 1.0, -1.0, 0.0
+# Of a contact: it is touched, or was and is not over yet; it has lasted since the start; none.
+_TOUCHED, _LASTS, _APART = 1.0, -1.0, 0.0
 
 
 class _Groups(NamedTuple):
@@ -34,7 +36,7 @@ class _Groups(NamedTuple):
 
     control: DiscreteStateIndex  # u, shape (nu,)
     bounces: DiscreteStateIndex  # how many of each contact, shape (m,)
-    touches: DiscreteStateIndex  # _TOUCHED, _LIES or _APART, shape (m,)
+    touches: DiscreteStateIndex  # _TOUCHED, _LASTS or _APART, shape (m,)
     last: DiscreteStateIndex  # the time of the last sample, q and v, shape (1 + 2n,)
 
 
@@ -52,9 +54,9 @@ class TrackingController(LeafSystem):
     A bounce is over when a ball leaves a wall that it has touched, with J_i v > 0. Touches are
     *felt*, at every step of the simulation, where the plant's contact results are connected; the
     control is sampled as soon as they are over. Else they are *inferred* from samples: φ_i ≤ 0, or
-    it would have come to that since the last one (`BounceWatch.reaches`). The first sample in a
-    touched wall changes nothing, for no plan says how fast a ball is there. What lies at a wall at
-    the start has not bounced when it leaves it.
+    it would have come to that since the last one, as the control drives it. The first sample in a
+    touched wall changes nothing, for no plan says how fast a ball is there. A contact that
+    lasts at the start has not bounced when it opens.
 
     Samples are taken at the plan's own knots as well, where its control changes.
 
@@ -88,7 +90,7 @@ class TrackingController(LeafSystem):
         self.plan = plan
         self.period = plan.scenario.time_step if period is None else check_period(period)
         self.feedback = Feedback(world, plan.scenario, plan.trajectory)
-        self._watch = BounceWatch(world)
+        self._world, self._bodies = world, _find_bodies(world)
         n, m, nu = world.num_positions, world.num_contacts, world.num_actuators
         self._estimate = self.DeclareVectorInputPort("estimated_state", 2 * n)
         self._results = self.DeclareAbstractInputPort("contact_results", Value(ContactResults()))
@@ -114,8 +116,9 @@ class TrackingController(LeafSystem):
     def _start(self, context: Context, values: DiscreteValues) -> EventStatus:
         """Forgets what was, and takes the first sample."""
         x = read_start(self, self._estimate, context)
-        none = 0 * self._read(context, self._groups.bounces)
-        return self._hold(context, values, x, none, np.where(self._watch.rests(x), _LIES, _APART))
+        none, (q, v) = 0 * self._read(context, self._groups.bounces), np.split(x, 2)
+        lasts = is_at_rest_on(self._world, q, v)
+        return self._hold(context, values, x, none, np.where(lasts, _LASTS, _APART))
 
     def _sample(self, context: Context, values: DiscreteValues) -> EventStatus:
         """Takes a sample: touches, bounces that are over, and the control from now on."""
@@ -124,18 +127,37 @@ class TrackingController(LeafSystem):
             return EventStatus.DidNothing()
         reached = pressed = self._feel(context, x)
         if not self._results.HasValue(context):
-            last, u = (
-                self._read(context, self._groups.last),
-                self._read(context, self._groups.control),
-            )
-            reached = pressed | self._watch.reaches(context.get_time() - last[0], last[1:], u)
+            reached = pressed | self._infer(context)
         return self._go_on(context, values, x, reached, pressed)
 
     def _feel(self, context: Context, x: Floats) -> Bools:
-        """Returns which contacts are touched now: as the plant reports, or else φ_i ≤ 0."""
-        if self._results.HasValue(context):
-            return self._watch.feel(self._results.Eval(context), x)
-        return self._watch.is_inside(x)
+        """Returns which contacts are touched now: as the plant reports, or else φ_i ≤ 0.
+
+        Bodies are known by their indices, which are the same in every plant of one model. Of
+        several contacts between the same two bodies it is the nearest to its wall.
+        """
+        phi = self._world.calc_signed_distance(np.split(x, 2)[0])
+        if not self._results.HasValue(context):
+            return np.asarray(phi <= 0)
+        results: ContactResults = self._results.Eval(context)
+        felt = np.zeros(len(phi), dtype=bool)
+        for k in range(results.num_point_pair_contacts()):
+            info = results.point_pair_contact_info(k)
+            pair = {int(info.bodyA_index()), int(info.bodyB_index())}
+            same = [i for i, bodies in enumerate(self._bodies) if bodies == pair]
+            if same:
+                felt[min(same, key=lambda i: phi[i])] = True
+        return felt
+
+    def _infer(self, context: Context) -> Bools:
+        """Returns where J_i v < 0 at the last sample, and φ_i(q + v t + a t² / 2) ≤ 0 now."""
+        world, (time, *last) = self._world, self._read(context, self._groups.last)
+        elapsed, (q, v) = context.get_time() - time, np.split(np.array(last), 2)
+        a = world.calc_acceleration(q, v, self._read(context, self._groups.control))
+        ahead = q + elapsed * (v + elapsed / 2 * a)
+        return np.asarray(
+            (world.calc_contact_rate(q, v) < 0) & (world.calc_signed_distance(ahead) <= 0)
+        )
 
     def _step(self, context: Context, values: DiscreteValues) -> EventStatus:
         """Notes touches that the plant reports, and samples at once where one is over."""
@@ -153,7 +175,8 @@ class TrackingController(LeafSystem):
         """Counts what has left its wall, and holds another control unless a touch is new."""
         groups, before = self._groups, self._read(context, self._groups.touches)
         touches = np.where((before == _APART) & reached, _TOUCHED, before)
-        over = (touches != _APART) & ~pressed & self._watch.is_leaving(x)
+        is_leaving = self._world.calc_contact_rate(*np.split(x, 2)) > 0
+        over = (touches != _APART) & ~pressed & is_leaving
         bounces = self._read(context, groups.bounces) + (over & (touches == _TOUCHED))
         left = np.where(over, _APART, touches)
         if not np.any((left == _TOUCHED) & (before == _APART)):
@@ -197,3 +220,42 @@ def _find_between(knots: Floats, period: float) -> list[float]:
 def _list_bounces(counts: Floats) -> list[int]:
     """Returns the contact of each bounce so far."""
     return [int(i) for i in np.repeat(np.arange(len(counts)), counts.astype(int))]
+
+
+def _find_bodies(world: World) -> list[set[int]]:
+    """Returns the bodies that meet in each contact, by their indices."""
+    inspector, plant = world.scene_graph.model_inspector(), world.plant
+    return [
+        {int(plant.GetBodyFromFrameId(inspector.GetFrameId(shape)).index()) for shape in pair}
+        for pair in world.shapes
+    ]
+
+
+def check_period(period: float) -> float:
+    """Returns a period as a number above zero.
+
+    Raises:
+        ControlError: it is none.
+    """
+    if not (isinstance(period, int | float) and 0 < period < np.inf):
+        raise ControlError("period", got=period, expected="seconds above zero")
+    return float(period)
+
+
+def read_start(system: System, port: InputPort, context: Context) -> Floats:
+    """Returns the state that a controller is told first.
+
+    Raises:
+        ControlError: nothing is connected, or it is not finite.
+    """
+    if not port.HasValue(context):
+        raise ControlError(
+            f"the input port {port.get_name()} of {system.GetSystemPathname()}",
+            got="nothing that is connected to it",
+            expected="q and v of the plant",
+            remedy="Connect the plant's state output port, or an estimator's.",
+        )
+    x: Floats = port.Eval(context)
+    if not np.all(np.isfinite(x)):
+        raise ControlError("the state at the start", got=x.tolist(), expected="finite numbers")
+    return x
