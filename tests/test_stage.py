@@ -1,17 +1,30 @@
-"""A stage shows a world's shapes, in the frame that their motion is watched in."""
+"""A stage shows a world's shapes, in the frame that their motion is watched in.
+
+The board behind bodies in a plane: what is painted is where it belongs, and can be read.
+
+Arrows are the control, flashes are impacts, in what Meshcat sends to a browser.
+"""
 
 from __future__ import annotations
 
+import base64
 import dataclasses
+import json
 import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
+from meshcat_pages import clips, make_motion, recording
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.geometry import Meshcat
+from pydrake.math import RotationMatrix
 
 from drake_aigto import Scenario, World
-from drake_aigto.show import Stage
+from drake_aigto.show import PALETTE, ROOT, Board, Motion, Panel, Stage, publish, wrap_notes
+from drake_aigto.transcription import Touch
 from drake_aigto.world import models_directory
 
 # World → which of T's axes are which of the world's.
@@ -65,3 +78,261 @@ def test_a_wall_without_a_visual_is_drawn_by_its_collision_shape(tmp_path: Path)
     assert {actor.body.split("/")[1] for actor in actors} == {
         actor.body.split("/")[1] for actor in expected
     }
+
+
+def make_board() -> Board:
+    """Returns a board of two rooms, with a bounce in the first."""
+    corner, ways = np.zeros(2), [np.array([[0.2, 0.3], [1.0, 0.5], [0.8, 0.6]])]
+    dots = np.array([[0.2, 0.3], [0.6, 0.4], [0.8, 0.6], [0.7, 0.5]])
+    touches, none = np.array([[1.0, 0.5]] * 2), np.empty((0, 2))
+    names = ["right wall, 0.60 s", "right wall, 0.61 s"]
+    return Board(
+        panels=[
+            Panel("plan (not a simulation)", ways, dots, touches, names),
+            Panel("simulation: compliant (Drake)", ways, dots, none, []),
+        ],
+        low=corner,
+        high=corner + 1,
+        depth=0.1,
+        radius=0.02,
+        names=[""],
+        starts=np.array([[0.2, 0.3]]),
+        goals=np.array([[0.8, 0.6]]),
+        notes=[],
+        columns=2,
+        has_lanes=False,
+    )
+
+
+def test_a_board_has_the_way_and_the_marks_of_each_panel() -> None:
+    board = make_board()
+    (axes,) = board.paint().axes
+    for i in range(2):
+        aside = board.offset(i)[:2]
+        drawn = [np.asarray(line.get_xydata()) for line in axes.lines]
+        panel = board.panels[i]
+        for expected in (panel.ways[0], panel.dots, board.starts, board.goals):
+            found = [line for line in drawn if line.shape == expected.shape]
+            assert any(np.allclose(line, expected + aside) for line in found)
+    circles = [line.get_xydata() for line in axes.lines if line.get_marker() == "o"]
+    assert [len(np.asarray(each)) for each in circles] == [4, 2, 4, 0]  # dots, touches
+    written = [text.get_text() for text in axes.texts]
+    assert {"plan\n(not a simulation)", "simulation:\ncompliant (Drake)"} <= set(written)
+    assert {"right wall\n0.60 s", "right wall\n0.61 s"} <= set(written)
+    assert written.count("start") == written.count("goal") == written.count("0.5 m") == 2
+
+
+@pytest.mark.parametrize("notes", [(), ["dots: every 0.05 s", "arrow: control, up to 2 N"] * 3])
+@pytest.mark.parametrize("goal", [[0.8, 0.7], [0.2, 0.3], [0.2, 0.32], [0.22, 0.28]])
+def test_all_that_is_written_fits_on_the_board(goal: list[float], notes: list[str]) -> None:
+    changes: dict[str, Any] = {
+        "goals": np.array([goal]),
+        "low": np.array([-1.0, 0.0]),
+        "notes": notes,
+    }
+    board = dataclasses.replace(make_board(), **changes)
+    figure = board.paint()
+    (axes,) = figure.axes
+    low, high = board.corners
+    for text in axes.texts:
+        box = text.get_window_extent().transformed(axes.transData.inverted())
+        assert np.all(box.min >= low) and np.all(box.max <= high), text
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+
+
+def test_long_labels_become_smaller() -> None:
+    label, board = (
+        "SNOPT from a random guess of the whole box: simulation: exactly rigid",
+        make_board(),
+    )
+    long = board.panels[0]._replace(label=label)
+    board = dataclasses.replace(board, panels=[long, board.panels[1]])
+    figure = board.paint()
+    (axes,) = figure.axes
+    (text,) = (text for text in axes.texts if text.get_text().startswith("SNOPT"))
+    box = text.get_window_extent().transformed(axes.transData.inverted())
+    assert np.ptp(box.intervalx) <= board.panel[1][0] - board.panel[0][0]
+    assert text.get_text().count("\n") == 1
+
+
+def make_lanes(count: int) -> Board:
+    """Returns a board of lanes of two bodies, whose starts and goals are near each other."""
+    way = np.array([[0.1, 0.06], [0.9, 0.06], [0.5, 0.02]])
+    nothing = np.empty((0, 2))
+    return dataclasses.replace(
+        make_board(),
+        panels=[Panel(f"lane {i}", [way], way, nothing, []) for i in range(count)],
+        low=np.array([-0.05, -0.1]),
+        high=np.array([1.1, 0.1]),
+        names=["left", "right"],
+        starts=np.array([[0.5, 0.0], [0.6, 0.0]]),
+        goals=np.array([[0.52, 0.0], [0.9, 0.0]]),
+        columns=1,
+        has_lanes=True,
+    )
+
+
+def test_lanes_have_their_titles_inside_and_names_that_do_not_overlap() -> None:
+    board = make_lanes(2)
+    figure = board.paint()
+    (axes,) = figure.axes
+    for lane, panel in enumerate(board.panels):
+        low, high = (corner + board.offset(lane)[:2] for corner in board.panel)
+        (title,) = (text for text in axes.texts if text.get_text() == panel.label)
+        assert low[1] < title.get_position()[1] < high[1]
+    named = [text for text in axes.texts if text.get_text().split()[-1] in ("start", "goal")]
+    assert len(named) == 8
+    boxes = [text.get_window_extent() for text in named]
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+    # The scale is below the last lane only.
+    assert [text.get_text() for text in axes.texts].count("0.5 m") == 1
+
+
+def luminance(color: Any) -> float:
+    """Returns WCAG's relative luminance."""
+    rgb = np.array(to_rgb(color))
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def test_titles_can_be_read_on_every_panel() -> None:
+    (axes,) = make_lanes(len(PALETTE)).paint().axes
+    titles = [text for text in axes.texts if text.get_text().startswith("lane")]
+    for title, panel in zip(titles, axes.patches, strict=True):
+        dark, light = luminance(title.get_color()), luminance(panel.get_facecolor())
+        assert (light + 0.05) / (dark + 0.05) > 4.5, title  # WCAG's least contrast of text
+
+
+def test_the_top_of_the_picture_is_the_far_side_of_the_board() -> None:
+    board = make_lanes(1)
+    gltf = json.loads(board.mesh().source().in_memory().mesh_file.contents())
+    buffer = base64.b64decode(gltf["buffers"][0]["uri"].split(",")[1])
+    positions, texture, triangles = (
+        np.frombuffer(buffer, kind, count, view["byteOffset"])
+        for kind, count, view in zip(
+            (np.float32, np.float32, np.uint16), (12, 8, 6), gltf["bufferViews"], strict=True
+        )
+    )
+    node = gltf["nodes"][gltf["scenes"][0]["nodes"][0]]
+    corners = positions.reshape(4, 3) * node["scale"] + node["translation"]
+    x, up, towards_viewer = corners.T
+    across, down = texture.reshape(4, 2).T
+    (left, bottom), (right, top) = board.corners
+    np.testing.assert_allclose(x, left + (right - left) * across, atol=1e-6)
+    np.testing.assert_allclose(-towards_viewer, top + (bottom - top) * down, atol=1e-6)
+    np.testing.assert_array_equal(up, 0)
+    assert sorted(set(triangles.tolist())) == [0, 1, 2, 3]
+
+
+def test_notes_are_broken_between_notes() -> None:
+    notes = ["dots: every 0.05 s", "arrow: control", "yellow flash: impact"]
+    assert wrap_notes(notes, 40) == ["dots: every 0.05 s; arrow: control", "yellow flash: impact"]
+    assert wrap_notes(notes, 100) == ["; ".join(notes)]
+    assert wrap_notes([], 40) == []
+
+
+GONE = 2e-3
+RADIUS = 0.05  # of the corridor's ball [m]
+
+
+@pytest.fixture(scope="module")
+def meshcat() -> Meshcat:
+    return Meshcat()
+
+
+def along(meshcat: Meshcat, path: str) -> np.ndarray:
+    """Returns the direction of an arrow in each of its keys, shape (F, 3)."""
+    _, quaternions = clips(meshcat, "quaternion")[path]
+    rotations = [RotationMatrix(Quaternion(w, x, y, z)) for x, y, z, w in quaternions]
+    return np.array([rotation.matrix()[:, 2] for rotation in rotations])
+
+
+def scales(meshcat: Meshcat, path: str) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the times and sizes of a shape's keys; all three directions have one scale."""
+    times, values = clips(meshcat, "scale")[path]
+    assert np.all(values == values[:, :1])
+    return times, values[:, 0]
+
+
+def test_an_arrow_has_the_size_and_the_direction_of_the_control(meshcat: Meshcat) -> None:
+    scenario = Scenario.named("table1/1")
+    times, controls = np.array([0.0, 0.2, 0.6, 1.0]), np.array([[2.0], [-4.0], [0.0]])
+    motion = make_motion("plan", 0.7).under(times, controls)
+    publish([motion], meshcat, World.from_scenario(scenario), scenario)
+    arrow = f"{ROOT}/motions/1/control/point_mass_and_wall/ball/arrow"
+    keys, sizes = scales(meshcat, arrow)
+    directions = along(meshcat, arrow)
+    for first, end, size, side in ((0.0, 0.195, 0.5, 1), (0.205, 0.595, 1.0, -1)):
+        held = (keys >= first) & (keys < end)
+        np.testing.assert_allclose(sizes[held], size)
+        np.testing.assert_allclose(
+            directions[held[: len(directions)]] - [side, 0, 0], 0, atol=1e-12
+        )
+    assert np.all(sizes[keys > 0.605] < GONE) and keys[-1] == 1.5
+
+
+def test_an_arrow_in_a_plane_is_the_sum_of_its_actuators(meshcat: Meshcat) -> None:
+    scenario = Scenario.named("room/two_walls")
+    q = np.array([[0.2, 0.3], [0.5, 0.5]])
+    motion = Motion("plan", np.array([0.0, 1.0]), q, np.zeros((2, 2)))
+    motion = motion.under(motion.times, np.array([[3.0, -4.0]]))
+    publish([motion], meshcat, World.from_scenario(scenario), scenario)
+    arrow = f"{ROOT}/motions/1/control/room/ball/arrow"
+    np.testing.assert_allclose(along(meshcat, arrow)[0], [0.6, -0.8, 0], atol=1e-12)
+
+
+def test_each_of_two_masses_has_its_own_arrow(meshcat: Meshcat) -> None:
+    scenario = Scenario.named("two_masses/apart")
+    q = np.array([scenario.initial_position] * 2)
+    motion = Motion("plan", np.array([0.0, 1.0]), q, np.zeros((2, 2)))
+    motion = motion.under(motion.times, np.array([[1.0, -0.5]]))
+    publish([motion], meshcat, World.from_scenario(scenario), scenario)
+    arrows = sorted(path for path in clips(meshcat) if path.endswith("/arrow"))
+    assert ["left" in path for path in arrows] == [True, False]
+    directions = [along(meshcat, path)[0, 0] for path in arrows]
+    assert directions == pytest.approx([1, -1])
+    assert [scales(meshcat, path)[1][0] for path in arrows] == pytest.approx([1, 0.5])
+
+
+def test_without_control_there_is_no_arrow(meshcat: Meshcat) -> None:
+    scenario = Scenario.named("table1/1")
+    still = make_motion("plan", 0.7).under(np.array([0.0, 1.0]), np.zeros((1, 1)))
+    publish([still, make_motion("rigid", 0.6)], meshcat, World.from_scenario(scenario), scenario)
+    assert not [path for path in clips(meshcat) if path.endswith("/arrow")]
+
+
+def test_a_flash_is_where_and_when_a_wall_is_touched(meshcat: Meshcat) -> None:
+    scenario = Scenario.named("corridor/three_bounces")
+    times = np.array([0.0, 0.4, 0.4, 0.9, 0.9, 1.4])
+    q = np.array([[0.5], [1.0], [1.0], [0.0], [0.0], [0.3]])
+    v = np.array([[1.0], [4.0], [-2.0], [-2.0], [1.0], [1.0]])
+    touches = Touch.bounce(0.4, 1), Touch.bounce(0.9, 0)
+    motion = Motion("plan", times, q, v, impacts=touches)
+    world = World.from_scenario(scenario)
+    publish([motion], meshcat, world, scenario)
+    sizes = {}
+    for touch, face in zip(touches, (1, -1), strict=True):
+        path = f"{ROOT}/motions/1/contacts/{touch.contact}/impacts"
+        keys, scale = scales(meshcat, path)
+        shown = scale > GONE
+        assert keys[shown] == pytest.approx([touch.start], abs=1e-3)
+        assert np.all(np.diff(keys) > 0) and keys[0] == 0
+        ball_places = clips(meshcat)[f"{ROOT}/motions/1/corridor/ball/ball_visual"]
+        there = ball_places[1][np.argmin(np.abs(ball_places[0] - touch.start)), 0]
+        assert clips(meshcat)[path][1][0, 0] == pytest.approx(there + face * RADIUS)
+        sizes[touch.start] = scale[shown][0]
+    # The faster impact is the larger flash.
+    assert sizes[0.4] == pytest.approx(1) and 0.4 < sizes[0.9] < 0.9
+
+
+def test_all_parts_have_one_length_so_that_they_repeat_together(meshcat: Meshcat) -> None:
+    scenario = Scenario.named("table1/1")
+    motion = dataclasses.replace(make_motion("plan", 0.7), impacts=(Touch.bounce(0.97),))
+    motion = motion.under(np.array([0.0, 1.0]), np.ones((1, 1)))
+    publish([motion], meshcat, World.from_scenario(scenario), scenario)
+    ends = [
+        max(key["time"] for track in each["clip"]["tracks"] for key in track["keys"])
+        for each in recording(meshcat)["animations"]
+    ]
+    assert len(ends) == 3 and set(ends) == {1500}

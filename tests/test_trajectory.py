@@ -1,10 +1,14 @@
-"""Trajectories: checks, JSON without loss, and curves with jumps."""
+"""Trajectories: checks, JSON without loss, and curves with jumps.
+
+Motions are drawn as they are: rows are kept, gaps filled on the curve, impacts are jumps.
+"""
 
 from __future__ import annotations
 
 import copy
 import json
 import pickle
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,10 +17,13 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from drake_aigto import TrajectoryError
+from drake_aigto import Scenario, TrajectoryError, World
 from drake_aigto.errors import DamagedDataError
 from drake_aigto.plain import from_plain, to_plain
+from drake_aigto.show import PALETTE, PLAN_LABEL, Motion, color_of, motions_of_plan
+from drake_aigto.simulation import Replay, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import PhaseTranscription, Touch
 
 
 def make_fields(**changes: Any) -> dict[str, Any]:
@@ -157,3 +164,150 @@ def test_a_motion_goes_on_later_as_it_was() -> None:
     assert later.later(-0.25) == trajectory
     with pytest.raises(TrajectoryError, match="strictly increasing"):
         trajectory.later(1e17)
+
+
+SIMULATE = (replay_event_driven, replay_drake)
+
+# At −2 m/s from 1 m, without control, the ball is at the wall at 0.5 s.
+BOUNCE = Trajectory(
+    times=np.array([0.0, 0.5, 1.0]),
+    positions=np.array([[1.0], [0.0], [1.0]]),
+    velocities=np.array([[-2.0], [-2.0], [2.0]]),
+    controls=np.zeros((2, 1)),
+    impulses=np.array([[0.0], [4.0], [0.0]]),
+    forces=np.zeros((2, 1)),
+)
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return Scenario(initial_position=1.0, initial_velocity=-2.0, goal_position=1.0)
+
+
+@pytest.fixture(scope="module")
+def world(scenario: Scenario) -> World:
+    return World.from_scenario(scenario)
+
+
+def replay_of(times: Any, positions: Any, velocities: Any) -> Replay:
+    """Returns a replay with these rows, and nothing else of interest."""
+    nothing: dict[str, Any] = {
+        **dict.fromkeys(("cost", "goal_error", "max_penetration"), 0.0),
+        **dict.fromkeys(("compliance_error", "compliance_cost"), 0.0),
+        **dict.fromkeys(("bounce_times", "bounce_contacts", "matched_speeds"), ()),
+        **dict.fromkeys(("energies_before", "energies_after"), ()),
+    }
+    rows = {"times": times, "positions": positions, "velocities": velocities}
+    return Replay(simulator="event-driven", **rows, **nothing)
+
+
+coefficients = st.lists(st.floats(-3, 3), min_size=4, max_size=4)
+knots = st.lists(st.floats(1e-4, 0.3), min_size=1, max_size=4)
+
+
+@given(coefficients, knots)
+def test_gaps_are_filled_on_the_cubic_of_both_ends(cubic: list[float], steps: list[float]) -> None:
+    times = np.cumsum([0.0, *steps])
+    position = np.polynomial.Polynomial(cubic)
+    velocity = position.deriv()
+    replay = replay_of(times, position(times)[:, None], velocity(times)[:, None])
+    motion = Motion.from_replay(replay)
+    assert np.max(np.diff(motion.times)) < 0.0101
+    assert set(times) <= set(motion.times)
+    # A rise over the shortest step loses four digits of sixteen.
+    np.testing.assert_allclose(motion.positions[:, 0], position(motion.times), atol=1e-12)
+    np.testing.assert_allclose(motion.velocities[:, 0], velocity(motion.times), atol=1e-10)
+
+
+def test_a_planned_impact_is_a_jump_of_velocity_at_one_time(world: World) -> None:
+    motion = Motion.from_trajectory(BOUNCE, world)
+    np.testing.assert_allclose(motion.positions[:, 0], np.abs(1 - 2 * motion.times), atol=1e-12)
+    at_wall = motion.times == 0.5
+    assert sorted(set(motion.velocities[at_wall, 0])) == [-2.0, 2.0]
+    np.testing.assert_allclose(motion.velocities[motion.times > 0.5], 2.0)
+    assert motion.label == PLAN_LABEL == "plan (not a simulation)"
+
+
+def test_phases_are_drawn_as_a_rigid_wall_plays_them(world: World) -> None:
+    # At −2 m/s from 0.6 m it is at the wall at 0.3 s, and at 1 m/s 0.7 s later at the goal.
+    scenario = Scenario(
+        initial_position=0.6,
+        initial_velocity=-2.0,
+        goal_position=0.7,
+        time_step=0.1,
+        restitution=0.5,
+    )
+    phases = PhaseTranscription(world, scenario, [Touch.bounce(0.3)])
+    plan = phases.trajectory(phases.vector(phases.guess([[0.0]])))
+    assert np.ptp(np.diff(plan.times)) > 0.03  # Knots are not even.
+    drawn = Motion.from_trajectory(plan, world)
+    played = Motion.from_replay(replay_event_driven(world, scenario, plan.times, plan.controls))
+    for motion in (drawn, played):
+        t, v = motion.times, motion.velocities[:, 0]
+        path = np.maximum(0.6 - 2 * t, t - 0.3)
+        np.testing.assert_allclose(motion.positions[:, 0], path, atol=1e-12)
+        (jump,) = np.flatnonzero(np.abs(np.diff(v)) > 1e-9)
+        assert t[jump] == pytest.approx(0.3) and t[jump + 1] - t[jump] < 1e-12
+        np.testing.assert_allclose(v, np.where(np.arange(len(v)) <= jump, -2.0, 1.0))
+    (touch,) = drawn.touches
+    assert touch.start == touch.end == pytest.approx(0.3)
+    assert not np.any(drawn.forces) and played.touches == () and played.forces is None
+
+
+def test_a_contact_that_lasts_stays_at_the_wall_and_has_a_force(world: World) -> None:
+    # It stops at the wall at 0.5 s, is pressed on until 0.9 s, and leaves it.
+    rest = Trajectory(
+        times=np.array([0.0, 0.5, 0.7, 0.9, 1.3]),
+        positions=np.array([[1.0], [0.0], [0.0], [0.0], [0.8]]),
+        velocities=np.array([[-2.0], [-2.0], [0.0], [0.0], [4.0]]),
+        controls=np.array([[0.0], [-3.0], [-5.0], [10.0]]),
+        impulses=np.array([[0.0], [2.0], [0.0], [0.0], [0.0]]),
+        forces=np.array([[0.0], [3.0], [5.0], [0.0]]),
+    )
+    motion = Motion.from_trajectory(rest, world)
+    resting = (motion.times > 0.5) & (motion.times < 0.9)
+    assert np.count_nonzero(resting) > 35
+    assert not np.any(motion.positions[resting]) and not np.any(motion.velocities[resting])
+    leaving = motion.times >= 0.9
+    np.testing.assert_allclose(
+        motion.positions[leaving, 0], 5 * (motion.times[leaving] - 0.9) ** 2, atol=1e-12
+    )
+    assert motion.touches == (Touch(0.5, 0.9),)
+    np.testing.assert_array_equal(motion.forces, rest.forces)
+
+
+def test_a_heavier_mass_jumps_less(scenario: Scenario) -> None:
+    heavy = World.from_diagram(World.from_scenario(scenario).diagram, mass=4.0)
+    motion = Motion.from_trajectory(BOUNCE, heavy)
+    jumps = motion.velocities[motion.times == 0.5, 0]
+    assert np.ptp(jumps) == pytest.approx(4.0 / 4.0)
+
+
+def test_a_plan_is_shown_with_its_simulations_each_labelled(
+    world: World, scenario: Scenario
+) -> None:
+    control = BOUNCE.times, BOUNCE.controls
+    replays = [simulate(world, scenario, *control) for simulate in SIMULATE]
+    plan: Any = SimpleNamespace(trajectory=BOUNCE, replay=replays, find_world=lambda given: given)
+    motions = motions_of_plan(plan, world)
+    assert [motion.label for motion in motions] == [
+        "plan (not a simulation)",
+        "simulation: exactly rigid",
+        "simulation: compliant (Drake)",
+    ]
+    for motion in motions:
+        q = np.interp([0.25, 0.75], motion.times, motion.positions[:, 0])
+        # Drake's wall turns the ball round 0.1 ms late.
+        np.testing.assert_allclose(q, 0.5, atol=3e-4)
+    assert [motion.controls is None for motion in motions] == [False, True, True]
+
+
+def test_arrays_are_locked(world: World) -> None:
+    motion = Motion.from_trajectory(BOUNCE, world)
+    with pytest.raises(ValueError, match="read-only"):
+        motion.positions[0, 0] = 3.0
+
+
+def test_colors_differ_and_repeat_in_the_same_order() -> None:
+    assert len(set(PALETTE)) == len(PALETTE) >= 6
+    assert [color_of(i) for i in range(2 * len(PALETTE))] == [*PALETTE, *PALETTE]

@@ -1,23 +1,28 @@
-"""Test functions with known optima: they are right, and so is what is said of them."""
+"""Test functions with known optima: they are right, and so is what is said of them.
+
+Constrained programs with known optima: these are feasible, and nothing beats them.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from pydrake.symbolic import Variable
+from pydrake.solvers import SnoptSolver, SolverOptions
 from scipy.optimize import minimize
 
 from benchmarks.collections.chain import REACH, ChainProblem, chain_problem, exact_chain_minimum
+from benchmarks.collections.constrained_programs import constrained_problems, planted_program
 from benchmarks.collections.global_functions import global_problems, random_univariate
-from benchmarks.collections.known_optimum import GlobalProblem
+from benchmarks.collections.known_optimum import ConstrainedProblem, GlobalProblem
 from drake_aigto.errors import OptionsError
+from drake_aigto.solver import AigoSolver
 
-PROBLEMS = {problem.name: problem for problem in global_problems()}
-SMALL = [problem for problem in PROBLEMS.values() if problem.num_variables <= 12]
+FUNCTIONS = {problem.name: problem for problem in global_problems()}
+SMALL = [problem for problem in FUNCTIONS.values() if problem.num_variables <= 12]
 
-every_problem = pytest.mark.parametrize("problem", PROBLEMS.values(), ids=lambda p: p.name)
-small_problem = pytest.mark.parametrize("problem", SMALL, ids=lambda p: p.name)
+every_function = pytest.mark.parametrize("problem", FUNCTIONS.values(), ids=lambda p: p.name)
+small_function = pytest.mark.parametrize("problem", SMALL, ids=lambda p: p.name)
 
 
 def random_points(problem: GlobalProblem, count: int) -> NDArray[np.float64]:
@@ -26,13 +31,13 @@ def random_points(problem: GlobalProblem, count: int) -> NDArray[np.float64]:
 
 
 def test_names_are_distinct_and_functions_of_every_kind_are_there() -> None:
-    assert len(PROBLEMS) == len(global_problems()) >= 60
-    kinds = {name.split(" n=")[0] for name in PROBLEMS}
+    assert len(FUNCTIONS) == len(global_problems()) >= 60
+    kinds = {name.split(" n=")[0] for name in FUNCTIONS}
     assert len(kinds) == 32
-    assert {problem.num_variables for problem in PROBLEMS.values()} >= {2, 3, 4, 10, 100, 1000}
+    assert {problem.num_variables for problem in FUNCTIONS.values()} >= {2, 3, 4, 10, 100, 1000}
 
 
-@every_problem
+@every_function
 def test_minimizers_lie_in_the_box_have_the_minimum_and_no_slope(problem: GlobalProblem) -> None:
     # Rounding in f and ∇f grows with the numbers that they sum up.
     size = np.ptp(problem.evaluate(random_points(problem, 100)))
@@ -42,7 +47,7 @@ def test_minimizers_lie_in_the_box_have_the_minimum_and_no_slope(problem: Global
         assert np.max(np.abs(problem.gradient(x))) <= 1e-11 + 1e-16 * size
 
 
-@small_problem
+@small_function
 def test_local_searches_find_nothing_below_the_minimum(problem: GlobalProblem) -> None:
     points = random_points(problem, 2000)
     starts = points[np.argsort(problem.evaluate(points))[:3]]
@@ -60,7 +65,7 @@ def test_local_searches_find_nothing_below_the_minimum(problem: GlobalProblem) -
     assert min(found) >= problem.minimum - 1e-9 * max(1.0, abs(problem.minimum))
 
 
-@every_problem
+@every_function
 def test_numbers_batches_and_programs_agree(problem: GlobalProblem) -> None:
     points = random_points(problem, 2)
     values = problem.evaluate(points)
@@ -75,16 +80,7 @@ def test_numbers_batches_and_programs_agree(problem: GlobalProblem) -> None:
     np.testing.assert_array_equal(bounds.evaluator().upper_bound(), problem.upper)
 
 
-@small_problem
-def test_expressions_are_what_numbers_are(problem: GlobalProblem) -> None:
-    (x,) = random_points(problem, 1)
-    variables = [Variable(f"x{i}") for i in range(problem.num_variables)]
-    expression = problem.evaluate(variables)
-    value = expression.Evaluate(dict(zip(variables, x, strict=True)))
-    assert value == pytest.approx(problem.evaluate(x), rel=1e-12)
-
-
-@small_problem
+@small_function
 def test_the_gradient_is_the_slope(problem: GlobalProblem) -> None:
     (x,) = random_points(problem, 1)
     step = 1e-5 * (problem.upper - problem.lower) * np.eye(problem.num_variables)
@@ -170,3 +166,99 @@ def test_a_chain_as_a_test_function_is_the_same_function() -> None:
         assert problem.evaluate(x) == pytest.approx(chain.evaluate(x), rel=1e-12)
         np.testing.assert_allclose(problem.gradient(x), chain.gradient(x), rtol=1e-10, atol=1e-10)
     assert len(chain.prog().GetAllCosts()) == 10
+
+
+PROGRAMS = {problem.name: problem for problem in constrained_problems()}
+# 1e-8 is the most that a minimizer's residuals, and what they buy in cost, may be.
+FEASIBLE = 1e-8
+NUM_STARTS = 8
+
+every_program = pytest.mark.parametrize("problem", PROGRAMS.values(), ids=lambda p: p.name)
+
+
+def tight_options() -> SolverOptions:
+    options = SolverOptions()
+    options.SetOption(SnoptSolver.id(), "Major feasibility tolerance", 1e-11)
+    options.SetOption(SnoptSolver.id(), "Major optimality tolerance", 1e-9)
+    options.SetOption(SnoptSolver.id(), "Major iterations limit", 200)
+    return options
+
+
+def scale(problem: ConstrainedProblem) -> float:
+    return max(1.0, abs(problem.minimum))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["HS 18", "HS 40", "HS 106", "HS 108", "Floudas-Pardalos 2.1"])
+def test_ours_solves_those_that_once_were_missed_or_slow(name: str) -> None:
+    problem = PROGRAMS[name]
+    result = AigoSolver().Solve(problem.prog())
+    assert result.is_success() and problem.violation(result.get_x_val()) <= 1e-6
+    assert result.get_optimal_cost() <= problem.minimum + 1e-5 * scale(problem)
+
+
+def test_there_are_enough_of_them() -> None:
+    assert len(PROGRAMS) == len(constrained_problems()) >= 70
+    rows = [
+        (len(p.equalities(*p.minimizers[0])), len(p.inequalities(*p.minimizers[0])))
+        for p in PROGRAMS.values()
+    ]
+    assert sum(equalities > 0 for equalities, _ in rows) >= 25
+    assert sum(inequalities > 0 for _, inequalities in rows) >= 40
+
+
+@every_program
+def test_minimizers_are_feasible_and_have_the_minimum(problem: ConstrainedProblem) -> None:
+    for x in problem.minimizers:
+        assert problem.violation(x) <= FEASIBLE
+        assert problem.evaluate(x) == pytest.approx(problem.minimum, rel=1e-9, abs=1e-9)
+
+
+@every_program
+def test_snopt_ends_at_the_minimum_from_there_and_never_below_it(
+    problem: ConstrainedProblem,
+) -> None:
+    prog, options = problem.prog(), tight_options()
+    rng = np.random.default_rng(0)
+    starts = rng.uniform(problem.lower, problem.upper, (NUM_STARTS, problem.num_variables))
+    near = np.clip(problem.minimizers[0] + 1e-4, problem.lower, problem.upper)
+    costs = []
+    for start in (near, *starts):
+        x = SnoptSolver().Solve(prog, start, options).get_x_val()
+        if problem.violation(x) <= FEASIBLE:
+            costs.append(problem.evaluate(x))
+    assert costs[0] <= problem.minimum + 1e-6 * scale(problem)
+    assert min(costs) >= problem.minimum - 1e-6 * scale(problem)
+
+
+@every_program
+def test_the_program_has_the_same_costs_and_rows(problem: ConstrainedProblem) -> None:
+    prog = problem.prog()
+    x = np.random.default_rng(1).uniform(problem.lower, problem.upper)
+    costs = sum(prog.EvalBinding(binding, x).item() for binding in prog.GetAllCosts())
+    assert costs == pytest.approx(problem.evaluate(x), rel=1e-10, abs=1e-10)
+    violations = [0.0]
+    for binding in prog.GetAllConstraints():
+        value, row = prog.EvalBinding(binding, x), binding.evaluator()
+        violations += [*(row.lower_bound() - value), *(value - row.upper_bound())]
+    # Drake may divide a row by its greatest coefficient: only whether it holds is the same.
+    assert (max(violations) <= 0.0) == (problem.violation(x) == 0.0)
+    holds = prog.CheckSatisfied(prog.GetAllConstraints(), problem.minimizers[0], 1e-7)
+    assert holds
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_planted_minimum_holds_wherever_the_rows_do(seed: int) -> None:
+    problem = planted_program(2 + 3, seed)
+    for x in np.random.default_rng(seed).uniform(-2.0, 2.0, (300, problem.num_variables)):
+        equalities = np.asarray(problem.equalities(*x))
+        if min(problem.inequalities(*x)) < 0.0:
+            continue
+        # Multipliers of equalities are at most 1 in size.
+        assert problem.evaluate(x) >= -np.sum(np.abs(equalities))
+
+
+def test_a_planted_program_comes_from_its_seed() -> None:
+    first, again, other = (planted_program(5, seed).minimizers for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
