@@ -132,10 +132,10 @@ def test_who_starts_fast_towards_a_wall_hits_it_instead_of_braking() -> None:
 
 def test_what_costs_more_than_a_finalist_that_holds_is_left_before_it_meets_its_walls() -> None:
     class Search(RigidMechanismSearch):
-        dear = np.inf
+        polish_ratio = np.inf
 
     class ThoroughSearch(Search):
-        beaten = np.inf
+        simulate_ratio = np.inf
 
         def explore(self, progress: Progress | None = None) -> None:
             self.motions = search.motions

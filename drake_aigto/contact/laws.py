@@ -41,7 +41,7 @@ class RigidLaw(ArrayRecord):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
-    def rubs(self) -> bool:
+    def has_friction(self) -> bool:
         """Whether any contact has friction."""
         return bool(self.friction.any())
 
@@ -79,7 +79,7 @@ class CompliantLaw(ArrayRecord):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
-    def rubs(self) -> bool:
+    def has_friction(self) -> bool:
         """Whether any contact has friction."""
         return bool(self.friction.any())
 
@@ -163,7 +163,7 @@ def calc_drag(world: World, law: ContactLaw, q: Floats, v: Floats, forces: Float
         v: shape (…, n) [m/s].
         forces: f of contacts (`calc_pushes`), shape (…, m) [N].
     """
-    if isinstance(law, RigidLaw) or not law.rubs:
+    if isinstance(law, RigidLaw) or not law.has_friction:
         return None
     T = world.rubbing.calc_tangent_jacobian(q, is_compliant=True)
     shares = calc_friction_share(calc_slips(world, law, q, v), world.stiction_speed)

@@ -211,10 +211,10 @@ class CompliantCloser(_ShootingCloser):
         super().__init__(planner)
         task = self._task.shooting(self.num_steps)
         self._problem = dataclasses.replace(task, duration=planner.scenario.duration)
-        self._has_friction = task.mechanism.rubs
+        self._has_friction = task.mechanism.has_friction
         substeps, order = _SUBSTEPS, 2
         if self._has_friction:
-            substeps, order = min(max(task.rubbing_substeps, _FEWEST), _MOST), 4
+            substeps, order = min(max(task.friction_substeps, _FEWEST), _MOST), 4
         rungs = (Smoothing(_SMOOTHING, iterations, _TOLERANCE),)
         self._options = ShootingOptions(rungs, substeps, order=order, multiplier_updates=1)
 

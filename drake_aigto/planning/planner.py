@@ -188,8 +188,8 @@ def needs_shooting(world: World, scenario: Scenario) -> bool:
     whoever asks for AIGTO's task has forgotten a wall.
     """
     is_free = world.has_constant_inertia and not (world.limits.are_any or world.is_hinge.any())
-    rubs = scenario.contact == "rigid" and world.friction_coefficients(scenario).any()
-    return not (is_free and not rubs and scenario.is_plain)
+    has_friction = scenario.contact == "rigid" and world.friction_coefficients(scenario).any()
+    return not (is_free and not has_friction and scenario.is_plain)
 
 
 def start_search(task: BallTask | MechanismTask, clock: Stopwatch | None = None) -> Search:

@@ -130,7 +130,7 @@ def accelerate(
     memory: MechanicsMemory,
 ) -> None:
     """Computes v̇ at a state x = (q, v), and ∂v̇/∂(q, v, u) if asked."""
-    actuation, rubs = mechanics.actuation, mechanics.rubs
+    actuation, frictions = mechanics.actuation, mechanics.frictions
     sums, factor, acceleration = memory.sums, memory.factor, memory.acceleration
     n, nu = actuation.shape
     run_tape(mechanics.code, mechanics.numbers, x, has_slopes, memory.values, sums)
@@ -142,7 +142,7 @@ def accelerate(
             total += actuation[i, j] * u[j]
         acceleration[0, i] = total
     _push(mechanics, x, eps, memory)
-    if rubs.shape[0] > 0:
+    if frictions.shape[0] > 0:
         add_friction(mechanics, x, eps, memory)
     divide_by_mass(n, factor, acceleration)
     if has_slopes:
@@ -189,11 +189,11 @@ def _push(mechanics: Mechanics, x: Floats, eps: float, memory: MechanicsMemory) 
 @pasted
 def _differentiate(mechanics: Mechanics, x: Floats, memory: MechanicsMemory) -> None:
     """Computes ∂v̇/∂(q, v, u) = M⁻¹ (∂r − ∂M v̇), with M v̇ = r."""
-    actuation, rubs = mechanics.actuation, mechanics.rubs
+    actuation, frictions = mechanics.actuation, mechanics.frictions
     sums, force, slopes = memory.sums, memory.force, memory.slopes
     n, nu = actuation.shape
     m, half = force.shape[0], n * (n + 1) // 2
-    slope_of_mass = find_row(n, m, m + rubs.shape[0])
+    slope_of_mass = find_row(n, m, m + frictions.shape[0])
     slope_of_bias = slope_of_mass + half * n
     for c in range(2 * n):
         for i in range(n):
@@ -213,7 +213,7 @@ def _differentiate(mechanics: Mechanics, x: Floats, memory: MechanicsMemory) -> 
     for i in range(m):
         if force[i, 0] != 0.0:
             _differentiate_force(i, mechanics, x, memory)
-    if rubs.shape[0] > 0:
+    if frictions.shape[0] > 0:
         differentiate_friction(mechanics, x, memory)
     divide_by_mass(n, memory.factor, slopes)
 
@@ -223,7 +223,7 @@ def _differentiate_force(i: int, mechanics: Mechanics, x: Floats, memory: Mechan
     """Adds ∂(J_iᵀ f_i)/∂(q, v), transposed."""
     sums, force, slopes = memory.sums, memory.force, memory.slopes
     n, m = slopes.shape[1], force.shape[0]
-    row, bends = find_row(n, m, i), find_slope(n, m, m + mechanics.rubs.shape[0], i, 0, 0)
+    row, bends = find_row(n, m, i), find_slope(n, m, m + mechanics.frictions.shape[0], i, 0, 0)
     for c in range(n):
         rate = 0.0
         for j in range(n):
@@ -238,10 +238,10 @@ def _differentiate_force(i: int, mechanics: Mechanics, x: Floats, memory: Mechan
 
 
 @inner
-def find_rub(rubs: Floats, contact: int) -> int:
-    """Returns which friction is that of a contact, or −1 if it does not rub."""
-    for r in range(rubs.shape[0]):
-        if rubs[r, SOURCE] == contact:
+def find_friction(frictions: Floats, contact: int) -> int:
+    """Returns which friction is that of a contact, or −1 without friction."""
+    for r in range(frictions.shape[0]):
+        if frictions[r, SOURCE] == contact:
             return r
     return -1
 
@@ -249,41 +249,41 @@ def find_rub(rubs: Floats, contact: int) -> int:
 @inner
 def add_friction(mechanics: Mechanics, x: Floats, eps: float, memory: MechanicsMemory) -> None:
     """Computes friction and its derivatives by s and N, and adds Tᵀ times it to v̇, times M."""
-    rubs, sums, force, rub = mechanics.rubs, memory.sums, memory.force, memory.rub
+    frictions, sums, force, drag = mechanics.frictions, memory.sums, memory.force, memory.drag
     n, m = memory.acceleration.shape[1], force.shape[0]
     row = find_row(n, m, m)
-    for r in range(rubs.shape[0]):
+    for r in range(frictions.shape[0]):
         slip, normal, lever = 0.0, 1.0, 1.0
         for j in range(n):
             slip += sums[row + j] * x[n + j]
-        source = int(rubs[r, SOURCE])
+        source = int(frictions[r, SOURCE])
         if source >= 0:
             normal, lever = force[source, 0], force[source, 3]
-        speed = np.sqrt(rubs[r, STICTION] ** 2 + (eps * rubs[r, PACE]) ** 2)
+        speed = np.sqrt(frictions[r, STICTION] ** 2 + (eps * frictions[r, PACE]) ** 2)
         share, slope = calc_share(lever * slip / speed)
-        rub[r, 2] = -rubs[r, COEFFICIENT] * share
-        rub[r, 0] = rub[r, 2] * normal
-        rub[r, 1] = -rubs[r, COEFFICIENT] * normal * slope * lever / speed
+        drag[r, 2] = -frictions[r, COEFFICIENT] * share
+        drag[r, 0] = drag[r, 2] * normal
+        drag[r, 1] = -frictions[r, COEFFICIENT] * normal * slope * lever / speed
         for j in range(n):
-            memory.acceleration[0, j] += rub[r, 0] * sums[row + j]
+            memory.acceleration[0, j] += drag[r, 0] * sums[row + j]
         row += n
 
 
 @inner
 def differentiate_friction(mechanics: Mechanics, x: Floats, memory: MechanicsMemory) -> None:
     """Adds ∂(Tᵀ times friction)/∂(q, v), transposed."""
-    rubs, sums, force, rub = mechanics.rubs, memory.sums, memory.force, memory.rub
-    slopes, m, count = memory.slopes, force.shape[0], rubs.shape[0]
+    frictions, sums, force, drag = mechanics.frictions, memory.sums, memory.force, memory.drag
+    slopes, m, count = memory.slopes, force.shape[0], frictions.shape[0]
     n = slopes.shape[1]
     row, turn = find_row(n, m, m), find_slope(n, m, m + count, m, 0, 0)
     for r in range(count):
-        source = int(rubs[r, SOURCE])
+        source = int(frictions[r, SOURCE])
         for c in range(n):
             rate, slip, by_normal, by_speed = 0.0, 0.0, 0.0, 0.0
             for j in range(n):
                 rate += sums[turn + j * n + c] * x[n + j]
                 slip += sums[row + j] * x[n + j]
-                slopes[c, j] += rub[r, 0] * sums[turn + j * n + c]
+                slopes[c, j] += drag[r, 0] * sums[turn + j * n + c]
             if source >= 0:
                 normal = find_row(n, m, source)
                 bends = find_slope(n, m, m + count, source, 0, 0)
@@ -292,8 +292,8 @@ def differentiate_friction(mechanics: Mechanics, x: Floats, memory: MechanicsMem
                     by_normal += force[source, 2] * sums[bends + triangle(n, j, c)] * x[n + j]
                 by_speed = force[source, 2] * sums[normal + c]
                 rate += slip * force[source, 4] / force[source, 3] * sums[normal + c]
-            by_position = rub[r, 1] * rate + rub[r, 2] * by_normal
-            by_velocity = rub[r, 1] * sums[row + c] + rub[r, 2] * by_speed
+            by_position = drag[r, 1] * rate + drag[r, 2] * by_normal
+            by_velocity = drag[r, 1] * sums[row + c] + drag[r, 2] * by_speed
             for j in range(n):
                 slopes[c, j] += by_position * sums[row + j]
                 slopes[n + c, j] += by_velocity * sums[row + j]

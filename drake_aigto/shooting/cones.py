@@ -7,8 +7,8 @@ from drake_aigto.kernels import inner
 from drake_aigto.shooting.acceleration import (
     accelerate,
     factor_mass,
+    find_friction,
     find_row,
-    find_rub,
     find_slope,
     run_tape,
 )
@@ -44,10 +44,10 @@ def measure_modes(
             _measure_hold(program, k, z, u, has_slopes, memory)
             found = True
     elif k < program.kinds.size and program.kinds[k] >= 0:
-        if program.mechanics.rubs.shape[0] > 0:
+        if program.mechanics.frictions.shape[0] > 0:
             _measure_impact(program, k, z, has_slopes, memory)
             found = True
-    elif program.mechanics.rubs.shape[0] > 0 and _changes(program, k):
+    elif program.mechanics.frictions.shape[0] > 0 and _changes(program, k):
         _measure_change(program, k, z, has_slopes, memory)
         found = True
     return found
@@ -67,7 +67,7 @@ def _measure_hold(
     """Measures forces and slips where a flight starts."""
     mechanics, bounds, room = program.mechanics, program.bounds, memory.flow.mechanics
     values, slopes, weights, _ = memory.modes
-    nx, m, rubs = memory.flow.points.shape[1], values.shape[0], mechanics.rubs
+    nx, m, frictions = memory.flow.points.shape[1], values.shape[0], mechanics.frictions
     accelerate(mechanics, z[:nx], u, 0.0, True, room)
     hold(program.closed[k], program.leans[k], z[:nx], has_slopes, mechanics, room)
     w = room.grip.shape[1]
@@ -77,15 +77,15 @@ def _measure_hold(
         weights[i, _PUSH], values[i, _PUSH] = bounds.force_weight, room.grip[w, i]
         for c in range(slopes.shape[2] if has_slopes else 0):
             slopes[i, _PUSH, c] = room.by_force[c, i]
-        rub = find_rub(rubs, i)
-        if rub < 0:
+        index = find_friction(frictions, i)
+        if index < 0:
             continue
         if program.modes[k, i] == 0:
             columns = slopes.shape[2] if has_slopes else 0
-            _measure_cone(i, rub, rubs[rub, COEFFICIENT], 1.0, columns, memory)
+            _measure_cone(i, index, frictions[index, COEFFICIENT], 1.0, columns, memory)
             weights[i, _ONE] = weights[i, _OTHER] = bounds.force_weight
         else:
-            _measure_slip(program, rub, i, _ONE, program.modes[k, i], z, has_slopes, memory)
+            _measure_slip(program, index, i, _ONE, program.modes[k, i], z, has_slopes, memory)
 
 
 @inner
@@ -93,28 +93,29 @@ def _measure_impact(program: Program, k: int, z: Floats, has_slopes: bool, memor
     """Measures impulses and slips where something is hit."""
     mechanics, bounds, room = program.mechanics, program.bounds, memory.flow.mechanics
     values, slopes, weights, after = memory.modes
-    nx, m, rubs = memory.flow.points.shape[1], values.shape[0], mechanics.rubs
+    nx, m, frictions = memory.flow.points.shape[1], values.shape[0], mechanics.frictions
     run_tape(mechanics.code, mechanics.numbers, z[:nx], has_slopes, room.values, room.sums)
     factor_mass(nx // 2, room.sums, room.factor)
     closed, leans, e = program.closed[k], program.leans[k], program.restitutions[k]
     strike(closed, leans, e, z, has_slopes, mechanics, room, after)
     for i in range(m):
-        rub = find_rub(rubs, i)
-        if rub < 0 or not program.closed[k, i]:
+        index = find_friction(frictions, i)
+        if index < 0 or not program.closed[k, i]:
             continue
         if program.modes[k, i] == 0:
             columns = nx if has_slopes else 0
-            _measure_cone(i, rub, rubs[rub, COEFFICIENT], bounds.mobilities[i], columns, memory)
+            mu = frictions[index, COEFFICIENT]
+            _measure_cone(i, index, mu, bounds.mobilities[i], columns, memory)
             weights[i, _ONE] = weights[i, _OTHER] = bounds.approach_weight
             continue
         before = program.modes[k, i] if program.kinds[k] == i else 0
         if program.held[k - 1, i]:
             before = program.modes[k - 1, i]
         if before != 0:
-            _measure_slip(program, rub, i, _ONE, before, z, has_slopes, memory)
-        _measure_slip(program, rub, i, _OTHER, program.modes[k, i], after, has_slopes, memory)
+            _measure_slip(program, index, i, _ONE, before, z, has_slopes, memory)
+        _measure_slip(program, index, i, _OTHER, program.modes[k, i], after, has_slopes, memory)
         if has_slopes:
-            row = find_row(nx // 2, m, m + rub)
+            row = find_row(nx // 2, m, m + index)
             for c in range(nx):
                 for j in range(nx // 2):
                     gain = program.modes[k, i] * room.sums[row + j]
@@ -124,43 +125,43 @@ def _measure_impact(program: Program, k: int, z: Floats, has_slopes: bool, memor
 @inner
 def _measure_change(program: Program, k: int, z: Floats, has_slopes: bool, memory: Memory) -> None:
     """Measures slips where modes may change, and nothing is hit."""
-    mechanics, room, rubs = program.mechanics, memory.flow.mechanics, program.mechanics.rubs
+    mechanics, room = program.mechanics, memory.flow.mechanics
     nx, is_end = memory.flow.points.shape[1], k == program.kinds.size
     run_tape(mechanics.code, mechanics.numbers, z[:nx], has_slopes, room.values, room.sums)
     for i in range(memory.modes.values.shape[0]):
-        rub = find_rub(rubs, i)
+        index = find_friction(mechanics.frictions, i)
         was_held = k > 0 and bool(program.held[k - 1, i])
         before = program.modes[k - 1, i] if was_held else 0
         sticks = not is_end and program.held[k, i] and program.modes[k, i] == 0
-        if rub < 0 or (before == 0 and (was_held or not sticks)):
+        if index < 0 or (before == 0 and (was_held or not sticks)):
             continue
         sign = before if before != 0 else 1
-        _measure_slip(program, rub, i, _ONE, sign, z, has_slopes, memory)
+        _measure_slip(program, index, i, _ONE, sign, z, has_slopes, memory)
         if sticks:
-            _measure_slip(program, rub, i, _OTHER, -sign, z, has_slopes, memory)
+            _measure_slip(program, index, i, _OTHER, -sign, z, has_slopes, memory)
 
 
 @inner
 def _measure_cone(
-    i: int, rub: int, friction: float, unit: float, columns: int, memory: Memory
+    i: int, index: int, friction: float, unit: float, columns: int, memory: Memory
 ) -> None:
     """Computes how far inside its cone a force or impulse is, on both sides, and derivatives."""
     values, slopes, room = memory.modes.values, memory.modes.slopes, memory.flow.mechanics
     m, w = values.shape[0], room.grip.shape[1]
     for side in range(2):
         along = unit * (2 * side - 1)
-        values[i, side] = unit * friction * room.grip[w, i] + along * room.grip[w, m + rub]
+        values[i, side] = unit * friction * room.grip[w, i] + along * room.grip[w, m + index]
         for c in range(slopes.shape[2]):
             slopes[i, side, c] = 0.0
         for c in range(columns):
-            push, drag = room.by_force[c, i], room.by_force[c, m + rub]
+            push, drag = room.by_force[c, i], room.by_force[c, m + index]
             slopes[i, side, c] = unit * friction * push + along * drag
 
 
 @inner
 def _measure_slip(
     program: Program,
-    rub: int,
+    index: int,
     i: int,
     side: int,
     sign: int,
@@ -172,7 +173,7 @@ def _measure_slip(
     values, slopes, weights, _ = memory.modes
     n, sums = memory.flow.points.shape[1] // 2, memory.flow.mechanics.sums
     m, w = program.held.shape[1], program.closed.shape[1]
-    row, turns = find_row(n, m, m + rub), find_slope(n, m, w, m + rub, 0, 0)
+    row, turns = find_row(n, m, m + index), find_slope(n, m, w, m + index, 0, 0)
     weights[i, side], values[i, side] = program.bounds.approach_weight, 0.0
     for j in range(n):
         values[i, side] += sign * sums[row + j] * z[n + j]

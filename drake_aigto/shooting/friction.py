@@ -18,7 +18,7 @@ from drake_aigto.world import World
 Row: TypeAlias = NDArray[Any]
 
 
-class Rub(NamedTuple):
+class FrictionTerm(NamedTuple):
     """One friction, −Tᵀ c N σ(s / w), with s = T(q) v and σ of `calc_friction_share`.
 
     Of two spheres that move about each other, s is T v R/l (see `CompliantLaw`).
@@ -38,27 +38,27 @@ class Rub(NamedTuple):
     numbers: tuple[float, ...]
 
 
-def list_rubs(world: World, law: ContactLaw) -> list[Rub]:
+def list_friction(world: World, law: ContactLaw) -> list[FrictionTerm]:
     """Returns the friction of a world's joints and of its walls, which, rigid, rub in impacts."""
-    rubs = [] if world.dry_friction is None else list(_list_dry(world, world.dry_friction))
-    if isinstance(law, CompliantLaw) and law.rubs:
-        rubs += _list_touching(world, law)
-    elif law.rubs:
+    frictions = [] if world.dry_friction is None else list(_list_dry(world, world.dry_friction))
+    if isinstance(law, CompliantLaw) and law.has_friction:
+        frictions += _list_touching(world, law)
+    elif law.has_friction:
         for i in np.flatnonzero(law.friction).tolist():
             numbers = float(i), law.friction[i], world.stiction_speed, 0.0, 0.0
-            rubs.append(Rub(world.rubbing.tangents[i], numbers))
-    return rubs
+            frictions.append(FrictionTerm(world.rubbing.tangents[i], numbers))
+    return frictions
 
 
-def _list_dry(world: World, friction: Floats) -> Iterator[Rub]:
+def _list_dry(world: World, friction: Floats) -> Iterator[FrictionTerm]:
     along = np.vectorize(Expression)(np.eye(len(friction)))
     mobility = np.diag(np.linalg.inv(world.calc_mass_matrix(world.plant.GetDefaultPositions())))
     for i in np.flatnonzero(friction > 0).tolist():
         F = friction[i]
-        yield Rub(along[i], (-1.0, F, world.stiction_speed, F * mobility[i], 0.0))
+        yield FrictionTerm(along[i], (-1.0, F, world.stiction_speed, F * mobility[i], 0.0))
 
 
-def _list_touching(world: World, law: CompliantLaw) -> Iterator[Rub]:
+def _list_touching(world: World, law: CompliantLaw) -> Iterator[FrictionTerm]:
     """Yields that of contacts, whose brake is per speed of approach: that of a half swing."""
     q = world.plant.GetDefaultPositions()
     J, T = world.calc_contact_jacobian(q), world.rubbing.calc_tangent_jacobian(q, is_compliant=True)
@@ -67,16 +67,16 @@ def _list_touching(world: World, law: CompliantLaw) -> Iterator[Rub]:
     rates = law.friction * np.sqrt(law.stiffness) * along / np.sqrt(np.maximum(across, along))
     for i in np.flatnonzero(law.friction > 0).tolist():
         numbers = float(i), law.friction[i], world.stiction_speed, rates[i], 0.0
-        yield Rub(world.rubbing.soft_tangents[i], numbers)
+        yield FrictionTerm(world.rubbing.soft_tangents[i], numbers)
 
 
-def fit_to_steps(rubs: Floats, step: float, duration: float, speed: float) -> Floats:
+def fit_to_steps(frictions: Floats, step: float, duration: float, speed: float) -> Floats:
     """Returns the numbers of rubs, shape (R, 5), for Runge-Kutta steps of a length [s].
 
     Contacts are approached at about the speed [m/s].
     """
-    fitted, is_dry = rubs.copy(), rubs[:, SOURCE] < 0
-    brakes = rubs[:, BRAKE] * np.where(is_dry, 1.0, speed)
-    fitted[:, STICTION] = np.maximum(rubs[:, STICTION], brakes * step)
+    fitted, is_dry = frictions.copy(), frictions[:, SOURCE] < 0
+    brakes = frictions[:, BRAKE] * np.where(is_dry, 1.0, speed)
+    fitted[:, STICTION] = np.maximum(frictions[:, STICTION], brakes * step)
     fitted[:, PACE] = 1 / duration
     return fitted

@@ -13,8 +13,8 @@ from drake_aigto.kernels import inner
 from drake_aigto.linear import factor_in_place, solve_factors
 from drake_aigto.shooting.acceleration import (
     divide_by_mass,
+    find_friction,
     find_row,
-    find_rub,
     find_slope,
 )
 from drake_aigto.shooting.tables import Mechanics, MechanicsMemory
@@ -39,7 +39,7 @@ def _clasp(
         row, along = find_row(n, m, k), 0
         leans_over = k < m and leans[k] != 0.0
         if leans_over:
-            along = find_row(n, m, m + find_rub(mechanics.rubs, k))
+            along = find_row(n, m, m + find_friction(mechanics.frictions, k))
         for j in range(n):
             support[k, j] = sums[row + j] if closed[k] else 0.0
             if closed[k] and leans_over:
@@ -82,7 +82,7 @@ def _turn(
             for i in range(n):
                 slope[i] += grip[w, k] * sums[find_slope(n, m, w, k, i, c)]
             if k < m and leans[k] != 0.0:
-                row, pull = m + find_rub(mechanics.rubs, k), leans[k] * grip[w, k]
+                row, pull = m + find_friction(mechanics.frictions, k), leans[k] * grip[w, k]
                 for i in range(n):
                     slope[i] += pull * sums[find_slope(n, m, w, row, i, c)]
         for i in range(n):

@@ -14,7 +14,7 @@ from drake_aigto.dynamics import EquationsOfMotion
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.kernels import kernel
 from drake_aigto.shooting.acceleration import accelerate, evaluate_tape
-from drake_aigto.shooting.friction import Row, list_rubs
+from drake_aigto.shooting.friction import Row, list_friction
 from drake_aigto.shooting.hold import hold
 from drake_aigto.shooting.tables import (
     COEFFICIENT,
@@ -189,18 +189,18 @@ class Mechanism:
         Raises:
             UnsupportedTermError: an equation is no sum of products of powers, sin and cos.
         """
-        contacts, rubs = np.zeros((world.num_contacts, 4)), list_rubs(world, law)
+        contacts, frictions = np.zeros((world.num_contacts, 4)), list_friction(world, law)
         if isinstance(law, RigidLaw):
             contacts[:, 2] = law.restitution
         else:
             contacts[:, 0], contacts[:, 1] = law.stiffness, law.dissipation
             contacts[:, 3] = law.reaches
         tables = Mechanics(
-            *_compile(world, isinstance(law, RigidLaw), [rub.row for rub in rubs]),
+            *_compile(world, isinstance(law, RigidLaw), [term.row for term in frictions]),
             actuation=world.actuation,
             contacts=contacts,
             solids=np.cumsum([0, *map(len, world.solids)], dtype=np.int64),
-            rubs=np.array([rub.numbers for rub in rubs]).reshape(-1, 5),
+            frictions=np.array([term.numbers for term in frictions]).reshape(-1, 5),
         )
         is_other = world.are_of_one_solid & ~np.eye(world.num_contacts, dtype=bool)
         radii = [contact.radius for contact in world.contacts]
@@ -222,9 +222,9 @@ class Mechanism:
         return len(self.mechanics.contacts)
 
     @property
-    def rubs(self) -> bool:
+    def has_friction(self) -> bool:
         """Whether there is friction."""
-        return len(self.mechanics.rubs) > 0
+        return len(self.mechanics.frictions) > 0
 
     def calc_acceleration(
         self, state: Floats, control: Floats, smoothing: float = 0.0
@@ -236,7 +236,7 @@ class Mechanism:
             control: u, shape (nu,).
             smoothing: ε [m].
         """
-        m, R = self.num_contacts, len(self.mechanics.rubs)
+        m, R = self.num_contacts, len(self.mechanics.frictions)
         none = np.zeros(m + R, dtype=bool), np.zeros(m)
         memory = self.press(state, control, *none, smoothing)
         return memory.acceleration[0], memory.slopes.T
@@ -281,18 +281,18 @@ class Mechanism:
         first = n * (n + 1) // 2 + n + m
         J = self.calc_sums(q)[first : first + m * n].reshape(m, n)
         kicks, friction = np.linalg.solve(mass, J.T), np.zeros(m)
-        for rub in of.rubs:
-            if rub[SOURCE] >= 0 and of.contacts[int(rub[SOURCE]), 0] == 0:
-                friction[int(rub[SOURCE])] = rub[COEFFICIENT]
+        for term in of.frictions:
+            if term[SOURCE] >= 0 and of.contacts[int(term[SOURCE]), 0] == 0:
+                friction[int(term[SOURCE])] = term[COEFFICIENT]
         loads = np.abs(bias @ kicks) / np.maximum(np.einsum("ij,ji->i", J, kicks), _IMMOBILE)
         return np.asarray((friction * loads) @ np.abs(self._read_tangents(q)))
 
     def _read_tangents(self, q: Floats) -> Floats:
         """Returns T of each contact that rubs, zero of others, shape (m, n)."""
-        (n, m), rubs, sums = (len(q), self.num_contacts), self.mechanics.rubs, self.calc_sums(q)
-        found, R = np.zeros((m, n)), len(rubs)
+        n, m, R, sums = len(q), self.num_contacts, len(self.mechanics.frictions), self.calc_sums(q)
+        found = np.zeros((m, n))
         rows = sums[n * (n + 1) // 2 + n + m + m * n :][: R * n].reshape(R, n)
-        for T, source in zip(rows, rubs[:, SOURCE].astype(int), strict=True):
+        for T, source in zip(rows, self.mechanics.frictions[:, SOURCE].astype(int), strict=True):
             if source >= 0:
                 found[source] = T
         return found

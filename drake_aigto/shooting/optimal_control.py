@@ -253,13 +253,13 @@ class OptimalControlProblem:
     def fit_friction(self, substeps: int) -> Floats:
         """Returns the numbers of friction in so short Runge-Kutta steps, see `fit_to_steps`."""
         duration = self.duration or float(np.ptp(self.times))
-        step, rubs = np.max(np.diff(self.times)) / substeps, self.mechanism.mechanics.rubs
-        return fit_to_steps(rubs, step, duration, self.length / duration)
+        step, frictions = np.max(np.diff(self.times)) / substeps, self.mechanism.mechanics.frictions
+        return fit_to_steps(frictions, step, duration, self.length / duration)
 
     @property
-    def rubbing_substeps(self) -> int:
+    def friction_substeps(self) -> int:
         """In how many Runge-Kutta steps between knots friction is as steep as the world has it."""
-        ratios = self.fit_friction(1)[:, STICTION] / self.mechanism.mechanics.rubs[:, STICTION]
+        ratios = self.fit_friction(1)[:, STICTION] / self.mechanism.mechanics.frictions[:, STICTION]
         return int(np.ceil(np.max(ratios, initial=1.0)))
 
     @property

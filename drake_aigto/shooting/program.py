@@ -43,12 +43,12 @@ def make_program(problem: OptimalControlProblem, substeps: int, order: int) -> P
         order: of their error, 2 or 4.
     """
     layout, mechanics = problem.layout, problem.mechanism.mechanics
-    rubs = problem.fit_friction(substeps)
+    frictions = problem.fit_friction(substeps)
     closed, leans, restitutions = _find_closed(layout, mechanics)
     times = problem.times if problem.phases is None else None
     added, limits = problem.added.lay_out(layout.kinds, layout.shares, times)
     program = Program(
-        mechanics=mechanics._replace(rubs=rubs),
+        mechanics=mechanics._replace(frictions=frictions),
         task=_make_task(problem.cost),
         bounds=_make_bounds(problem, layout, limits),
         added=added,
@@ -72,13 +72,13 @@ def _find_closed(layout: StageLayout, mechanics: Mechanics) -> tuple[Bools, Floa
     Contacts are held during flights, and struck where something is hit.
     """
     hits, e = np.flatnonzero(layout.kinds >= 0), np.zeros(len(layout.kinds))
-    contacts, rubs = layout.kinds[hits], mechanics.rubs
+    contacts, frictions = layout.kinds[hits], mechanics.frictions
     touching = layout.held & ((layout.kinds == FLOW) | (layout.kinds >= 0))[:, np.newaxis]
     touching[hits, contacts] = True
     e[hits] = np.where(layout.held[hits, contacts], 0.0, mechanics.contacts[contacts, 2])
-    sticks, leans = np.zeros((len(touching), len(rubs)), dtype=bool), np.zeros(touching.shape)
-    for r in np.flatnonzero(rubs[:, SOURCE] >= 0).tolist():
-        contact, friction = int(rubs[r, SOURCE]), rubs[r, COEFFICIENT]
+    sticks, leans = np.zeros((len(touching), len(frictions)), dtype=bool), np.zeros(touching.shape)
+    for r in np.flatnonzero(frictions[:, SOURCE] >= 0).tolist():
+        contact, friction = int(frictions[r, SOURCE]), frictions[r, COEFFICIENT]
         modes = layout.modes[:, contact]
         sticks[:, r] = touching[:, contact] & (modes == 0)
         leans[:, contact] = np.where(touching[:, contact], -friction * modes, 0.0)

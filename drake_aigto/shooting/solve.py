@@ -236,7 +236,7 @@ class ShootingRun:
         """Returns the rungs; without springs and friction, one."""
         rungs = self._options.rungs
         mechanics = self._program.mechanics
-        if np.any(mechanics.contacts[:, 0] > 0) or len(mechanics.rubs):
+        if np.any(mechanics.contacts[:, 0] > 0) or len(mechanics.frictions):
             return rungs
         return (rungs[-1]._replace(iterations=sum(rung.iterations for rung in rungs)),)
 

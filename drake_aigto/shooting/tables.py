@@ -14,7 +14,7 @@ FLOW, START = -1, -2
 # How the error of a coordinate is meant.
 EXACT, MODULO, CHORDAL = 0, 1, 2
 
-# In `Rub.numbers` and `Mechanics.rubs`.
+# In `FrictionTerm.numbers` and `Mechanics.frictions`.
 SOURCE, COEFFICIENT, STICTION, BRAKE, PACE = range(5)
 
 
@@ -34,7 +34,7 @@ class Mechanics(NamedTuple):
     # each contact, shape (m, 4).
     contacts: Floats
     solids: Ints  # where the contacts of each solid start, shape (S + 1,)
-    rubs: Floats  # friction, shape (R, 5), see `rubbing`
+    frictions: Floats  # shape (R, 5), see `FrictionTerm`
 
 
 class MechanicsMemory(NamedTuple):
@@ -46,7 +46,7 @@ class MechanicsMemory(NamedTuple):
     # Force of each contact, its derivatives by φ and φ̇, ∂l/∂φ (see `CompliantLaw`) and its
     # derivative by φ, shape (m, 5).
     force: Floats
-    rub: Floats  # each friction force, and its derivatives by s and N, shape (R, 3)
+    drag: Floats  # each friction force, and its derivatives by s and N, shape (R, 3)
     acceleration: Floats  # v̇, shape (1, n)
     slopes: Floats  # ∂v̇/∂(q, v, u), transposed, shape (2n + nu, n)
     # M⁻¹ D_kᵀ, M⁻¹ Dᵀ λ, and its derivative by q at constant λ, transposed, shape (w + 1 + n, n).
@@ -223,13 +223,13 @@ def copy_writable(table: Any) -> Any:
 def make_mechanics_memory(mechanics: Mechanics) -> MechanicsMemory:
     """Returns room for evaluations."""
     (n, nu), code, m = mechanics.actuation.shape, mechanics.code, len(mechanics.contacts)
-    w = m + len(mechanics.rubs)
+    w = m + len(mechanics.frictions)
     return MechanicsMemory(
         values=np.zeros(1 + 2 * n + 2 * code[0] + code[1]),
         sums=mechanics.constants.copy(),
         factor=np.zeros((n, n)),
         force=np.zeros((m, 5)),
-        rub=np.zeros((len(mechanics.rubs), 3)),
+        drag=np.zeros((len(mechanics.frictions), 3)),
         acceleration=np.zeros((1, n)),
         slopes=np.zeros((2 * n + nu, n)),
         support=np.zeros((w + 1 + n, n)),

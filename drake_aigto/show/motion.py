@@ -251,7 +251,7 @@ def calc_friction(motion: Motion, world: World, scenario: Scenario) -> tuple[Fri
     """
     law = contact_law(world, scenario)
     forces = calc_contact_forces(motion, world, scenario)
-    if not law.rubs:
+    if not law.has_friction:
         nothing = np.zeros_like(forces)
         smooth = Friction(forces, nothing, nothing, nothing > 0)
         return smooth, smooth._replace(normals=nothing)

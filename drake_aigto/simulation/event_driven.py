@@ -40,12 +40,12 @@ class EventDriven:
             recording = SpringMotion(world, law, start, controller.start).run(controller)
             recording.simulator = "integrated"
             return recording
-        is_parabola = world.has_constant_dynamics and not law.rubs
+        is_parabola = world.has_constant_dynamics and not law.has_friction
         if is_parabola and isinstance(controller, HeldControl) and controller.is_open_loop:
             flights = Parabolas(world.constant_dynamics, law.restitution, start, controller.times)
             recording = flights.record(controller.controls)
         else:
-            kind = Flights if is_parabola else SlidingMotion if law.rubs else RigidMotion
+            kind = Flights if is_parabola else SlidingMotion if law.has_friction else RigidMotion
             recording = kind(world, law, start, span).run(controller)
         recording.simulator = "event-driven"
         return recording

@@ -249,7 +249,7 @@ def compile_springs(world: World, law: CompliantLaw) -> SpringRates:
     none = np.zeros(world.num_velocities)
     tables = SpringTables(
         dynamics=dynamics,
-        tangents=world.rubbing.soft_tangent_map.tables if law.rubs else dynamics,
+        tangents=world.rubbing.soft_tangent_map.tables if law.has_friction else dynamics,
         stiffness=law.stiffness,
         dissipation=law.dissipation,
         friction=law.friction,

@@ -169,8 +169,8 @@ class BallSearch(BranchingSearch):
             for other in self.by_sequence.values()
             if other.is_feasible and other.is_confirmed
         )
-        is_dear = self._least_flight_cost > GOOD * min(costs, default=np.inf)
-        return is_dear and not self.task.options.exhaustive
+        is_costly = self._least_flight_cost > GOOD * min(costs, default=np.inf)
+        return is_costly and not self.task.options.exhaustive
 
     def _leave_flight_out(self, origin: Origin, center: Floats) -> None:
         _LOG.info("  free flight: left out, costs %.3e at least", self._least_flight_cost)

@@ -33,7 +33,7 @@ NEAR = ShootingOptions(rungs=(Smoothing(1e-3, 23, 1e-2),), order=2, multiplier_u
 # more smoothed, they push otherwise by as much as hard goals allow.
 TIGHT = ShootingOptions(rungs=(Smoothing(1e-3, 40, 1e-3),), substeps=4)
 POLISH = ShootingOptions(rungs=(Smoothing(1e-4, 40, 1e-5), Smoothing(1e-6, 40, 1e-5)), substeps=4)
-RUBBED = dataclasses.replace(POLISH, rungs=(Smoothing(1e-6, 150, 1e-5),))
+WITH_FRICTION = dataclasses.replace(POLISH, rungs=(Smoothing(1e-6, 150, 1e-5),))
 
 # Friction stiffens from stiction speeds of a whole way in the duration to a thousandth.
 COOLING = ShootingOptions(
@@ -97,7 +97,7 @@ def find_closing(
     if not isinstance(law, CompliantLaw):
         return options
     turn = time_step * _calc_pace(world, law, q)
-    if law.rubs:
+    if law.has_friction:
         return _from_afar(options, turn)
     substeps = max(1, int(np.ceil(turn / _RESOLVING_STEP)))
     return options if is_aimed else dataclasses.replace(NEAR, substeps=substeps)

@@ -59,8 +59,8 @@ class RigidMechanismSearch(MechanismSearch):
     """
 
     task: RigidMechanismTask
-    dear: ClassVar[float] = 1.2
-    beaten: ClassVar[float] = 1.01
+    polish_ratio: ClassVar[float] = 1.2
+    simulate_ratio: ClassVar[float] = 1.01
 
     def __init__(self, task: RigidMechanismTask, clock: Stopwatch | None = None) -> None:
         """Starts with no motion."""
@@ -95,12 +95,12 @@ class RigidMechanismSearch(MechanismSearch):
     def _find_aim(self) -> Aim:
         """Returns what is worth closing: what does not cost far more than the best."""
         misses, cost = self.motions[0].rank if self.motions else (True, np.inf)
-        times = _HOPELESS if self.task.rigid_law.rubs else self.dear
+        times = _HOPELESS if self.task.rigid_law.has_friction else self.polish_ratio
         return Aim(np.inf if misses else scaled(times, cost))
 
     def _improve(self, problem: MechanismTask, motion: ShootingResult) -> ShootingResult:
         assert isinstance(problem, RigidMechanismTask)
-        return problem.polish(motion, self._scale_best(self.beaten))
+        return problem.polish(motion, self._scale_best(self.simulate_ratio))
 
     def _find_unbranched(self) -> KeptMotion | None:
         """Returns one of the best whose neighbors were not tried yet."""
@@ -118,9 +118,9 @@ class RigidMechanismSearch(MechanismSearch):
         One optimum has many sequences, with touches that hardly push. Each makes it more likely
         that a simulation goes elsewhere.
         """
-        as_dear = abs(motion.cost - known.cost) <= SAME * abs(known.cost)
+        costs_same = abs(motion.cost - known.cost) <= SAME * abs(known.cost)
         fewer = len(_read(motion).touches) - len(_read(known).touches)
-        if motion.rank[0] == known.rank[0] and as_dear and fewer:
+        if motion.rank[0] == known.rank[0] and costs_same and fewer:
             return fewer < 0
         return motion.rank < known.rank
 

@@ -187,7 +187,8 @@ class RigidMechanismTask(MechanismTask):
 
     def _switch(self, motion: BouncingResult) -> BouncingResult:
         """Returns the best motion that is found by leading touches beyond edges of their modes."""
-        for _ in range(_MOST_SWITCHED if self.rigid_law.rubs and np.isfinite(motion.cost) else 0):
+        may_switch = self.rigid_law.has_friction and np.isfinite(motion.cost)
+        for _ in range(_MOST_SWITCHED * may_switch):
             world, law = self.world, self.rigid_law
             touches = switch_modes(world, law, motion) or lead_over_edges(world, law, motion)
             if touches is None:
@@ -316,7 +317,7 @@ class RigidMechanismTask(MechanismTask):
         found: ShootingResult = motion
         error = problem.estimate_error(found)
         while True:
-            penalty = _GENTLE if self.rigid_law.rubs else _FINE.penalty
+            penalty = _GENTLE if self.rigid_law.has_friction else _FINE.penalty
             options = dataclasses.replace(
                 _FINE, substeps=found.substeps, penalty=penalty, is_wary=is_wary
             )
@@ -369,7 +370,7 @@ class RigidMechanismTask(MechanismTask):
     def judge(self, origin: Origin, start: ShootingResult, found: ShootingResult) -> Candidate:
         """Returns the candidate that shooting made of a start (`MechanismTask.judge`)."""
         judged = super().judge(origin, start, found)
-        if not self.rigid_law.rubs:
+        if not self.rigid_law.has_friction:
             return judged
         return dataclasses.replace(judged, contacts=with_losses(judged.contacts, judged.replay))
 

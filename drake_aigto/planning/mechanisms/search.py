@@ -38,8 +38,8 @@ _WAVE = 8
 _NOTHING = 1e-12
 # Bounds that a simulation passes are narrowed so often at most.
 _MOST_NARROWED = 2
-# What costs so many times as much as the best that holds, after its polish, was led astray.
-_ASTRAY = 2.0
+# The polish of a motion diverged if it costs more than this times the best that holds.
+_DIVERGED = 2.0
 # What promises to cost so many times the worst motion that is kept is left half-way. Of 3,072 boxes
 # around cart-poles between soft walls that saves 31 % of all iterations, and 10 of 346 motions are
 # lost that would have been the best so far; at 1 time 37 % and 13, at 1.5 times 22 % and 8.
@@ -75,13 +75,13 @@ class MechanismSearch(Search):
 
     Attributes:
         motions: the best so far.
-        dear: what costs so many times the best finalist is not polished.
-        beaten: what does, after its polish, is not simulated, though it counts as a finalist.
+        polish_ratio: motions that cost more than this times the best finalist are not polished.
+        simulate_ratio: those that do after their polish are not simulated, but are finalists.
     """
 
     task: MechanismTask
-    dear: ClassVar[float] = 1.0
-    beaten: ClassVar[float] = _ASTRAY
+    polish_ratio: ClassVar[float] = 1.0
+    simulate_ratio: ClassVar[float] = _DIVERGED
 
     def __init__(self, task: MechanismTask, clock: Stopwatch | None = None) -> None:
         """Starts with no motion."""
@@ -90,7 +90,7 @@ class MechanismSearch(Search):
         self._candidates: list[Candidate] = []
         self._tight: list[KeptMotion] = []  # The best motions, in shorter steps.
         self._known: list[KeptMotion] = []  # Those that were polished, and what became of them.
-        self._beaten: list[tuple[KeptMotion, ShootingResult]] = []  # Polished, but not simulated.
+        self._not_simulated: list[tuple[KeptMotion, ShootingResult]] = []  # But polished.
         self._aim = Aim()
         self._num_closed = self._num_of_use = 0
 
@@ -181,8 +181,8 @@ class MechanismSearch(Search):
 
     def _are_same(self, one: KeptMotion, other: KeptMotion) -> bool:
         """Returns whether two motions lead to one optimum, by cost or by path."""
-        is_as_dear = abs(one.cost - other.cost) <= SAME * abs(one.cost)
-        return is_as_dear or self._are_near(one.result, other.result)
+        costs_same = abs(one.cost - other.cost) <= SAME * abs(one.cost)
+        return costs_same or self._are_near(one.result, other.result)
 
     def _are_near(self, one: ShootingResult, other: ShootingResult) -> bool:
         """Returns whether two motions are so near each other that one polish does for both."""
@@ -205,7 +205,7 @@ class MechanismSearch(Search):
         others do not count.
         """
         for motion in self._tight:
-            is_full = len(self._holding) + len(self._beaten) >= self.task.options.finalists
+            is_full = len(self._holding) + len(self._not_simulated) >= self.task.options.finalists
             is_ended = self.is_interrupted and self._known
             if is_full or is_ended or self._is_hopeless(motion):
                 return
@@ -225,7 +225,7 @@ class MechanismSearch(Search):
 
     def _is_hopeless(self, motion: KeptMotion) -> bool:
         """Returns whether a motion costs more than its polish can win back."""
-        return motion.cost > self._scale_best(self.dear)
+        return motion.cost > self._scale_best(self.polish_ratio)
 
     @property
     def _holding(self) -> list[float]:
@@ -240,10 +240,10 @@ class MechanismSearch(Search):
         """Returns so many times the best cost that holds, infinite while there is none."""
         return scaled(times, min(self._holding, default=np.inf))
 
-    def _is_astray(self, polished: ShootingResult) -> bool:
+    def _has_diverged(self, polished: ShootingResult) -> bool:
         """Returns whether a polish ended so far above a plan that holds that none looks at it."""
         misses, cost = self.task.rank(polished)
-        most = self._scale_best(_ASTRAY)
+        most = self._scale_best(_DIVERGED)
         return most < np.inf and (misses or not cost <= most)
 
     def _improve(self, problem: MechanismTask, motion: ShootingResult) -> ShootingResult:
@@ -265,12 +265,12 @@ class MechanismSearch(Search):
                     self.ended_by_ctrl_c(lambda: [] if self._candidates else [start]),
                 ):
                     polished = self._improve(problem, polished)
-                if self._is_astray(polished):
-                    _LOG.info("  led astray: cost %.6g", polished.cost)
+                if self._has_diverged(polished):
+                    _LOG.info("  diverged: cost %.6g", polished.cost)
                     return polished
-                if self.task.price(polished) > self._scale_best(self.beaten):
-                    _LOG.info("  beaten: cost %.6g", polished.cost)
-                    self._beaten.append((motion, polished))
+                if self.task.price(polished) > self._scale_best(self.simulate_ratio):
+                    _LOG.info("  not simulated: cost %.6g", polished.cost)
+                    self._not_simulated.append((motion, polished))
                     return polished
                 candidate = self._simulate(motion, polished)
                 if self.is_interrupted or BOUNDS not in candidate.replay.broken:
@@ -297,8 +297,8 @@ class MechanismSearch(Search):
 
     def add_left_out(self) -> None:
         """Judges what was left out for a candidate that a simulation has contradicted since."""
-        beaten, self._beaten = self._beaten, []
-        for motion, polished in beaten:
+        left_out, self._not_simulated = self._not_simulated, []
+        for motion, polished in left_out:
             try:
                 self._add(self._simulate(motion, polished))
             except TrajectoryError as error:

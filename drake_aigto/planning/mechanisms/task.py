@@ -28,7 +28,7 @@ from drake_aigto.planning.mechanisms.boxes import (
 from drake_aigto.planning.mechanisms.closing import (
     COOLING,
     POLISH,
-    RUBBED,
+    WITH_FRICTION,
     Aim,
     Launch,
     find_closing,
@@ -116,7 +116,7 @@ class MechanismTask(PosedTask):
         """From where on boxes have a say; the start where they may be late, or something rubs."""
         scenario, law = self.scenario, self.law
         is_timed = scenario.duration_range is not None or len(self.task.times) > 1
-        if isinstance(law, CompliantLaw) and not (is_timed or self.mechanism.rubs):
+        if isinstance(law, CompliantLaw) and not (is_timed or self.mechanism.has_friction):
             return find_launch(self.world, law, self.coast)
         return Launch(0, 0.0, scenario.initial_position, scenario.initial_velocity)
 
@@ -189,7 +189,7 @@ class MechanismTask(PosedTask):
         first = slice(self.launch.knot)
         states[first], controls[first] = self.coast.states[first], self.coast.controls[first]
         found = problem.solve(controls, states, options)
-        if self.mechanism.rubs or not is_patient or self.is_of_use(found):
+        if self.mechanism.has_friction or not is_patient or self.is_of_use(found):
             return found
         # Worse than no control, it has most likely diverged.
         return min(found, problem.solve(controls, states, options.wary), key=self.rank)
@@ -223,9 +223,9 @@ class MechanismTask(PosedTask):
             motion = self.tighten(motion)
         motion = self._cooled(motion)
         problem, options = self.shooting(self.scenario.num_steps), POLISH
-        error = problem.estimate_error(motion) if self.mechanism.rubs else 0.0
-        if self.mechanism.rubs and motion.substeps > POLISH.substeps:  # Longer ones lead astray.
-            options = dataclasses.replace(RUBBED, substeps=motion.substeps)
+        error = problem.estimate_error(motion) if self.mechanism.has_friction else 0.0
+        if self.mechanism.has_friction and motion.substeps > POLISH.substeps:  # Else it diverges.
+            options = dataclasses.replace(WITH_FRICTION, substeps=motion.substeps)
         while True:
             states = motion.states if error > _STEADY else None
             problem = problem.starting_from(motion)
@@ -239,10 +239,10 @@ class MechanismTask(PosedTask):
                 return self._steadied(motion)
             # Where contact begins and ends, steps are of second order.
             halvings = np.ceil(np.log2(min(error / _EXACT, _MOST_SUBSTEPS)) / 2)
-            if self.mechanism.rubs:  # What sticks in long steps slips in much shorter ones.
+            if self.mechanism.has_friction:  # What sticks in long steps slips in much shorter ones.
                 halvings = 1
             substeps = min(motion.substeps * 2 ** int(halvings), _MOST_SUBSTEPS)
-            rungs = (RUBBED if self.mechanism.rubs else POLISH).rungs[-1:]
+            rungs = (WITH_FRICTION if self.mechanism.has_friction else POLISH).rungs[-1:]
             options = dataclasses.replace(POLISH, rungs=rungs, substeps=substeps)
 
     def _cooled(self, motion: ShootingResult) -> ShootingResult:
@@ -257,7 +257,7 @@ class MechanismTask(PosedTask):
 
     def _steadied(self, motion: ShootingResult) -> ShootingResult:
         """Returns the same motion; where there is friction, with controls that lead along it."""
-        if not (self.mechanism.rubs and np.isfinite(motion.exact_cost)):
+        if not (self.mechanism.has_friction and np.isfinite(motion.exact_cost)):
             return motion
         problem = self.shooting(self.scenario.num_steps).starting_from(motion)
         return steady(self.world, self.scenario, problem, motion)
