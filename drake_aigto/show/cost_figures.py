@@ -33,7 +33,7 @@ from drake_aigto.world import Scenario, World
 _COLORMAP = "viridis"
 _POINTS = 201  # along each side of a landscape
 _LEVELS = 12
-# So many times the least cost is as high as a landscape is drawn.
+# A landscape is drawn up to this many times the least cost.
 _HIGHEST = 1e4
 _MARKERS = "oDvPX<"
 _MARK: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "white", "markersize": 10}

@@ -98,7 +98,7 @@ class Film:
     ) -> list[tuple[int, int, bool]]:
         """Returns frames, the number of a moment [s], and whether it is seen there.
 
-        Each is seen or not so many frames after it, until the next one begins.
+        Each is seen or not a number of frames after it, until the next one begins.
         """
         keys: dict[int, tuple[int, bool]] = {}
         for number, time in enumerate(times):

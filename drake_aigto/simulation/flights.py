@@ -30,7 +30,7 @@ from drake_aigto.kernels import inner, kernel, pasted
 # The n-th impact at a contact becomes rest if the hop after it would last less than n times this.
 # No more than √(2 / SHORTEST_HOP) ≈ 1,400 hops fit into T then: no Zeno sequence can hang.
 SHORTEST_HOP = 1e-6
-# So many impacts within so short a time are a collapse, infinitely many: then all that touch stay
+# This many impacts within this part of T are a collapse, infinitely many: then all that touch stay
 # together.
 MOST_IMPACTS = 1000
 _COLLAPSE = 1e-6
@@ -56,14 +56,14 @@ class HybridState(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """What decides how impacts end."""
+    """Rules by which impacts end."""
 
     restitutions: Floats  # e of each contact, in [0, 1], shape (m,)
     duration: float  # T, how long will be simulated [s]
 
 
 def make_log(most: int, num_positions: int) -> Floats:
-    """Returns a log that has room for so many impacts; those beyond are counted only."""
+    """Returns a log that has room for a number of impacts; those beyond are counted only."""
     return np.empty((most, STATE + 3 * num_positions))
 
 

@@ -1,4 +1,4 @@
-"""How far compliant walls lead astray, bounce after bounce: in closed form, and simulated."""
+"""How far compliant walls move the end of a motion: in closed form, and simulated."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _calc_offsets(impact: Impact, e: float, delay: float) -> Floats:
 
 
 class Lateness(NamedTuple):
-    """What compliant walls explain at most."""
+    """Differences that compliant walls explain at most."""
 
     error: float  # of the last position, its norm where it matters [m, rad]
     cost: float
@@ -119,9 +119,9 @@ def calc_lateness(world: World, scenario: Scenario, times: Floats, controls: Flo
     how much the end and the cost differ is added up in size over all impacts. No more than three
     hundredths of the path is explained this way.
 
-    Where walls rub, so it is for the slip velocity, which a contact changes in τ and not at once,
-    to no less than the stiction speed v_s at which the plant's friction is whole. To that comes
-    what a contact creeps while it should stick, at v_s at most.
+    Where walls have friction, so it is for the slip velocity, which a contact changes in τ and not
+    at once, to no less than the stiction speed v_s at which the plant's friction is whole. To that
+    comes what a contact creeps while it should stick, at v_s at most.
 
     Args:
         world: its stiffness and its contacts.

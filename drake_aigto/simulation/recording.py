@@ -134,7 +134,7 @@ class Recording:
         rests: in order of time, on compliant walls.
         max_penetration: the deepest −φ, at least 0 [m].
         matched_speeds: for which dissipation was set, on compliant walls [m/s].
-        creep: how far contacts with friction that stick would lead q astray, if they slipped at
+        creep: how far contacts with friction that stick would move q, if they slipped at
             1 m/s meanwhile, on rigid walls [m, rad].
         phases: of contacts with friction that last, on rigid walls, in order of their starts.
         control_times: from when each control was held [s].

@@ -26,7 +26,7 @@ _AT_KNOT = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Replay(ArrayRecord):
-    """What a control does to the world, whatever its plan promised.
+    """Motion of a world under a control, whatever its plan promised.
 
     Attributes:
         simulator: "event-driven" (exactly rigid walls), "integrated" (the world's equations with
@@ -45,8 +45,8 @@ class Replay(ArrayRecord):
         compliance_error: "drake" and rigid contact only: how far the end should be, at most, from
             where rigid walls lead [m]. A contact lasts τ = π √(m/k), which delays what follows and
             loses what the control adds meanwhile: of one elastic impact, τ times the last speed.
-            All of it is in `calc_compliance_error`; where M or J depends on q, or walls rub, in
-            `calc_lateness`, with what contacts creep that should stick.
+            All of it is in `calc_compliance_error`; where M or J depends on q, or walls have
+            friction, in `calc_lateness`, with what contacts creep that should stick.
         compliance_cost: what of the cost this explains at most.
         matched_speeds: "drake" only, restitution < 1 only: the speeds, in the order of time, for
             which the dissipation was set to give each impact its restitution [m/s]. Impacts below a
@@ -194,11 +194,11 @@ def confirms(
 
     with the task's scales L and J₀, in which 1 rad counts as 1 m. A replay that does better than
     its plan confirms it. The parts that do not grow with the cost are for plans that promise next
-    to nothing: who ends 2 mm off the goal in a task of a meter, where the plan claims 0, is still
-    there, and J₀ is what missing the goal by L costs. The defaults let pass what the compliant wall
-    of the shipped models takes from the optimal plans of Table I's problems (0.1 ms late, so 0.2 mm
-    off and 0.5 % dearer at most), and stop a plan whose bounce no rigid wall returns. NaN never
-    holds.
+    to nothing: a motion that ends 2 mm off the goal in a task of a meter, where the plan claims 0,
+    is still there, and J₀ is what missing the goal by L costs. The defaults let pass what the
+    compliant wall of the shipped models takes from the optimal plans of Table I's problems (0.1 ms
+    late, so 0.2 mm off, at 0.5 % more cost at most), and stop a plan whose bounce no rigid wall
+    returns. NaN never holds.
 
     Args:
         cost: that the plan promises.

@@ -57,7 +57,7 @@ _SLOW = 1e-2
 _COARSE_STEP = 10.0
 # Radau's rule has its Jacobian from differences of √ε, and nearer to a wall than this part of the
 # largest position, or of 1 m, takes it for touched. What leaves a wall goes on in fine steps until
-# it is farther, unless that takes so many durations of a contact.
+# it is farther, unless that takes more than a number of durations of a contact.
 _BLURRED, _LINGERS = 1e-7, 30.0
 # Contacts that last have this part of their stiffness: forces of newtons press bodies together by
 # nanometers, a blur to that Jacobian, with which steps are microseconds. So they do by no more than
@@ -231,7 +231,7 @@ class ContactMonitor:
 
 
 class _SolidPace:
-    """What one solid asks for, and what its contacts are given for the impact that is coming."""
+    """Steps that one solid asks for, and properties of its contacts for the coming impact."""
 
     def __init__(
         self,
@@ -251,7 +251,7 @@ class _SolidPace:
         self._fastest = 0.0  # approach so far [m/s]
 
     def began_pressed(self, near: Clearance) -> bool:
-        """Returns whether a contact goes on that nothing approached, as what lies at the start."""
+        """Returns whether a contact goes on that nothing approached: closed at the start."""
         return near.distance <= 0 and not self._is_matched
 
     def plan(
@@ -341,8 +341,8 @@ def set_dissipation(world: World, root: Context, contact: int, dissipation: floa
 def set_stiffness(world: World, root: Context, contact: int, factor: float) -> None:
     """Gives a contact this part, at most 1, of its own stiffness, in this context only.
 
-    Where one shape belongs to other contacts too, the other one yields for both, so that no other
-    contact is another. Where both do, nothing is changed.
+    Where one shape belongs to other contacts too, the other one is softer for both, so that no
+    other contact is another. Where both do, nothing is changed.
     """
     shapes = [shape for shape in world.shapes[contact] if _is_alone(world, shape)]
     whole, source = world.stiffness[contact], world.plant.get_source_id()

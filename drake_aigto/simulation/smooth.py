@@ -92,7 +92,7 @@ def follow(
         end: [s].
         state: (q, v) at the start, shape (2 nv,).
         first_step: that is tried, at most to the end [s].
-        most: so many pieces, in each of which nothing moves far.
+        most: number of pieces, in each of which nothing moves far.
 
     Raises:
         TrajectoryError: the motion runs away to infinity, or takes more pieces.

@@ -32,7 +32,7 @@ class _End(NamedTuple):
 
 
 class _ContactState(IntEnum):
-    """What a contact is in."""
+    """Phase of a contact."""
 
     FREE = 0  # φ > 0
     PRESSED = 1  # φ < 0, and 1 + d ẋ > 0
@@ -242,8 +242,8 @@ SpringRates: TypeAlias = Callable[[Floats, Floats, Bools], Floats]
 def compile_springs(world: World, law: CompliantLaw) -> SpringRates:
     """Returns ẋ of a state x = (q, v) as one compiled function, see `calc_spring_rates`.
 
-    It is that of `World.calc_acceleration` with what the law's springs push and rub with, which
-    takes ten times as long, state by state.
+    It is that of `World.calc_acceleration` with forces of the law's springs, friction included,
+    which takes ten times as long, state by state.
     """
     dynamics, dry = world.dynamics_map.tables, world.dry_friction
     none = np.zeros(world.num_velocities)
