@@ -1,51 +1,50 @@
-"""Figures of plans and simulations for reports; of mechanisms and friction, for any axes."""
+"""Figures of links, contact forces, friction and costs, for any axes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
+from matplotlib.colors import LogNorm, to_rgb
 from matplotlib.patches import Polygon
+from matplotlib.ticker import LogLocator, MaxNLocator
 from pydrake.geometry import Capsule, Cylinder, Sphere
 from pydrake.math import RigidTransform
 from scipy.spatial import ConvexHull
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
-from drake_aigto.paper import rigid_optimum
-from drake_aigto.planning import Plan
-from drake_aigto.show.box_playback import BoxRun
-from drake_aigto.show.cost_figures import plot_cost_history, plot_cost_landscape
-from drake_aigto.show.figures import (
-    ABOVE,
-    HOLLOW,
-    SOLID_LOOK,
-    line_of,
-    plot_boxes,
-    plot_motions,
-    plot_path,
-    plot_phase_portrait,
+from drake_aigto.paper import (
+    LiteralOptions,
+    bounce_costs,
+    gradient_from_zero,
+    make_literal_task,
+    random_guess,
+    rigid_optimum,
 )
+from drake_aigto.planning import Candidate, PlanOptions, make_ball_task
+from drake_aigto.show.box_playback import BoxRun
+from drake_aigto.show.figures import ABOVE, HOLLOW, SOLID_LOOK, line_of
 from drake_aigto.show.motion import (
+    PLAN_LABEL,
+    SIMULATION_LABELS,
     Friction,
     Motion,
+    calc_approach_speed,
     calc_contact_forces,
     calc_friction,
     color_of,
-    motions_of_plan,
     positions_at,
     time_span,
 )
-from drake_aigto.show.shapes import Actor, find_goal, has_goal, moves_straight
+from drake_aigto.show.shapes import Actor, find_goal, has_goal
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.text import touch_names
+from drake_aigto.simulation import replay_event_driven
 from drake_aigto.world import Scenario, World
 
-_COLUMNS = 2  # of a figure that has one for each coordinate: more could not be read
 _COUNT = 12
 _PALEST = 0.15  # The first of the links that are drawn: how much they cover.
 _AROUND = np.linspace(0, 2 * np.pi, 33)[:-1]  # of what is round [rad]
@@ -56,100 +55,15 @@ _NAME: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": "small"}
 _NAME |= {"textcoords": "offset points", "xytext": (0, 4)}
 _WIDTH = 0.01  # of bars of impulses, as a part of the motion
 _HATCHED: dict[str, Any] = {"facecolor": "none", "hatch": "//"}
-
-
-def figures_of_plan(plan: Plan, world: World, run: BoxRun | None) -> Iterator[tuple[Figure, str]]:
-    """Yields the figures of a report, each with its caption; of boxes, if there are any."""
-    n, motions = world.num_positions, motions_of_plan(plan, world)
-    for first in range(0, n, _COLUMNS):
-        columns = range(first, min(first + _COLUMNS, n))
-        figure = Figure(figsize=(4.5 * max(len(columns), 2), 7), layout="constrained")
-        grid = figure.subplots(3, len(columns), sharex=True)
-        plot_motions(grid, motions, world, plan.scenario, columns)
-        yield figure, "Positions, velocities, controls: the plan, and simulations of its control."
-    if moves_straight(world):
-        yield _draw_states(plan, motions, world)
-        yield from _draw_friction(motions[0], world, plan.scenario)
-    else:
-        yield from draw_mechanism(motions, world, plan.scenario)
-    if run is not None:
-        figure = Figure(figsize=(4.5 * (n + 1), 4.2), layout="constrained")
-        *panels, last = figure.subplots(1, n + 1)
-        shown = [run.result.history[i] for i in run.pick(5, smallest=0.01)]
-        for coordinate, axes in enumerate(panels):
-            plot_boxes(axes, run.transcription, shown, coordinate=coordinate)
-        plot_cost_history(last, run)
-        yield (
-            figure,
-            (
-                "AIGO's boxes, center ± half width, as they shrink, and what that costs. The last "
-                "center only proposes a contact sequence; the plan is polished from it."
-            ),
-        )
-
-
-def _draw_states(plan: Plan, motions: Sequence[Motion], world: World) -> tuple[Figure, str]:
-    """Returns a figure of states against each other, and what a touch costs where that is known."""
-    n = world.num_positions
-    figure = Figure(figsize=(4.5 * max(n + (n > 1), 2), 4.6), layout="constrained")
-    *portraits, last = figure.subplots(1, max(n + (n > 1), 2))
-    for coordinate, axes in enumerate(portraits):
-        plot_phase_portrait(axes, motions, world, plan.scenario, coordinate)
-    if n > 1:
-        plot_path(last, motions, world, plan.scenario)
-        return figure, "Velocity against position, and the path."
-    if not has_landscape(plan, world):
-        figure.delaxes(last)
-        return figure, "Velocity against position."
-    plot_cost_landscape(last, world, plan.scenario, {"plan": plan.best})
-    return figure, (
-        "Velocity against position; and what motions cost that touch the wall once, by when and "
-        "how fast, with the exact optimum, which the planner does not know."
-    )
-
-
-def has_landscape(plan: Plan, world: World) -> bool:
-    """Returns whether the landscape of single touches has the plan on it, and its exact optimum."""
-    if world.num_contacts > 1 or len(plan.best.contacts) > 1:
-        return False
-    try:
-        rigid_optimum(world, plan.scenario)
-    except ModelError:  # None is known for this world.
-        return False
-    return True
-
-
-def draw_mechanism(
-    motions: Sequence[Motion], world: World, scenario: Scenario
-) -> Iterator[tuple[Figure, str]]:
-    """Yields the figures of a mechanism's motions for a report, each with its caption.
-
-    A still picture of the first two if they keep to a plane, velocities against positions, and what
-    contacts push with if anything is known of it.
-    """
-    figure = Figure(figsize=(9, 5), layout="constrained")
-    try:
-        shown = motions[:2]
-        panels = figure.subplots(1, len(shown), squeeze=False)[0]
-        for index, motion in enumerate(shown):
-            plot_strobe(panels[index], motion, world, scenario, index=index)
-        # Two panels side by side have one scale.
-        width, height = np.ptp(panels[0].get_xlim()), np.ptp(panels[0].get_ylim())
-        figure.set_size_inches(9, float(np.clip(1.0 + 4.0 * height / width, 2.5, 7.0)))
-        yield figure, "Links at evenly spaced times, the early ones pale; the goal is dashed."
-    except ModelError:  # They keep to no plane.
-        pass
-    rows = -(-world.num_positions // 2)
-    figure = Figure(figsize=(9, 4.2 * rows), layout="constrained")
-    for coordinate in range(world.num_positions):
-        axes = figure.add_subplot(rows, 2, coordinate + 1)
-        plot_phase_portrait(axes, motions, world, scenario, coordinate)
-    yield figure, "Velocity against position, of each coordinate."
-    if any(np.any(calc_contact_forces(motion, world, scenario) > 0) for motion in motions):
-        figure = Figure(figsize=(9, 3.6), layout="constrained")
-        plot_contact_forces(figure.subplots(), motions, world, scenario)
-        yield figure, "What contacts push with over time."
-    yield from _draw_friction(motions[0], world, scenario)
+_COLORMAP = "viridis"
+_POINTS = 201  # along each side of a landscape
+_LEVELS = 12
+# A landscape is drawn up to this many times the least cost.
+_HIGHEST = 1e4
+_MARKERS = "oDvPX<"
+_MARK: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "white", "markersize": 10}
+_ONE_WALL, _SEVERAL = "SNOPT from zero", "SNOPT from a random guess"
+_RIGID = SIMULATION_LABELS["event-driven"]
 
 
 def plot_strobe(
@@ -277,16 +191,6 @@ def plot_contact_forces(
         axes.text(0.5, 0.5, "no force of a contact", transform=axes.transAxes, ha="center")
 
 
-def _draw_friction(
-    motion: Motion, world: World, scenario: Scenario
-) -> Iterator[tuple[Figure, str]]:
-    """Yields the figure of a motion's friction for a report, with its caption, if there is any."""
-    if any(np.any(each.largest > 0) for each in calc_friction(motion, world, scenario)):
-        figure = Figure(figsize=(9, 3.6), layout="constrained")
-        plot_friction(figure.subplots(), motion, world, scenario)
-        yield figure, "Friction of the first over time, within its cone: rings stick, crosses slip."
-
-
 def plot_friction(axes: Axes, motion: Motion, world: World, scenario: Scenario) -> None:
     """Draws the friction of walls over time [N], within its cone ±μ f, which is hatched.
 
@@ -337,3 +241,104 @@ def _plot_tangents(
                 look = {"color": color, "fillstyle": "none"}
                 label = f"{name} {mode}" if are_impulses else mode
                 axes.plot(motion.times[at], force[at], marker, label=label, **look)
+
+
+def plot_cost_history(axes: Axes, run: BoxRun) -> Axes:
+    """Draws cost against iteration as boxes shrink; returns the right scale, that of defects.
+
+    The mean over the box is what AIGO minimizes, penalties included; J is the cost of the motion at
+    the box's center, which counts for nothing while its rows are off: the largest of their defects
+    has a scale of its own, at the right.
+    """
+    history = run.result.history
+    steps = np.cumsum([iterate.inner_steps for iterate in history])
+    centers = [iterate.box.center for iterate in history]
+    means = [iterate.mean for iterate in history]
+    costs = [run.transcription.scenario_cost(center) for center in centers]
+    defects = [max(run.transcription.defects(center).values()) for center in centers]
+    right = axes.twinx()
+    lines = [
+        *axes.plot(steps, means, color=color_of(0), linewidth=2.5, label="mean over the box"),
+        *axes.plot(steps, costs, color=color_of(2), linewidth=2, label="J at its center"),
+        *right.plot(
+            steps,
+            defects,
+            color=color_of(1),
+            linewidth=2,
+            linestyle=(0, (4, 2)),
+            label="largest defect there (right)",
+        ),
+    ]
+    for each in (axes, right):
+        each.set_yscale("log")
+        each.yaxis.set_major_locator(LogLocator(numticks=8))
+    axes.set(xlabel="iteration", ylabel="cost [J]")
+    right.set_ylabel("defect [m or m/s]", color=color_of(1))
+    right.tick_params(axis="y", colors=color_of(1))
+    axes.legend(handles=lines, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=9)
+    return right
+
+
+def plot_cost_landscape(
+    axes: Axes, world: World, scenario: Scenario, ends: Mapping[str, Candidate]
+) -> None:
+    """Draws the least cost over when and how fast a rigid wall is touched, and where methods end.
+
+    Of motions that touch it once (`paper.bounce_costs`); white is where none does. A method's end
+    point is its plan's first contact. Where its legend says that it does not hold, its own cost is
+    not the landscape's: a literal plan leaves the wall as it likes.
+
+    Raises:
+        ModelError: not a world of one coordinate and one wall, without bias.
+    """
+    optimum = rigid_optimum(world, scenario)
+    contacts: dict[str, tuple[float, float] | None] = dict.fromkeys(ends)
+    for name, end in ends.items():
+        for first in end.contacts[:1]:
+            speed = calc_approach_speed(world, end.trajectory, first.time, first.index)
+            contacts[name] = first.time, speed
+    speeds = [-v for v in optimum.impact_velocities] + [c[1] for c in contacts.values() if c]
+    time = np.linspace(0, scenario.duration, _POINTS + 2)[1:-1]
+    rates = np.linspace(0, 1.6 * max(speeds, default=1.0), _POINTS)
+    costs = bounce_costs(world, scenario, time, rates[:, np.newaxis])
+    least = np.nanmin(costs)
+    shown = np.ma.masked_invalid(np.minimum(costs, _HIGHEST * least))
+    levels = np.geomspace(least, _HIGHEST * least, _LEVELS + 1)
+    filled = axes.contourf(time, rates, shown, levels, cmap=_COLORMAP, norm=LogNorm())
+    filled.set_rasterized(True)  # In vector formats it is large.
+    bar = axes.figure.colorbar(filled, ax=axes, label="least J of a motion that touches there")
+    bar.ax.yaxis.set_major_locator(LogLocator(numticks=6))
+    if optimum.bounce_times:
+        at = optimum.bounce_times[0], -optimum.impact_velocities[0]
+        axes.plot(*at, "*", color="#E69F00", label="exact optimum", **{**_MARK, "markersize": 20})
+    for i, ((name, contact), end) in enumerate(zip(contacts.items(), ends.values(), strict=True)):
+        verdict = "holds" if end.is_confirmed else "fails in simulation"
+        place = contact or (np.nan, np.nan)
+        label = f"{name}: {verdict}{'' if contact else ', no contact'}"
+        axes.plot(*place, _MARKERS[i % len(_MARKERS)], color=color_of(i + 1), label=label, **_MARK)
+    axes.set(xlabel="time of the touch [s]", ylabel="speed of approach [m/s]")
+    axes.xaxis.set_major_locator(MaxNLocator(6))
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize="small")
+
+
+def gradient_motions(world: World, scenario: Scenario, seed: int = 0) -> list[Motion]:
+    """Returns what SNOPT plans without AIGO, and what a rigid simulation makes of its control.
+
+    With one contact, of the paper's literal transcription with φ free, from a guess of zeros: the
+    plan and its simulation. With several, of the rigid transcription from one random guess, of a
+    seed: the simulation, as the rows of such plans are seldom met.
+    """
+    if world.num_contacts == 1:
+        options = LiteralOptions(nonpenetration=False, local_solver="snopt")
+        run = gradient_from_zero(make_literal_task(world, scenario, options))
+        planned = Motion.from_trajectory(run.trajectory, world, f"{_ONE_WALL}: {PLAN_LABEL}")
+        simulated = Motion.from_replay(run.replay, f"{_ONE_WALL}: {_RIGID}")
+        return [planned, simulated.under(run.trajectory.times, run.trajectory.controls)]
+    world.check_plain(scenario)
+    problem = make_ball_task(world, scenario, PlanOptions(relaxation=0.0, local_solver="snopt"))
+    transcription = problem.transcription
+    found = problem.solve_locally(random_guess(transcription, np.random.default_rng(seed)))
+    times, controls = transcription.GetSampleTimes(), transcription.split(found)[2]
+    replay = replay_event_driven(world, scenario, times, controls)
+    simulated = Motion.from_replay(replay, f"{_SEVERAL}: {_RIGID}")
+    return [simulated.under(times, controls)]

@@ -27,11 +27,15 @@ from drake_aigto.show.facts import (
     verdict_facts,
     verdict_items,
 )
-from drake_aigto.show.loop_figures import figures_of_run, motion_of_run, motions_of_switches
 from drake_aigto.show.motion import simulation_label
 from drake_aigto.show.page import Page
 from drake_aigto.show.plain_text import candidate_texts, describe_ticks, run_facts
-from drake_aigto.show.plan_figures import figures_of_plan
+from drake_aigto.show.report_figures import (
+    figures_of_plan,
+    figures_of_run,
+    motion_of_run,
+    motions_of_switches,
+)
 from drake_aigto.show.scene import open_meshcat, play, publish
 from drake_aigto.show.text import (
     contact_names,

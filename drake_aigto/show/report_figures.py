@@ -1,4 +1,4 @@
-"""Figures of what a plant did in the loop, and of the moments at which plans changed."""
+"""Figures of reports: of plans, and of what a plant did in the loop as plans changed."""
 
 from __future__ import annotations
 
@@ -11,11 +11,36 @@ from matplotlib.figure import Figure
 
 from drake_aigto.control import ClosedLoopRun, PlannedPath
 from drake_aigto.errors import ModelError
-from drake_aigto.show.figures import ABOVE, plot_controls, plot_path, plot_positions
-from drake_aigto.show.motion import Motion, color_of
-from drake_aigto.show.plan_figures import plot_strobe
+from drake_aigto.paper import rigid_optimum
+from drake_aigto.planning import Plan
+from drake_aigto.show.box_playback import BoxRun
+from drake_aigto.show.figures import (
+    ABOVE,
+    plot_boxes,
+    plot_controls,
+    plot_motions,
+    plot_path,
+    plot_phase_portrait,
+    plot_positions,
+)
+from drake_aigto.show.motion import (
+    Motion,
+    calc_contact_forces,
+    calc_friction,
+    color_of,
+    motions_of_plan,
+)
+from drake_aigto.show.plan_figures import (
+    plot_contact_forces,
+    plot_cost_history,
+    plot_cost_landscape,
+    plot_friction,
+    plot_strobe,
+)
 from drake_aigto.show.shapes import moves_straight
+from drake_aigto.world import Scenario, World
 
+_COLUMNS = 2  # of a figure that has one for each coordinate: more could not be read
 SIMULATED = "simulation in Drake"
 _PLANNED: dict[str, Any] = {"linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 3}
 _GIVEN_UP: dict[str, Any] = {"color": "#8a8f98", "linewidth": 1.6, "linestyle": (0, (1, 1.5))}
@@ -26,6 +51,110 @@ _PALE = 0.45  # how much the simulation covers, so that plans on top of it are s
 _SAME_TIME = 1e-9  # rounding [s]
 _MARGIN = 0.02  # before and after a run, as a part of it
 _MOST_NAMED = 3  # plans that have a name of their own in a legend
+
+
+def figures_of_plan(plan: Plan, world: World, run: BoxRun | None) -> Iterator[tuple[Figure, str]]:
+    """Yields the figures of a report, each with its caption; of boxes, if there are any."""
+    n, motions = world.num_positions, motions_of_plan(plan, world)
+    for first in range(0, n, _COLUMNS):
+        columns = range(first, min(first + _COLUMNS, n))
+        figure = Figure(figsize=(4.5 * max(len(columns), 2), 7), layout="constrained")
+        grid = figure.subplots(3, len(columns), sharex=True)
+        plot_motions(grid, motions, world, plan.scenario, columns)
+        yield figure, "Positions, velocities, controls: the plan, and simulations of its control."
+    if moves_straight(world):
+        yield _draw_states(plan, motions, world)
+        yield from _draw_friction(motions[0], world, plan.scenario)
+    else:
+        yield from draw_mechanism(motions, world, plan.scenario)
+    if run is not None:
+        figure = Figure(figsize=(4.5 * (n + 1), 4.2), layout="constrained")
+        *panels, last = figure.subplots(1, n + 1)
+        shown = [run.result.history[i] for i in run.pick(5, smallest=0.01)]
+        for coordinate, axes in enumerate(panels):
+            plot_boxes(axes, run.transcription, shown, coordinate=coordinate)
+        plot_cost_history(last, run)
+        yield (
+            figure,
+            (
+                "AIGO's boxes, center ± half width, as they shrink, and what that costs. The last "
+                "center only proposes a contact sequence; the plan is polished from it."
+            ),
+        )
+
+
+def _draw_states(plan: Plan, motions: Sequence[Motion], world: World) -> tuple[Figure, str]:
+    """Returns a figure of states against each other, and what a touch costs where that is known."""
+    n = world.num_positions
+    figure = Figure(figsize=(4.5 * max(n + (n > 1), 2), 4.6), layout="constrained")
+    *portraits, last = figure.subplots(1, max(n + (n > 1), 2))
+    for coordinate, axes in enumerate(portraits):
+        plot_phase_portrait(axes, motions, world, plan.scenario, coordinate)
+    if n > 1:
+        plot_path(last, motions, world, plan.scenario)
+        return figure, "Velocity against position, and the path."
+    if not has_landscape(plan, world):
+        figure.delaxes(last)
+        return figure, "Velocity against position."
+    plot_cost_landscape(last, world, plan.scenario, {"plan": plan.best})
+    return figure, (
+        "Velocity against position; and what motions cost that touch the wall once, by when and "
+        "how fast, with the exact optimum, which the planner does not know."
+    )
+
+
+def has_landscape(plan: Plan, world: World) -> bool:
+    """Returns whether the landscape of single touches has the plan on it, and its exact optimum."""
+    if world.num_contacts > 1 or len(plan.best.contacts) > 1:
+        return False
+    try:
+        rigid_optimum(world, plan.scenario)
+    except ModelError:  # None is known for this world.
+        return False
+    return True
+
+
+def draw_mechanism(
+    motions: Sequence[Motion], world: World, scenario: Scenario
+) -> Iterator[tuple[Figure, str]]:
+    """Yields the figures of a mechanism's motions for a report, each with its caption.
+
+    A still picture of the first two if they keep to a plane, velocities against positions, and what
+    contacts push with if anything is known of it.
+    """
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    try:
+        shown = motions[:2]
+        panels = figure.subplots(1, len(shown), squeeze=False)[0]
+        for index, motion in enumerate(shown):
+            plot_strobe(panels[index], motion, world, scenario, index=index)
+        # Two panels side by side have one scale.
+        width, height = np.ptp(panels[0].get_xlim()), np.ptp(panels[0].get_ylim())
+        figure.set_size_inches(9, float(np.clip(1.0 + 4.0 * height / width, 2.5, 7.0)))
+        yield figure, "Links at evenly spaced times, the early ones pale; the goal is dashed."
+    except ModelError:  # They keep to no plane.
+        pass
+    rows = -(-world.num_positions // 2)
+    figure = Figure(figsize=(9, 4.2 * rows), layout="constrained")
+    for coordinate in range(world.num_positions):
+        axes = figure.add_subplot(rows, 2, coordinate + 1)
+        plot_phase_portrait(axes, motions, world, scenario, coordinate)
+    yield figure, "Velocity against position, of each coordinate."
+    if any(np.any(calc_contact_forces(motion, world, scenario) > 0) for motion in motions):
+        figure = Figure(figsize=(9, 3.6), layout="constrained")
+        plot_contact_forces(figure.subplots(), motions, world, scenario)
+        yield figure, "What contacts push with over time."
+    yield from _draw_friction(motions[0], world, scenario)
+
+
+def _draw_friction(
+    motion: Motion, world: World, scenario: Scenario
+) -> Iterator[tuple[Figure, str]]:
+    """Yields the figure of a motion's friction for a report, with its caption, if there is any."""
+    if any(np.any(each.largest > 0) for each in calc_friction(motion, world, scenario)):
+        figure = Figure(figsize=(9, 3.6), layout="constrained")
+        plot_friction(figure.subplots(), motion, world, scenario)
+        yield figure, "Friction of the first over time, within its cone: rings stick, crosses slip."
 
 
 def motion_of_run(run: ClosedLoopRun) -> Motion:
