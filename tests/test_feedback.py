@@ -17,9 +17,16 @@ from several_walls import make_task, shipped
 
 import drake_aigto.control
 from drake_aigto import Scenario, TrajectoryError, World
-from drake_aigto.control import Feedback, Sweep, track_drake, track_event_driven
+from drake_aigto.control import Feedback, Sweep
 from drake_aigto.paper import rigid_optimum
-from drake_aigto.simulation import HeldControl, replay_drake, replay_event_driven
+from drake_aigto.simulation import (
+    DRAKE,
+    EVENT_DRIVEN,
+    HeldControl,
+    replay_drake,
+    replay_event_driven,
+    replay_with,
+)
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
 
@@ -60,7 +67,7 @@ def moved(scenario: Scenario, position: float = 0.0, velocity: float = 0.0) -> S
 
 
 def end_of(scenario: Scenario, controller: Feedback) -> Any:
-    replay = track_event_driven(shipped_world(), scenario, controller).replay
+    replay = replay_with(EVENT_DRIVEN, shipped_world(), scenario, controller)
     return np.array([replay.positions[-1, 0], replay.velocities[-1, 0]])
 
 
@@ -71,14 +78,14 @@ def end_of(scenario: Scenario, controller: Feedback) -> Any:
 def test_an_unperturbed_plan_is_reproduced(row: int, e: float) -> None:
     (scenario, plan), controller = make_bounce(row, e), make_controller(row, e)
     open_loop = replay_event_driven(shipped_world(), scenario, plan.times, plan.controls)
-    tracked = track_event_driven(shipped_world(), scenario, controller)
-    assert tracked.replay.cost == pytest.approx(open_loop.cost, rel=REPRODUCED)
-    assert tracked.replay.bounce_times == pytest.approx(open_loop.bounce_times, abs=1e-10)
+    tracked = replay_with(EVENT_DRIVEN, shipped_world(), scenario, controller)
+    assert tracked.cost == pytest.approx(open_loop.cost, rel=REPRODUCED)
+    assert tracked.bounce_times == pytest.approx(open_loop.bounce_times, abs=1e-10)
     # Drake's walls are late by 0.1 ms, with feedback as without.
     open_loop = replay_drake(shipped_world(), scenario, plan.times, plan.controls)
-    compliant = track_drake(shipped_world(), scenario, controller)
-    assert compliant.replay.cost == pytest.approx(open_loop.cost, rel=5e-3)
-    assert compliant.replay.bounce_times == pytest.approx(open_loop.bounce_times, abs=1e-6)
+    compliant = replay_with(DRAKE, shipped_world(), scenario, controller)
+    assert compliant.cost == pytest.approx(open_loop.cost, rel=5e-3)
+    assert compliant.bounce_times == pytest.approx(open_loop.bounce_times, abs=1e-6)
 
 
 def test_a_plan_between_walls_is_reproduced() -> None:
@@ -87,15 +94,15 @@ def test_a_plan_between_walls_is_reproduced() -> None:
     plan = optimise(world, scenario, *touches).trajectory
     controller = Feedback(world, scenario, plan)
     assert [end.stretch.contact for end in controller.ends] == [1, 0, 1]
-    tracked = track_event_driven(world, scenario, controller)
-    assert tracked.replay.bounce_contacts == (1, 0, 1)
+    tracked = replay_with(EVENT_DRIVEN, world, scenario, controller)
+    assert tracked.bounce_contacts == (1, 0, 1)
     open_loop = replay_event_driven(world, scenario, plan.times, plan.controls)
-    assert tracked.replay.cost == pytest.approx(open_loop.cost, rel=REPRODUCED)
+    assert tracked.cost == pytest.approx(open_loop.cost, rel=REPRODUCED)
     start = dataclasses.replace(scenario, initial_velocity=1.01 * scenario.initial_velocity)
     open_loop = replay_event_driven(world, start, plan.times, plan.controls)
-    tracked = track_event_driven(world, start, controller)
-    assert tracked.replay.bounce_contacts == (1, 0, 1)
-    assert tracked.replay.goal_error < 0.2 * open_loop.goal_error
+    tracked = replay_with(EVENT_DRIVEN, world, start, controller)
+    assert tracked.bounce_contacts == (1, 0, 1)
+    assert tracked.goal_error < 0.2 * open_loop.goal_error
 
 
 def test_a_plan_on_a_spring_is_reproduced() -> None:
@@ -104,12 +111,12 @@ def test_a_plan_on_a_spring_is_reproduced() -> None:
     plan = optimise(world, scenario, Touch.bounce(0.4)).trajectory
     controller = Feedback(world, scenario, plan)
     open_loop = replay_event_driven(world, scenario, plan.times, plan.controls)
-    tracked = track_event_driven(world, scenario, controller)
+    tracked = replay_with(EVENT_DRIVEN, world, scenario, controller)
     # The midpoint rule plans what the replay does but for its error, which feedback takes out.
-    assert tracked.replay.cost == pytest.approx(open_loop.cost, rel=1e-3)
+    assert tracked.cost == pytest.approx(open_loop.cost, rel=1e-3)
     start = moved(scenario, 0.01, -0.02)
     open_loop = replay_event_driven(world, start, plan.times, plan.controls)
-    assert track_event_driven(world, start, controller).replay.cost < open_loop.cost
+    assert replay_with(EVENT_DRIVEN, world, start, controller).cost < open_loop.cost
 
 
 # Gains.
@@ -162,7 +169,7 @@ def test_saltation_is_what_simulations_show(row: int, e: float) -> None:
 
     def end(x: Any) -> Any:
         start = dataclasses.replace(scenario, initial_position=x[0], initial_velocity=x[1])
-        replay = track_event_driven(shipped_world(), start, controller).replay
+        replay = replay_with(EVENT_DRIVEN, shipped_world(), start, controller)
         return np.array([replay.positions[-1, 0], replay.velocities[-1, 0]])
 
     x = np.concatenate([scenario.initial_position, scenario.initial_velocity])
@@ -200,13 +207,16 @@ def test_the_next_phase_begins_when_the_ball_bounces(shift: float) -> None:
     scenario, _ = make_bounce(1, 1.0)
     controller = make_controller(1, 1.0)
     (planned,) = controller.ends
-    tracked = track_event_driven(shipped_world(), moved(scenario, shift), controller)
-    (time,) = tracked.replay.bounce_times
+    tracked = EVENT_DRIVEN.simulate(shipped_world(), moved(scenario, shift), controller)
+    replay = replay_with(EVENT_DRIVEN, shipped_world(), moved(scenario, shift), controller)
+    (time,) = replay.bounce_times
     assert (time - planned.time) * shift > 1e-4  # From farther away it comes later.
-    (k,) = np.flatnonzero(np.abs(tracked.times - time) < 1e-6)
-    replay = tracked.replay
+    (k,) = np.flatnonzero(np.abs(np.array(tracked.control_times) - time) < 1e-6)
     # Just before it, and from then on, the deviation is from the phase that the ball is in.
-    for i, phase, at in ((k - 1, 0, tracked.times[k - 1]), (k, 1, tracked.times[k])):
+    for i, phase, at in (
+        (k - 1, 0, tracked.control_times[k - 1]),
+        (k, 1, tracked.control_times[k]),
+    ):
         row = int(np.searchsorted(replay.times, at, side="right")) - 1
         x = np.array([replay.positions[row, 0], replay.velocities[row, 0]])
         held = controller.sample(at, x, [0] * phase)
@@ -234,9 +244,9 @@ def test_feedback_is_nearly_as_good_as_hindsight(
     position: float, velocity: float, case: tuple[int, float]
 ) -> None:
     scenario = moved(make_bounce(*case)[0], position, velocity)
-    tracked = track_event_driven(shipped_world(), scenario, make_controller(*case))
+    tracked = replay_with(EVENT_DRIVEN, shipped_world(), scenario, make_controller(*case))
     least = rigid_optimum(shipped_world(), scenario).cost
-    assert least * (1 - 1e-9) <= tracked.replay.cost <= least * 1.01
+    assert least * (1 - 1e-9) <= tracked.cost <= least * 1.01
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1))
@@ -267,11 +277,13 @@ def test_through_a_bounce_errors_are_linear_but_for_the_second_order(row: int, e
 
 @pytest.mark.parametrize(("row", "e"), BOUNCES)
 def test_the_control_that_feedback_applied_does_the_same_again(row: int, e: float) -> None:
-    scenario = moved(make_bounce(row, e)[0], 0.01, -0.01)
-    tracked = track_event_driven(shipped_world(), scenario, make_controller(row, e))
-    again = replay_event_driven(shipped_world(), scenario, tracked.times, tracked.controls)
-    assert again.cost == pytest.approx(tracked.replay.cost, rel=1e-9)
-    assert again.positions[-1] == pytest.approx(tracked.replay.positions[-1], abs=1e-9)
+    scenario, controller = moved(make_bounce(row, e)[0], 0.01, -0.01), make_controller(row, e)
+    tracked = replay_with(EVENT_DRIVEN, shipped_world(), scenario, controller)
+    applied = EVENT_DRIVEN.simulate(shipped_world(), scenario, controller)
+    times = np.append(applied.control_times, controller.end)
+    again = replay_event_driven(shipped_world(), scenario, times, np.array(applied.controls))
+    assert again.cost == pytest.approx(tracked.cost, rel=1e-9)
+    assert again.positions[-1] == pytest.approx(tracked.positions[-1], abs=1e-9)
 
 
 @pytest.mark.parametrize(("row", "e"), BOUNCES)
@@ -279,11 +291,8 @@ def test_a_held_control_is_open_loop(row: int, e: float) -> None:
     scenario, plan = make_bounce(row, e)
     scenario = moved(scenario, -0.01, 0.01)
     controller = HeldControl(plan.times, plan.controls)
-    for track, replay in (
-        (track_event_driven, replay_event_driven),
-        (track_drake, replay_drake),
-    ):
-        held = track(shipped_world(), scenario, controller).replay
+    for judge, replay in ((EVENT_DRIVEN, replay_event_driven), (DRAKE, replay_drake)):
+        held = replay_with(judge, shipped_world(), scenario, controller)
         direct = replay(shipped_world(), scenario, plan.times, plan.controls)
         assert held.cost == pytest.approx(direct.cost, rel=1e-9)
         assert held.bounce_times == pytest.approx(direct.bounce_times, abs=1e-9)
@@ -293,8 +302,8 @@ def test_a_held_control_is_open_loop(row: int, e: float) -> None:
 def test_feedback_does_the_same_on_drakes_plant(row: int, e: float) -> None:
     scenario = moved(make_bounce(row, e)[0], 0.01, -0.02)
     rigid, compliant = (
-        track(shipped_world(), scenario, make_controller(row, e)).replay
-        for track in (track_event_driven, track_drake)
+        replay_with(judge, shipped_world(), scenario, make_controller(row, e))
+        for judge in (EVENT_DRIVEN, DRAKE)
     )
     assert compliant.cost == pytest.approx(rigid.cost, rel=1e-2)
     assert compliant.bounce_times == pytest.approx(rigid.bounce_times, abs=1e-6)
@@ -343,7 +352,10 @@ def test_another_worlds_plan_is_refused() -> None:
         Feedback(world, scenario, make_bounce(1, 1.0)[1])
 
 
-@pytest.mark.parametrize("name", ["FlightFeedback", "KnotFeedback", "PhaseFeedback"])
-def test_a_law_of_the_past_says_what_stands_for_it(name: str) -> None:
-    with pytest.raises(ImportError, match=rf"{name} is gone: use Feedback, one law"):
+@pytest.mark.parametrize(
+    ("name", "stands"),
+    [("FlightFeedback", "Feedback, one law"), ("track_drake", r"simulation\.replay_with\(DRAKE, ")],
+)
+def test_a_name_of_the_past_says_what_stands_for_it(name: str, stands: str) -> None:
+    with pytest.raises(ImportError, match=rf"{name} is gone: use {stands}"):
         getattr(drake_aigto.control, name)

@@ -47,11 +47,11 @@ from benchmarks.robustness.study import (
 )
 from benchmarks.study.page import write_results_page
 from drake_aigto import ModelError, OptionsError, PlanningError, Scenario
-from drake_aigto.control import Feedback, track_event_driven
+from drake_aigto.control import Feedback
 from drake_aigto.errors import ScenarioError
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.plain import from_plain, to_plain
-from drake_aigto.simulation import replay_event_driven
+from drake_aigto.simulation import EVENT_DRIVEN, replay_event_driven, replay_with
 
 SMALL = RobustnessQuestion(rows=(1,), restitutions=(0.8,), samples=1, confirm=False)
 
@@ -118,7 +118,7 @@ def test_outcomes_are_replays_of_the_perturbed_truth() -> None:
     for i in (0, 5, 7, len(perturbations) - 1):
         truth = perturbations[i].apply(world, scenario)
         open_loop = replay_event_driven(*truth, plan.times, plan.controls)
-        feedback = track_event_driven(*truth, controller).replay
+        feedback = replay_with(EVENT_DRIVEN, *truth, controller)
         for way, replay in ((OPEN_LOOP, open_loop), (FEEDBACK, feedback)):
             assert gradient.outcomes[way][i].cost == round_as_filed(replay.cost)
             assert gradient.outcomes[way][i].goal_error == round_as_filed(replay.goal_error)

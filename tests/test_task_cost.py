@@ -16,13 +16,12 @@ import numpy as np
 import pytest
 from mechanisms import build
 from refusals import check_refused
-from replay_worlds import hold, make_scenario, shipped_world
+from replay_worlds import make_scenario, shipped_world
 from several_walls import make_task, shipped
 
 from benchmarks.baselines import BASELINES, run_baseline
 from benchmarks.optima import block_optimum, masses_optimum, walls_optimum
 from drake_aigto import Planner, PlanOptions, Scenario, ScenarioError, World
-from drake_aigto.control import track_drake, track_event_driven
 from drake_aigto.paper import (
     LiteralWithForces,
     RigidWithForces,
@@ -33,7 +32,6 @@ from drake_aigto.paper import (
     rigid_optimum,
 )
 from drake_aigto.planning import make_ball_task
-from drake_aigto.simulation import HeldControl
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription
 from drake_aigto.world import Scales, TaskCost
 
@@ -225,7 +223,6 @@ EXTRAS: dict[str, Any] = {
     "contact": "compliant",
     "duration_range": (0.5, 2.0),
 }
-CONTROLLER = HeldControl(*hold(0.0))
 DOORS: dict[str, Callable[[World, Scenario], Any]] = {
     "plan_literal": lambda world, task: plan_literal(task, world=world),
     "make_literal_task": make_literal_task,
@@ -240,8 +237,6 @@ DOORS: dict[str, Callable[[World, Scenario], Any]] = {
     "walls_optimum": walls_optimum,
     "masses_optimum": masses_optimum,
     "block_optimum": block_optimum,
-    "track_event_driven": lambda world, task: track_event_driven(world, task, CONTROLLER),
-    "track_drake": lambda world, task: track_drake(world, task, CONTROLLER),
     **{name: partial(_run_baseline, name) for name in BASELINES},
 }
 

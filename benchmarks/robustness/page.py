@@ -43,7 +43,7 @@ start … random  one quantity at a time, more and less, and all at once: start 
 median, worst   J of the control that was applied, on an exactly rigid wall
 miss            the largest goal error
 same            how often the contacts were those of the plan
-LQR             feedback from bounce to bounce, Drake's finite-horizon LQR
+LQR             feedback from bounce to bounce, by Riccati's equation
 Drake           with this feedback on Drake's plant, its compliant wall
 possible        the median of the exact optima, for who knows of the perturbation beforehand"""
 # The way a plan is carried out: marker, and how far from the middle of its task.
@@ -238,8 +238,8 @@ _INTRODUCTION = """\
 Plans where the truth is a little other than they were made for: start, velocity, wall, mass and
 restitution, all at once and at random. *Ours* is the planner's plan, *gradient* what IPOPT makes of
 flight that touches nothing. Open loop the plan's control runs as it is; with LQR, feedback
-(Drake's finite-horizon LQR on each flight) tracks the plan and goes on to its next flight when the
-ball bounces. *Possible* is the exact optimum under a perturbation that is known beforehand.
+(gains from Riccati's equation on each flight) tracks the plan and goes on to its next flight when
+the ball bounces. *Possible* is the exact optimum under a perturbation that is known beforehand.
 """
 _TASKS_A_ROW = 12
 

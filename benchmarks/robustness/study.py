@@ -9,14 +9,21 @@ from typing import Any, ClassVar, NamedTuple
 
 from benchmarks.robustness.question import RobustnessQuestion, Task
 from benchmarks.study.study import Call, Study, round_to
-from drake_aigto.control import Feedback, track_drake, track_event_driven
+from drake_aigto.control import Feedback
 from drake_aigto.errors import AigtoError
 from drake_aigto.local import solve_with_drake
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.plain import from_plain
 from drake_aigto.planning import Planner, PlanOptions
 from drake_aigto.progress import Count
-from drake_aigto.simulation import Replay, find_contacts, replay_event_driven
+from drake_aigto.simulation import DRAKE as DRAKES_PLANT
+from drake_aigto.simulation import (
+    EVENT_DRIVEN,
+    Replay,
+    find_contacts,
+    replay_event_driven,
+    replay_with,
+)
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import PhaseTranscription
 from drake_aigto.world import Scenario, World
@@ -169,10 +176,10 @@ def _judge(
     nominal = replay_event_driven(world, scenario, *control)
     runs: dict[str, Callable[[World, Scenario], Replay]] = {
         OPEN_LOOP: lambda world, scenario: replay_event_driven(world, scenario, *control),
-        FEEDBACK: lambda world, scenario: track_event_driven(world, scenario, controller).replay,
+        FEEDBACK: lambda world, scenario: replay_with(EVENT_DRIVEN, world, scenario, controller),
     }
     if question.confirm:
-        runs[DRAKE] = lambda world, scenario: track_drake(world, scenario, controller).replay
+        runs[DRAKE] = lambda world, scenario: replay_with(DRAKES_PLANT, world, scenario, controller)
     return PlanResult(
         method,
         round_as_filed(nominal.cost),

@@ -8,10 +8,14 @@ import lazy_loader
 _find, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 # Names of the past, and what stands for them now.
-_GONE = dict.fromkeys(
-    ("FlightFeedback", "KnotFeedback", "PhaseFeedback", "make_feedback"),
-    "Feedback, one law for every plan",
-)
+_GONE = {
+    **dict.fromkeys(
+        ("FlightFeedback", "KnotFeedback", "PhaseFeedback", "make_feedback"),
+        "Feedback, one law for every plan",
+    ),
+    "track_drake": "simulation.replay_with(DRAKE, …)",
+    "track_event_driven": "simulation.replay_with(EVENT_DRIVEN, …)",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -1,8 +1,5 @@
 from .disturbance import Disturbance as Disturbance
 from .feedback import Feedback as Feedback
-from .feedback import Tracked as Tracked
-from .feedback import track_drake as track_drake
-from .feedback import track_event_driven as track_event_driven
 from .horizon import Horizon as Horizon
 from .loop import LoopRecorder as LoopRecorder
 from .loop import run_in_loop as run_in_loop

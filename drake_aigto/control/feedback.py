@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from drake_aigto.control.stretches import (
 )
 from drake_aigto.control.sweep import FeedbackPhase, PhaseEnd, Sweep
 from drake_aigto.planning import MechanismTask, PlanOptions, needs_shooting
-from drake_aigto.simulation import DRAKE, EVENT_DRIVEN, Controller, Held, Judge, Replay, summarize
+from drake_aigto.simulation import Controller, Held
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World
 
@@ -124,52 +124,3 @@ class Feedback(Controller):
         slip = float(self._world.rubbing.calc_slips(q, v)[contact])
         mode: Mode = end.stretch.find_mode(contact)
         return slip * mode <= _STOPPED * end.speed
-
-
-@dataclass(frozen=True)
-class Tracked:
-    """A motion under feedback.
-
-    Attributes:
-        replay: what happened; its cost is that of the control that was applied.
-        times: from when each control was held, and the end, shape (K+1,) [s].
-        controls: shape (K, nu) [N].
-    """
-
-    replay: Replay
-    times: Floats
-    controls: Floats
-
-
-def track_event_driven(world: World, scenario: Scenario, controller: Controller) -> Tracked:
-    """Runs a controller on exactly rigid walls (`RigidMotion` has their equations).
-
-    World, start, goal, weights and restitution may be others than those of the plan.
-
-    Raises:
-        ScenarioError: the task asks for more than AIGTO's (`Scenario.is_plain`).
-        ModelError: there is friction.
-    """
-    return _track(EVENT_DRIVEN, world, scenario, controller)
-
-
-def track_drake(world: World, scenario: Scenario, controller: Controller) -> Tracked:
-    """Runs a controller on the world's own continuous plant in Drake, as `replay_drake` does.
-
-    World, start, goal, weights and restitution may be others than those of the plan.
-
-    Raises:
-        ScenarioError: the task asks for more than AIGTO's (`Scenario.is_plain`).
-        ModelError: a shape of the contact has no stiffness, or there is friction.
-    """
-    return _track(DRAKE, world, scenario, controller)
-
-
-def _track(judge: Judge, world: World, scenario: Scenario, controller: Controller) -> Tracked:
-    """Returns the motion that a judge simulates."""
-    scenario.check_plain("Feedback")
-    world.check_frictionless(scenario)
-    recording = judge.simulate(world, scenario, controller)
-    replay = summarize(world, scenario, recording, controller.end)
-    times = np.append(recording.control_times, controller.end)
-    return Tracked(replay, times, np.array(recording.controls))
