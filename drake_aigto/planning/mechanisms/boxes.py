@@ -1,4 +1,4 @@
-"""AIGO for any mechanism: boxes of its positions shrink, and show motions that others close."""
+"""AIGO for any mechanism: boxes of its positions shrink to centers that shooting closes."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ from drake_aigto.transcription import (
 from drake_aigto.world import TaskCost, World
 
 _POINT_STEPS, _POINT_TOLERANCE = 30, 1e-3
-_GOAL_WEIGHT = 10.0  # of a hard goal, in what standing still costs: 10 at a distance of L
-# Programs of boxes that are kept; scenarios may have ever other durations and weights.
+_GOAL_WEIGHT = 10.0  # of a hard goal, in the cost of standing still: 10 at a distance of L
+# Programs of boxes that are kept, at most: durations and weights may change with every scenario.
 _MOST_PROGRAMS = 32
-_SAMPLES = 16  # of a motion, to see what is typical of it
-_NEXT_DURATION = 1.1  # of boxes, where it is free, as a part of the one before
+_SAMPLES = 16  # of a motion, for typical values
+_NEXT_DURATION = 1.1  # ratio of neighboring durations of boxes, where these are free
 
 
 @dataclass(frozen=True, eq=False)
 class Center:
-    """What a box shows once it has shrunk: a motion that need not be one.
+    """Center of a box that has shrunk: positions over time, perhaps infeasible.
 
     Attributes:
         times: t_0 … t_N, shape (N + 1,) [s].
         positions: q_0 … q_{N+1}, shape (N + 2, n).
         velocities: v_0 … v_N, shape (N + 1, n).
-        controls: what the positions ask of the actuators, within bounds, shape (N + 1, nu).
+        controls: that the positions require, within bounds, shape (N + 1, nu).
         boxes: of z, as they shrank; the first is the start.
         iterations: Newton steps.
     """
@@ -63,7 +63,7 @@ class Center:
     def sample(self, times: Floats) -> tuple[Floats, Floats]:
         """Returns states (K + 1, 2n) at times, and controls to hold from each to the next, (K, nu).
 
-        Positions are cubic between knots, and controls linear, of which the mean is held.
+        Positions are cubic between knots, and controls linear; their means are held.
         """
         states = sample_cubic(self.times, self.positions[:-1], self.velocities, times)
         return states, interpolate((times[1:] + times[:-1]) / 2, self.times, self.controls)
@@ -83,7 +83,7 @@ def sample_cubic(knots: Floats, positions: Floats, velocities: Floats, times: Fl
 
 
 def _bump(count: int) -> Floats:
-    """Returns half a wave, which is 0 beyond both ends, shape (count, 1)."""
+    """Returns half a sine wave, 0 beyond both ends, shape (count, 1)."""
     return np.sin(np.pi * np.arange(1, count + 1) / (count + 1))[:, np.newaxis]
 
 
@@ -92,7 +92,7 @@ class MechanismBoxes:
 
     Args:
         program: of positions.
-        control_bounds: of u, shape (2, nu) [N, N m]; only `Center.controls` knows of them.
+        control_bounds: of u, shape (2, nu) [N, N m]; only used in `Center.controls`.
     """
 
     def __init__(self, program: MechanismProgram, control_bounds: Floats) -> None:
@@ -131,14 +131,14 @@ class StartedBoxes:
     def line(self) -> Floats:
         """Returns the straight line to the goal, shape (2, n).
 
-        Of a hinge whose turns do not count, that is to the nearest one.
+        For a hinge that counts modulo 2π, that is to the nearest goal.
         """
         q, _, cost = self.ends
         return np.vstack([q, np.where(cost.is_modulo, q - cost.goal_errors(q), cost.goal)])
 
     @cached_property
     def temperature_unit(self) -> float:
-        """What standing still costs, and holding it there, of one free variable."""
+        """Cost of standing still and holding that, per free variable."""
         world, (q, _, cost), T = self.program.world, self.ends, self.program.duration
         rest = np.zeros_like(q)
         hold = world.inverse_actuation @ world.calc_bias(q, rest)
@@ -148,7 +148,7 @@ class StartedBoxes:
 
     @cached_property
     def weight_unit(self) -> float:
-        """W under which typical accelerations cost as much as standing still does."""
+        """W under which typical accelerations cost as much as standing still."""
         world, v, T = self.program.world, self.ends.velocity, self.program.duration
         start, goal = self.line()
         path = np.linspace(start, goal, _SAMPLES)
@@ -176,7 +176,7 @@ class StartedBoxes:
         return found
 
     def run(self, rung: MechanismRung, path: Floats) -> Center:
-        """Returns what the rung's boxes show.
+        """Returns the center of a rung's boxes.
 
         Args:
             rung: how they shrink.
@@ -192,7 +192,7 @@ class StartedBoxes:
         return self._shrink(rung, program.calc_variables(q, self.ends), self._is_free)
 
     def renew(self, positions: Floats, renewal: Renewal) -> Center:
-        """Returns what becomes of a motion whose stretch is moved and opened.
+        """Returns the center after a stretch of a motion is perturbed and opened.
 
         Args:
             positions: at the knots, shape (N + 2, n).
@@ -209,8 +209,8 @@ class StartedBoxes:
     def find_touches(self, center: Center) -> tuple[tuple[float, int], ...]:
         """Returns when [s] and which contacts touch in a center, by time.
 
-        A contact touches once for each stretch of knots at which its spring pushes, where it is
-        pushed in most.
+        A contact touches once per stretch of knots at which its spring pushes, where that is
+        pressed deepest.
         """
         found = []
         for i in self.program.coordinates.contacts:
@@ -244,7 +244,7 @@ class StartedBoxes:
 
 @dataclass(frozen=True, eq=False)
 class CompiledMechanism:
-    """What all tasks with one law of contact share.
+    """Programs that all tasks with one contact law share.
 
     Attributes:
         mechanism: the world as shooting has it.
@@ -260,7 +260,7 @@ class CompiledMechanism:
 
     @classmethod
     def of(cls, world: World, law: ContactLaw, additions: Additions) -> CompiledMechanism:
-        """Compiles a world with its law of contact, and what users added.
+        """Compiles a world with its contact law, and costs and constraints of users.
 
         Raises:
             ProgramError, UnsupportedTermError: see `AddedTerms.of`.

@@ -1,4 +1,4 @@
-"""How far motions are closed by shooting, and what comes before and after."""
+"""Settings for closing motions by shooting, launches before it, and corrections after it."""
 
 from __future__ import annotations
 
@@ -14,39 +14,39 @@ from drake_aigto.shooting import ShootingOptions, ShootingProblem, ShootingResul
 from drake_aigto.simulation import EVENT_DRIVEN, Held, HeldControl, has_knots, replay_with
 from drake_aigto.world import Scenario, World
 
-# What boxes show is closed in a few steps: from walls smoothed by more, it takes longer and ends
+# Box centers are closed in a few steps: from walls smoothed by more, it takes longer and ends
 # within 1 % of the best half as often (of 800 boxes around the cart-pole, `cart_pole/soft_06`).
 COARSE = ShootingOptions(
     rungs=(Smoothing(1e-2, 8, 5e-2), Smoothing(1e-3, 15, 1e-2)), order=2, multiplier_updates=0
 )
 
-# Hard goals take more: closed as above, no motion that was kept led to the goal in four of 16
-# questions about the cart-pole between soft walls; in none so.
+# Hard goals take more: with the settings above, no kept motion reached the goal in four of 16 tasks
+# of the cart-pole between soft walls; with these, all did.
 AIMED = dataclasses.replace(COARSE, multiplier_updates=2)
 
-# Between walls that yield, from such as are nearly those that count, in Runge-Kutta steps that
-# resolve them: of 9 starts deep in a wall of `cart_pole/soft_06`, drawn for this, plans are within
-# 1 % of the best of ten such settings at 5, and of 19 others at all; closed as above at 2 and 18.
+# Between compliant walls, hardly smoothed, in Runge-Kutta steps that resolve them: of 9 random
+# starts deep in a wall of `cart_pole/soft_06`, plans of 5 are within 1 % of the best of ten such
+# settings, and of all of 19 others; with the settings above, of 2 and 18.
 NEAR = ShootingOptions(rungs=(Smoothing(1e-3, 23, 1e-2),), order=2, multiplier_updates=0)
 
-# What a motion costs in short time steps, and then what walls that are hardly smoothed make of it:
-# more smoothed, they push otherwise by as much as hard goals allow.
+# First in short time steps, then with hardly smoothed walls: with more smoothing, their forces
+# would differ by as much as hard goals allow.
 TIGHT = ShootingOptions(rungs=(Smoothing(1e-3, 40, 1e-3),), substeps=4)
 POLISH = ShootingOptions(rungs=(Smoothing(1e-4, 40, 1e-5), Smoothing(1e-6, 40, 1e-5)), substeps=4)
 WITH_FRICTION = dataclasses.replace(POLISH, rungs=(Smoothing(1e-6, 150, 1e-5),))
 
-# Friction stiffens from stiction speeds of a whole way in the duration to a thousandth.
+# Friction stiffens from stiction speeds of one length per duration to a thousandth of that.
 COOLING = ShootingOptions(
     rungs=tuple(Smoothing(each, 60, 1e-5) for each in (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3)),
     substeps=4,
 )
 
-# Joints that rub are closed so, too: bounds hardly count while friction is smoothed, for friction
-# that is all viscous may not lead to the goal within them, and count ten times more after each rung
-# that leaves them. Then friction as sharp as steps allow tells which of the motions is best. Of the
-# ladder's boxes around nine of CRISP's payloads, the best closes at 1 to 1.2 times what the plan
-# costs, and at twice that of one; as `COARSE` has it, at 3 to 1e5 times. `TIGHT` ends so early that
-# the order of motions is not that of their polishes.
+# Joints with friction are closed so, too: bounds hardly count while friction is smoothed, as
+# viscous friction may not allow the goal within them, and count ten times more after each rung that
+# violates them. Then friction as sharp as steps allow ranks the motions. Of the ladder's boxes
+# around nine of CRISP's payloads, the best closes at 1 to 1.2 times the cost of the plan (one at
+# twice that); with `COARSE`, at 3 to 1e5 times. `TIGHT` ends too early to rank motions as their
+# polishes do.
 DRY = dataclasses.replace(COOLING, order=2, penalty=1e-5, multiplier_updates=5)
 TIGHT_DRY = ShootingOptions(
     rungs=tuple(Smoothing(each, 60, 1e-6) for each in (0.01, 3e-3, 1e-3)),
@@ -54,27 +54,27 @@ TIGHT_DRY = ShootingOptions(
     penalty=1e-5,
 )
 
-# Of a Runge-Kutta step of second order, in the time in which the fastest motion turns by 1 rad: if
-# it is to be stable, and if it is to resolve what is pushed.
+# The longest second-order Runge-Kutta step that is stable, and the longest that resolves contact,
+# as parts of the time in which the fastest oscillation turns by 1 rad.
 _LONGEST_STEP, _RESOLVING_STEP = 1.5, 0.75
-# Walls that rub push from as far as the task is long, then from ever nearer.
+# Walls with friction push from as far as the task is long, then from ever nearer.
 _FROM_AFAR = tuple(Smoothing(each, 15, 1e-2) for each in (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3))
 
 
 class Aim(NamedTuple):
-    """What motions that boxes show are closed for.
+    """Limits of the effort to close box centers.
 
     Attributes:
-        most: what promises to cost more is left half-way, where it is closed in one pass, and
-            between rigid walls what costs more (`RigidMechanismTask.bounce`).
-        is_patient: whether what ends worse than no control is closed again, with more care.
+        most: motions that promise to cost more are left unfinished, where one pass closes them;
+            between rigid walls, motions that cost more (`RigidMechanismTask.bounce`).
+        is_patient: whether motions worse than no control are closed again, with more care.
     """
 
     most: float = np.inf
     is_patient: bool = True
 
     def limit(self, options: ShootingOptions) -> ShootingOptions:
-        """Returns how to close for it: costs by other walls and prices tell too little of those."""
+        """Returns options with this limit, unless their costs are of other walls or prices."""
         is_plain = len(options.rungs) == 1 and not options.multiplier_updates
         return dataclasses.replace(options, most_promised=self.most) if is_plain else options
 
@@ -82,12 +82,12 @@ class Aim(NamedTuple):
 def find_closing(
     world: World, law: ContactLaw, q: Floats, time_step: float, is_aimed: bool
 ) -> ShootingOptions:
-    """Returns how what boxes show is closed.
+    """Returns the options for closing box centers.
 
     Args:
         world: the mechanism.
-        law: what its contacts push with.
-        q: where it starts, shape (n,).
+        law: of its contacts.
+        q: the start, shape (n,).
         time_step: between knots [s].
         is_aimed: whether the goal is hard.
     """
@@ -104,26 +104,26 @@ def find_closing(
 
 
 def find_tight(world: World) -> ShootingOptions:
-    """Returns how what was closed is followed in short time steps."""
+    """Returns the options for refining closed motions in short time steps."""
     return TIGHT if world.dry_friction is None else TIGHT_DRY
 
 
 def _from_afar(options: ShootingOptions, turn: float) -> ShootingOptions:
-    """Returns the same, by walls that push from afar first, in Runge-Kutta steps that are stable.
+    """Returns options with walls that push from afar first, in stable Runge-Kutta steps.
 
-    What is pushed and held by friction is felt only so, as is the way round it: of 96 renewals on
-    `push_circle/round_it` none led anywhere otherwise.
+    Only so costs have slopes towards pushing with friction, or going round an object: of 96
+    renewals on `push_circle/round_it` none succeeded otherwise.
 
     Args:
         options: whose rungs and substeps are replaced.
-        turn: by how much the fastest motion turns in a stage [rad].
+        turn: of the fastest oscillation in a stage [rad].
     """
     substeps = max(options.substeps, int(np.ceil(turn / _LONGEST_STEP)))
     return dataclasses.replace(options, rungs=_FROM_AFAR, substeps=substeps)
 
 
 def _calc_pace(world: World, law: CompliantLaw, q: Floats) -> float:
-    """Returns how fast what touches at q would swing on its springs, at most [rad/s]."""
+    """Returns the fastest oscillation of contacts at q on their springs [rad/s]."""
     J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)
     distances = world.calc_signed_distance(q)
     _, _, levers = law.find_gaps(distances, np.zeros_like(distances))
@@ -131,20 +131,20 @@ def _calc_pace(world: World, law: CompliantLaw, q: Floats) -> float:
     return float(np.sqrt(np.max(law.stiffness * mobility, initial=0.0)))
 
 
-# A throw takes this part of the duration at most: in more, control has a say in where it leads.
+# A launch takes this part of the duration at most: in a longer one, control has an effect.
 _THROW = 0.1
-# By how much a hinge that was thrown turns in a time step of drawn boxes, at most [rad].
+# The largest turn of a launched hinge in a time step of drawn boxes [rad].
 _LARGEST_TURN = 1.0
 
 
 class Launch(NamedTuple):
-    """From where on boxes have a say.
+    """First knot that boxes optimize.
 
-    A wall that throws a start off does so within one time step of boxes, in which they take its
-    first push for one that lasts, so that all that follows is wrong. Of 20 starts deep in the walls
-    of `cart_pole/soft_06`, drawn for this, plans are within 1 % of the best known of 13 with boxes
-    from where these leave the walls on, in time steps that resolve how fast they turn and with more
-    patience; of 9 with boxes from the start on, a mean of three seeds (2.9 and 2.2 CPU seconds).
+    A wall pushes a start off within one time step of boxes. They take its first push for a
+    sustained one, and all that follows is wrong. Of 20 random starts deep in the walls of
+    `cart_pole/soft_06`, 13 have plans within 1 % of the best known if boxes begin where these leave
+    the walls, with more patience and time steps that resolve how fast they turn; 9 if boxes begin
+    at the start (means of three seeds; 2.9 and 2.2 CPU seconds).
 
     Attributes:
         knot: of motions as they are searched for; 0: the start.
@@ -159,10 +159,10 @@ class Launch(NamedTuple):
     velocity: Floats
 
     def find_haste(self, time_step: float, is_hinge: Bools) -> int:
-        """Returns into how many parts time steps of boxes are divided to resolve what turns.
+        """Returns the factor of time steps of boxes that resolves fast hinges.
 
         Args:
-            time_step: what they are elsewhere [s].
+            time_step: the usual one [s].
             is_hinge: which coordinates turn, shape (n,).
         """
         fastest = np.max(np.abs(self.velocity[is_hinge]), initial=0.0)
@@ -170,12 +170,12 @@ class Launch(NamedTuple):
 
 
 def find_launch(world: World, law: CompliantLaw, coast: ShootingResult) -> Launch:
-    """Returns where the motion without control first touches nothing, if that is soon.
+    """Returns the first knot without contact of the uncontrolled motion, if that is soon.
 
     Args:
         world: the mechanism.
-        law: what its contacts push with.
-        coast: the motion without control.
+        law: of its contacts.
+        coast: the uncontrolled motion.
     """
     q, v = np.split(coast.states, 2, axis=1)
     is_finite = np.isfinite(coast.states).all(axis=1)
@@ -186,7 +186,7 @@ def find_launch(world: World, law: CompliantLaw, coast: ShootingResult) -> Launc
 
 
 class _Correcting(HeldControl):
-    """Holds a motion's controls between knots, less what its gains answer at each."""
+    """Holds a motion's controls between knots, corrected by its gains at each."""
 
     is_open_loop = False
 
@@ -206,12 +206,12 @@ class _Correcting(HeldControl):
 def steady(
     world: World, scenario: Scenario, problem: ShootingProblem, motion: ShootingResult
 ) -> ShootingResult:
-    """Returns a motion with its controls corrected along the exact law.
+    """Returns a motion with its controls corrected under the exact law.
 
-    Where friction sticks and slips, Runge-Kutta steps are of low order, and what is unstable makes
-    much of their errors: of a pole that balances for 3 s 1e-8 becomes 1e-3. So the motion is
-    simulated again by the world's own equations, each control corrected at its knot by
-    the gains of the motion (`ShootingProblem.calc_gains`), and what was held is the answer.
+    Where friction sticks and slips, Runge-Kutta steps are of low order, and instability amplifies
+    their errors: an error of 1e-8 becomes 1e-3 for a pole that balances for 3 s. So the motion is
+    simulated again by the world's own equations, each control corrected at its knot by the gains
+    of the motion (`ShootingProblem.calc_gains`); the corrected controls are returned.
 
     Args:
         world: the mechanism.

@@ -1,4 +1,4 @@
-"""Touches with friction at an edge of their mode: beyond it the cost may fall on."""
+"""Touches with friction at an edge of their mode: beyond it the cost may fall further."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from drake_aigto.planning.mechanisms.phases import BouncingResult, find_slopes
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import World
 
-# What sticks is at the edge where it takes this part of the friction there is.
+# A sticking contact is at the edge if it takes this part of the available friction.
 _EDGE = 0.98
 
 
 def switch_modes(world: World, law: RigidLaw, motion: BouncingResult) -> TouchSequence | None:
-    """Returns the touches of a motion, bounces at the edge of their mode beyond it; None: no one.
+    """Returns a motion's touches, with bounces at an edge in the mode beyond it; None if none is.
 
-    Beyond an edge the cost may fall on, as stick becomes slip there, or slip ends.
+    Beyond an edge the cost may fall further, as stick becomes slip there, or slip ends.
     """
     n, (_, before) = world.num_positions, find_slopes(world, motion)
     touches = []
@@ -35,9 +35,9 @@ def switch_modes(world: World, law: RigidLaw, motion: BouncingResult) -> TouchSe
 
 
 def lead_over_edges(world: World, law: RigidLaw, motion: BouncingResult) -> TouchSequence | None:
-    """Returns the touches of a motion, what lasts at an edge of its mode beyond it; None: no one.
+    """Returns a motion's touches, with sustained ones led over edges of modes; None if none is.
 
-    What sticks with all the friction there is slips as that pulls it, and what hardly slips sticks.
+    Contacts that stick with all available friction slip, and contacts that hardly slip stick.
     """
     touches = in_order(
         [part for touch in motion.touches for part in _split(world, law, motion, touch)]
@@ -46,7 +46,7 @@ def lead_over_edges(world: World, law: RigidLaw, motion: BouncingResult) -> Touc
 
 
 def _split(world: World, law: RigidLaw, motion: BouncingResult, touch: Touch) -> Iterator[Touch]:
-    """Yields a touch in the modes that it is at the edge to."""
+    """Yields the parts of a touch, each in the mode that it is at the edge to."""
     starts = motion.times[:-1]
     knots = np.flatnonzero((starts >= touch.start) & (starts < touch.end))
     if not (touch.lasts and law.friction[touch.contact] and len(knots)):

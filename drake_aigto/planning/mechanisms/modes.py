@@ -1,4 +1,4 @@
-"""Modes of contacts with friction that a motion is in, and other ones that may be best."""
+"""Modes of a motion's contacts with friction, and changes of them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from drake_aigto.shooting import ShootingResult
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import World
 
-# Slip below this part of the fastest one there is may be none: what sticks on springs creeps.
+# Slip below this part of the fastest slip counts as stick: on springs sticking contacts creep.
 CREEP = 0.05
-# A stretch of less than this part of a touch that lasts is part of the one before.
+# A stretch shorter than this part of a sustained touch is joined to the one before.
 _SHORT = 0.1
-# Distances and speeds below this part of the largest coordinate, or 1, are none.
+# Distances and speeds below this part of the largest coordinate, or 1, count as zero.
 _STILL = 1e-9
 
 
@@ -36,13 +36,13 @@ def read_hold(
     ends: tuple[float, float],
     knots: Ints,
 ) -> Iterator[Touch]:
-    """Yields a touch of a contact that lasts, one for each mode that a motion is in.
+    """Yields the touches of a sustained contact, one for each mode of a motion.
 
     Args:
         world: the mechanism.
         law: of the walls.
-        motion: where these touch, or yield.
-        contact: which one does.
+        motion: between rigid or compliant walls.
+        contact: its index.
         ends: from when to when [s].
         knots: those between.
     """
@@ -57,7 +57,7 @@ def read_hold(
 
 
 def split_hold(touch: Touch, times: Floats, modes: Ints) -> list[Touch]:
-    """Returns a touch that lasts as one for each mode; what lasts too short is of the one before.
+    """Returns a sustained touch as one per mode; short ones are joined to the one before.
 
     Args:
         touch: in any mode.
@@ -87,9 +87,9 @@ def list_mode_changes(law: RigidLaw, touches: TouchSequence) -> Iterator[TouchSe
 
 
 def list_hold_changes(law: RigidLaw, touches: TouchSequence) -> Iterator[TouchSequence]:
-    """Yields sequences in which a contact with friction goes on in another mode at half time.
+    """Yields sequences in which half of a sustained touch with friction is in another mode.
 
-    Before half time, or after it.
+    That is its first half or its second.
     """
     for place, touch in enumerate(touches):
         middle = (touch.start + touch.end) / 2
@@ -102,7 +102,7 @@ def list_hold_changes(law: RigidLaw, touches: TouchSequence) -> Iterator[TouchSe
 
 
 def drop(touches: TouchSequence, place: int) -> TouchSequence:
-    """Returns a sequence without a touch; what went on as it from another mode goes on in that."""
+    """Returns a sequence without a touch; an adjoining one of its contact takes its time."""
     touch, rest = touches[place], [*touches[:place], *touches[place + 1 :]]
     for i, other in enumerate(rest if touch.lasts else ()):
         if other.contact == touch.contact and other.lasts:
@@ -116,7 +116,7 @@ def drop(touches: TouchSequence, place: int) -> TouchSequence:
 
 
 def in_order(touches: Sequence[Touch]) -> TouchSequence:
-    """Returns touches by their starts; of one contact, those are one that go on in one mode."""
+    """Returns touches by their starts; those of one contact that adjoin in one mode are joined."""
     found: list[Touch] = []
     for touch in sorted(touches, key=lambda each: each.start):
         known = (i for i, each in enumerate(found) if each.contact == touch.contact)

@@ -1,4 +1,4 @@
-"""Motions that bounce off rigid walls: where they touch, and their knots in phases."""
+"""Motions that bounce off rigid walls: their touches, and their knots in phases."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from drake_aigto.world import World
 
 # No phase starts out shorter than this part of the duration.
 _SHORTEST = 1e-2
-# Knots that are this part of the duration apart are one and the same.
+# Knots closer than this part of the duration count as the same.
 _SAME = 1e-6
-# Where walls are looked at between two knots, as parts of the time between them.
+# Times between two knots at which distances of walls are checked, as parts of a step.
 _LOOKS = np.linspace(0.0, 1.0, 9)[1:-1]
 
 
@@ -29,8 +29,8 @@ class BouncingResult(ShootingResult):
     """A motion in phases, and where they meet.
 
     Attributes:
-        contacts: what is touched at the end of each phase but the last, −1 where what was held
-            lets go, shape (P − 1,).
+        contacts: the contact that is hit at the end of each phase but the last, −1 at a release,
+            shape (P − 1,).
         knots: where that is, shape (P − 1,).
         held: which contacts are held in each phase, shape (P, m).
         modes: in which mode they are, or are hit where it starts (`Phases`), shape (P, m).
@@ -50,7 +50,7 @@ class BouncingResult(ShootingResult):
 
     @classmethod
     def of(cls, found: ShootingResult, phases: Phases) -> BouncingResult:
-        """Returns what shooting found in phases."""
+        """Returns a result of shooting in phases."""
         names = (field.name for field in fields(ShootingResult))
         values = {name: getattr(found, name) for name in names}
         places = {name: getattr(phases, name) for name in ("contacts", "knots", "held", "modes")}
@@ -58,12 +58,12 @@ class BouncingResult(ShootingResult):
 
     @property
     def touches(self) -> TouchSequence:
-        """What is touched, and when."""
+        """The touches, by time."""
         return tuple(touch for touch, _ in self.starts)
 
     @property
     def starts(self) -> list[tuple[Touch, int | None]]:
-        """What is touched, by time, and where it is hit; None where it has been touched before."""
+        """The touches by time, and the knots of their impacts; None for those without one."""
         times, P = self.times[[0, *self.knots, -1]].tolist(), len(self.held)
         found: list[tuple[Touch, int | None]] = []
         for phase, held in enumerate(self.held):
@@ -80,26 +80,26 @@ class BouncingResult(ShootingResult):
         return sorted(found, key=lambda each: (each[0].start, each[1] is not None))
 
     def _goes_on(self, phase: int, contact: int) -> bool:
-        """Returns whether what is held in a phase was so before, in the same mode."""
+        """Returns whether a contact was held in the phase before, in the same mode."""
         is_hit = self.contacts[phase - 1] == contact
         same = self.modes[phase - 1, contact] == self.modes[phase, contact]
         return bool(self.held[phase - 1, contact] and same and not is_hit)
 
     def phases(self, total: tuple[float, float]) -> Phases:
-        """Returns its phases, whose sum may become the least and the most of a total [s]."""
+        """Returns its phases; their durations sum up to within the limits of a total [s]."""
         return Phases(
             self.contacts, self.knots, self.durations, total, held=self.held, modes=self.modes
         )
 
     @property
     def hits(self) -> Ints:
-        """The knots at which something is hit."""
+        """The knots of impacts."""
         return self.knots[self.contacts >= 0]
 
     def as_trajectory(self, world: World) -> Trajectory:
         """Returns the motion with velocities before impacts, and their impulses.
 
-        Before an impact, that is the slope of a parabola, but for what the impulse changes.
+        The velocity before an impact is the slope of a parabola, corrected along the impulse.
         """
         n, m = world.num_positions, world.num_contacts
         q, v = np.split(self.states, [n], axis=1)
@@ -117,7 +117,7 @@ class BouncingResult(ShootingResult):
 
 
 class Dip(NamedTuple):
-    """Where a motion is inside of a wall."""
+    """A stretch of a motion inside of a wall."""
 
     depth: float  # −φ at most [m]
     touch: Touch  # then, and through that face
@@ -127,10 +127,10 @@ class Dip(NamedTuple):
     def as_touches(
         self, world: World, law: RigidLaw, lasting: Floats, motion: ShootingResult
     ) -> Iterator[Touch]:
-        """Yields the touch of a motion's dip, in the mode that its state before it leads to.
+        """Yields the touch of a motion's dip, in the mode that follows from the state before it.
 
-        It lasts if the dip lasts longer than its contact's number says; then, one for each mode
-        that the motion is in meanwhile.
+        If the dip lasts longer than its contact's threshold, it is sustained, with one touch for
+        each mode of the motion.
         """
         n, contact = world.num_positions, self.touch.contact
         first = max(0, int(np.searchsorted(motion.times, self.start)) - 1)
@@ -154,16 +154,16 @@ def lay_out(
     total: tuple[float, float],
     num_contacts: int,
 ) -> tuple[Floats, Phases]:
-    """Returns knots of which one is at each touch and release, and the phases between.
+    """Returns knots, with one at each touch and release, and the phases between.
 
-    What a touch holds lets go where the next bounce is, at the latest: touches that last may
-    overlap. Where there are not enough steps, the last touches are left out.
+    A contact is released at the next bounce at the latest; sustained touches may overlap. If there
+    are not enough steps, the last touches are left out.
 
     Args:
         touches: by time.
         num_steps: N.
         duration: of the motion [s].
-        total: the least and the most that it may become [s].
+        total: limits of the total duration [s].
         num_contacts: m.
     """
     first, *joints = list(_find_joints(touches, duration))[:num_steps]
@@ -183,12 +183,12 @@ def lay_out(
 
 
 class _Joint(NamedTuple):
-    """Where phases meet, or the first one starts."""
+    """The start of a phase."""
 
     time: float  # [s]
-    contact: int  # what is touched then, or −1
-    held: list[int]  # what is held from then on
-    modes: dict[int, int]  # in which mode that is, and what is touched
+    contact: int  # that is hit then, or −1
+    held: list[int]  # contacts held from then on
+    modes: dict[int, int]  # of these, and of the contact that is hit
 
 
 def _find_closed(joints: Sequence[_Joint], num_contacts: int) -> tuple[Bools, Ints]:
@@ -231,7 +231,7 @@ def lay_onto(touches: TouchSequence, times: Floats, num_contacts: int) -> tuple[
 
 
 def _find_joints(touches: TouchSequence, duration: float) -> Iterator[_Joint]:
-    """Yields the start, and where phases meet."""
+    """Yields the starts of phases."""
     of_start = [touch for touch in touches if touch.lasts and touch.start <= 0]
     ends = {touch.contact: _find_end(touch, touches) for touch in of_start}
     modes = {touch.contact: touch.mode for touch in of_start}
@@ -243,10 +243,10 @@ def _find_joints(touches: TouchSequence, duration: float) -> Iterator[_Joint]:
             goes_on = ends.get(touch.contact) == np.inf and touch.lasts
             ends = {**ends, touch.contact: _find_end(touch, touches)} if touch.lasts else {}
             modes = {**{i: modes[i] for i in ends if i in modes}, touch.contact: touch.mode}
-            if not (goes_on and touch.start == until):  # That is part of what is hit then.
+            if not (goes_on and touch.start == until):  # That is part of the impact then.
                 yield _Joint(touch.start, -1 if goes_on else touch.contact, list(ends), modes)
         while ends and (end := min(ends.values())) < until:
-            # What lets go at about the same time does so at once.
+            # Releases at about the same time are one.
             ends = {i: each for i, each in ends.items() if each > end + _SHORTEST * duration}
             modes = {i: modes[i] for i in ends}
             yield _Joint(end, -1, list(ends), modes)
@@ -254,13 +254,13 @@ def _find_joints(touches: TouchSequence, duration: float) -> Iterator[_Joint]:
 
 
 def _find_end(touch: Touch, touches: TouchSequence) -> float:
-    """Returns when what lasts is let go [s]; infinite if it goes on in another mode."""
+    """Returns when a sustained touch ends [s]; infinite if it continues in another mode."""
     nexts = (other for other in touches if other.contact == touch.contact and other.lasts)
     return np.inf if any(other.start == touch.end for other in nexts) else touch.end
 
 
 def _continues(touch: Touch, touches: TouchSequence) -> bool:
-    """Returns whether a touch that lasts goes on from another of the same contact."""
+    """Returns whether a sustained touch continues another one of its contact."""
     others = (other for other in touches if other.contact == touch.contact and other.lasts)
     return touch.lasts and any(other.end == touch.start for other in others)
 
@@ -268,13 +268,13 @@ def _continues(touch: Touch, touches: TouchSequence) -> bool:
 def read_touches(
     world: World, law: RigidLaw, motion: ShootingResult, lasting: Floats
 ) -> TouchSequence:
-    """Returns where a motion between walls that yield is inside, by time.
+    """Returns the touches of a motion between compliant walls, by time.
 
     Args:
         world: the mechanism.
-        law: of the rigid walls that these stand for.
+        law: of the rigid walls that the compliant ones replace.
         motion: its motion.
-        lasting: from how long on a touch of each contact lasts, shape (m,) [s].
+        lasting: the shortest sustained touch of each contact, shape (m,) [s].
     """
     q = motion.states[:, : world.num_positions]
     touches = (
@@ -286,7 +286,7 @@ def read_touches(
 
 
 def find_deepest(world: World, motion: BouncingResult) -> Dip | None:
-    """Returns where a motion in phases is deepest inside of a wall between its knots, if at all."""
+    """Returns the deepest penetration of a motion in phases between its knots, if any."""
     times, positions = _look_between(world, motion)
     flat = positions.reshape(-1, positions.shape[-1])
     dips = _find_dips(world, times.ravel(), flat)
@@ -308,8 +308,8 @@ def find_grazes(world: World, motion: BouncingResult, speed: float) -> list[int]
 def find_lacks(world: World, motion: BouncingResult, margin: float) -> Floats:
     """Returns by how much φ should be larger at knots not to fall below a margin between them.
 
-    Of solids, that is the face which the sphere is in front of. Next to a bounce on it nothing is
-    asked for.
+    For solids, that is for the face which the sphere is in front of. It is zero next to a bounce
+    on it.
 
     Returns:
         At least 0, shape (N + 1, m) [m].
@@ -338,7 +338,7 @@ def find_lacks(world: World, motion: BouncingResult, margin: float) -> Floats:
 
 
 def _find_dips(world: World, times: Floats, positions: Floats) -> Iterator[Dip]:
-    """Yields of each stretch inside of a solid where it is deepest; by time."""
+    """Yields the deepest point of each stretch inside of a solid, by time."""
     distances = world.calc_signed_distance(positions)
     found = []
     for faces in map(list, world.solids):

@@ -50,7 +50,7 @@ class PosedTask:
 
         Raises:
             OptionsError: an option does not count for mechanisms.
-            ProgramError: what users added can't be planned here; says why.
+            ProgramError: a cost or constraint of the user can't be planned here; says why.
             UnsupportedTermError: it has a factor that is no power, sin or cos.
         """
         options.check_for_mechanisms()
@@ -67,17 +67,17 @@ class PosedTask:
 
     @property
     def search_steps(self) -> int:
-        """How many time steps motions have while they are searched for."""
+        """The number of time steps of motions during the search."""
         return min(self.scenario.num_steps, self.options.search_steps)
 
     @property
     def mechanism(self) -> Mechanism:
-        """What moves while motions are searched for."""
+        """The mechanism of motions during the search."""
         return self._compiled.mechanism
 
     @cached_property
     def _hard_goal(self) -> Floats:
-        """What of q and v is given at the end, shape (2n,); NaN where nothing is."""
+        """Prescribed q and v at the end, shape (2n,); NaN where free."""
         scenario, n = self.scenario, self.world.num_positions
         hard = np.full(2 * n, np.nan)
         if scenario.hard_goal:
@@ -87,7 +87,7 @@ class PosedTask:
         return hard
 
     def _pose(self, num_steps: int) -> ShootingProblem:
-        """Returns the task in so many time steps."""
+        """Returns the task in this number of time steps."""
         scenario, bounds = self.scenario, self.bounds
         T, free = scenario.duration, scenario.duration_range
         return ShootingProblem(
@@ -107,12 +107,12 @@ class PosedTask:
 
     @cached_property
     def state_scales(self) -> Floats:
-        """How much of q and v is much, shape (2n,)."""
+        """Scales of q and v, shape (2n,)."""
         return state_scales(self.world, self.scenario)
 
     @cached_property
     def coast(self) -> ShootingResult:
-        """The motion without control."""
+        """The uncontrolled motion."""
         problem = self.shooting(self.search_steps)
         controls = np.zeros((self.search_steps, self.world.num_actuators))
         return problem.simulate(controls, substeps=4)

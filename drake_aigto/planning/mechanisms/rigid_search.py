@@ -32,17 +32,16 @@ from drake_aigto.planning.sequences import swapped
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.transcription import Touch, TouchSequence
 
-# Neighbors are tried of so many of the best motions, of those that cost at most so many times the
-# best, and of so many after each wave of proposals: near a wall that is hugged there is no end of
-# sequences.
+# Neighbors are tried of at most 3 of the best motions, which cost at most 1.5 times the best, and
+# of at most 6 per wave of proposals: along a wall the number of sequences has no bound.
 _MOST_BRANCHED, _PROMISING, _MOST_BRANCHES = 3, 1.5, 6
-# Where something rubs, a motion that costs so many times the best, while what it misses has a price
-# alone, is left there (elsewhere `dear`): of 185 neighbors in a shot with spin no dearer one led to
-# a new and better motion, and they took three quarters of the time.
+# With friction, motions that cost more than this times the best while violations only have a price
+# are left unfinished (without it: `polish_ratio`). Of 185 neighbors in a shot with spin no costlier
+# one led to a new and better motion, and they took three quarters of the time.
 _HOPELESS = 3.0
-# So many of the touches that coasting has are tried, the first ones.
+# How many of the first touches of the uncontrolled motion are tried.
 _MOST_COASTED = 3
-# Touches that are this near, as a part of the duration, are one and the same, and may be swapped.
+# Touches closer than this part of the duration count as the same, and may be swapped.
 _NEAR = 0.05
 
 # Which contacts are touched, how the impacts end, and roughly when and for how long.
@@ -52,10 +51,10 @@ _Key: TypeAlias = tuple[tuple[int, int, int, int], ...]
 class RigidMechanismSearch(MechanismSearch):
     """The search on springs and in phases, and neighbors of the best sequences of touches.
 
-    After each wave of proposals a touch is dropped, added, swapped with the next, or, if it rubs,
-    ended in another mode or divided into two, in the best motions, until none of these leads to a
-    better one. Most of the time of a polish goes into meeting walls to rounding, which makes a
-    motion cheaper by less than half a percent: what costs more than that does not come so far.
+    After each wave of proposals a touch of the best motions is dropped, added, swapped with the
+    next, or, with friction, changed to another mode or divided into two, until no change improves
+    a motion. Most time of a polish is spent on meeting walls to rounding, which lowers the cost by
+    less than half a percent: motions that cost more than that are not polished so far.
     """
 
     task: RigidMechanismTask
@@ -69,7 +68,7 @@ class RigidMechanismSearch(MechanismSearch):
         self._branched: list[KeptMotion] = []
 
     def propose(self) -> Iterator[Sequence[Proposal]]:
-        """Yields the centers of all rungs, and motions with the first touches of coasting.
+        """Yields the centers of all rungs, and motions with the first touches without control.
 
         A fast start touches a wall at once, where boxes and springs are too coarse to tell how.
         """
@@ -93,7 +92,7 @@ class RigidMechanismSearch(MechanismSearch):
             self._branch(motion.origin, _read(motion))
 
     def _find_aim(self) -> Aim:
-        """Returns what is worth closing: what does not cost far more than the best."""
+        """Returns the aim that leaves motions unfinished that cost far more than the best."""
         misses, cost = self.motions[0].rank if self.motions else (True, np.inf)
         times = _HOPELESS if self.task.rigid_law.has_friction else self.polish_ratio
         return Aim(np.inf if misses else scaled(times, cost))
@@ -103,7 +102,7 @@ class RigidMechanismSearch(MechanismSearch):
         return problem.polish(motion, self._scale_best(self.simulate_ratio))
 
     def _find_unbranched(self) -> KeptMotion | None:
-        """Returns one of the best whose neighbors were not tried yet."""
+        """Returns one of the best motions with neighbors that were not tried yet."""
         best = self.motions[:_MOST_BRANCHED]
         for motion in best:
             is_promising = motion.cost <= scaled(_PROMISING, best[0].cost)
@@ -115,8 +114,8 @@ class RigidMechanismSearch(MechanismSearch):
     def _is_better(self, motion: KeptMotion, known: KeptMotion) -> bool:
         """Returns whether a motion costs less, or as much with fewer touches.
 
-        One optimum has many sequences, with touches that hardly push. Each makes it more likely
-        that a simulation goes elsewhere.
+        One optimum has many sequences, with touches that hardly push. Each touch makes it more
+        likely that a simulation deviates.
         """
         costs_same = abs(motion.cost - known.cost) <= SAME * abs(known.cost)
         fewer = len(_read(motion).touches) - len(_read(known).touches)
@@ -125,7 +124,7 @@ class RigidMechanismSearch(MechanismSearch):
         return motion.rank < known.rank
 
     def _branch(self, origin: Origin, motion: BouncingResult) -> None:
-        """Closes the neighbors of a motion, those that were not tried yet."""
+        """Closes the neighbors of a motion that were not tried yet."""
         proposals = []
         for change, touches in self._find_neighbors(motion):
             key = self._find_key(touches)
@@ -140,7 +139,7 @@ class RigidMechanismSearch(MechanismSearch):
         return 0, self.task.bounce(touches, guess, self._aim.most)
 
     def _find_neighbors(self, motion: BouncingResult) -> Iterator[tuple[ChangeName, TouchSequence]]:
-        """Yields sequences with a touch less, two swapped, one more, and another mode."""
+        """Yields sequences with one touch fewer, two swapped, one more, and in another mode."""
         touches = motion.touches
         for place in range(len(touches)):
             yield "dropped", drop(touches, place)
@@ -153,7 +152,7 @@ class RigidMechanismSearch(MechanismSearch):
             yield "mode", other
 
     def _find_additions(self, motion: BouncingResult) -> Iterator[tuple[int, Touch]]:
-        """Yields a touch of each contact in each phase: where it is nearest, and in the middle."""
+        """Yields touches of each contact in each phase: at its smallest distance and half-way."""
         world, times, law = self.task.world, motion.times, self.task.rigid_law
         n = world.num_positions
         distances = world.calc_signed_distance(motion.states[:, : world.num_positions])

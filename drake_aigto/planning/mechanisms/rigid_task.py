@@ -48,19 +48,19 @@ from drake_aigto.transcription import (
 )
 from drake_aigto.world import Scenario, World
 
-# A motion that is this deep inside of a wall between knots, as a part of the task's length, has a
-# bounce added there, so often at most.
+# A bounce is added where a motion penetrates a wall between knots by this part of the task's
+# length, and how often at most.
 _DEEP, _MOST_ADDED = 1e-2, 4
-# Time steps of the search, within which what dips into a wall was let go too early.
+# A contact that penetrates its wall again within this many search steps was released too early.
 _SOON = 2
-# Walls are passed at this part of the task's length, for which knots are moved so often at most;
-# touches slower than this part of its speed are passed, too, and what lasts begins no slower: any
-# error would miss the wall.
+# Clearance of walls, as a part of the task's length; how often knots are lifted for it at most; and
+# the part of its speed below which touches become passes, and no sustained touch begins: any error
+# would miss the wall.
 _MARGIN, _MOST_LIFTS, _SLOW = 1e-4, 6, 1e-2
-# Modes of touches with friction are changed at their edges so often at most.
+# How often modes of touches with friction are changed at their edges, at most.
 _MOST_SWITCHED = 3
-# Near a wall that is grazed, speeds change with the square root of distances: a finalist has to
-# meet its walls closely.
+# Near a grazed wall speeds change with the square root of distances: a finalist has to meet its
+# walls closely.
 _FINE = ShootingOptions(
     rungs=(Smoothing(0.0, 40, 1e-6),),
     substeps=4,
@@ -69,20 +69,20 @@ _FINE = ShootingOptions(
     feasibility=1e-6,
 )
 _EXACT, _MOST_SUBSTEPS = 1e-4, 16
-# The best impact with friction is often at the edge of its mode, which steps toward it pass: where
-# that costs a lot at once, none of them is good enough.
+# The best impact with friction is often at the edge of its mode. Steps toward it pass the edge, and
+# with a high penalty none of them would be accepted.
 _GENTLE = 1e2
-# What is missed by so little costs next to nothing: steps that gain less have to count, too.
+# Violations this small cost next to nothing: steps that gain less have to count, too.
 _SETTLED = ShootingOptions(
     rungs=(Smoothing(0.0, 40, 1e-12),),
     multiplier_updates=24,
     feasibility=1e-11,
 )
-# Walls are met to rounding in as many Runge-Kutta steps as err by this part of the scales at most.
+# Walls are met to rounding in Runge-Kutta steps whose error is at most this part of the scales.
 _TRUE = 1e-7
-# A motion whose end other steps move by less than this part of its scales is steady.
+# A motion is steady if other steps move its end by less than this part of its scales.
 _STEADY = 1.0
-# Who costs so many times as much after the polish was led astray.
+# A polish diverged if it raised the cost by more than this factor.
 _FAR = 1.05
 _COARSE = ShootingOptions(rungs=(Smoothing(0.0, 40, 1e-3),), multiplier_updates=4)
 
@@ -90,21 +90,21 @@ _COARSE = ShootingOptions(rungs=(Smoothing(0.0, 40, 1e-3),), multiplier_updates=
 class RigidMechanismTask(MechanismTask):
     """A task of a mechanism between rigid walls.
 
-    Boxes, and what first closes them, have springs in place of the walls (`soften`). Where the
-    motion touches these is read off, and shooting goes on in phases that meet there (`Phases`): on
-    rigid walls, with impacts at knots whose times are free.
+    Boxes, and the first shooting, have springs in place of the walls (`soften`). The touches of
+    that motion are read off, and shooting continues in phases that meet there (`Phases`): on rigid
+    walls, with impacts at knots with free times.
     """
 
     @cached_property
     def mechanism(self) -> Mechanism:
-        """What moves between springs."""
+        """The mechanism between springs."""
         return Mechanism.of(self.world, self._springs)
 
     def close(self, center: Center, aim: Aim) -> BouncingResult:
         """Returns the motion on rigid walls near a box center, closed on springs or as it is.
 
         Args:
-            center: what boxes show.
+            center: of boxes.
             aim: of its `most` see `bounce`.
         """
         soft = self._close_on_springs(center, COARSE)
@@ -119,26 +119,23 @@ class RigidMechanismTask(MechanismTask):
 
     @cached_property
     def _sinks_in(self) -> bool:
-        """Whether something that rubs may rest from early on: on springs it sinks in, and creeps.
-
-        Boxes hold it up.
-        """
+        """Whether contacts with friction may rest from early on: on springs they sink and creep."""
         start = self.scenario.initial_position, self.scenario.initial_velocity
         rests = (self.rigid_law.restitution == 0) | is_closed(self.world, *start)
         return bool(np.any(rests & (self.rigid_law.friction > 0)))
 
     @property
     def rigid_law(self) -> RigidLaw:
-        """What the walls do."""
+        """The law of the walls."""
         assert isinstance(self.law, RigidLaw)
         return self.law
 
     @cached_property
     def lasting(self) -> Floats:
-        """From how long on [s] a touch of a spring is one that lasts on a wall, shape (m,).
+        """The shortest touch of a spring that is sustained on a wall, shape (m,) [s].
 
-        Where nothing is returned, any is: what is let go at once was a bounce. Elsewhere it is
-        twice what a spring takes to turn a speed round.
+        With zero restitution, any is: one of no duration was a bounce. Otherwise it is twice the
+        time in which a spring reverses a velocity.
         """
         time_step = self.scenario.duration / self.search_steps
         return np.where(self.rigid_law.restitution == 0, 0.0, 2 * np.pi * time_step)
@@ -146,19 +143,19 @@ class RigidMechanismTask(MechanismTask):
     def bounce(
         self, touches: TouchSequence, guess: ShootingResult, most: float = np.inf
     ) -> BouncingResult:
-        """Returns a motion with these touches near another, as far as a few steps lead.
+        """Returns a motion with these touches after a few steps from another.
 
-        If it dips deep into a wall between knots, with a bounce there as well; and where a touch
-        with friction is at the edge of its mode, beyond it if that is better.
+        A bounce is added where it penetrates a wall deeply between knots, and modes of touches
+        with friction are switched at their edges if that is better.
 
         Args:
             touches: in their order.
             guess: the other motion.
-            most: what costs more while its bounds do not hold yet is left as it is.
+            most: a motion that costs more before its bounds hold is returned as it is.
         """
         tried = list[BouncingResult]()
         for _ in range(1 + _MOST_ADDED):
-            motion = self._told(self._shoot(touches, guess, self.search_steps, _COARSE, most))
+            motion = self._with_depth(self._shoot(touches, guess, self.search_steps, _COARSE, most))
             if motion.cost > most:
                 return min([*tried, motion], key=self.rank)
             dip = find_deepest(self.world, motion) if np.isfinite(motion.cost) else None
@@ -170,10 +167,10 @@ class RigidMechanismTask(MechanismTask):
         return self._switch(min(tried, key=self.rank))
 
     def with_dip(self, motion: BouncingResult, dip: Dip) -> TouchSequence:
-        """Returns the touches of a motion, and what a dip is: a touch, or one that lasts longer.
+        """Returns the touches of a motion and its dip: a new touch, or a prolonged one.
 
-        What returns nothing, and dips into a wall soon after it was let go, was let go too early:
-        bounces ever smaller would not end.
+        A contact with zero restitution that penetrates a wall soon after its release was released
+        too early: added bounces would become ever smaller, without end.
         """
         contact, soon = dip.touch.contact, _SOON * self.scenario.duration / self.search_steps
         law, touches = self.rigid_law, list(motion.touches)
@@ -186,14 +183,14 @@ class RigidMechanismTask(MechanismTask):
         return in_order((*touches, *added))
 
     def _switch(self, motion: BouncingResult) -> BouncingResult:
-        """Returns the best motion that is found by leading touches beyond edges of their modes."""
+        """Returns the best motion found by switching modes of touches at their edges."""
         may_switch = self.rigid_law.has_friction and np.isfinite(motion.cost)
         for _ in range(_MOST_SWITCHED * may_switch):
             world, law = self.world, self.rigid_law
             touches = switch_modes(world, law, motion) or lead_over_edges(world, law, motion)
             if touches is None:
                 break
-            other = self._told(self._shoot(touches, motion, self.search_steps, _COARSE))
+            other = self._with_depth(self._shoot(touches, motion, self.search_steps, _COARSE))
             if not self.rank(other) < self.rank(motion):
                 break
             motion = other
@@ -201,14 +198,14 @@ class RigidMechanismTask(MechanismTask):
 
     @cached_property
     def coasting(self) -> TouchSequence:
-        """The touches that the world has without any control; what lasts does till the next."""
+        """The touches of the uncontrolled motion; sustained ones last until the next."""
         idle = self.idle_motion
         times = self._end_exactly(idle.times)
         replay = replay_event_driven(self.world, self.scenario, times, idle.controls)
         return self._read_replay(replay)
 
     def _read_replay(self, replay: Replay) -> TouchSequence:
-        """Returns what a replay touches; what lasts without friction does till the next touch."""
+        """Returns a replay's touches; sustained ones without friction last until the next."""
         contacts, starts = np.array(replay.bounce_contacts, dtype=np.int64), replay.bounce_times
         rows = find_impacts(replay.times, replay.velocities, len(starts))
         before = zip(replay.positions[rows], replay.velocities[rows], strict=True)
@@ -239,13 +236,13 @@ class RigidMechanismTask(MechanismTask):
     def polish(self, motion: ShootingResult, most: float = np.inf) -> BouncingResult:
         """Returns the local optimum near a motion in phases, in the scenario's time steps.
 
-        Walls that it only grazes are passed at a small distance instead, also between knots: what
-        happens there would change with the square root of any error.
+        Grazed walls are passed at a small distance instead, also between knots: a graze changes
+        the motion with the square root of any error.
 
         Args:
             motion: the motion.
-            most: an optimum that costs more is left before it keeps off its walls, or meets them,
-                as closely as rounding allows.
+            most: an optimum that costs more is returned before it clears its walls, or meets them
+                to rounding.
         """
         assert isinstance(motion, BouncingResult)
         num_steps, margin = self.scenario.num_steps, _MARGIN * self.scales.length
@@ -253,14 +250,14 @@ class RigidMechanismTask(MechanismTask):
         touches = tuple(each for i, each in enumerate(motion.touches) if i not in grazes)
         is_as_is = not grazes and len(motion.controls) == num_steps
         first = motion if is_as_is else self._shoot(touches, motion, num_steps, _FINE)
-        found = self._told(self._refine(first))
+        found = self._with_depth(self._refine(first))
         if self.price(found) > scaled(_FAR, self.price(motion)):
-            # That is another optimum: other steps, or a graze left out, led astray.
+            # That is another optimum, because of other steps or of a graze left out.
             wary = self._shoot(touches, motion, num_steps, _FINE.wary)
             others = [self._refine(wary, is_wary=True)]
             if not is_as_is:
                 others.append(self._refine(motion))
-            found = min(found, *map(self._told, others), key=self.rank)
+            found = min(found, *map(self._with_depth, others), key=self.rank)
         if found.cost > most:
             return found
         clearances = np.zeros((len(found.times), self.world.num_contacts))
@@ -268,20 +265,20 @@ class RigidMechanismTask(MechanismTask):
             lacks = find_lacks(self.world, found, margin)
             if not np.isfinite(found.cost) or np.max(lacks) < margin / 2:
                 break
-            lifted = self._told(self._refine(found, clearances + lacks))
+            lifted = self._with_depth(self._refine(found, clearances + lacks))
             if self.price(lifted) > scaled(_FAR, self.price(found)):
                 break
             found, clearances = lifted, clearances + lacks
-        return self._told(self._settle(found, clearances))
+        return self._with_depth(self._settle(found, clearances))
 
-    def _told(self, motion: BouncingResult) -> BouncingResult:
-        """Returns a motion whose violation tells how deep it dips into walls between knots."""
+    def _with_depth(self, motion: BouncingResult) -> BouncingResult:
+        """Returns a motion whose violation includes penetrations between its knots."""
         dip = find_deepest(self.world, motion) if np.isfinite(motion.cost) else None
         depth = 0.0 if dip is None else dip.depth / self.scales.length
         return dataclasses.replace(motion, violation=max(motion.violation, depth))
 
     def idle_candidate(self) -> Candidate:
-        """Returns what the world does without any control: what its replay says, not springs."""
+        """Returns the uncontrolled motion, with the cost of its replay, not of springs."""
         idle = super().idle_candidate()
         cost, goal_error = idle.replay.cost, idle.replay.goal_error
         return dataclasses.replace(idle, start_cost=cost, cost=cost, goal_error=goal_error)
@@ -307,10 +304,10 @@ class RigidMechanismTask(MechanismTask):
     def _refine(
         self, motion: BouncingResult, clearances: Floats | None = None, is_wary: bool = False
     ) -> BouncingResult:
-        """Returns the optimum near a motion with as many substeps as its accuracy takes.
+        """Returns the optimum near a motion, with as many substeps as its accuracy takes.
 
-        As what is unstable goes elsewhere under other steps, states are kept, and gaps closed. What
-        is steady is followed from its controls, by steps that never raise the cost.
+        As other steps change an unstable motion, its states are kept, and gaps closed. A steady
+        one is refined from its controls, by steps that never raise the cost.
         """
         phases = motion.phases(self._total)
         problem = self.pose_phases(motion.times, phases, clearances)
@@ -331,8 +328,8 @@ class RigidMechanismTask(MechanismTask):
     def _settle(self, motion: BouncingResult, clearances: Floats) -> BouncingResult:
         """Returns a polished motion that meets its walls as closely as rounding allows.
 
-        A slow bounce is late by what it is off the wall over its speed, and what is unstable leaves
-        the promised motion exponentially from there.
+        A slow bounce is late by its distance to the wall over its speed, and an unstable motion
+        deviates exponentially from there.
         """
         phases = motion.phases(self._total)
         if not len(phases.knots) or not np.isfinite(motion.cost):
@@ -368,14 +365,14 @@ class RigidMechanismTask(MechanismTask):
         return self.scenario.duration_range or (duration, duration)
 
     def judge(self, origin: Origin, start: ShootingResult, found: ShootingResult) -> Candidate:
-        """Returns the candidate that shooting made of a start (`MechanismTask.judge`)."""
+        """Returns the candidate of a motion (`MechanismTask.judge`)."""
         judged = super().judge(origin, start, found)
         if not self.rigid_law.has_friction:
             return judged
         return dataclasses.replace(judged, contacts=with_losses(judged.contacts, judged.replay))
 
     def _simulate(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
-        """Returns what controls do, as a trajectory whose knots are where it bounces."""
+        """Returns the simulation of controls, as a trajectory with knots at its bounces."""
         world, scenario = self.world, self.scenario
         times = self._end_exactly(found.times)
         times, controls, replay = replay_at_knots(world, scenario, times, found.controls)
@@ -385,7 +382,7 @@ class RigidMechanismTask(MechanismTask):
         return replay, trajectory, {INTEGRATION: integration, RESTITUTION: rebound}
 
     def _end_exactly(self, times: Floats) -> Floats:
-        """Returns times that end when the scenario says: phases may be off a little."""
+        """Returns times that end exactly at the scenario's end: phases may be off a little."""
         return times * (np.clip(times[-1], *self._total) / times[-1])
 
 
@@ -395,7 +392,7 @@ def make_mechanism_task(
     options: PlanOptions,
     additions: Additions = NO_ADDITIONS,
 ) -> MechanismTask:
-    """Returns a mechanism's task, as what may touch there is rigid or not."""
+    """Returns a mechanism's task, between rigid walls or others."""
     is_rigid = scenario.contact == "rigid" and bool(world.contacts)
     kind = RigidMechanismTask if is_rigid else MechanismTask
     return kind(world, scenario, options, additions=additions)

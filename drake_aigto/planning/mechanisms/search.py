@@ -28,23 +28,23 @@ Closed: TypeAlias = tuple[int, ShootingResult]
 
 
 _ANNEALING = "annealing"
-# So many motions are kept, no two of them near each other; nor do costs of two differ by less.
+# Motions that are kept, at most, no two near each other; and the least difference of their costs.
 _MOST_KEPT, SAME = 8, 1e-3
-# Motions whose positions are nowhere farther apart than this part of their scales have one optimum.
+# Motions whose positions differ by no more than this, relative to their scales, have one optimum.
 _NEAR = 0.05
-# Renewals are drawn from what is kept, and closed, so many at a time.
+# Renewals per wave: they are drawn from the motions that are kept, and closed together.
 _WAVE = 8
-# A cost of this part of the task's scale is none.
+# Costs below this part of the task's scale count as zero.
 _NOTHING = 1e-12
-# Bounds that a simulation passes are narrowed so often at most.
+# How often bounds that a simulation exceeds are narrowed, at most.
 _MOST_NARROWED = 2
 # The polish of a motion diverged if it costs more than this times the best that holds.
 _DIVERGED = 2.0
-# What promises to cost so many times the worst motion that is kept is left half-way. Of 3,072 boxes
-# around cart-poles between soft walls that saves 31 % of all iterations, and 10 of 346 motions are
-# lost that would have been the best so far; at 1 time 37 % and 13, at 1.5 times 22 % and 8.
+# Motions that promise to cost more than this times the worst kept one are left unfinished. In 3,072
+# boxes around cart-poles between soft walls that saves 31 % of all iterations and loses 10 of 346
+# motions that would have been the best so far; 1.0 saves 37 % and loses 13, and 1.5 22 % and 8.
 _WORTH = 1.2
-# Every second renewal is of the best motion, the others are of one of so many.
+# Every second renewal is of the best motion, the others are of one of this many.
 _MOST_RENEWED = 4
 
 
@@ -55,7 +55,7 @@ class KeptMotion:
     Attributes:
         origin: where it came from.
         result: of shooting.
-        rank: whether it misses much of bounds and a hard goal; J, and a price for what it misses.
+        rank: whether it violates bounds or a hard goal by much; J, plus a price for violations.
     """
 
     origin: Origin
@@ -64,7 +64,7 @@ class KeptMotion:
 
     @property
     def cost(self) -> float:
-        """J of it, and a price for what it misses of bounds and a hard goal."""
+        """Its J, plus a price for violations of bounds and a hard goal."""
         return self.rank[1]
 
 
@@ -89,7 +89,7 @@ class MechanismSearch(Search):
         self.motions: list[KeptMotion] = []
         self._candidates: list[Candidate] = []
         self._tight: list[KeptMotion] = []  # The best motions, in shorter steps.
-        self._known: list[KeptMotion] = []  # Those that were polished, and what became of them.
+        self._known: list[KeptMotion] = []  # Motions before and after their polish.
         self._not_simulated: list[tuple[KeptMotion, ShootingResult]] = []  # But polished.
         self._aim = Aim()
         self._num_closed = self._num_of_use = 0
@@ -109,7 +109,7 @@ class MechanismSearch(Search):
         yield [self._start(rung) for rung in self.task.ladder]
 
     def vary(self) -> Iterator[Sequence[Proposal]]:
-        """Yields stretches of the best motions that are opened again, and new starts in turn."""
+        """Yields renewals of stretches of the best motions, and new starts in turn."""
         options, rng = self.task.options, np.random.default_rng(self.task.options.seed)
         best, idle = (True, np.inf), 0
         for first in range(0, options.renewals if self.motions else 0, _WAVE):
@@ -124,7 +124,7 @@ class MechanismSearch(Search):
             yield [self._draw(rng, number) for number in range(first, last)]
 
     def _draw(self, rng: np.random.Generator, number: int) -> Proposal:
-        """Returns a renewal, or every second time a start, by chance."""
+        """Returns a random renewal, or every second time a random start."""
         problem, num_steps = self.task, self.task.renewal_steps
         has_boxes = any(rung.half_width for rung in problem.ladder)
         if number % 2:
@@ -142,16 +142,16 @@ class MechanismSearch(Search):
         return Proposal(Origin(_ANNEALING, rung), partial(self._close, propose))
 
     def _close(self, propose: Callable[[], Center]) -> Closed:
-        """Closes what boxes propose."""
+        """Closes a box center."""
         center = propose()
         return center.iterations, self.task.close(center, self._aim)
 
     def _find_aim(self) -> Aim:
-        """Returns what is worth closing: what may be kept.
+        """Returns the aim that leaves motions unfinished that would not be kept.
 
         Where half of the motions are better than no control, others are not closed with more care:
-        of 3,072 around cart-poles between soft walls 403 were, and two of these were kept. Where
-        something turns fast at the start, costs fall late, and nothing is left half-way.
+        of 3,072 around cart-poles between soft walls 403 were, and two of these were kept. Where a
+        hinge turns fast at the start, costs fall late, and no motion is left unfinished.
         """
         is_full = len(self.motions) == _MOST_KEPT and not self.task.is_fast
         misses, cost = self.motions[-1].rank if is_full else (True, np.inf)
@@ -159,7 +159,7 @@ class MechanismSearch(Search):
         return Aim(most, is_patient=2 * self._num_of_use <= self._num_closed)
 
     def close(self, wave: Sequence[Proposal]) -> None:
-        """Closes motions for what they are worth by now, and keeps the best of them."""
+        """Closes motions under the current aim, and keeps the best of them."""
         self._aim = self._find_aim()
         super().close(wave)
 
@@ -199,10 +199,9 @@ class MechanismSearch(Search):
         self._judge_best()
 
     def _judge_best(self) -> None:
-        """Polishes and judges motions that were not, one of those that are near each other.
+        """Polishes and judges the motions that remain, one of those that are near each other.
 
-        As many as there are to be finalists have to hold, or to cost more than one that does;
-        others do not count.
+        It ends once enough finalists hold, or cost more than one that holds.
         """
         for motion in self._tight:
             is_full = len(self._holding) + len(self._not_simulated) >= self.task.options.finalists
@@ -215,7 +214,7 @@ class MechanismSearch(Search):
                 self._known += [motion, KeptMotion(motion.origin, polished, rank)]
 
     def _tighten(self) -> list[KeptMotion]:
-        """Returns the motions by what they cost in shorter steps."""
+        """Returns the motions, ordered by their cost in shorter steps."""
         tight: list[KeptMotion] = []
         with self.clock("polish"), self.ended_by_ctrl_c(lambda: self.motions):
             for motion in self.motions[: 1 if self.is_interrupted else None]:
@@ -224,12 +223,12 @@ class MechanismSearch(Search):
         return sorted(tight, key=lambda each: each.rank) or self.motions[:1]
 
     def _is_hopeless(self, motion: KeptMotion) -> bool:
-        """Returns whether a motion costs more than its polish can win back."""
+        """Returns whether a motion costs more than its polish may save."""
         return motion.cost > self._scale_best(self.polish_ratio)
 
     @property
     def _holding(self) -> list[float]:
-        """What the candidates cost that hold, in all simulations that they have had."""
+        """Costs of the candidates that passed all their simulations."""
         return [
             each.replay.cost
             for each in self._candidates
@@ -237,11 +236,11 @@ class MechanismSearch(Search):
         ]
 
     def _scale_best(self, times: float) -> float:
-        """Returns so many times the best cost that holds, infinite while there is none."""
+        """Returns a multiple of the best cost that holds, infinite while there is none."""
         return scaled(times, min(self._holding, default=np.inf))
 
     def _has_diverged(self, polished: ShootingResult) -> bool:
-        """Returns whether a polish ended so far above a plan that holds that none looks at it."""
+        """Returns whether a polish ended far above the cost of a plan that holds."""
         misses, cost = self.task.rank(polished)
         most = self._scale_best(_DIVERGED)
         return most < np.inf and (misses or not cost <= most)
@@ -251,9 +250,9 @@ class MechanismSearch(Search):
         return problem.polish(motion)
 
     def _polish(self, motion: KeptMotion) -> ShootingResult:
-        """Adds the candidate that a motion becomes, and returns its motion.
+        """Adds the candidate of a motion, and returns the polished motion.
 
-        Where it leaves its bounds in simulation, it is polished within narrower ones.
+        If it exceeds its bounds in simulation, it is polished again within narrower ones.
         """
         start = motion.result
         self.tell(f"polishing a motion that costs {start.cost:.6g}")
@@ -296,7 +295,7 @@ class MechanismSearch(Search):
         )
 
     def add_left_out(self) -> None:
-        """Judges what was left out for a candidate that a simulation has contradicted since."""
+        """Judges candidates left out because of one that a simulation has contradicted since."""
         left_out, self._not_simulated = self._not_simulated, []
         for motion, polished in left_out:
             try:

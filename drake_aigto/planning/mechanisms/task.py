@@ -56,21 +56,21 @@ from drake_aigto.world import Scenario
 
 # Runge-Kutta steps of a finalist are halved until cost and end change by this part of their scales.
 _EXACT, _MOST_SUBSTEPS = 1e-3, 64
-# What changes by less with halved steps is steady: the same controls lead to about the same motion.
+# A motion that halved steps change by less is steady: its controls reproduce it closely.
 _STEADY = 0.1
-# What is farther off its bounds than this, in parts of the scales, won't be a plan.
+# A motion that violates its bounds by more (relative to the scales) won't become a plan.
 _HOPELESS = 0.05
-# Patience is so many times as much where a start turns fast, which has more optima.
+# Factor of patience where a start turns fast, which has more optima.
 _PATIENT = 2
-# What a motion misses of its bounds, in the state's scales, costs this in the task's scale. More
-# may be won by it: what misses more than so much comes after all that does not.
+# Price of violating bounds (relative to the state's scales) in the task's scale. As a violation may
+# save more than that, motions with a larger one than `_MUCH` rank after all others.
 _PRICE, _MUCH = 10.0, 1e-2
 
 
 class MechanismTask(PosedTask):
-    """A task of a mechanism between walls that yield, or of one that touches nothing.
+    """A task of a mechanism between compliant walls, or of one without contacts.
 
-    Boxes of its positions shrink (`MechanismBoxes`), and the motion that they show is closed by
+    Boxes of its positions shrink (`MechanismBoxes`), and the motion at their center is closed by
     shooting (`ShootingProblem`). Both are compiled for the world and the task's weights, once.
     """
 
@@ -78,32 +78,32 @@ class MechanismTask(PosedTask):
 
     @property
     def sources(self) -> str:
-        """What candidates come from, in words."""
+        """The sources of candidates, in words."""
         return f"{len(self.ladder)} rungs and {self.options.renewals} renewals"
 
     @property
     def remedy(self) -> str:
-        """What a user may try where no candidate meets the rows."""
+        """Advice to the user if no candidate meets the rows."""
         return "Allow more time or control, or try more renewals."
 
     @property
     def renewal_steps(self) -> int:
-        """How many time steps drawn boxes have: a quarter, where few do, as they are many."""
+        """The number of time steps of drawn boxes: a quarter, unless that is too coarse."""
         return min(self._haste * self._usual_steps, max(self._usual_steps, self.search_steps))
 
     @property
     def patience(self) -> int:
-        """How many renewals in a row may find nothing better: more where more is to be found."""
+        """How many renewals in a row may find nothing better: more for fast starts."""
         return self.options.patience * (_PATIENT if self.is_fast else 1)
 
     @property
     def is_fast(self) -> bool:
-        """Whether something turns fast at the start, or once a wall has thrown it off."""
+        """Whether a hinge turns fast at the start, or after a wall has pushed it off."""
         return self._haste > 1
 
     @cached_property
     def _haste(self) -> int:
-        """How many times as many time steps drawn boxes need as usual."""
+        """The factor by which drawn boxes need more time steps than usual."""
         step = self.scenario.duration / self._usual_steps
         return self.launch.find_haste(step, self.world.is_hinge)
 
@@ -113,7 +113,7 @@ class MechanismTask(PosedTask):
 
     @cached_property
     def launch(self) -> Launch:
-        """From where on boxes have a say; the start where they may be late, or something rubs."""
+        """First knot that boxes optimize; the start with free times or friction."""
         scenario, law = self.scenario, self.law
         is_timed = scenario.duration_range is not None or len(self.task.times) > 1
         if isinstance(law, CompliantLaw) and not (is_timed or self.mechanism.has_friction):
@@ -126,7 +126,7 @@ class MechanismTask(PosedTask):
 
     @cached_property
     def _springs(self) -> CompliantLaw:
-        """What walls push with in boxes."""
+        """The springs that replace walls in boxes."""
         if isinstance(self.law, CompliantLaw):
             return self.law
         time_step = self.scenario.duration / self.search_steps
@@ -137,7 +137,7 @@ class MechanismTask(PosedTask):
         return cache(self._start_boxes)
 
     def _start_boxes(self, num_steps: int, duration: float) -> StartedBoxes:
-        """Returns boxes of so many time steps from this start; programs are of any."""
+        """Returns boxes from this start; their programs serve any start."""
         boxes = self._compiled.find_boxes(
             self.world,
             self.task,
@@ -150,13 +150,13 @@ class MechanismTask(PosedTask):
         return boxes.start(self._ends)
 
     def run_aigo(self, rung: MechanismRung) -> Center:
-        """Returns what the boxes of a rung show."""
+        """Returns the box center that a rung leads to."""
         start, end = self.launch.time, self.scenario.duration
         boxes = self._boxes(rung.num_steps, end - start)
         return boxes.run(rung, self._start_path(rung, boxes)).lasting(start, end)
 
     def renew(self, motion: ShootingResult, renewal: Renewal) -> Center:
-        """Returns what becomes of a motion whose stretch is moved and opened to boxes."""
+        """Returns the box center after a stretch of a motion is perturbed and opened."""
         start, end = self.launch.time, float(motion.times[-1])
         times = np.linspace(start, end, self.renewal_steps + 1)
         q = interpolate(times, motion.times, motion.states[:, : self.world.num_positions])
@@ -171,12 +171,12 @@ class MechanismTask(PosedTask):
         return boxes.rest() if rung.start == "rest" else boxes.line()
 
     def close(self, center: Center, aim: Aim) -> ShootingResult:
-        """Returns the motion near a box center, as far as a few steps lead."""
+        """Returns the motion after a few steps from a box center."""
         return self._close_on_springs(center, aim.limit(self._closing), aim.is_patient)
 
     @cached_property
     def _closing(self) -> ShootingOptions:
-        """How what boxes show is closed."""
+        """The options for closing box centers."""
         q, is_aimed = self.scenario.initial_position, self.scenario.hard_goal
         time_step = self.scenario.duration / self.search_steps
         return find_closing(self.world, self.law, q, time_step, is_aimed)
@@ -195,14 +195,14 @@ class MechanismTask(PosedTask):
         return min(found, problem.solve(controls, states, options.wary), key=self.rank)
 
     def is_of_use(self, motion: ShootingResult) -> bool:
-        """Returns whether a motion is better than no control, or was left half-way."""
+        """Returns whether a motion is better than no control, or was left unfinished."""
         return motion.is_left or self.rank(motion) < self.rank(self.coast)
 
     def tighten(self, motion: ShootingResult) -> ShootingResult:
         """Returns the local optimum near a motion, in the scenario's time steps.
 
-        As a motion that is unstable goes elsewhere under other steps, its states are kept where
-        they are, and gaps are closed.
+        As other steps change an unstable motion, its states are kept, and gaps between them are
+        closed.
         """
         n, problem = self.world.num_positions, self.shooting(self.scenario.num_steps)
         problem = problem.starting_from(motion)
@@ -215,8 +215,8 @@ class MechanismTask(PosedTask):
     def polish(self, motion: ShootingResult) -> ShootingResult:
         """Returns the local optimum near a motion, its time steps halved until they agree.
 
-        What is steady is followed from its controls, by steps that never raise the cost. What
-        friction holds or pushes may not be: as it sharpens, the same controls lose it.
+        A steady motion is refined from its controls, by steps that never raise the cost. With
+        friction it may not be steady: as friction sharpens, the same controls lose contact.
         """
         is_coarse = len(motion.controls) < self.scenario.num_steps
         if is_coarse or motion.substeps < POLISH.substeps:
@@ -239,16 +239,16 @@ class MechanismTask(PosedTask):
                 return self._steadied(motion)
             # Where contact begins and ends, steps are of second order.
             halvings = np.ceil(np.log2(min(error / _EXACT, _MOST_SUBSTEPS)) / 2)
-            if self.mechanism.has_friction:  # What sticks in long steps slips in much shorter ones.
+            if self.mechanism.has_friction:  # Contacts that stick in long steps slip in short ones.
                 halvings = 1
             substeps = min(motion.substeps * 2 ** int(halvings), _MOST_SUBSTEPS)
             rungs = (WITH_FRICTION if self.mechanism.has_friction else POLISH).rungs[-1:]
             options = dataclasses.replace(POLISH, rungs=rungs, substeps=substeps)
 
     def _cooled(self, motion: ShootingResult) -> ShootingResult:
-        """Returns the better of a motion and, where joints rub, what it becomes as that stiffens.
+        """Returns the better of a motion and, with joint friction, one refined as that stiffens.
 
-        Where something sticks, what moves it is felt only by friction that is smoothed far more.
+        While a joint sticks, only far smoother friction has slopes that show what moves it.
         """
         if self.world.dry_friction is None:
             return motion
@@ -256,28 +256,28 @@ class MechanismTask(PosedTask):
         return min(motion, problem.solve(motion.controls, None, COOLING), key=self.rank)
 
     def _steadied(self, motion: ShootingResult) -> ShootingResult:
-        """Returns the same motion; where there is friction, with controls that lead along it."""
+        """Returns the same motion; with friction, its controls are corrected to track it."""
         if not (self.mechanism.has_friction and np.isfinite(motion.exact_cost)):
             return motion
         problem = self.shooting(self.scenario.num_steps).starting_from(motion)
         return steady(self.world, self.scenario, problem, motion)
 
     def price(self, motion: ShootingResult) -> float:
-        """Returns J of a motion, and a price for what it misses of bounds and a hard goal."""
+        """Returns J of a motion, plus a price for violations of bounds and a hard goal."""
         missed = max(0.0, motion.violation - POLISH.feasibility)
         return motion.cost + _PRICE * self.scales.cost * missed
 
     def rank(self, motion: ShootingResult) -> tuple[bool, float]:
-        """Orders motions by whether they miss much, and by their price."""
+        """Orders motions by whether their violation is large, and by their price."""
         return motion.violation > _MUCH, self.price(motion)
 
     def judge(self, origin: Origin, start: ShootingResult, found: ShootingResult) -> Candidate:
-        """Returns the candidate that shooting made of a start: what its controls do, integrated.
+        """Returns the candidate of a motion: the simulation of its controls.
 
         Args:
             origin: where it came from.
             start: the first motion.
-            found: what shooting made of it, in the scenario's time steps.
+            found: the result of shooting from it, in the scenario's time steps.
         """
         replay, trajectory, defects = self._simulate(found)
         cost, added = found.exact_cost, dict[str, float]()
@@ -303,7 +303,7 @@ class MechanismTask(PosedTask):
         )
 
     def _simulate(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
-        """Returns what controls do, as a trajectory, and how far that is off the equations."""
+        """Returns the simulation of controls, its trajectory, and defects of the equations."""
         replay = found.replay or replay_event_driven(
             self.world, self.scenario, found.times, found.controls
         )
@@ -311,13 +311,13 @@ class MechanismTask(PosedTask):
         return replay, trajectory, {INTEGRATION: float(np.max(gap / self.state_scales))}
 
     def idle_candidate(self) -> Candidate:
-        """Returns what the world does without any control, for as long as is best."""
+        """Returns the uncontrolled motion, of the best duration, as a candidate."""
         idle = self.idle_motion
         return self.judge(Origin(NO_CONTROL), idle, idle)
 
     @cached_property
     def idle_motion(self) -> ShootingResult:
-        """What the world does without any control."""
+        """The uncontrolled motion, of the best duration."""
         problem = self.shooting(self.scenario.num_steps)
         none = np.zeros((self.scenario.num_steps, self.world.num_actuators))
         if problem.phases is None:
@@ -335,9 +335,9 @@ class MechanismTask(PosedTask):
         return Replays(candidate.replay, drake)
 
     def narrowed(self, motion: ShootingResult, replay: Replay) -> MechanismTask:
-        """Returns the same, at knots within what a motion has there, less its replay's excess.
+        """Returns the task with bounds narrowed by the excess of a motion's replay.
 
-        Bounds hold at knots. What moves faster between, as right before a touch, slows down there.
+        Bounds hold at knots, and speeds may exceed them in between, as right before a touch.
         """
         excess = calc_excess(self.world, self.scenario, replay.positions, replay.velocities)
         other = self.again(self.scenario)
@@ -345,5 +345,5 @@ class MechanismTask(PosedTask):
         return other
 
     def again(self, scenario: Scenario) -> MechanismTask:
-        """Returns the same for a changed scenario; boxes are compiled anew for other weights."""
+        """Returns the task of a changed scenario; boxes are compiled anew for other weights."""
         return type(self)(self.world, scenario, self.options, self._compiled)

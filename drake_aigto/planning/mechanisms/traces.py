@@ -15,13 +15,13 @@ from drake_aigto.simulation import PlannedContact, Replay, find_impacts, replay_
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World
 
-# Runge-Kutta steps between two rows of a replay, where contacts neither begin nor end: more where
-# gaps are above this part of the states, until they are none of the steps' own making.
+# Runge-Kutta steps between two rows of a replay, where contacts neither begin nor end; more while
+# gaps are above this part of the states, until steps do not cause them.
 _STEPS, _MOST_STEPS, _EXACT = 32, 512, 1e-8
-# Distances and speeds below this part of the largest coordinate, or 1, are none.
+# Distances and speeds below this part of the largest coordinate, or 1, count as zero.
 _STILL = 1e-10
 
-# What is left of a bounce as rest begins, as a part of the largest coordinate, or 1, at most.
+# Largest speed of a bounce as rest begins, as a part of the largest coordinate, or 1.
 _SLOW = 1e-3
 
 # States (K, 2n) → their rates of change, and the forces of contacts, shape (K, m) [N].
@@ -31,23 +31,22 @@ Rates: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 def trace(
     world: World, law: ContactLaw, replay: Replay, times: Floats, controls: Floats
 ) -> tuple[Trajectory, Floats]:
-    """Returns the trajectory of a replay, and how far it is off the equations of motion.
+    """Returns the trajectory of a replay, and its defects of the equations of motion.
 
-    From each row of the replay Runge and Kutta's method of order 4 goes on to the next. Between
-    rigid walls, what rests at a row is held there as long as it presses, what rubs in the mode that
-    the replay has, and slow hops end as rest begins; what impacts do is left to
-    `bounces.add_impulses`.
+    From each row of the replay a Runge-Kutta method of order 4 leads to the next. Between rigid
+    walls, contacts that rest at a row are held while they press, those with friction in the mode of
+    the replay, and slow hops end as rest begins; impacts are added by `add_impulses`.
 
     Args:
         world: the mechanism.
-        law: what contacts push with while they last.
+        law: of contacts while they last.
         replay: of the controls.
         times: of the knots, shape (N+1,) [s].
         controls: held over each interval, shape (N, nu).
 
     Returns:
         The trajectory at the knots, with the mean forces between them; and the largest difference
-        of each of (q, v) to what the row before leads to, shape (2n,).
+        of (q, v) to the integration from the row before, shape (2n,).
     """
     is_step = np.diff(replay.times) > 0
     starts, h = replay.times[:-1][is_step], np.diff(replay.times)[is_step]
@@ -74,7 +73,7 @@ def trace(
 
 
 def _read_modes(world: World, replay: Replay, times: Floats) -> Ints:
-    """Returns in which modes a replay's contacts with friction last at times, shape (K, m)."""
+    """Returns the modes of a replay's contacts with friction at times, shape (K, m)."""
     modes = np.full((len(times), world.num_contacts), Mode.OPEN, dtype=np.int64)
     for phase in replay.contact_phases:
         lasts = (phase.start <= times) & (times <= phase.end)
@@ -85,25 +84,25 @@ def _read_modes(world: World, replay: Replay, times: Floats) -> Ints:
 def find_rates(world: World, law: ContactLaw, x: Floats, controls: Floats, modes: Ints) -> Rates:
     """Returns the equations of motion of states (K, 2n), each under its control (K, nu).
 
-    What rubs on a rigid wall is held in modes, shape (K, m).
+    Contacts with friction on rigid walls are held in modes, shape (K, m).
     """
     n = world.num_positions
 
-    def yielding(x: Floats) -> tuple[Floats, Floats]:
+    def compliant(x: Floats) -> tuple[Floats, Floats]:
         q, v = x[:, :n], x[:, n:]
         forces = calc_pushes(world, law, q, v)
         drag = calc_drag(world, law, q, v, forces)
         return np.hstack([v, world.calc_acceleration(q, v, controls, forces, drag)]), forces
 
     if not isinstance(law, RigidLaw):
-        return yielding
+        return compliant
     is_smooth = law.friction == 0
     slides = _find_resting(world, x) & is_smooth
     modes = np.where(is_smooth, np.where(slides, Mode.FORWARD, Mode.OPEN), modes)
     kinds = np.unique(modes, axis=0)
 
     def rigid(x: Floats) -> tuple[Floats, Floats]:
-        rates, forces = yielding(x)
+        rates, forces = compliant(x)
         for kind in kinds[(kinds != Mode.OPEN).any(axis=1)]:
             rows = np.flatnonzero((modes == kind).all(axis=1) & np.isfinite(x).all(axis=1))
             _hold(world, law.friction, kind, x, controls, rows, rates, forces)
@@ -122,7 +121,7 @@ def _hold(
     rates: Floats,
     forces: Floats,
 ) -> None:
-    """Lets some of the states rest on contacts in modes, of these on those alone that press."""
+    """Lets some of the states rest on contacts in modes, while these press."""
     n, contacts = world.num_positions, np.flatnonzero(modes != Mode.OPEN)
     closed = Closed(world, contacts, tuple(map(Mode, modes[contacts])), friction[contacts])
     push = closed.calc_push(x[rows], controls[rows])
@@ -139,7 +138,7 @@ def _hold(
 
 
 def _find_resting(world: World, x: Floats) -> Bools:
-    """Returns which contacts are closed and neither approached nor left, shape (K, m)."""
+    """Returns which contacts are closed and at rest, shape (K, m)."""
     n = world.num_positions
     q, v = x[:, :n], x[:, n:]
     distances, speeds = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
@@ -148,7 +147,7 @@ def _find_resting(world: World, x: Floats) -> Bools:
 
 
 def _begin_rest(world: World, ends: Floats, after: Floats) -> None:
-    """Takes from velocities (K, 2n) what slow contacts lose that rest in the states after them."""
+    """Removes the speed of slow contacts from states (K, 2n) if they rest in those after them."""
     n = world.num_positions
     finite = np.isfinite(ends).all(axis=1)
     speeds = np.zeros((len(ends), world.num_contacts))
@@ -168,7 +167,7 @@ def integrate_rates(
 ) -> tuple[Floats, Floats]:
     """Returns states (K, 2n) after durations (K,) [s], and the impulses of contacts [N s].
 
-    Few steps may run away, to numbers that are not finite.
+    With few steps, states may become infinite.
     """
     h = durations[:, np.newaxis] / steps
     total: Floats | float = 0.0
@@ -183,12 +182,12 @@ def integrate_rates(
     return x, np.asarray(total)
 
 
-# A bounce this near to a knot is at it, as a part of the duration; less than replays resolve.
+# A bounce closer than this part of the duration is at a knot; replays do not resolve that.
 _AT_KNOT = 1e-11
-# A knot is moved to a bounce that is off by at most this part of the shorter step beside it; else
-# one is added there.
+# A knot is moved to a bounce within this part of the shorter step beside it; otherwise one is
+# added.
 _NEAR_KNOT = 0.1
-# Moving knots moves bounces, the square of that. So often at most.
+# How often knots are moved, at most: that moves bounces, but by the square only.
 _MOST_MOVES = 12
 
 
@@ -197,7 +196,7 @@ def replay_at_knots(
 ) -> tuple[Floats, Floats, Replay]:
     """Returns times, controls and their replay, whose bounces are at knots.
 
-    Knots that are nearly there are moved, and others added; a control changes by next to nothing.
+    Nearby knots are moved, and others added; controls hardly change.
     """
     replay = replay_event_driven(world, scenario, times, controls)
     for _ in range(_MOST_MOVES):
@@ -212,7 +211,7 @@ def replay_at_knots(
 
 
 def _put_knot(times: Floats, controls: Floats, bounce: float) -> tuple[Floats, Floats]:
-    """Returns knots of which one is at a bounce; the same array if one was."""
+    """Returns knots with one at a bounce; the same array if there is one."""
     at = int(np.clip(np.searchsorted(times, bounce), 1, len(times) - 1))
     nearest = at if times[at] - bounce < bounce - times[at - 1] else at - 1
     off = abs(times[nearest] - bounce)
@@ -231,11 +230,11 @@ def add_impulses(
 ) -> tuple[Trajectory, float]:
     """Returns a trajectory with a replay's impacts, which are at its knots.
 
-    Also returns by how much the velocity after an impact is off at most [m/s]: it has to be what an
-    impulse ≥ 0 along the contact, and one of at most μ times it along its tangent, make of that
-    before, and the contact's speed be returned e times, or nothing of it where rest begins. Several
-    contacts at one instant hit each other in turns: there impulses are the sums of all turns, and
-    no contact is approached after the last.
+    Also returns the largest error of velocities after impacts [m/s]. They have to follow from those
+    before by an impulse ≥ 0 along the contact and one of at most μ times it along its tangent, and
+    the contact's speed has to be returned e times, or to end where rest begins. Several contacts at
+    one instant hit each other in turns: there impulses are the sums of all turns, and no contact is
+    approached after the last.
     """
     impulses, missed = trajectory.impulses.copy(), 0.0
     for time, contacts, q, before, after in _list_events(replay):
@@ -260,8 +259,8 @@ def add_impulses(
 def with_losses(contacts: tuple[PlannedContact, ...], replay: Replay) -> tuple[PlannedContact, ...]:
     """Returns contacts with the energy ratios of a replay's impacts, which are at their knots.
 
-    A trajectory holds no impulses of friction, which take or give kinetic energy, too. What lasts
-    from the start on has no impact.
+    A trajectory has no impulses of friction, which change the kinetic energy, too. Contacts that
+    last from the start have no impact.
     """
     seen = list(zip(replay.bounce_times, replay.bounce_contacts, strict=True))
     found = []
@@ -277,7 +276,7 @@ def with_losses(contacts: tuple[PlannedContact, ...], replay: Replay) -> tuple[P
 
 
 def _list_events(replay: Replay) -> Iterator[tuple[float, Ints, Floats, Floats, Floats]]:
-    """Yields when impacts are, of which contacts, q then, and v before and after them all."""
+    """Yields the times of impacts, their contacts, q, and v before and after all of them."""
     contacts = np.array(replay.bounce_contacts, dtype=np.int64)
     rows = find_impacts(replay.times, replay.velocities, len(contacts))
     for time in np.unique(replay.times[rows]):
