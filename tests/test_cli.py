@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from refusals import check_refused
 
-from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, NOTHING_HOLDS, UNREAD, main
+from drake_aigto.cli import BAD_INPUT, FINE, NOTHING_HOLDS, UNREAD, main
 from drake_aigto.paper import LiteralOptions
 from drake_aigto.planning import (
     Plan,
@@ -283,14 +283,3 @@ def test_who_reads_only_the_head_sees_no_traceback(plan_file: Path) -> None:
         process.stdout.close()
         assert process.stderr.read() == b""
     assert process.returncode == UNREAD
-
-
-def test_ctrl_c_ends_quietly(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def interrupt(*arguments: Any, **keywords: Any) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Planner, "plan", interrupt)
-    assert main(["plan", "table1/1"]) == INTERRUPTED
-    assert "Traceback" not in capsys.readouterr().err

@@ -138,16 +138,6 @@ def test_quiet_shows_no_progress(
     assert not terminal.getvalue()
 
 
-def test_a_file_gets_no_progress(
-    telling: Callable[..., None], capsys: pytest.CaptureFixture[str]
-) -> None:
-    telling("AIGO 1 of 5")
-    assert main(["plan", "table1/1"]) == FINE
-    printed = capsys.readouterr()
-    assert not printed.err
-    assert ESCAPE not in printed.out
-
-
 KEPT = Notice("compiling machine code")
 
 

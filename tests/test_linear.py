@@ -1,13 +1,26 @@
-"""Sparse symmetric matrices, their orders, and the choice between them and bands."""
+"""Sparse symmetric matrices, their orders, and the choice between them and bands.
+
+Programs whose bands are wide: the same optima by sparse factors, and the choice is told.
+"""
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 import pytest
+from box_programs import dense
 from hypothesis import given
 from hypothesis import strategies as st
+from pydrake.solvers import ExpressionConstraint, ExpressionCost, MathematicalProgram
+from pydrake.symbolic import Variable
 from sparse_matrices import arrow, grid, whole
 
+from drake_aigto import AigoOptions, AigoSolver
+from drake_aigto.aigo import Annealing, BoundedAnnealing, Box, CenterObjective, Status, minimize
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.linear import (
     Factorization,
     Pattern,
@@ -21,6 +34,8 @@ from drake_aigto.linear import (
     multiply,
     spread,
 )
+from drake_aigto.local import InteriorPoint, LocalStatus, compile_nlp
+from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 
 
 @st.composite
@@ -173,3 +188,185 @@ def test_the_narrowest_of_several_bands_is_taken() -> None:
     assert storage.bandwidth == 1
     np.testing.assert_array_equal(storage.places, np.arange(size))
     assert choose_storage(size, chain, orders, group_size=2).bandwidth == 3
+
+
+@contextmanager
+def only_bands() -> Iterator[None]:
+    """No sparse factors are chosen."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("drake_aigto.linear.storage._SPARSE_CALL", np.inf)
+        yield
+
+
+def product(coefficient: float, *powers: tuple[int, int]) -> Term:
+    """Returns a monomial of (variable, exponent)."""
+    return Term(coefficient, tuple(Factor(i, FunctionKind.POWER, p) for i, p in powers))
+
+
+def wells(num_variables: int, seed: int = 0) -> list[TermBlock]:
+    """Returns (x² − 1)² of every variable, tilted at random."""
+    well = (product(1.0, (0, 4)), product(-2.0, (0, 2)))
+    tilts = 0.3 * np.random.default_rng(seed).normal(size=num_variables)
+    blocks = [TermBlock("wells", well, np.arange(num_variables)[:, np.newaxis])]
+    return blocks + [
+        TermBlock(f"tilt {i}", (product(float(tilt), (0, 1)),), [[i]])
+        for i, tilt in enumerate(tilts)
+    ]
+
+
+def shared_variable(num_variables: int) -> BoxPolynomial:
+    """Returns a chain of wells, all of which one variable stretches."""
+    i = np.arange(1, num_variables - 1)
+    link = (product(0.3, (0, 1), (1, 1)), product(0.1, (0, 1), (1, 1), (2, 1)))
+    links = TermBlock("links", link, np.column_stack([i, i + 1, np.zeros_like(i)]))
+    return BoxPolynomial(num_variables, (links, *wells(num_variables)))
+
+
+def on_grid(side: int) -> BoxPolynomial:
+    """Returns wells on a square grid, neighbours coupled."""
+    link = TermBlock("links", (product(0.4, (0, 1), (1, 1)),), grid(side).T)
+    return BoxPolynomial(side * side, (link, *wells(side * side)))
+
+
+def in_variable_order(f: BoxPolynomial, matrix: np.ndarray, stride: int) -> np.ndarray:
+    """Returns a Hessian whose unknowns are those of variable 0, of variable 1, …"""
+    places = (stride * f.position[:, np.newaxis] + np.arange(stride)).ravel()
+    return matrix[np.ix_(places, places)]
+
+
+@pytest.mark.parametrize("centers_only", [True, False])
+def test_sparse_hessians_are_the_banded_ones(centers_only: bool) -> None:
+    f = shared_variable(250)
+    with only_bands():
+        g = shared_variable(250)
+    assert f.storage.factorization is Factorization.SPARSE
+    assert g.storage.factorization is Factorization.BAND
+    rng = np.random.default_rng(0)
+    box = rng.normal(size=250), rng.uniform(0.1, 1.0, 250)
+    sparse, band = (h.newton_system(*box, centers_only) for h in (f, g))
+    assert sparse.pattern is not None
+    assert band.pattern is None
+    assert sparse.value == pytest.approx(band.value, rel=1e-12)
+    stride = 1 if centers_only else 2
+    np.testing.assert_allclose(
+        in_variable_order(f, whole(sparse.pattern, sparse.band[0]), stride),
+        in_variable_order(g, dense(band.band), stride),
+        atol=1e-12,
+    )
+    for ours, theirs in zip(
+        f.to_variables(sparse.gradient), g.to_variables(band.gradient), strict=True
+    ):
+        np.testing.assert_allclose(ours, theirs, atol=1e-12)
+
+
+@pytest.mark.parametrize("make", [lambda: shared_variable(250), lambda: on_grid(45)])
+@pytest.mark.parametrize(
+    "algorithm", [Annealing(), pytest.param(BoundedAnnealing(), marks=pytest.mark.slow)]
+)
+def test_boxes_end_where_banded_systems_lead(make, algorithm) -> None:  # type: ignore[no-untyped-def]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "drake_aigto.linear.storage._SPARSE_UNIT", 0.0
+        )  # A small grid would stay a band.
+        f = make()
+    with only_bands():
+        g = make()
+    half_width = np.full(f.num_variables, 2.0)
+    half_width[7] = 0.0  # held
+    results = [
+        minimize(h, Box(np.full(h.num_variables, 0.1), half_width), algorithm) for h in (f, g)
+    ]
+    sparse, band = results
+    assert (sparse.status, band.status) == (Status.CONVERGED, Status.CONVERGED)
+    assert sparse.storage.factorization is Factorization.SPARSE
+    assert band.storage.factorization is Factorization.BAND
+    assert sparse.box.center[7] == 0.1
+    np.testing.assert_allclose(sparse.box.center, band.box.center, atol=1e-6)
+    assert sparse.cost == pytest.approx(band.cost, rel=1e-9)
+
+
+def test_newtons_method_keeps_within_bounds_and_to_its_free_variables() -> None:
+    f = shared_variable(250)
+    free = np.random.default_rng(1).random(250) < 0.5
+    bounds = np.full(250, -0.9), np.full(250, 0.9)
+    ends: list[list[np.ndarray]] = []
+    with only_bands():
+        g = shared_variable(250)
+    for h in (f, g):
+        start = np.full(250, 0.5)
+        objective = CenterObjective(h, free, 1e-8, bounds)
+        damped = objective.descend(start, 60).x
+        bold, steps = objective.descend_boldly(start, 12)
+        assert steps > 2
+        for end in (damped, bold):
+            assert np.all(np.abs(end) <= 0.9)
+            assert np.all(end[~free] == 0.5)
+        ends.append([damped, bold])
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-6)
+
+
+def shortest_time(steps: int) -> MathematicalProgram:
+    """Returns the least time from rest at 0 to rest at 1, |u| ≤ 1, by trapezoids of free width h.
+
+    Bang-bang control takes 2 s, in any even number of steps. All rows share h.
+    """
+    prog = MathematicalProgram()
+    q, v = prog.NewContinuousVariables(steps + 1, "q"), prog.NewContinuousVariables(steps + 1, "v")
+    u, h = prog.NewContinuousVariables(steps, "u"), prog.NewContinuousVariables(1, "h")
+    for point, position in ((0, 0.0), (steps, 1.0)):
+        prog.AddBoundingBoxConstraint(position, position, q[point])
+        prog.AddBoundingBoxConstraint(0.0, 0.0, v[point])
+    prog.AddBoundingBoxConstraint(-1.0, 1.0, u)
+    prog.AddBoundingBoxConstraint(1e-4, 10.0, h)
+    prog.AddLinearCost([float(steps)], 0.0, h)
+    a = [Variable(name) for name in ("q0", "q1", "v0", "v1", "u", "h")]
+    rows = [a[1] - a[0] - a[5] * (a[2] + a[3]) * 0.5, a[3] - a[2] - a[5] * a[4]]
+    row = ExpressionConstraint(rows, np.zeros(2), np.zeros(2))
+    for k in range(steps):
+        here = [*q[k : k + 2], *v[k : k + 2], u[k], h[0]]
+        of_id = {local.get_id(): x for local, x in zip(a, here, strict=True)}
+        prog.AddConstraint(row, vars=[of_id[local.get_id()] for local in row.vars()])
+    return prog
+
+
+def test_a_shared_time_step_is_found_by_sparse_kkt_systems(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    steps = 300
+    nlp = compile_nlp(shortest_time(steps))
+    start = np.clip(np.full(nlp.num_variables, 0.02), nlp.lower, nlp.upper)
+    with caplog.at_level(logging.INFO, logger="drake_aigto"):
+        sparse = InteriorPoint().solve(nlp, start)
+    assert "sparse LDLᵀ" in caplog.text
+    with only_bands():
+        other = InteriorPoint().solve(compile_nlp(shortest_time(steps)), start)
+    assert sparse.storage.factorization is Factorization.SPARSE
+    assert other.storage.factorization is not Factorization.SPARSE
+    for result in (sparse, other):
+        assert result.status is LocalStatus.CONVERGED
+        assert result.residual <= 1e-10
+        assert result.cost == pytest.approx(2.0, rel=1e-5)
+    np.testing.assert_allclose(sparse.x, other.x, atol=1e-6)
+    np.testing.assert_allclose(sparse.multipliers, other.multipliers, atol=1e-5)
+
+
+def test_a_program_with_a_shared_variable_is_solved_and_the_choice_reported() -> None:
+    n = 400
+    prog = MathematicalProgram()
+    x, scale = prog.NewContinuousVariables(n, "x"), prog.NewContinuousVariables(1, "scale")
+    prog.AddBoundingBoxConstraint(-2.0, 2.0, x)
+    prog.AddBoundingBoxConstraint(0.5, 2.0, scale)
+    a, b = Variable("a"), Variable("b")
+    stage = ExpressionCost((a**2 - b) ** 2 + 0.2 * a * b)
+    for x_k in x:
+        values = {a.get_id(): x_k, b.get_id(): scale[0]}
+        prog.AddCost(stage, vars=[values[v.get_id()] for v in stage.vars()])
+    result = AigoSolver(AigoOptions(rounds=2)).Solve(prog)
+    details = result.get_solver_details()
+    assert result.is_success()
+    assert details.box_storage.factorization is Factorization.SPARSE
+    assert details.kkt_storage.size == n + 1
+    # All x alike: least (a² − b)² + 0.2 a b on a fine grid.
+    grid_a, grid_b = np.meshgrid(np.linspace(-2, 2, 2001), np.linspace(0.5, 2, 1501))
+    least = n * np.min((grid_a**2 - grid_b) ** 2 + 0.2 * grid_a * grid_b)
+    assert result.get_optimal_cost() <= least + 1e-9 * abs(least)

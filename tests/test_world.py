@@ -30,23 +30,6 @@ from drake_aigto import ModelError, Scenario, World, scenario_names
 from drake_aigto.dynamics import SumMap, tidy
 from drake_aigto.world import models_directory
 
-# What the shipped world is.
-
-
-def test_the_shipped_world_is_a_unit_mass_whose_signed_distance_is_its_position() -> None:
-    world = World.from_scenario(Scenario.named("table1/1"))
-    (q,) = world.positions
-    assert world.mass_matrix.shape == (1, 1)
-    assert world.mass_matrix[0, 0].EqualTo(Expression(1.0))
-    assert world.bias[0].EqualTo(Expression(0.0))
-    np.testing.assert_array_equal(world.actuation, [[1.0]])
-    (contact,) = world.contacts
-    assert contact.name == "ball against wall"
-    assert contact.signed_distance.EqualTo(Expression(q))
-    assert contact.jacobian[0].EqualTo(Expression(1.0))
-    sizes = (world.num_positions, world.num_velocities, world.num_actuators, world.num_contacts)
-    assert sizes == (1, 1, 1, 1)
-
 
 def test_the_worlds_parts_are_read_only() -> None:
     world = World.from_scenario(Scenario.named("table1/1"))
@@ -194,7 +177,7 @@ HALF_SPACES = (
     "Rigid (non-deformable) half spaces are not currently supported for deformable contact; "
     "registration is allowed, but no contact data will be reported."
 )
-NAMES = [*RADIUS, "two_masses"]
+NAMES = [*RADIUS, "two_masses", "table1"]
 
 
 def load(name: str) -> World:
@@ -228,7 +211,7 @@ def unbounded(world: World) -> list[Any]:
     q = world.positions
     if world.plant.HasModelInstanceNamed("two_masses"):
         return [q[0], q[1] - q[0], 1 - q[1]]
-    if world.plant.HasModelInstanceNamed("floor"):
+    if any(map(world.plant.HasModelInstanceNamed, ("floor", "point_mass_and_wall"))):
         return [q[0]]
     return [distance for x in q for distance in (x, 1 - x)]
 
@@ -244,6 +227,8 @@ def test_a_shipped_world_is_what_its_brief_says(name: str) -> None:
     ] * blocks
     for contact, distance in zip(world.contacts, walls, strict=False):
         assert differs_by_zero(contact.signed_distance, distance)
+        for slope, x in zip(contact.jacobian, world.positions, strict=True):
+            assert differs_by_zero(slope, (1.0 * distance).Differentiate(x))
     nq = world.num_positions
     np.testing.assert_array_equal(world.constant_inertia.mass_matrix, np.eye(nq))
     np.testing.assert_array_equal(world.actuation, np.eye(nq))
@@ -293,7 +278,7 @@ def test_clearance_tells_outside_from_inside_as_drake_does(name: str) -> None:
             np.testing.assert_array_equal(got >= 0, drake >= 0)
 
 
-@pytest.mark.parametrize("name", [*NAMES, "table1"])
+@pytest.mark.parametrize("name", NAMES)
 def test_a_shipped_material_is_stiff_elastic_and_frictionless(name: str) -> None:
     world = load(name)
     inspector = world.scene_graph.model_inspector()

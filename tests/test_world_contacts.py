@@ -1,12 +1,19 @@
-"""Several contacts: which faces count, what a solid is, whose mass and restitution it is."""
+"""Several contacts: which faces count, what a solid is, whose mass and restitution it is.
+
+A world is known again by its fingerprint, and no change of its physics goes unnoticed.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from mechanisms import build
 from pydrake.geometry import Box, Cylinder, HalfSpace, ProximityProperties, Sphere
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
@@ -18,10 +25,12 @@ from pydrake.multibody.tree import (
     UnitInertia,
 )
 from pydrake.systems.framework import Diagram, DiagramBuilder
-from world_models import RELATIVE, differs_by_zero
+from world_models import RELATIVE, VARIANTS, ModelWriter, differs_by_zero, make_world
 
 from drake_aigto import ModelError, Scenario, ScenarioError, World
 from drake_aigto.paper import LiteralTranscription
+from drake_aigto.plain import from_plain, to_plain
+from drake_aigto.world import Fingerprint
 
 RADIUS = 0.125
 AXES = {"x": [1, 0, 0], "y": [0, 1, 0], "z": [0, 0, 1], "askew": [0.6, 0.8, 0]}
@@ -72,7 +81,7 @@ def make_diagram(
     return builder.Build()
 
 
-def make_world(axes: Sequence[str], walls: Shapes, start: Any, **fields: Any) -> World:
+def pose_world(axes: Sequence[str], walls: Shapes, start: Any, **fields: Any) -> World:
     return World.from_diagram(make_diagram(axes, walls, start, **fields))
 
 
@@ -91,13 +100,13 @@ def names_of(world: World) -> list[str]:
     ("start", "distance"), [(0.0, lambda q: 0.625 - q), (2.0, lambda q: q - 1.375)]
 )
 def test_a_ball_on_a_line_meets_the_face_that_it_faces(start: float, distance: Any) -> None:
-    world = make_world("x", [BLOCK], start)
+    world = pose_world("x", [BLOCK], start)
     assert names_of(world) == ["ball against block"]
     assert differs_by_zero(world.contacts[0].signed_distance, distance(world.positions[0]))
 
 
 def test_a_ball_on_a_plane_may_meet_every_side_of_a_block_and_never_its_top() -> None:
-    world = make_world("xy", [BLOCK], [0.0, 0.0])
+    world = pose_world("xy", [BLOCK], [0.0, 0.0])
     x, y = world.positions
     expected = {"+x": x - 1.375, "-x": 0.625 - x, "+y": y - 0.5, "-y": -0.5 - y}
     assert names_of(world) == [f"ball against block, {face} face" for face in expected]
@@ -108,7 +117,7 @@ def test_a_ball_on_a_plane_may_meet_every_side_of_a_block_and_never_its_top() ->
 
 
 def test_a_ball_in_space_may_meet_all_six_faces() -> None:
-    assert make_world("xyz", [BLOCK], np.zeros(3)).num_contacts == 6
+    assert pose_world("xyz", [BLOCK], np.zeros(3)).num_contacts == 6
 
 
 @pytest.mark.parametrize("height", [0.625, 0.9])
@@ -117,15 +126,15 @@ def test_a_block_that_the_ball_passes_above_or_slides_on_is_no_contact(
     height: float, axes: str, start: Any
 ) -> None:
     low = ("low", Box(0.4, 0.6, 1.0), [1.0, 0.0, -height])
-    world = make_world(axes, [low, BLOCK], start)
+    world = pose_world(axes, [low, BLOCK], start)
     assert not [name for name in names_of(world) if "low" in name]
     with pytest.raises(ModelError, match="no motion that brings together ball against low"):
-        make_world(axes, [low], start)
+        pose_world(axes, [low], start)
 
 
 def test_half_spaces_are_solids_of_their_own_in_the_order_of_the_model() -> None:
     second = ("deep", HalfSpace(), [0.0, 0.0, -6.0])
-    world = make_world("xz", [GROUND, BLOCK, second], [0.0, 0.0])
+    world = pose_world("xz", [GROUND, BLOCK, second], [0.0, 0.0])
     faces = [f"ball against block, {face} face" for face in ("+x", "-x", "+z", "-z")]
     assert names_of(world) == ["ball against ground", *faces, "ball against deep"]
     assert [contact.solid for contact in world.contacts] == [0, 1, 1, 1, 1, 2]
@@ -138,7 +147,7 @@ def test_half_spaces_are_solids_of_their_own_in_the_order_of_the_model() -> None
 
 
 def test_two_balls_on_a_line_meet_on_the_sides_that_face_each_other() -> None:
-    world = make_world("x", [], [1.0, 0.2], balls=2)
+    world = pose_world("x", [], [1.0, 0.2], balls=2)
     q = world.positions
     assert names_of(world) == ["ball against ball 1"]
     assert differs_by_zero(world.contacts[0].signed_distance, q[0] - q[1] - 2 * RADIUS)
@@ -148,11 +157,11 @@ def test_two_balls_on_a_line_meet_on_the_sides_that_face_each_other() -> None:
 @pytest.mark.parametrize("apart", [0.0, 1e-12])
 def test_two_balls_with_one_centre_are_refused_for_no_side_is_known(apart: float) -> None:
     with pytest.raises(ModelError, match=r"ball against ball 1: got spheres whose centers coinci"):
-        make_world("x", [], [0.3, 0.3 + apart], balls=2)
+        pose_world("x", [], [0.3, 0.3 + apart], balls=2)
 
 
 def test_two_balls_that_leave_their_line_are_round() -> None:
-    world = make_world("xy", [], [0.0, 0.0, 1.0, 0.0], balls=2)
+    world = pose_world("xy", [], [0.0, 0.0, 1.0, 0.0], balls=2)
     R = 2 * RADIUS
     q = np.array([0.1, 0.2, 0.1 + 0.6 * R, 0.2 + 0.8 * R])
     np.testing.assert_allclose(world.calc_signed_distance(q), [0.0], atol=RELATIVE)
@@ -164,7 +173,7 @@ def test_two_balls_that_leave_their_line_are_round() -> None:
 def test_a_shape_that_is_not_supported_is_refused_by_name() -> None:
     post = ("post", Cylinder(0.1, 1.0), [1.0, 0.0, 0.0])
     with pytest.raises(ModelError, match=r"contact of .*got Sphere against Cylinder, expected"):
-        make_world("x", [post], 0.0)
+        pose_world("x", [post], 0.0)
 
 
 def test_the_shapes_of_a_body_that_has_several_are_told_apart() -> None:
@@ -205,7 +214,7 @@ def test_the_shapes_of_a_body_that_has_several_are_told_apart() -> None:
 def test_a_start_or_goal_inside_or_against_a_solid_is_refused(
     field: str, place: list[float], message: str
 ) -> None:
-    world = make_world("xz", [BLOCK, GROUND], [0.0, 0.0])
+    world = pose_world("xz", [BLOCK, GROUND], [0.0, 0.0])
     ends: dict[str, Any] = {"initial_position": [0.0, 0.0], "goal_position": [2.0, 0.9]}
     # Past a corner, so beside every face.
     world.check(Scenario(**ends, initial_velocity=[0.0, 0.0]))
@@ -221,14 +230,14 @@ def test_restitution_is_the_models_own_where_it_has_one() -> None:
         initial_position=0.0, initial_velocity=0.0, goal_position=0.0, restitution=0.9
     )
     walls = [BLOCK, ("other", Box(1.0, 1.0, 1.0), [-3.0, 0.0, 0.0])]
-    assert make_world("x", walls, 0.0).restitutions(scenario).tolist() == [0.9, 0.9]
-    assert make_world("x", walls, 0.0, restitution=0.5).restitutions(scenario).tolist() == [0.5] * 2
+    assert pose_world("x", walls, 0.0).restitutions(scenario).tolist() == [0.9, 0.9]
+    assert pose_world("x", walls, 0.0, restitution=0.5).restitutions(scenario).tolist() == [0.5] * 2
 
 
 @pytest.mark.parametrize("value", [1.5, -0.1, float("nan"), "bouncy"])
 def test_a_restitution_out_of_range_is_refused_by_the_shapes_name(value: object) -> None:
     with pytest.raises(ModelError, match=r"restitution of collision shape '.*block': got .*0 to 1"):
-        make_world("x", [BLOCK], 0.0, restitution=value)
+        pose_world("x", [BLOCK], 0.0, restitution=value)
 
 
 def test_the_mass_of_several_bodies_with_spheres_is_refused_by_name() -> None:
@@ -289,3 +298,68 @@ def test_the_literal_transcription_refuses_several_contacts_by_name() -> None:
     message = "is for one contact: got ball against left_wall, ball against right_wall, expected"
     with pytest.raises(ModelError, match=f"the literal transcription {message}"):
         LiteralTranscription(World.from_scenario(scenario), scenario)
+
+
+# A half space is in front of the ball where the box was: the same equations.
+OTHERS = sorted(VARIANTS.keys() - {"as shipped", "half space"})
+
+
+@pytest.fixture
+def write_model(tmp_path: Path) -> ModelWriter:
+    return ModelWriter(tmp_path)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_changed_model_has_another_fingerprint(write_model: ModelWriter, name: str) -> None:
+    shipped, changed = (make_world(write_model, each).fingerprint for each in ("as shipped", name))
+    again = make_world(write_model, name)
+    changed.check(again.fingerprint, "")
+    with pytest.raises(ModelError, match=r"the world has changed: got .*, expected .*Look\."):
+        shipped.check(again.fingerprint, "Look.")
+
+
+def test_a_fingerprint_survives_json_and_rounding(write_model: ModelWriter) -> None:
+    world = make_world(write_model, "slope")
+    read = from_plain(Fingerprint, json.loads(json.dumps(to_plain(world.fingerprint))))
+    assert read == world.fingerprint
+    rounded = dataclasses.replace(
+        read, accelerations=tuple(tuple(row) for row in np.array(read.accelerations) * (1 + 1e-13))
+    )
+    rounded.check(world.fingerprint, "")
+
+
+def test_mass_walls_and_restitutions_count() -> None:
+    scenario = Scenario.named("room/bank_shot")
+    world = World.from_scenario(scenario)
+    heavier = World.from_scenario(dataclasses.replace(scenario, mass=1.001))
+    for other, what in ((heavier, "accelerations"), (world.with_wall_moved(3, 1e-7), "distances")):
+        with pytest.raises(ModelError, match=f"got {what}"):
+            world.fingerprint.check(other.fingerprint, "")
+    softer = dataclasses.replace(world.fingerprint, restitutions=(None, None, None, 0.5))
+    with pytest.raises(ModelError, match="got restitutions"):
+        softer.check(world.fingerprint, "")
+
+
+def test_stiffness_dissipation_and_limits_count_unless_a_file_tells_none() -> None:
+    soft, other, free = (
+        build(f"cart_pole{kind}").fingerprint for kind in ("_soft_06", "_rigid_06", "")
+    )
+    rigid = dataclasses.replace(other, coordinates=soft.coordinates, actuators=soft.actuators)
+    with pytest.raises(
+        ModelError, match=r"got materials \(\(2000000000\.0, 2000000000\.0, 0\.0, 0\.0"
+    ):
+        soft.check(rigid, "")
+    unlimited = dataclasses.replace(free, limits=((-np.inf,) * 5, (np.inf,) * 5))
+    with pytest.raises(ModelError, match="got limits"):
+        free.check(unlimited, "")
+    plain = to_plain(soft)
+    del plain["materials"], plain["limits"]
+    from_plain(Fingerprint, plain).check(rigid, "")
+
+
+def test_a_world_knows_the_model_that_it_was_built_from(write_model: ModelWriter) -> None:
+    world = make_world(write_model, "as shipped")
+    assert world.model == str(write_model.path) == world.fingerprint.model
+    own = World.from_diagram(world.diagram)
+    assert own.model is None
+    world.fingerprint.check(own.fingerprint, "")
