@@ -7,9 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 from phase_solutions import MET, bouncing, solve, two_joints
-from replay_worlds import make_diagram, make_scenario, shipped_world
+from replay_worlds import make_diagram, make_scenario, make_task, shipped, shipped_world
 from rigid_worlds import Array
-from several_walls import make_task, shipped
 
 from drake_aigto import ModelError, Scenario, UnsupportedTermError, World
 from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp

@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 from refusals import check_refused
-from robustness_studies import make_result
-from scenario_studies import TOYS, Inline
+from scenario_studies import TOYS, Inline, make_result
 
 from benchmarks import __main__ as command
 from benchmarks.__main__ import main

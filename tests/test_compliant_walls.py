@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from several_walls import hold_still, make_line, make_task, make_wedge, shipped
+from replay_worlds import hold_still, make_line, make_task, make_wedge, shipped
 
 from drake_aigto.contact import contact_delay, contact_delays
 from drake_aigto.simulation import (

@@ -14,8 +14,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from replay_worlds import hold, make_diagram, make_scenario, shipped_world
-from several_walls import hold_still, shipped
+from replay_worlds import hold, hold_still, make_diagram, make_scenario, shipped, shipped_world
 
 from drake_aigto import ModelError, Scenario, World
 from drake_aigto.contact import RigidLaw, Walls, support

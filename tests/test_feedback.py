@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from phase_solutions import optimise
-from replay_worlds import make_diagram, make_scenario, shipped_world
-from several_walls import make_task, shipped
+from replay_worlds import make_diagram, make_scenario, make_task, shipped, shipped_world
 
 import drake_aigto.control
 from drake_aigto import Scenario, TrajectoryError, World

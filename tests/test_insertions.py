@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from several_walls import make_task, shipped
+from replay_worlds import make_task, shipped
 
 from benchmarks.optima import masses_optimum
 from benchmarks.worlds import WORLDS

@@ -17,10 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from replay_worlds import make_scenario, shipped_world
-from robustness_studies import QUESTION, make_result
-from scenario_studies import Inline
-from several_walls import make_task, shipped
+from replay_worlds import make_scenario, make_task, shipped, shipped_world
+from scenario_studies import QUESTION, Inline, make_result
 
 from benchmarks.robustness import study as robustness
 from benchmarks.robustness.page import ROBUSTNESS, format_robustness, plot_robustness

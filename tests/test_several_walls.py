@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from several_walls import hold_still, make_line, make_task, make_wedge, shipped
+from replay_worlds import hold_still, make_line, make_task, make_wedge, shipped
 
 from drake_aigto.simulation import Replay, replay_event_driven
 from drake_aigto.world import World

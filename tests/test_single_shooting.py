@@ -11,9 +11,8 @@ import pytest
 from box_programs import compile_program
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from replay_worlds import make_scenario, shipped_world
+from replay_worlds import make_scenario, make_task, shipped, shipped_world
 from rigid_worlds import AXIS, write_model
-from several_walls import make_task, shipped
 
 from benchmarks.equal_widths import EqualWidths
 from drake_aigto import ModelError, OptionsError, Scenario, UnsupportedTermError, World

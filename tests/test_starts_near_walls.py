@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from several_walls import make_wedge
+from replay_worlds import make_wedge
 
 from benchmarks.optima import walls_optimum
 from drake_aigto import (

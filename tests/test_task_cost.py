@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 from mechanisms import build
 from refusals import check_refused
-from replay_worlds import make_scenario, shipped_world
-from several_walls import make_task, shipped
+from replay_worlds import make_scenario, make_task, shipped, shipped_world
 
 from benchmarks.baselines import BASELINES, run_baseline
 from benchmarks.optima import block_optimum, masses_optimum, walls_optimum

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from replay_worlds import make_diagram, shipped_world
-from several_walls import make_wedge
+from replay_worlds import make_diagram, make_wedge, shipped_world
 from table1_plans import COARSE, UNCONFIRMED, bounce_plan, table1
 
 from drake_aigto import Scenario, World, plan

@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from box_programs import compile_program, mean_by_block
-from replay_worlds import make_scenario, shipped_world
+from replay_worlds import make_scenario, make_task, shipped, shipped_world
 from rigid_worlds import NAMES, make_motion, physics_of
-from several_walls import make_task, shipped
 
 from benchmarks.ablations.ablations import Variant, VariantProblem
 from drake_aigto import OptionsError, Scenario
