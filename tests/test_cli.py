@@ -16,6 +16,7 @@ from refusals import check_refused
 from drake_aigto.cli import BAD_INPUT, FINE, NOTHING_HOLDS, UNREAD, main
 from drake_aigto.paper import LiteralOptions
 from drake_aigto.planning import (
+    BALL_LADDER,
     Plan,
     Planner,
     PlanningError,
@@ -134,13 +135,18 @@ def test_plan_options_are_flags(
     monkeypatch.setattr(Planner, "plan", remember)
     monkeypatch.setattr("drake_aigto.cli.plan.plan_literal", remember_literal)
     main(["plan", *FLIGHT])
-    assert seen.pop() == PlanOptions()
+    assert seen.pop() == PlanOptions(ladder=BALL_LADDER)
     both = ["--finalists", "3", "--threads", "2", "--local-solver", "snopt", "--no-confirm"]
     of_both: dict[str, Any] = {"finalists": 3, "threads": 2, "local_solver": "snopt"}
     rigid = ["--relaxation", "0.5", "--aigo-steps", "7", "--exhaustive"]
     main(["plan", *FLIGHT, *both, *rigid])
     assert seen.pop() == PlanOptions(
-        relaxation=0.5, aigo_steps=7, exhaustive=True, confirm=False, **of_both
+        ladder=BALL_LADDER,
+        relaxation=0.5,
+        aigo_steps=7,
+        exhaustive=True,
+        confirm=False,
+        **of_both,
     )
     literal = ["--algorithm", "full gradient", "--no-nonpenetration"]
     main(["plan", *FLIGHT, "--transcription", "literal", *both, *literal])

@@ -36,6 +36,7 @@ from drake_aigto import (
 from drake_aigto.cli import FINE, INTERRUPTED, NOTHING_HOLDS, main
 from drake_aigto.errors import StudyError
 from drake_aigto.jobs import Answer, ProcessDiedError, load_answers, open_jobs
+from drake_aigto.planning import BALL_LADDER
 
 QUESTIONS = {
     name: dataclasses.replace(Scenario.named(name), time_step=0.02)
@@ -83,7 +84,7 @@ def test_answers_are_the_plans_of_each_question_alone() -> None:
 def test_by_default_each_plan_takes_one_thread() -> None:
     (answer,) = plan_many([QUESTIONS["table1/2"]])
     assert answer.plan is not None
-    assert answer.plan.options == PlanOptions(threads=1)
+    assert answer.plan.options == PlanOptions(threads=1, ladder=BALL_LADDER)
 
 
 def test_what_is_kept_is_gone_on_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -67,12 +67,8 @@ class Planner:
         self.world = world or World.from_scenario(scenario)
         self.world.check(scenario)
         _check_friction(self.world, scenario)
-        self.options = options or PlanOptions()
         self.is_of_balls = not needs_shooting(self.world, scenario)
-        if self.is_of_balls:
-            self.options.check_for_balls()
-        else:
-            self.options.check_for_mechanisms()
+        self.options = self._check_options(options or PlanOptions())
         if self.options.confirm and scenario.contact == "rigid" and self.world.contacts:
             contact_delay(self.world)  # A wall without stiffness is refused before long work.
         self._build_clock = Stopwatch()
@@ -82,6 +78,14 @@ class Planner:
                 if self.is_of_balls
                 else MotionProgram(self.world, scenario)
             )
+
+    def _check_options(self, options: PlanOptions) -> PlanOptions:
+        """Returns options that all count here, with their ladder, as plans keep them."""
+        if self.is_of_balls:
+            options.check_for_balls()
+            return dataclasses.replace(options, ladder=options.ball_ladder)
+        options.check_for_mechanisms()
+        return dataclasses.replace(options, ladder=options.mechanism_ladder)
 
     @property
     def transcription(self) -> OpenProgram:
