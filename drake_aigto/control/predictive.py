@@ -27,7 +27,7 @@ _NOTHING = 1e-3
 
 @dataclass(frozen=True)
 class TickStatus:
-    """What happened at a tick.
+    """Report of a tick.
 
     Attributes:
         time: of the tick [s].
@@ -37,7 +37,7 @@ class TickStatus:
         seconds: of wall time that the tick took.
         has_switched: whether another contact sequence was taken.
         restitution: e of rigid walls, as the scenario has it or as bounces have shown it; None
-            where walls yield.
+            where they are compliant.
         nearer: by how much nearer the wall of each contact was found to stand than the model has
             it, shape (m,) [m]; empty: nothing was found.
     """
@@ -60,7 +60,7 @@ class _Pending(NamedTuple):
 
 
 class _Choice(NamedTuple):
-    """What a tick decides."""
+    """Decision of a tick."""
 
     motion: PlannedMotion
     reason: str
@@ -68,32 +68,41 @@ class _Choice(NamedTuple):
     pending: _Pending | None = None
 
 
-class _Told(NamedTuple):
-    """The last state that could be planned from."""
-
-    time: float
-    x: Floats
-
-
 class _Question(NamedTuple):
-    """What a tick asks."""
+    """The state that a tick plans from."""
 
     now: float
     x: Floats
     seen: SeenBounces
     horizon: Horizon  # that knows what was seen
 
+    def find_obstacle(self) -> str | None:
+        """Returns why nothing can be planned from here; None: something can."""
+        if not np.all(np.isfinite(self.x)):
+            return "the estimated state is not finite"
+        if self.horizon.is_over(self.now):
+            return "the horizon ends"
+        return "a wall is touched" if self.horizon.is_inside(self.x) else None
+
 
 @dataclass(frozen=True, eq=False)
 class _Moment:
-    """What a tick leaves to the next; contexts share it, as nobody changes it."""
+    """Memory from one tick to the next; contexts share it, as it never changes.
+
+    Attributes:
+        choice: what the tick decided.
+        control: that is held since.
+        status: what the output port says.
+        tick: how many there were before.
+        usable: the last question from which something could be planned.
+        seen: what is known of walls.
+    """
 
     choice: _Choice
     control: Floats
-    time: float
-    seconds: float
+    status: TickStatus
     tick: int
-    told: _Told
+    usable: _Question
     seen: SeenBounces
 
     def __deepcopy__(self, memo: object) -> _Moment:
@@ -102,7 +111,7 @@ class _Moment:
 
 
 class ModelPredictiveController(LeafSystem):
-    """Plans from the state that it is told, every period, and holds the plan's control between.
+    """Plans from the estimated state, every period, and holds the plan's control between.
 
         controller = builder.AddSystem(ModelPredictiveController(Planner(scenario), period=0.01))
         builder.Connect(plant.get_state_output_port(), controller.get_input_port(0))
@@ -115,14 +124,15 @@ class ModelPredictiveController(LeafSystem):
     taken if it costs less by a margin. Work is bounded by counts: runs are the same again, also
     where searches have a thread of their own.
 
-    Where joints or walls that yield rub, ticks begin with what the last plan's controls lead to, in
-    steps that resolve friction; what is only touched for a while may take 15 iterations a tick.
+    With friction in joints or at compliant walls, ticks begin with the motion that the last plan's
+    controls lead to, in steps that resolve friction; sustained contact may take 15 iterations a
+    tick.
 
     Of what differs from a model, rigid walls mislead plans of balls most: where they stand, and
     what they return. Both are learned from bounces that are seen between one tick and the next; and
     a wall that a ball is well inside of stands farther away. Mechanisms learn nothing of walls.
 
-    A state that is not finite, one inside of a rigid wall that no mechanism lies at, or one from
+    A state that is not finite, one inside of a rigid wall where no contact lasts, or one from
     which no motion is found, leaves the last plan as it is, and its control goes on. So it does at
     the end of a horizon that shrinks. No NaN leaves a port.
 
@@ -163,8 +173,8 @@ class ModelPredictiveController(LeafSystem):
                 before there is a search; infinite: any.
             search_ticks: after how many ticks a search is done that runs in a thread beside warm
                 ones: begun at tick k, from where the plan is going to be at tick k + search_ticks,
-                it is waited for there, and what it found is led from there to the state that is
-                told. None: searches end in their tick.
+                it is waited for there, and what it found is led from there to the estimated
+                state. None: searches end in their tick.
             learns: whether what rigid walls return, and where they stand, is learned
                 (`SeenBounces`); the scenario and the model are what is thought of it before.
 
@@ -196,10 +206,10 @@ class ModelPredictiveController(LeafSystem):
             self._searching = Horizon(planner, horizon == "receding", iterations, self.period)
             self._thread = ThreadPoolExecutor(1, "search")
         n, nu = self._world.num_positions, self._world.num_actuators
-        rest = self._horizon.rest(0.0, np.zeros(2 * n))
-        none = _Moment(
-            _Choice(rest, ""), np.zeros(nu), 0.0, 0.0, 0, _Told(0.0, np.zeros(2 * n)), SeenBounces()
-        )
+        nowhere = _Question(0.0, np.zeros(2 * n), SeenBounces(), self._horizon)
+        rest = _Choice(self._horizon.rest(0.0, nowhere.x), "")
+        status = TickStatus(0.0, np.inf, (), "", 0.0, restitution=self._horizon.restitution)
+        none = _Moment(rest, np.zeros(nu), status, 0, nowhere, nowhere.seen)
         self._estimate = self.DeclareVectorInputPort("estimated_state", 2 * n)
         self._moment = self.DeclareAbstractState(AbstractValue.Make(none))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._start)
@@ -214,7 +224,7 @@ class ModelPredictiveController(LeafSystem):
         )
         self.DeclareAbstractOutputPort(
             "status",
-            lambda: AbstractValue.Make(TickStatus(0.0, np.inf, (), "", 0.0)),
+            lambda: AbstractValue.Make(status),
             self._write_status,
             held,
         )
@@ -238,52 +248,59 @@ class ModelPredictiveController(LeafSystem):
                 remedy="Start a little off the wall, or track a plan: TrackingController.",
             )
         now, begin = context.get_time(), time.perf_counter()
-        choice = self._choose_first(now, x)
-        seconds = time.perf_counter() - begin
-        control = choice.motion.calc_control(now)
-        moment = _Moment(choice, control, now, seconds, 0, _Told(now, np.array(x)), SeenBounces())
-        return self._keep(state, moment)
-
-    def _choose_first(self, now: float, x: Floats) -> _Choice:
+        question = _Question(now, np.array(x), SeenBounces(), self._horizon)
         if found := self._horizon.search(now, x):
-            return _Choice(found, "the first search")
-        rest = self._horizon.rest(now, x)
-        motion = self._horizon.advance(rest, now, x) or rest
-        return _Choice(motion, "a search found nothing; a descent from rest")
+            choice = _Choice(found, "the first search")
+        else:
+            rest = self._horizon.rest(now, x)
+            motion = self._horizon.advance(rest, now, x) or rest
+            choice = _Choice(motion, "a search found nothing; a descent from rest")
+        return self._keep(state, choice, question, begin, 0, question)
 
     def _tick(self, context: Context, state: State) -> EventStatus:
         """Improves the plan, or takes another one."""
         x, now, begin = self._estimate.Eval(context), context.get_time(), time.perf_counter()
         before = self._read(context)
-        seen = self._watch(before, now, x)
-        question = _Question(now, x, seen, self._horizon.knowing(seen))
-        told = _Told(now, np.array(x)) if _is_usable(question) else before.told
-        choice = self._choose(before, question)
-        control, seconds = choice.motion.calc_control(now), time.perf_counter() - begin
-        moment = _Moment(choice, control, now, seconds, before.tick + 1, told, seen)
-        return self._keep(state, moment)
+        seen, last = before.seen, before.usable
+        if self._learns and np.all(np.isfinite(x)):
+            seen = self._horizon.watch(seen, (last.x, x), now - last.now, before.control)
+        question = _Question(now, np.array(x), seen, self._horizon.knowing(seen))
+        obstacle = question.find_obstacle()
+        choice = self._choose(before, question, obstacle)
+        usable = last if obstacle else question
+        return self._keep(state, choice, question, begin, before.tick + 1, usable)
 
-    def _watch(self, before: _Moment, now: float, x: Floats) -> SeenBounces:
-        """Returns what is seen of walls by now."""
-        if not (self._learns and np.all(np.isfinite(x))):
-            return before.seen
-        elapsed = now - before.told.time
-        return self._horizon.watch(before.seen, (before.told.x, x), elapsed, before.control)
+    def _keep(
+        self,
+        state: State,
+        choice: _Choice,
+        question: _Question,
+        begin: float,
+        tick: int,
+        usable: _Question,
+    ) -> EventStatus:
+        """Remembers what a tick decided, and what it says of that."""
+        motion, control = choice.motion, choice.motion.calc_control(question.now)
+        status = TickStatus(
+            time=question.now,
+            cost=motion.cost,
+            touches=tuple(touch.contact for touch in motion.touches),
+            reason=choice.reason,
+            seconds=time.perf_counter() - begin,
+            has_switched=choice.has_switched,
+            restitution=question.horizon.restitution,
+            nearer=question.seen.nearer,
+        )
+        moment = _Moment(choice, control, status, tick, usable, question.seen)
+        state.get_mutable_abstract_state(int(self._moment)).set_value(moment)
+        return EventStatus.Succeeded()
 
-    def _choose(self, before: _Moment, question: _Question) -> _Choice:
+    def _choose(self, before: _Moment, question: _Question, obstacle: str | None) -> _Choice:
         """Returns the plan from now on, and why it is that."""
         last, pending = before.choice.motion, before.choice.pending
         now, x, _, horizon = question
-
-        def go_on(reason: str) -> _Choice:
-            return _Choice(last, f"{reason}: the last plan goes on", pending=pending)
-
-        if not np.all(np.isfinite(x)):
-            return go_on("the estimated state is not finite")
-        if horizon.is_over(now):
-            return go_on("the horizon ends")
-        if horizon.is_inside(x):
-            return go_on("a wall is touched")
+        if obstacle:
+            return _Choice(last, f"{obstacle}: the last plan goes on", pending=pending)
         motion = horizon.advance(last, now, x)
         cost = motion.cost if motion else np.inf
         has_searched, found, pending = self._find_other(before, question, motion)
@@ -291,7 +308,7 @@ class ModelPredictiveController(LeafSystem):
             reason = f"switched: {found.cost:.4g} in place of {cost:.4g}"
             return _Choice(found, reason, has_switched=True, pending=pending)
         if motion is None:
-            return go_on("no motion was found")
+            return _Choice(last, "no motion was found: the last plan goes on", pending=pending)
         reason = "warm; a search found nothing better" if has_searched else "warm"
         return _Choice(motion, reason, pending=pending)
 
@@ -325,10 +342,6 @@ class ModelPredictiveController(LeafSystem):
             return np.inf
         return self._surprise * cost + _NOTHING * self._horizon.cost_scale
 
-    def _keep(self, state: State, moment: _Moment) -> EventStatus:
-        state.get_mutable_abstract_state(int(self._moment)).set_value(moment)
-        return EventStatus.Succeeded()
-
     def _write_control(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._read(context).control)
 
@@ -336,21 +349,4 @@ class ModelPredictiveController(LeafSystem):
         output.set_value(self.read_plan(context).to_piecewise()[0])
 
     def _write_status(self, context: Context, output: AbstractValue) -> None:
-        moment = self._read(context)
-        motion, reason, has_switched, _ = moment.choice
-        status = TickStatus(
-            time=moment.time,
-            cost=motion.cost,
-            touches=tuple(touch.contact for touch in motion.touches),
-            reason=reason,
-            seconds=moment.seconds,
-            has_switched=has_switched,
-            restitution=self._horizon.knowing(moment.seen).restitution,
-            nearer=moment.seen.nearer,
-        )
-        output.set_value(status)
-
-
-def _is_usable(question: _Question) -> bool:
-    """Returns whether a state can be planned from."""
-    return bool(np.all(np.isfinite(question.x))) and not question.horizon.is_inside(question.x)
+        output.set_value(self._read(context).status)
