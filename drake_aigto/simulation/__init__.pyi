@@ -4,8 +4,8 @@ from .contacts import max_penetration as max_penetration
 from .drake_judge import ContactTrace as ContactTrace
 from .drake_judge import StepEnd as StepEnd
 from .drake_judge import read_steps as read_steps
+from .event_driven import Parabolas as Parabolas
 from .lateness import calc_compliance_error as calc_compliance_error
-from .parabolas import Parabolas as Parabolas
 from .recording import Controller as Controller
 from .recording import Held as Held
 from .recording import HeldControl as HeldControl

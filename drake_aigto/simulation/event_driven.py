@@ -1,14 +1,155 @@
-"""Our own judge: exact laws of contact, by the quickest of four simulations that can."""
+"""Our own judge, of exact laws of contact; and rigid walls where flight is a parabola."""
 
 from __future__ import annotations
 
-from drake_aigto.arrays import Floats
-from drake_aigto.contact import CompliantLaw, contact_law
-from drake_aigto.simulation.parabolas import Flights, Parabolas
-from drake_aigto.simulation.recording import Controller, HeldControl, Recording
+import numpy as np
+
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.contact import CompliantLaw, RigidLaw, Walls, calc_depth, contact_law
+from drake_aigto.dynamics import ConstantDynamics
+from drake_aigto.kernels import kernel
+from drake_aigto.simulation.flights import (
+    STATE,
+    TIME,
+    HybridState,
+    Rules,
+    advance,
+    calc_curves,
+    fly,
+    make_log,
+    may_touch,
+    run,
+)
+from drake_aigto.simulation.recording import Controller, HeldControl, Recording, list_impacts
 from drake_aigto.simulation.rigid import RigidMotion, SlidingMotion
+from drake_aigto.simulation.smooth import HybridMotion
 from drake_aigto.simulation.springs import SpringMotion
 from drake_aigto.world import Scenario, World
+
+# Of the first log; what has more impacts runs a second time.
+_USUAL_IMPACTS = 64
+
+
+class Parabolas:
+    """Rolls out held controls by roots alone, without integration.
+
+    Equations are those of `RigidMotion`. If the bias h is constant, v̇ = M⁻¹ (B u − h) is so between
+    events under a held control, and
+
+        φ(t) = φ + φ̇ t + ½ φ̈ t²
+
+    Each event of an interval is the root of such a parabola (`flights.run`): nothing is missed, and
+    what is found is exact but for rounding.
+    """
+
+    def __init__(
+        self,
+        dynamics: ConstantDynamics,
+        restitutions: Floats,
+        state: tuple[Floats, Floats],
+        times: Floats,
+    ) -> None:
+        """Reads what is constant.
+
+        Args:
+            dynamics: with the contacts.
+            restitutions: e of each contact, in [0, 1], shape (m,).
+            state: the start, (q, v).
+            times: of the knots, shape (N+1,) [s].
+        """
+        self._dynamics = dynamics
+        self._walls = Walls.of(dynamics)
+        self._rules = Rules(restitutions, float(times[-1] - times[0]))
+        # A copy: Numba compiles once more for arrays that are read-only.
+        self._times = np.array(times)
+        self._start = start_phase(state, len(dynamics.offset))
+
+    def record(self, controls: Floats) -> Recording:
+        """Returns the states at all knots, and before and after each impact.
+
+        Controls are held between the knots, shape (N, nu).
+        """
+        knots, n = self._times.size, len(self._start.q)
+        states, impacts_until = np.empty((knots, 2, n)), np.zeros(knots, dtype=np.int64)
+        log = make_log(_USUAL_IMPACTS, n)
+        moments = self._times, self._calc_accelerations(controls), states, impacts_until
+        while True:
+            count = roll_out(self._walls, self._rules, copy_phase(self._start), *moments, log)
+            if count <= len(log):
+                break
+            log = make_log(count, n)
+        log = log[:count]
+        # Two rows for each impact between those of knots.
+        at_knots = np.arange(knots) + 2 * impacts_until
+        times, rows = np.empty(knots + 2 * count), np.empty((knots + 2 * count, 2, n))
+        times[at_knots], rows[at_knots] = self._times, states
+        is_impact = np.ones(times.size, dtype=bool)
+        is_impact[at_knots] = False
+        at_impacts = np.flatnonzero(is_impact)
+        q, *velocities = log[:, STATE:].reshape(-1, 3, n).transpose(1, 0, 2)
+        for part, v in enumerate(velocities):
+            rows[at_impacts[part::2], 0], rows[at_impacts[part::2], 1] = q, v
+            times[at_impacts[part::2]] = log[:, TIME]
+        return Recording(
+            times=times,
+            positions=rows[:, 0],
+            velocities=rows[:, 1],
+            control_times=self._times[:-1],
+            controls=controls,
+            impacts=list_impacts(log, self._dynamics.mass_matrix),
+            max_penetration=calc_depth(self._walls, rows[:, 0]),
+        )
+
+    def _calc_accelerations(self, controls: Floats) -> Floats:
+        """Returns v̇ without contact, shape (…, nv) [m/s²]."""
+        return controls @ self._dynamics.gain.T + self._dynamics.drift
+
+    def find_ends(self, controls: Floats, times: Floats | None = None) -> Floats:
+        """Returns the positions that many controls (C, N, nu) lead to, shape (C, nq) [m].
+
+        Each may have times of its own, shape (C, N+1), from 0 to T [s].
+        """
+        times = np.broadcast_to(
+            self._times if times is None else times, (len(controls), self._times.size)
+        )
+        accelerations = self._calc_accelerations(controls)
+        ends = np.empty((len(controls), len(self._start.q)))
+        log = make_log(0, ends.shape[1])
+        # A copy, for read-only arrays would be compiled for once more.
+        knots = np.array(times, order="C")
+        roll_out_many(self._walls, self._rules, self._start, knots, accelerations, ends, log)
+        return ends
+
+
+class Flights(HybridMotion):
+    """The same under a controller of an open or a closed loop."""
+
+    def __init__(
+        self, world: World, law: RigidLaw, state: tuple[Floats, Floats], span: tuple[float, float]
+    ) -> None:
+        """Starts at rest on nothing; arguments are those of `RigidMotion`."""
+        super().__init__(world, state, span[0])
+        self._dynamics = world.constant_dynamics
+        self._walls = Walls.of(self._dynamics)
+        self._rules = Rules(law.restitution, span[1] - span[0])
+        self._phase = start_phase(state, world.num_contacts)
+        self._log = make_log(_USUAL_IMPACTS, world.num_positions)
+
+    def _advance(self, control: Floats, until: float, feels_contact: bool) -> None:
+        acceleration = self._dynamics.gain @ control + self._dynamics.drift
+        moment = acceleration, until, until - self.time, feels_contact
+        while True:
+            phase = copy_phase(self._phase)
+            count = advance(self._walls, self._rules, phase, *moment, self._log)
+            if count <= len(self._log):
+                break
+            self._log = make_log(count, len(phase.q))
+        self._phase, self.x = phase, np.concatenate([phase.q, phase.v])
+        self.time = float(self._log[0, TIME]) if feels_contact and count else until
+        self.recording.add_impacts(self._log[:count], self._dynamics.mass_matrix)
+
+    def _find_depth(self) -> float:
+        return calc_depth(self._walls, self.recording.positions)
 
 
 class EventDriven:
@@ -49,3 +190,74 @@ class EventDriven:
             recording = kind(world, law, start, span).run(controller)
         recording.simulator = "event-driven"
         return recording
+
+
+def start_phase(state: tuple[Floats, Floats], num_contacts: int) -> HybridState:
+    """Returns a state (q, v) at rest on nothing."""
+    q, v = np.array(state)
+    return HybridState(q, v, np.zeros(num_contacts, dtype=bool), np.zeros(num_contacts))
+
+
+def copy_phase(phase: HybridState) -> HybridState:
+    """Returns a copy, as compiled code changes phases in place."""
+    q, v, resting, counts = phase
+    return HybridState(q.copy(), v.copy(), resting.copy(), counts.copy())
+
+
+@kernel
+def roll_out(
+    walls: Walls,
+    rules: Rules,
+    phase: HybridState,
+    times: Floats,
+    accelerations: Floats,
+    states: Floats,
+    impacts_until: Ints,
+    log: Floats,
+) -> int:
+    """Write the motion from a phase, under the acceleration of each interval (N, nv).
+
+    States become (q, v) at each knot, shape (N+1, 2, nq), and `impacts_until` how many impacts
+    there were by then, shape (N+1,). Other arguments are those of `flights.run`; a log that is too
+    short has the first impacts.
+
+    Returns:
+        How many impacts there were.
+    """
+    q, v, resting, _ = phase
+    curves = np.empty((resting.size, 3))
+    impacts_until[0] = 0
+    for k in range(times.size):
+        if k > 0:
+            acceleration, left = accelerations[k - 1], times[k] - times[k - 1]
+            logged = impacts_until[k - 1]
+            calc_curves(walls, q, v, acceleration, curves)
+            if may_touch(walls.firsts, resting, curves, left):
+                logged = run(walls, rules, phase, acceleration, times[k], left, False, log, logged)
+            else:
+                fly(q, v, acceleration, left)
+            impacts_until[k] = logged
+        for i in range(q.size):
+            states[k, 0, i], states[k, 1, i] = q[i], v[i]
+    return impacts_until[-1]
+
+
+@kernel
+def roll_out_many(
+    walls: Walls,
+    rules: Rules,
+    start: HybridState,
+    times: Floats,
+    accelerations: Floats,
+    ends: Floats,
+    log: Floats,
+) -> None:
+    """Write the last position of each of C motions from a start, shape (C, nq), as `roll_out`."""
+    states = np.empty((times.shape[1], 2, start.q.size))
+    impacts_until = np.empty(times.shape[1], np.int64)
+    for c in range(len(ends)):
+        phase = HybridState(
+            start.q.copy(), start.v.copy(), start.resting.copy(), start.counts.copy()
+        )
+        roll_out(walls, rules, phase, times[c], accelerations[c], states, impacts_until, log)
+        ends[c] = phase.q

@@ -63,27 +63,22 @@ class Limits:
             up = np.ceil(np.maximum(0.0, lower - goal) / _TURN)
             down = np.ceil(np.maximum(0.0, goal - upper) / _TURN)
             goal = goal + _TURN * np.where(is_hinge, np.where(up > 0, up, -down), 0.0)
-        self.check_within("initial_position", self.position, scenario.initial_position)
-        self.check_within("initial_velocity", self.velocity, scenario.initial_velocity)
-        self.check_within("goal_position", self.position, goal)
+        asked = {
+            "initial_position": (scenario.initial_position, self.position),
+            "initial_velocity": (scenario.initial_velocity, self.velocity),
+            "goal_position": (goal, self.position),
+        }
         if scenario.goal_velocity is not None:
-            self.check_within("goal_velocity", self.velocity, scenario.goal_velocity)
-
-    @staticmethod
-    def check_within(name: str, bounds: Floats, value: Floats) -> None:
-        """Refuses positions or velocities of this name that are out of their bounds.
-
-        Raises:
-            ScenarioError: one is; says which.
-        """
-        for i, (number, lower, upper) in enumerate(zip(value, *bounds, strict=True)):
-            if not lower <= number <= upper:
-                raise ScenarioError(
-                    f"{name}[{i}]",
-                    got=f"{number:g}",
-                    expected=f"from {lower:g} to {upper:g}, by its joint's limits and the "
-                    "scenario's bounds",
-                )
+            asked["goal_velocity"] = scenario.goal_velocity, self.velocity
+        for name, (value, bounds) in asked.items():
+            for i, (number, lower, upper) in enumerate(zip(value, *bounds, strict=True)):
+                if not lower <= number <= upper:
+                    raise ScenarioError(
+                        f"{name}[{i}]",
+                        got=f"{number:g}",
+                        expected=f"from {lower:g} to {upper:g}, by its joint's limits and the "
+                        "scenario's bounds",
+                    )
 
     @cached_property
     def are_any(self) -> bool:
