@@ -1,4 +1,4 @@
-"""Candidates: where they came from, what they promise, and what simulations say of them."""
+"""Candidates: their origins, promised costs, and replays in simulation."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _WORDS: dict[ChangeName, str] = {
     "left out": "left out at first",
 }
 
-# The proposers of doing nothing, and of the contacts that this has.
+# The proposers of the uncontrolled motion, and of its contacts.
 NO_CONTROL, COASTING = "no control", "contacts of the motion without control"
 # A candidate whose rows are off by more than this part of the task's scales is no solution.
 LARGEST_DEFECT = 1e-6
-# Touches that are no farther apart than this part of the duration are one.
+# Touches closer than this part of the duration count as the same.
 _SAME_TIME = 1e-3
 
-# When [s], and which of the world's contacts.
+# Time [s] and index of the world's contact.
 TimedContact = tuple[float, int]
 
 
@@ -50,11 +50,10 @@ class Change:
     """One step from a candidate to one near it.
 
     Attributes:
-        kind: "seen", a bounce added that the replay has and the plan lacks; "dropped" or "added", a
-            touch less or more; "swapped", bounces at one moment in the other order; "moved",
+        kind: "seen", a bounce added that the replay has and the plan lacks; "dropped" or "added",
+            one touch fewer or more; "swapped", simultaneous bounces in the other order; "moved",
             contacts at other knots; "mode", a touch with friction that sticks or slips instead;
-            "left out", a flight that was not expected to win, and is
-            tried as nothing that was holds.
+            "left out", a flight that was not expected to win, tried as no other plan holds.
         of: the contact sequence that was changed.
     """
 
@@ -67,9 +66,9 @@ class Origin:
     """Where a candidate came from.
 
     Attributes:
-        proposer: AIGO's algorithm, as the options name it, or another's guess: "zero", "random",
-            or "no control", which is what the world does by itself, or that motion's contacts.
-        rung: where AIGO started; None for another's guess, and in plan files of version 3, whose
+        proposer: AIGO's algorithm, as the options name it, or another guess: "zero", "random",
+            "no control" (the uncontrolled motion), or that motion's contacts.
+        rung: the start of AIGO; None for another guess, and in plan files of version 3, whose
             whole sentence is the proposer.
         changes: of the contact sequence that was proposed, in order.
         renewals: how many times a stretch of the motion was opened to boxes again.
@@ -81,15 +80,15 @@ class Origin:
     renewals: int = 0
 
     def changed(self, kind: ChangeName, of: TouchSequence) -> Origin:
-        """Returns the origin of a candidate whose sequence was made by changing this one's."""
+        """Returns the origin of a candidate with a changed contact sequence."""
         return dataclasses.replace(self, changes=(*self.changes, Change(kind, of)))
 
     def renewed(self) -> Origin:
-        """Returns the origin of a motion of which a stretch of this one's was opened again."""
+        """Returns the origin of a motion after a stretch was opened to boxes again."""
         return dataclasses.replace(self, renewals=self.renewals + 1)
 
     def __str__(self) -> str:
-        """Returns it in words; a change that was made several times is told once."""
+        """Returns it in words; repeated changes are named once."""
         first = self.rung.describe(self.proposer) if self.rung else self.proposer
         changes = dict.fromkeys(_WORDS[each.kind] for each in self.changes)
         renewed = [f"renewed {self.renewals} times"] if self.renewals else []
@@ -101,8 +100,8 @@ class Replays:
     """The plan's control, run in simulation from the start state.
 
     Attributes:
-        event_driven: on an exactly rigid wall.
-        drake: on the continuous plant with its compliant contact; None if it was not asked for.
+        event_driven: with exactly rigid walls.
+        drake: on the continuous plant with its compliant contact; None if not requested.
     """
 
     event_driven: Replay
@@ -112,13 +111,13 @@ class Replays:
     def of(
         cls, world: World, scenario: Scenario, trajectory: Trajectory, confirm: bool = True
     ) -> Replays:
-        """Returns what a trajectory's control alone does: event-driven, and in Drake to confirm."""
+        """Returns replays of a trajectory's control: event-driven, and in Drake to confirm."""
         control = trajectory.times, trajectory.controls
         drake = replay_drake(world, scenario, *control) if confirm else None
         return cls(replay_event_driven(world, scenario, *control), drake)
 
     def __iter__(self) -> Iterator[Replay]:
-        """Yields those that were run."""
+        """Yields the replays that were run."""
         yield self.event_driven
         if self.drake is not None:
             yield self.drake
@@ -130,19 +129,19 @@ class Candidate:
 
     Attributes:
         origin: which algorithm and rung of the ladder it came from, and by which changes.
-        start_cost: J of what the local solver started from: AIGO's result, or a baseline's guess.
+        start_cost: J of the local solver's guess: AIGO's result, or a baseline's.
         start_defects: its largest violation of each kind of row, in that row's unit.
         trajectory: after the polish.
-        cost: J of it, with what users added (`Planner.transcription`).
+        cost: its J, with costs of users (`Planner.transcription`).
         goal_error: ‖q_N − goal‖ that it promises (`TaskCost.goal_error`) [m, rad].
-        defects: its largest violation of each kind of row (m, m/s), and of each constraint that
-            users added, in parts of the task's scales.
+        defects: its largest violation of each kind of row (m, m/s), and of each constraint of
+            users, relative to the task's scales.
         max_penetration: the deepest −φ ≥ 0 at its knots [m].
         contacts: its contact sequence, read off its impulses.
         replay: the control alone, on the exactly rigid wall.
         scales: of the task, which its verdict is relative to.
-        added_costs: what of the cost users added, by name.
-        drake: its control on Drake's plant, if that was to be the plan's, and another's is.
+        added_costs: costs of users, by name.
+        drake: its replay in Drake, if it was to be the plan, and another candidate is.
     """
 
     origin: Origin
@@ -161,7 +160,7 @@ class Candidate:
 
     @property
     def is_idle(self) -> bool:
-        """Whether it is doing nothing: what the world does without control."""
+        """Whether it is the uncontrolled motion."""
         return self.origin.proposer == NO_CONTROL
 
     @property
@@ -182,7 +181,7 @@ class Candidate:
     def is_confirmed_by(self, replay: Replay) -> bool:
         """Returns whether a replay of its control confirms it (`replay.confirms`).
 
-        A replay that was run from a file knows no costs that users added: it is compared without.
+        A replay from a file has no costs of users: it is compared without them.
         """
         is_known = replay.added_costs.keys() == self.added_costs.keys()
         cost = self.cost if is_known else self.cost - sum(self.added_costs.values())
@@ -196,9 +195,9 @@ class Candidate:
 
     @property
     def unplanned(self) -> tuple[TimedContact, ...]:
-        """The contacts that its control has on the rigid wall, and its trajectory has not.
+        """Contacts of its replay on rigid walls that its trajectory does not have.
 
-        Where a path grazes a wall between knots it may touch, and keep its promise nonetheless.
+        A path that grazes a wall between knots may touch it, and keep its promise nonetheless.
         """
         near = _SAME_TIME * self.scales.time
         seen = zip(self.replay.bounce_times, self.replay.bounce_contacts, strict=True)
@@ -226,8 +225,8 @@ class Veto:
     """A candidate that promises less than the plan costs, but is contradicted by a simulation.
 
     Attributes:
-        candidate: what was to be the plan.
-        replay: of its control, which does not do what it promises.
+        candidate: the rejected one.
+        replay: of its control, which contradicts its promise.
     """
 
     candidate: Candidate
@@ -235,9 +234,9 @@ class Veto:
 
     @property
     def first_difference(self) -> tuple[TimedContact | None, TimedContact | None]:
-        """The first contact that was planned and was not simulated at that time, and the other way.
+        """The first planned contact that was not simulated at that time, and vice versa.
 
-        Each is its time [s] and which of the world's contacts; None where there is none any more.
+        Each is its time [s] and the world's contact; None where there is no further one.
         """
         near = _SAME_TIME * self.candidate.scales.time
         planned = [(each.time, each.index) for each in self.candidate.contacts]
@@ -257,8 +256,8 @@ def sample(trajectory: Trajectory) -> Samples:
 def add_to_replay(replay: Replay, additions: Additions, trajectory: Trajectory) -> Replay:
     """Returns a replay of a trajectory's control with the costs and constraints of users.
 
-    They are those of the simulated motion at the trajectory's knots. Constraints are missed by what
-    goes beyond the lengths that compliance explains.
+    They are those of the simulated motion at the trajectory's knots. Violations of constraints
+    count beyond the lengths that compliance explains.
     """
     if not additions:
         return replay

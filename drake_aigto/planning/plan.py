@@ -1,4 +1,4 @@
-"""The answer: a trajectory, its verdict, every candidate, and what it took. Immutable, JSON."""
+"""Plans: trajectory, verdict, candidates and statistics. Immutable, JSON."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ FORMAT_VERSION = 4
 
 @dataclass(frozen=True)
 class PlanStats:
-    """What the plan took.
+    """Iterations and seconds of a plan.
 
     Attributes:
         aigo_steps: inner iterations of AIGO, all candidates.
         polished: how many candidates the polish made feasible.
         seconds: wall time by part of the road.
-        box_contacts: how many contacts the last box of each rung of the ladder shows, before any
-            polish; None for a rung that was left out.
-        flight_left_out: what a free flight costs at least, if it was left out for that.
+        box_contacts: numbers of contacts of the last box of each rung, before any polish; None for
+            a rung that was left out.
+        flight_left_out: lower bound of a free flight's cost, if it was left out because of that.
     """
 
     aigo_steps: int

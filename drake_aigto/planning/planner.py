@@ -89,13 +89,13 @@ class Planner:
 
     @property
     def transcription(self) -> OpenProgram:
-        """The program, open until the first plan: costs and constraints that are added count.
+        """The program, open to costs and constraints until the first plan.
 
-        They count wherever motions are closed, in `Plan.cost`, and in simulations, whose motion has
-        to meet the constraints, too; and, for balls between rigid walls, in AIGO's boxes.
+        These count wherever motions are closed, in `Plan.cost`, and in simulations, whose motion
+        has to meet the constraints, too; and, for balls between rigid walls, in AIGO's boxes.
         `AddRunningCost`, `AddFinalCost` and `AddConstraintToAllKnotPoints` are about every knot of
-        the plan, wherever it has them. What is added to `prog()`, on variables of `state(k)` and
-        `input(k)`, is about knot k of this program: the state at its time (`GetSampleTimes`,
+        the plan, wherever it has them. Additions to `prog()`, on variables of `state(k)` and
+        `input(k)`, are about knot k of this program: the state at its time (`GetSampleTimes`,
         `knot_at`), and the control that is held from it to the next, in plans as here. The knots of
         balls are those of AIGO's boxes (`PlanOptions.aigo_steps`), those of mechanisms the
         scenario's; where `plan` is given another duration, k/N of it.
@@ -107,10 +107,10 @@ class Planner:
 
     @cached_property
     def task(self) -> BallTask | MechanismTask:
-        """The task, compiled; nothing can be added from now on.
+        """The task, compiled; no more additions from now on.
 
         Raises:
-            ProgramError, UnsupportedTermError: what was added can't be planned; says why.
+            ProgramError, UnsupportedTermError: an addition can't be planned; says why.
         """
         world, scenario, program = self.world, self.scenario, self._transcription
         task: BallTask | MechanismTask
@@ -136,8 +136,8 @@ class Planner:
         """Plans for the scenario, or for a changed one, with the program that is compiled already.
 
         The plan is that of a new planner for the changed scenario, to the last bit. Programs are
-        compiled anew only where their structure is another: more steps, as a wall is touched sooner
-        (`coarsen`), or other faces of a block that are passed. Ctrl-C ends the search; the best
+        compiled again only if their structure changes: more steps, if a wall is touched sooner
+        (`coarsen`), or motions past other faces of a block. Ctrl-C ends the search; the best
         candidate so far is returned.
 
         Args:
@@ -152,9 +152,9 @@ class Planner:
 
         Raises:
             ScenarioError: a changed value does not fit.
-            ProgramError: what was added to the program contradicts itself or the start, can't be
-                carried to other knots, or came after the first plan.
-            UnsupportedTermError: what was added is of a kind that has no mean over boxes.
+            ProgramError: additions to the program contradict each other or the start, can't be
+                moved to other knots, or came after the first plan.
+            UnsupportedTermError: an addition has no mean over boxes.
             PlanningError: it is proven that no motion meets the hard goal (`is_proven`), no
                 candidate meets the transcription's rows, or none that does holds in simulation.
         """
@@ -187,9 +187,9 @@ class Planner:
 def needs_shooting(world: World, scenario: Scenario) -> bool:
     """Returns whether a task is more than one of balls between rigid walls.
 
-    Where something turns, M or J depends on q, something has limits or rubs, contact is compliant,
-    or the task is not AIGTO's (`Scenario.is_plain`). Balls that nothing can touch stay theirs, for
-    whoever asks for AIGTO's task has forgotten a wall.
+    It is where a joint turns or has limits, M or J depends on q, there is friction, contact is
+    compliant, or the task is not AIGTO's (`Scenario.is_plain`). Balls without walls are balls, as
+    a user with AIGTO's task has forgotten a wall.
     """
     is_free = world.has_constant_inertia and not (world.limits.are_any or world.is_hinge.any())
     has_friction = scenario.contact == "rigid" and world.friction_coefficients(scenario).any()
@@ -206,11 +206,11 @@ def start_search(task: BallTask | MechanismTask, clock: Stopwatch | None = None)
 
 
 def _check_friction(world: World, scenario: Scenario) -> None:
-    """Refuses friction of rigid walls where no impact would end in a mode that is planned for.
+    """Refuses friction of rigid walls if no impact ends in a mode that can be planned.
 
     Raises:
-        ModelError: what hits walls that rub has one coordinate, so that slip turns round whenever
-            it bounces.
+        ModelError: a mechanism of one coordinate hits walls with friction, so that each bounce
+            reverses its slip.
     """
     if scenario.contact != "rigid" or world.num_velocities > 1:
         return
@@ -249,7 +249,7 @@ def run_search(search: Search, scenario: Scenario, progress: Progress | None = N
 
 
 def _bounded(found: Plan, world: World) -> Plan:
-    """Returns a plan with what any plan costs at least."""
+    """Returns a plan with a lower bound of the cost of any plan."""
     cost = found.replay.event_driven.cost
     bound = bound_plans(world, found.scenario, cost)
     if found.best.added_costs:
@@ -286,7 +286,7 @@ def _choose(search: Search) -> Candidate:
 
 
 def _nothing_holds(found: Plan, sources: str) -> PlanningError:
-    """Returns the error of a search whose every candidate a replay contradicts."""
+    """Returns the error of a search if replays contradict all candidates."""
     tried = [
         f"{candidate.describe_contacts()} for {candidate.cost:.2e}, "
         f"replayed {candidate.replay.cost:.2e}"

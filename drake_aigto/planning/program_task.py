@@ -48,17 +48,17 @@ from drake_aigto.world import Scales, World
 
 _LOG = logging.getLogger(__name__)
 
-# Of what, the problem says; () is a free flight.
+# Touches, or whatever the task counts as contacts; () is a free flight.
 ContactSequence: TypeAlias = tuple[Any, ...]
 
-# Of the local solver; a candidate that needs more is one whose phases vanish.
+# Of the local solver; a candidate that needs more has vanishing phases.
 _MAX_ITERATIONS = 200
-# A box around the motion without control has this part of the first box's size at the end.
+# A box around the uncontrolled motion has this part of the first box's size at the end.
 _COAST_SHARE = 0.2
-# Boxes of so many variables are worth a thread.
+# Boxes with at least this many variables are worth a thread.
 _MANY = 1000
-# Springs and dampers are integrated: knots become twice as many so often at most until the midpoint
-# rule, which the rows of plans are, agrees.
+# How often knots are doubled, at most, until springs and dampers agree with the midpoint rule of
+# the rows of plans.
 _MOST_DOUBLINGS = 5
 # An impact this part of the duration before a knot is on it, but for rounding.
 _ON_KNOT = 1e-12
@@ -66,13 +66,13 @@ _ON_KNOT = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where AIGO starts.
+    """A start of AIGO.
 
     Attributes:
         transcription: the constrained program.
         polynomial: its penalized cost.
         box: the first box.
-        row_names: of the rows that penalties stand for.
+        row_names: of the penalized rows.
     """
 
     transcription: Transcription
@@ -84,17 +84,17 @@ class Start:
 class ProgramTask(ABC):
     """A task as a program over knots, compiled for AIGO and for the local solvers.
 
-    Costs and bounds that were added to the transcription before count. What a contact sequence is,
-    and how one is polished, is the subclass's.
+    Earlier additions to the transcription count. Subclasses define contact sequences and their
+    polish.
 
     Attributes:
         transcription: the constrained program, as AIGO takes it (`OpenProgram.closed`).
-        additions: what users added to it.
+        additions: of users.
         options: numerics.
         ladder: the starts of AIGO.
     """
 
-    # How it is stated, as plan files name that.
+    # Its name in plan files.
     transcription_name: ClassVar[str]
 
     # Of the local solver's cost, in `cost_scale`, in turn until it converges.
@@ -107,13 +107,13 @@ class ProgramTask(ABC):
         ladder: tuple[Rung, ...],
         programs: CompiledPrograms | None = None,
     ) -> None:
-        """Compiles, unless the programs of the same world and additions have this structure.
+        """Compiles, unless given programs (of the same world and additions) have its structure.
 
         Raises:
             UnsupportedTermError: a cost or constraint that has no mean in closed form.
-            OptionsError: a rung has a weight for rows that there are none of.
-            ProgramError: what users added contradicts itself or the start, or can't be carried to
-                the knots of other programs.
+            OptionsError: a rung has a weight for rows that do not exist.
+            ProgramError: additions of users contradict each other or the start, or can't be moved
+                to the knots of other programs.
         """
         self.transcription = transcription = transcription.closed()
         self.additions = transcription.additions()
@@ -142,11 +142,11 @@ class ProgramTask(ABC):
 
     @property
     def box(self) -> Box:
-        """Where AIGO starts, around the straight line from start to goal."""
+        """The first box of AIGO, around the straight line from start to goal."""
         return self.start("line").box
 
     def start(self, name: StartName) -> Start:
-        """Returns where a rung of this start begins."""
+        """Returns the start of this name."""
         if name not in self._starts:
             start = self._start_on_line if name == "line" else self._start_coasting
             self._starts[name] = start()
@@ -159,25 +159,25 @@ class ProgramTask(ABC):
 
     @cached_property
     def coast(self) -> Replay:
-        """The motion without control, on the rigid wall, in `coast_steps`."""
+        """The uncontrolled motion, between rigid walls, in `coast_steps`."""
         return self.replay_coast(self.coast_steps)
 
     @property
     def coast_steps(self) -> int:
-        """Of the motion without control: a multiple of the transcription's."""
+        """Time steps of the uncontrolled motion: a multiple of the transcription's."""
         return self.transcription.scenario.num_steps
 
     def replay_coast(self, num_steps: int) -> Replay:
-        """Returns the motion without control, on the rigid wall, in so many steps."""
+        """Returns the uncontrolled motion, between rigid walls, in this number of steps."""
         world, scenario = self.transcription.world, self.transcription.scenario
         times = np.linspace(0.0, scenario.duration, num_steps + 1)
         controls = np.zeros((num_steps, world.num_actuators))
         return replay_event_driven(world, scenario, times, controls)
 
     def _start_coasting(self) -> Start:
-        """Returns a box around the motion without control."""
+        """Returns a box around the uncontrolled motion."""
         times, coast = self.transcription.GetSampleTimes(), self.coast
-        # Of the rows of an impact on a knot, the first: velocities before impulses.
+        # The first row of an impact on a knot: velocities before impulses.
         rows = np.searchsorted(coast.times, times - _ON_KNOT * times[-1])
         q, v = coast.positions[rows], coast.velocities[rows]
         around = self._transcribe_around(q)
@@ -191,12 +191,12 @@ class ProgramTask(ABC):
 
     @property
     def num_threads(self) -> int:
-        """How many rungs are run at once, see `PlanOptions.threads`."""
+        """The number of rungs that run in parallel, see `PlanOptions.threads`."""
         is_small = self.polynomial.num_variables < _MANY
         return 1 if self.options.threads is None and is_small else self.options.num_threads
 
     def prepare(self, origins: Iterable[Origin]) -> None:
-        """Makes what boxes of these origins share, so that they may run at once."""
+        """Prepares shared data of these origins, so that they may run in parallel."""
         for origin in origins:
             if isinstance(origin.rung, Rung):
                 self._weights(origin.rung)
@@ -207,10 +207,10 @@ class ProgramTask(ABC):
         algorithm: Algorithm | None = None,
         callback: Callable[[Iterate], None] | None = None,
     ) -> AigoResult:
-        """Returns what AIGO makes of the rung's first box under its weights.
+        """Returns AIGO's result from the rung's first box under its weights.
 
         Args:
-            rung: where to start.
+            rung: the start.
             algorithm: how to shrink boxes; the problem's own (`make_algorithm`) if None.
             callback: called with every iterate, the first box included.
         """
@@ -221,17 +221,17 @@ class ProgramTask(ABC):
 
     @property
     def world(self) -> World:
-        """Where the task is."""
+        """The world of the task."""
         return self.transcription.world
 
     @property
     def sources(self) -> str:
-        """What candidates come from, in words."""
+        """The sources of candidates, in words."""
         return f"{len(self.ladder)} rungs"
 
     @property
     def remedy(self) -> str:
-        """What a user may try where no candidate meets the rows."""
+        """Advice to the user if no candidate meets the rows."""
         relax = "Relax what was added, or try" if self.additions else "Try"
         return f"{relax} another ladder or local solver."
 
@@ -242,11 +242,11 @@ class ProgramTask(ABC):
 
     @abstractmethod
     def make_algorithm(self, rung: Rung) -> Algorithm:
-        """Returns how boxes shrink under a rung, with temperatures in the cost's unit."""
+        """Returns the algorithm of a rung, with temperatures in the cost's unit."""
 
     @property
     def algorithm_name(self) -> str:
-        """How the origins of candidates name that algorithm."""
+        """Name of the algorithm in origins of candidates."""
         return "annealing"
 
     def pull(self, center: Floats, rung: Rung) -> Floats:
@@ -268,7 +268,7 @@ class ProgramTask(ABC):
         """
 
     def solve_locally(self, guess: Floats) -> Floats:
-        """Returns what the local solver makes of a guess, all decision variables (n,)."""
+        """Returns the local optimum near a guess, all decision variables (n,)."""
         x = self.solve_program(self.transcription.prog(), guess, lambda: self._nlp)
         return self.transcription.close_rows(x)
 
@@ -283,13 +283,13 @@ class ProgramTask(ABC):
         compiled: Callable[[], PolynomialNlp] | None = None,
         max_iterations: int | None = None,
     ) -> Floats:
-        """Returns what the local solver makes of a guess for any program.
+        """Returns the local optimum of any program near a guess.
 
         Args:
             prog: the program.
             guess: all its decision variables.
-            compiled: gives it compiled, if there is a better way than `compile_nlp`; called where
-                the local solver is ours.
+            compiled: compiles it, if there is a better way than `compile_nlp`; called if the local
+                solver is ours.
             max_iterations: of our local solver, which then only runs once.
         """
         if self.options.local_solver != "newton":
@@ -304,7 +304,7 @@ class ProgramTask(ABC):
     def _minimize(
         self, nlp: PolynomialNlp, guess: Floats, max_iterations: int, factor: float = 1.0
     ) -> LocalResult:
-        """Returns the result of one run of our local solver, costs in so many `cost_scale`."""
+        """Returns the result of one run of our local solver, costs in factor times `cost_scale`."""
         unit = factor * self._cost_scale
         return InteriorPoint(max_iterations=max_iterations, cost_unit=unit).solve(nlp, guess)
 
@@ -313,7 +313,7 @@ class ProgramTask(ABC):
         return self.transcription.cost_scale()
 
     def judge(self, origin: Origin, start: Floats, solved: Transcription, x: Floats) -> Candidate:
-        """Returns the candidate that a local solver made of a start, replayed on the rigid wall.
+        """Returns the candidate of a local optimum, replayed between rigid walls.
 
         Args:
             origin: where it came from.
@@ -341,7 +341,7 @@ class ProgramTask(ABC):
         )
 
     def cost(self, solved: Transcription, x: Floats) -> float:
-        """Returns J of a solution, with what users added."""
+        """Returns J of a solution, with costs of users."""
         added = self.additions.costs(sample(solved.trajectory(x))) if self.additions else {}
         return solved.scenario_cost(x) + sum(added.values())
 
@@ -362,7 +362,7 @@ class ProgramTask(ABC):
         return Replays(candidate.replay, add_to_replay(drake, self.additions, motion))
 
     def idle_candidate(self) -> Candidate:
-        """Returns what the world does without any control, on rigid walls.
+        """Returns the uncontrolled motion between rigid walls as a candidate.
 
         Its knots are those of `coast`, and the times of impacts.
         """
@@ -394,6 +394,6 @@ class ProgramTask(ABC):
         )
 
     def _weights(self, rung: Rung) -> dict[str, float]:
-        """Returns the rung's weights of the rows that this problem has."""
+        """Returns the rung's weights of this problem's rows."""
         unit, names = self._cost_scale, self.start(rung.start).row_names
         return {name: unit * rung.weights.get(name, rung.others) for name in names}

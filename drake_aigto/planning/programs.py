@@ -1,4 +1,4 @@
-"""Penalized programs that are compiled once, and whether rows of users leave any motion."""
+"""Penalized programs, compiled once, and a check that rows of users are feasible."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from drake_aigto.transcription import Additions, Bounds, Transcription, check_to
 
 _LOG = logging.getLogger(__name__)
 
-# Programs that are kept; motions past a block have its faces at ever other knots.
+# Programs that are kept, at most: motions past a block have its faces at different knots.
 _MOST_KEPT = 32
 
 
@@ -57,7 +57,7 @@ class CompiledProgram:
 
 
 class CompiledPrograms:
-    """The programs of one world, and of what users added, by structure."""
+    """The programs of one world with its additions of users, by structure."""
 
     def __init__(self) -> None:
         """Starts with none."""

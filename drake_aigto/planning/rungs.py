@@ -1,4 +1,4 @@
-"""Starts of AIGO: how hot and how wide boxes are at first, and what they are around."""
+"""Starts of AIGO: first temperatures, widths and centers of boxes."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ MechanismStart = Literal["rest", "coast", "line"]
 _STARTS: tuple[MechanismStart, ...] = ("rest", "coast", "line")
 
 _COOLING = 0.2
-_TOLERANCE = 0.05  # Of boxes: what they show is closed by another method, however near it is.
-_FAR = 0.5  # how far a slider's path is moved at most, in `StartedBoxes.widths`; a hinge's by π
+_TOLERANCE = 0.05  # Of boxes: another method closes their centers, however near these are.
+_FAR = 0.5  # largest shift of a slider's path, in `StartedBoxes.widths`; of a hinge's: π
 
 
 @dataclass(frozen=True)
 class Rung:
-    """One start of AIGO: how hot, and how much each kind of row weighs while boxes shrink.
+    """One start of AIGO: its temperature, and weights of rows while boxes shrink.
 
     Weights and temperature are in units of the transcription's `cost_scale`.
 
     Attributes:
         temperature: first temperature μ of the annealing; other algorithms have none.
         weights: constraint name → weight of its penalty r²/dt.
-        others: weight of rows that have no name there, such as those that users add.
-        start: what the first box is around: "line", the straight line from start to goal, as far
-            as the walls; or "coast", the motion without control in simulation, narrow at first and
-            wider with time.
+        others: weight of rows not named there, such as those of users.
+        start: the center of the first box: "line", the straight line from start to goal, up to
+            the walls; or "coast", the uncontrolled motion in simulation, with a box that is narrow
+            at first and wider with time.
     """
 
     temperature: float
@@ -59,11 +59,11 @@ def _rigid_rung(temperature: float, restitution: float, start: StartName = "line
     return Rung(temperature, {**weights, NONPENETRATION: 3e3}, others=3e2, start=start)
 
 
-# Hot boxes under a light restitution row find the wall, whether a bounce pays or not; cold ones
-# under a heavy row, which no impulse pleases while boxes are wide, the free flight; the rung in
-# between often tells which is better. What is best is only known after the polish. Between several
-# walls, boxes around the straight line hold every sequence at once and lose all of them; those
-# around the coasting motion keep its bounces, or one more or less near the end.
+# Hot boxes with a light restitution row find the wall, whether a bounce pays or not; cold ones with
+# a heavy row, which wide boxes with impulses violate, find the free flight; the rung in between
+# often finds the better one. Only the polish shows which is best. Between several walls, boxes
+# around the straight line contain every sequence at once and lose all of them; those around the
+# uncontrolled motion keep its bounces, or one more or fewer near the end.
 BALL_LADDER = (
     _rigid_rung(3.0, 2.0),
     _rigid_rung(0.5, 5.0),
@@ -78,11 +78,11 @@ class Shrinking:
     """How boxes shrink.
 
     Attributes:
-        weight: W of what no control can meet, in `StartedBoxes.weight_unit`.
+        weight: W of rows that no control can meet, in `StartedBoxes.weight_unit`.
         temperature: first μ, in `StartedBoxes.temperature_unit`.
-        half_width: of the first box, in `StartedBoxes.widths`; 0: points, that have no temperature.
-        temperatures: how many there are, each a fifth of the one before.
-        newton_steps: the most at each.
+        half_width: of the first box, in `StartedBoxes.widths`; 0: points, without temperature.
+        temperatures: their number, each a fifth of the one before.
+        newton_steps: at each temperature, at most.
     """
 
     weight: float = 0.1
@@ -92,9 +92,9 @@ class Shrinking:
     newton_steps: int = 10
 
     def annealing(self, unit: float) -> Annealing:
-        """Returns the algorithm, given what temperatures are in units of."""
+        """Returns the algorithm, given the unit of temperatures."""
         first = unit * self.temperature
-        # Between the last one and the next, whatever rounding does.
+        # Between the last temperature and the next, so that rounding has no effect.
         last = first * _COOLING ** (self.temperatures - 0.5)
         return Annealing(
             initial_temperature=first,
@@ -110,11 +110,10 @@ class MechanismRung(Shrinking):
     """One start of AIGO.
 
     Attributes:
-        start: which path the first box is around: "rest", standing still; "coast", the motion
-            without control; "line", the straight line to the goal.
+        start: the path at the center of the first box: "rest", standing still; "coast", the
+            uncontrolled motion; "line", the straight line to the goal.
         num_steps: N of its program.
-        shift: how far the middle of that path is moved, in `StartedBoxes.widths`, of each
-            coordinate; empty: nowhere.
+        shift: of the middle of that path, per coordinate, in `StartedBoxes.widths`; empty: none.
     """
 
     start: MechanismStart = "rest"
@@ -123,7 +122,7 @@ class MechanismRung(Shrinking):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, num_steps: int, is_hinge: Bools) -> MechanismRung:
-        """Returns one by chance."""
+        """Returns a random rung."""
         far = np.where(is_hinge, np.pi, _FAR)
         return cls(
             start=_STARTS[rng.integers(len(_STARTS))],
@@ -144,12 +143,12 @@ class MechanismRung(Shrinking):
 
 @dataclass(frozen=True, kw_only=True)
 class Renewal(Shrinking):
-    """A stretch of a motion that is moved and opened again, all else held.
+    """A stretch of a motion that is perturbed and opened again, while the rest is held.
 
     Attributes:
         first: its first knot, 1 or more.
-        count: how many knots it has; those beyond the last one do not count.
-        shift: how far its middle is moved, in `StartedBoxes.widths`, shape (n,).
+        count: its number of knots; those beyond the last one do not count.
+        shift: of its middle, in `StartedBoxes.widths`, shape (n,).
     """
 
     first: int
@@ -159,7 +158,7 @@ class Renewal(Shrinking):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, num_steps: int, num_positions: int) -> Renewal:
-        """Returns one by chance: of a quarter, half, three quarters or all of the steps."""
+        """Returns a random renewal of a quarter, half, three quarters or all of the steps."""
         count = max(1, num_steps * int(rng.integers(1, 5)) // 4)
         half_width = 10 ** rng.uniform(-1.0, 0.3)
         return cls(
@@ -178,8 +177,8 @@ def _rung(
     return MechanismRung(start=start, weight=weight, temperature=temperature, num_steps=num_steps)
 
 
-# No rung is right everywhere: boxes that hold the dynamics tightly keep to passive motions, loose
-# ones jump to the goal. Both starts, decades of weights and of temperatures, fine and coarse.
+# No rung is right everywhere: boxes with heavily weighted dynamics keep to passive motions, others
+# jump to the goal. Hence both starts, decades of weights and temperatures, fine and coarse steps.
 MECHANISM_LADDER = (
     _rung("rest", 0.1, 0.1, 60),
     _rung("coast", 0.1, 1.0, 30),

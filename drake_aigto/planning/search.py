@@ -50,15 +50,15 @@ class Stopwatch:
 
 
 class Task(Protocol):
-    """What is searched: a scenario in a world."""
+    """A scenario in a world, to be searched for plans."""
 
     @property
     def transcription_name(self) -> str:
-        """How it is stated, as plan files name that."""
+        """Its name in plan files."""
 
     @property
     def world(self) -> World:
-        """Where the task is."""
+        """The world of the task."""
 
     @property
     def options(self) -> SearchOptions:
@@ -66,26 +66,26 @@ class Task(Protocol):
 
     @property
     def sources(self) -> str:
-        """What candidates come from, in words."""
+        """The sources of candidates, in words."""
 
     @property
     def remedy(self) -> str:
-        """What a user may try where no candidate meets the rows."""
+        """Advice to the user if no candidate meets the rows."""
 
     def idle_candidate(self) -> Candidate:
-        """Returns what the world does without any control."""
+        """Returns the uncontrolled motion."""
 
     def confirm(self, candidate: Candidate) -> Replays:
         """Returns the candidate's replays: its own, and Drake's if the options confirm."""
 
 
 class Proposal(NamedTuple):
-    """Where a candidate may come from.
+    """A possible origin of a candidate.
 
     Attributes:
         origin: of the candidate.
         close: takes it towards a local optimum; several may run at once, in threads.
-        text: a line that is shown as it begins, if any.
+        text: a line that is shown at its start, if any.
     """
 
     origin: Origin
@@ -97,15 +97,15 @@ class Search(ABC):
     """One search for every world: propose → close → vary → judge.
 
     Boxes of AIGO and motions without control *propose*; a closer takes each proposal to a local
-    optimum of its contact sequence; the best of these are *varied*: neighboring sequences, or
-    stretches opened to boxes again, which are closed as well; and simulations *judge* the best of
-    all. What proposes and what closes is a world's own. Work is cut off by counts, never by clocks,
-    and what is drawn depends on the seed alone, not on threads.
+    optimum of its contact sequence; the best of these are *varied* (neighboring sequences, or
+    stretches opened to boxes again) and closed as well; and simulations *judge* the best of all.
+    Proposers and closers depend on the world. Work is cut off by counts, never by clocks, and
+    random draws depend on the seed alone, not on threads.
 
     Attributes:
         task: that is searched.
-        clock: what the parts of the search took.
-        others: candidates that were not searched for, such as doing nothing.
+        clock: times of the parts of the search.
+        others: candidates that do not come from the search, such as the uncontrolled motion.
         aigo_steps: inner iterations of AIGO so far.
         is_interrupted: whether Ctrl-C ended it.
     """
@@ -117,17 +117,17 @@ class Search(ABC):
         self.aigo_steps = 0
         self.is_interrupted = False
         self._progress: Progress | None = None
-        self._replays: dict[int, Replays] = {}  # Of those that were to be the plan, by id.
+        self._replays: dict[int, Replays] = {}  # Of candidates for the plan, by id.
 
     def run(self, progress: Progress | None = None) -> None:
-        """Searches, and judges what was found.
+        """Searches, and judges the motions found.
 
         Args:
             progress: called with a line of text before each part, and once, with a `Notice`, if
                 machine code has to be compiled.
 
         Raises:
-            KeyboardInterrupt: before anything was found; after that, it ends what it meets.
+            KeyboardInterrupt: before anything was found; later, it only ends the current part.
         """
         self.explore(progress)
         with self.ended_by_ctrl_c(lambda: list(self.candidates)):
@@ -142,19 +142,19 @@ class Search(ABC):
 
     @abstractmethod
     def propose(self) -> Iterator[Sequence[Proposal]]:
-        """Yields proposals in waves; each may depend on what those before it led to."""
+        """Yields proposals in waves; each may depend on results of those before it."""
 
     @abstractmethod
     def vary(self) -> Iterator[Sequence[Proposal]]:
-        """Yields variations of the best motions in waves, once there are no more proposals."""
+        """Yields variations of the best motions in waves, after all proposals."""
 
     def close(self, wave: Sequence[Proposal]) -> None:
-        """Closes proposals, as many at once as the options allow, and keeps what they lead to."""
+        """Closes proposals, as many at once as the options allow, and keeps good results."""
         for found, proposal in zip(self._close_at_once(wave), wave, strict=False):
             self.keep(proposal.origin, found)
 
     def _close_at_once(self, wave: Sequence[Proposal]) -> Iterable[Any]:
-        """Yields what each proposal leads to, in their order."""
+        """Yields the result of each proposal, in their order."""
         with self.clock("search"), ThreadPoolExecutor(self.task.options.num_threads) as pool:
             # The first one of all compiles; where Ctrl-C is raised, that ends it.
             first = [] if self.list_found() else [each.close() for each in wave[:1]]
@@ -163,7 +163,7 @@ class Search(ABC):
 
     @abstractmethod
     def keep(self, origin: Origin, found: Any) -> None:
-        """Keeps what a proposal led to, if it is worth that."""
+        """Keeps the result of a proposal, if it is good enough."""
 
     @abstractmethod
     def judge(self) -> None:
@@ -171,7 +171,7 @@ class Search(ABC):
 
     @abstractmethod
     def list_found(self) -> Collection[object]:
-        """Returns what was found so far: with it, Ctrl-C ends no more than the search."""
+        """Returns results so far: if there are any, Ctrl-C only ends the search."""
 
     def find_best(self) -> Candidate:
         """Returns the best candidate that meets the rows."""
@@ -179,32 +179,32 @@ class Search(ABC):
 
     @abstractmethod
     def add_left_out(self) -> None:
-        """Judges what was left out for a candidate that a simulation has contradicted since."""
+        """Judges candidates left out because of one that a simulation has contradicted since."""
 
     def add_idle(self) -> None:
-        """Adds doing nothing, which a plan has to beat."""
+        """Adds the uncontrolled motion, which a plan has to beat."""
         with self.clock("replay"):
             self.others.append(self.task.idle_candidate())
 
     @property
     @abstractmethod
     def candidates(self) -> Iterable[Candidate]:
-        """Those that were searched for, in the order that they were found."""
+        """Candidates of the search, in the order that they were found."""
 
     @property
     def box_contacts(self) -> tuple[int | None, ...]:
-        """How many contacts the last box of each start shows; None: left out."""
+        """Numbers of contacts of the last box of each start; None: left out."""
         return ()
 
     def tell(self, line: str) -> None:
-        """Logs and shows what begins."""
+        """Logs and shows the start of a part."""
         _LOG.info("%s", line)
         if self._progress:
             self._progress(line)
 
     @contextmanager
     def ended_by_ctrl_c(self, find: Callable[[], Collection[object]]) -> Iterator[None]:
-        """Has Ctrl-C end no more than a `with` block if something was found by then."""
+        """Makes Ctrl-C end only a `with` block if something was found by then."""
         try:
             yield
         except KeyboardInterrupt:
@@ -240,7 +240,7 @@ class Search(ABC):
     def confirm(self, candidate: Candidate) -> bool:
         """Replays a candidate's control, and returns whether the replays confirm it.
 
-        Ctrl-C leaves out what has not been simulated by then.
+        Ctrl-C skips simulations that have not ended.
         """
         steps = len(candidate.trajectory.controls)
         self.tell(f"replaying the best of {len(self.ranked())} candidates, {steps} time steps")
@@ -305,14 +305,14 @@ class Search(ABC):
 
     @property
     def flight_left_out(self) -> float | None:
-        """What a free flight costs at least, if it was left out for that."""
+        """Lower bound of the cost of a free flight, if it was left out because of that."""
         return None
 
     @abstractmethod
     def rank(self, candidate: Candidate) -> tuple[float, ...]:
-        """Returns what candidates are ordered by, the best least."""
+        """Returns the sorting key of candidates, the best first."""
 
 
 def scaled(factor: float, cost: float) -> float:
-    """Returns so many times a cost; of one below 0, which users may add, as much more."""
+    """Returns a multiple of a cost; for negative ones (of users), the same relative increase."""
     return cost + (factor - 1) * abs(cost)

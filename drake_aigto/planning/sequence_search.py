@@ -24,14 +24,14 @@ Polish = Callable[..., tuple[Any, Any]]
 
 
 class SequenceSearch(Search):
-    """Candidates by contact sequence, each judged as soon as it is closed.
+    """Search for candidates by contact sequence, each judged as soon as it is closed.
 
     Attributes:
         by_sequence: the candidates so far, in the order that they were found.
         centers: of the boxes that each sequence was read off.
         solved: the transcription that each polish solved, and its decision variables.
-        shown: the rungs so far, each with the contact sequences that its last box shows, the most
-            literal first.
+        shown: the rungs so far, each with the contact sequences of its last box, the most literal
+            first.
     """
 
     task: ProgramTask
@@ -47,11 +47,11 @@ class SequenceSearch(Search):
 
     @property
     def candidates(self) -> Iterable[Candidate]:
-        """Those that were searched for, in the order that they were found."""
+        """Candidates of the search, in the order that they were found."""
         return self.by_sequence.values()
 
     def propose(self) -> Iterator[Sequence[Proposal]]:
-        """Yields boxes of the ladder's rungs, those that may run at once together."""
+        """Yields boxes of the ladder's rungs, grouped if they may run in parallel."""
         numbers, total = count(1), len(self.task.ladder)
         for rungs in self.rungs():
             yield [
@@ -63,7 +63,7 @@ class SequenceSearch(Search):
             ]
 
     def propose_boxes(self, rung: Rung, text: str = "") -> Proposal:
-        """Returns the proposal of a rung's boxes, which show contact sequences."""
+        """Returns the proposal of a rung's boxes, with their contact sequences."""
         origin = Origin(self.task.algorithm_name, rung)
         return Proposal(origin, partial(self._run_boxes, rung), text)
 
@@ -79,16 +79,16 @@ class SequenceSearch(Search):
         return self.by_sequence
 
     def rungs(self) -> Iterator[tuple[Rung, ...]]:
-        """Yields the ladder's rungs in the order to run them, those that may run at once together.
+        """Yields the ladder's rungs in the order to run them, grouped if they may run in parallel.
 
-        Each lot is to be added before the next is asked for: rungs may be left out by what others
-        have shown, never by clocks.
+        Results of each group have to be added before the next is requested: rungs may be left out
+        because of results of others, never by clocks.
         """
         yield self.task.ladder
 
     @property
     def box_contacts(self) -> tuple[int | None, ...]:
-        """How many contacts the last box of each of the ladder's rungs shows; None: left out."""
+        """Numbers of contacts of the last box of each rung of the ladder; None: left out."""
         counts: list[int | None] = []
         for rung in self.task.ladder:
             found = [sequences for each, sequences in self.shown if each == rung]
@@ -96,7 +96,7 @@ class SequenceSearch(Search):
         return tuple(counts)
 
     def _close_at_once(self, wave: Sequence[Proposal]) -> Iterable[Any]:
-        """Yields what each proposal leads to; what Ctrl-C interrupts, as far as it came."""
+        """Yields the result of each proposal; of interrupted ones, the best so far."""
         most = self.task.num_threads
         for first in range(0, len(wave), most):
             at_once = wave[first : first + most]
@@ -116,7 +116,7 @@ class SequenceSearch(Search):
                 raise KeyboardInterrupt
 
     def _run_in_threads(self, wave: Sequence[Proposal]) -> tuple[list[Future[Any]], bool]:
-        """Returns what has ended, and whether Ctrl-C came: boxes end at once where it did."""
+        """Returns the runs, and whether Ctrl-C came, which ends boxes at once."""
         runs: list[Future[Any]] = []
         with ThreadPoolExecutor(len(wave)) as pool:
             try:
@@ -127,15 +127,15 @@ class SequenceSearch(Search):
         return runs, self._is_stopped.is_set()
 
     def _run_boxes(self, rung: Rung) -> AigoResult:
-        """Returns what AIGO makes of a rung's boxes: after Ctrl-C, the best so far."""
+        """Returns AIGO's result for a rung's boxes: after Ctrl-C, the best so far."""
         return self.task.run_aigo(rung, None, self._stop_if_asked)
 
     def _stop_if_asked(self, _: Iterate) -> None:
         if self._is_stopped.is_set():
-            raise KeyboardInterrupt  # In its thread, where `minimize` takes it for Ctrl-C.
+            raise KeyboardInterrupt  # In its thread, where `minimize` handles it as Ctrl-C.
 
     def keep(self, origin: Origin, found: AigoResult) -> None:
-        """Adds the candidates of the sequences that boxes show, unless they are there.
+        """Adds the candidates of the sequences of boxes, unless they are known.
 
         Raises:
             KeyboardInterrupt: AIGO was interrupted; its best so far is a candidate by now.
@@ -159,7 +159,7 @@ class SequenceSearch(Search):
             raise KeyboardInterrupt
 
     def add(self, origin: Origin, center: Floats, sequence: ContactSequence) -> None:
-        """Adds the candidate of a sequence that was read off a box center."""
+        """Adds the candidate of a sequence read off a box center."""
         self.solve(origin, center, sequence, self.task.polish)
 
     def solve(
@@ -169,7 +169,7 @@ class SequenceSearch(Search):
         sequence: ContactSequence,
         polish: Polish,
     ) -> None:
-        """Makes a candidate of a sequence by a polish; it replaces one of equal sequence."""
+        """Polishes a sequence to a candidate; it replaces one of equal sequence."""
         with self.clock("polish"):
             self.solved[sequence] = solved, x = polish(center, sequence)
         with self.clock("replay"):
@@ -207,5 +207,5 @@ class SequenceSearch(Search):
         """Adds candidates near a sequence, or a better one in its place."""
 
     def rank_of(self, sequence: ContactSequence) -> tuple[float, ...]:
-        """Returns what its candidate is ordered by."""
+        """Returns the sorting key of its candidate."""
         return self.rank(self.by_sequence[sequence])

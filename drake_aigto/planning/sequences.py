@@ -14,15 +14,15 @@ from drake_aigto.transcription import Touch, TouchSequence, Transcription
 # An impulse in a box belongs to a contact if it changes the velocity by this part of the largest
 # one: with ε > 0 the wall pushes a little at every knot.
 _SHARE = 0.05
-# Impulses that follow each other sooner than this part of the duration are one contact: boxes smear
-# a bounce over several knots.
+# Impulses closer than this part of the duration are one contact: boxes smear a bounce over several
+# knots.
 _GAP = 0.1
-# Bounces off two walls at one knot are this part of the duration apart: which is first, and whether
-# they are at once, is for the polish.
+# Bounces off two walls at one knot are put this part of the duration apart; the polish decides
+# their order, and whether they are simultaneous.
 _APART = 1e-3
 # A bounce that is moved to its neighbor's time keeps this part of the distance.
 _SOON = 0.125
-# So many knots in a row that the wall pushes at may be a contact that lasts.
+# This many successive knots with impulses may be a sustained contact.
 _LASTING = 4
 
 
@@ -38,7 +38,7 @@ class _Pushes(NamedTuple):
         return Touch.bounce(np.average(self.times, weights=self.sizes), self.contact)
 
     def split(self, gap: float) -> Iterator[_Pushes]:
-        """Yields runs of impulses that follow each other sooner than this [s]."""
+        """Yields runs of impulses that are closer than a gap [s]."""
         ends = np.flatnonzero(np.diff(self.times) >= gap) + 1
         for times, sizes in zip(
             np.split(self.times, ends), np.split(self.sizes, ends), strict=True
@@ -47,15 +47,15 @@ class _Pushes(NamedTuple):
 
 
 def read_sequences(transcription: Transcription, x: Floats) -> list[TouchSequence]:
-    """Returns the contact sequences that a box center may stand for, the most literal first.
+    """Returns the contact sequences of a box center, the most literal first.
 
-    A contact is a cluster of one wall's impulses. Boxes also split one contact in several, and do
-    not tell a bounce from a contact that lasts. So this reads: every cluster a bounce; all clusters
-    of a wall together one bounce, at the mean time of their impulses; and if a wall pushes knot
-    after knot, one contact that lasts instead of that wall's bounces.
+    A contact is a cluster of one wall's impulses. Boxes may split one contact into several,
+    and do not distinguish bounces from sustained contacts. So these are returned: each cluster as a
+    bounce; all clusters of a wall as one bounce, at the mean time of their impulses; and if a wall
+    pushes at successive knots, one sustained contact instead of that wall's bounces.
 
     Args:
-        transcription: whose decision variables these are.
+        transcription: of these decision variables.
         x: the box center, shape (n,); the rows need not hold.
     """
     pushes = _read_impulses(transcription, x)
@@ -74,10 +74,10 @@ def read_sequences(transcription: Transcription, x: Floats) -> list[TouchSequenc
 
 
 def neighbors(sequence: TouchSequence, grazes: Iterable[Touch]) -> list[TouchSequence]:
-    """Returns the sequences that boxes may well have taken for this one.
+    """Returns the sequences that boxes may have mistaken for this one.
 
-    That are those without a wall's last touch, for each wall: boxes are widest at the end, where
-    they do not tell n bounces from n + 1. And those with a bounce where a wall is grazed.
+    They lack the last touch of a wall, for each wall, as boxes are widest at the end, where they do
+    not distinguish n bounces from n + 1; or they have one more bounce where a wall is grazed.
 
     Args:
         sequence: as polished.
@@ -93,13 +93,13 @@ def neighbors(sequence: TouchSequence, grazes: Iterable[Touch]) -> list[TouchSeq
 
 
 def swapped(sequence: TouchSequence, near: float) -> list[TouchSequence]:
-    """Returns the sequences in which bounces off two walls at one moment change places.
+    """Returns the sequences with simultaneous bounces off two walls in the other order.
 
-    The polish can't change their order, and ends there if the other one is better.
+    The polish can't change their order, and stops where they meet if the other one is better.
 
     Args:
         sequence: as polished.
-        near: bounces no farther apart are one moment [s].
+        near: bounces no farther apart are simultaneous [s].
     """
     found = []
     for place, (one, other) in enumerate(pairwise(sequence)):
@@ -115,7 +115,7 @@ def retimed(
 ) -> list[TouchSequence]:
     """Returns the sequences with a bounce soon after the touch before it, or soon before the next.
 
-    Under gravity, high and late and low and early are two optima of the same contacts.
+    Under gravity, high late bounces and low early ones are two optima of the same contacts.
 
     Args:
         sequence: as polished.
@@ -135,7 +135,7 @@ def retimed(
 
 
 def kinds(sequence: TouchSequence) -> list[tuple[int, bool]]:
-    """Returns of each touch which contact it is of, and whether it lasts."""
+    """Returns the contact of each touch, and whether it is sustained."""
     return [(touch.contact, touch.lasts) for touch in sequence]
 
 
@@ -160,7 +160,7 @@ def are_near(one: float, other: float, near: float) -> bool:
 
 
 def _in_order(touches: list[Touch], least: float) -> TouchSequence:
-    """Returns touches by their starts, bounces later by so much that none are at once [s]."""
+    """Returns touches by their starts, with bounces moved at least this far apart [s]."""
     found: list[Touch] = []
     for touch in sorted(touches, key=lambda touch: touch.start):
         earliest = found[-1].start + least if found else 0.0
@@ -171,7 +171,7 @@ def _in_order(touches: list[Touch], least: float) -> TouchSequence:
 
 
 def _read_impulses(transcription: Transcription, x: Floats) -> list[_Pushes]:
-    """Returns the impulses that belong to contacts, after the start, of every wall that has any."""
+    """Returns the impulses of contacts after the start, of every wall that has any."""
     world, q0 = transcription.world, transcription.scenario.initial_position
     motion = transcription.trajectory(x)
     kicks = np.linalg.norm(world.calc_velocity_change(q0, np.eye(world.num_contacts)), axis=1)

@@ -1,4 +1,4 @@
-"""What a simulation on rigid walls shows, as a trajectory with a knot at each impact."""
+"""Simulations on rigid walls as trajectories with a knot at each impact."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def read_motion(
     """Returns a simulated motion, with a knot at each impact.
 
     Args:
-        world: where it was simulated.
+        world: of the simulation.
         replay: its states, and its impacts.
-        knots: of the control that it was simulated under, shape (N+1,) [s].
+        knots: of its control, shape (N+1,) [s].
         controls: held between them, shape (N, nu) [N].
-        length: of which a millionth counts as touching [m].
+        length: a millionth of it counts as touching [m].
     """
     first = np.flatnonzero(np.diff(replay.times, prepend=-1.0))
     last = np.append(first[1:], len(replay.times)) - 1
@@ -56,7 +56,7 @@ def read_motion(
 def _solve_pushes(
     world: World, q: Floats, pushing: npt.NDArray[np.bool_], change: Floats
 ) -> Floats:
-    """Returns the impulses ≥ 0 of these contacts that change the velocity so, [N s]."""
+    """Returns the impulses ≥ 0 of contacts that cause a change of velocity [N s]."""
     units = np.eye(world.num_contacts)[pushing]
     kicks = world.calc_velocity_change(np.broadcast_to(q, (len(units), q.size)), units)
     return np.asarray(scipy.optimize.nnls(kicks.T, change)[0])
@@ -69,9 +69,9 @@ def _after(world: World, motion: Trajectory) -> Floats:
 
 
 def _calc_unexplained(world: World, motion: Trajectory) -> Floats:
-    """Returns what of the changes of velocity neither impulses nor forces explain, (N, nv) [m/s].
+    """Returns changes of velocity without those by impulses and forces, (N, nv) [m/s].
 
-    By the midpoint rule, as the rows "dynamics" are.
+    These follow the midpoint rule, like the rows "dynamics".
     """
     q, v, h = motion.positions, _after(world, motion)[:-1], np.diff(motion.times)[:, np.newaxis]
     middle, mean = (q[:-1] + q[1:]) / 2, (v + motion.velocities[1:]) / 2
@@ -83,7 +83,7 @@ def _calc_unexplained(world: World, motion: Trajectory) -> Floats:
 def calc_defects(world: World, motion: Trajectory) -> dict[str, float]:
     """Returns the largest violation of the rows that any motion has to meet.
 
-    In the interval that it comes to rest in, it hops more often than there are knots.
+    In the interval in which it comes to rest, it hops more often than there are knots.
     """
     q, h = motion.positions, np.diff(motion.times)[:, np.newaxis]
     mean = (_after(world, motion)[:-1] + motion.velocities[1:]) / 2

@@ -1,4 +1,4 @@
-"""What arcs of one shape share: unknowns, costs and rows, built once."""
+"""Programs of arcs of one shape: unknowns, costs and rows, built once."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     Mask = NDArray[np.bool_]
 
-# Programs that are kept, of contact sequences that a search comes back to.
+# Programs that are kept, at most: searches return to contact sequences.
 _MOST_KEPT = 64
 
 
@@ -83,7 +83,7 @@ class ArcShape:
 
     @property
     def key(self) -> tuple[bytes, ...]:
-        """What differs between shapes."""
+        """A key that differs between shapes."""
         return tuple(getattr(self, field.name).tobytes() for field in fields(self))
 
 
@@ -184,7 +184,7 @@ class ArcProgram:
         self.nlp = self._builder.build()
 
     def complete(self, x: Floats) -> Floats:
-        """Returns a point (n,) whose other unknowns are given, with the sums that have one."""
+        """Returns a point (n,) with its sums computed from the other unknowns."""
         return self._builder.complete(x)
 
     def _make_variables(self) -> None:
@@ -285,7 +285,7 @@ class ArcProgram:
         self.walls = WallBounds.of(alone)
 
     def _add_touches(self) -> None:
-        """Adds how the ball comes to walls, and that no wall pulls in an impact."""
+        """Adds approach speeds at walls, and that no wall pulls in an impact."""
         builder, shape = self._builder, self._shape
         for j, i in np.argwhere(shape.starts).tolist():
             # What rebounds elastically must be at rest already to stay.
@@ -332,6 +332,6 @@ class ArcProgram:
 
 
 def calc_root(counts: Ints) -> Floats:
-    """Returns √ρ_n of arcs of so many steps."""
+    """Returns √ρ_n of arcs, given their numbers of steps."""
     roots: Floats = np.sqrt((counts**2 - 1) / 3) / counts
     return roots

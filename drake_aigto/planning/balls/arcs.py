@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from drake_aigto.transcription import PhaseTranscription
 
 
-# Times that arcs are cut before the general way is tried instead.
+# How often arcs are cut, at most, before the general solver is tried instead.
 _MOST_ROUNDS = 6
-# Deeper in a wall than this part of the length scale a knot gets a row of its own.
+# A knot deeper in a wall than this part of the length scale gets a row of its own.
 _DEPTH = 1e-12
-# Walls that would rather pull: by how much, in units of the cost, forces would pay off.
+# Multipliers of λ ≥ 0 count above this, in units of the cost: walls would pull.
 _PULL = 1e-6
 
 

@@ -27,14 +27,14 @@ from drake_aigto.planning.sequence_search import SequenceSearch
 from drake_aigto.planning.sequences import is_same, kinds, neighbors, retimed
 from drake_aigto.transcription import TouchSequence, largest_defect
 
-# Parts of the duration by which the times of two sequences of the same contacts differ at most, if
-# their polish is expected to end in one optimum, and if it has.
+# Times of two sequences of the same contacts differ by at most these parts of the duration if their
+# polish is expected to end in one optimum, and if it has.
 SAME_START, SAME_END = 0.05, 1e-3
-# Of a sequence that grows.
+# Of a growing sequence.
 MOST_TOUCHES = 8
-# Neighbors are tried of candidates that cost at most so many times the best, with so few time
-# steps and iterations of the local solver: most are hopeless, or no motion has them, which takes
-# the solver longest to find out.
+# Neighbors are tried of candidates that cost at most 3 times the best, with few time steps and
+# iterations of the local solver: most are hopeless or infeasible, and infeasible ones take the
+# solver longest.
 GOOD, _TRIAL_STEPS, _TRIAL_ITERATIONS = 3.0, 20, 30
 
 
@@ -44,8 +44,8 @@ class Shown(NamedTuple):
     Attributes:
         center: of the box that led to it.
         sequence: the contacts.
-        path: near which they are; the box center's if None.
-        solved: the closed motion, if that is known already.
+        path: along which they are; the box center's if None.
+        solved: the closed motion, if known.
     """
 
     center: Floats
@@ -55,12 +55,12 @@ class Shown(NamedTuple):
 
 
 def propose(origin: Origin, shown: Shown) -> Proposal:
-    """Returns the proposal of a sequence, which is closed as it is added."""
+    """Returns the proposal of a sequence, which is closed when it is added."""
     return Proposal(origin, lambda: shown)
 
 
 class BranchingSearch(SequenceSearch):
-    """Goes on from its best candidates to their neighbors."""
+    """Search among the neighbors of its best candidates."""
 
     task: BallTask
 
@@ -82,14 +82,14 @@ class BranchingSearch(SequenceSearch):
         """Adds the candidate of a sequence (`Shown`)."""
 
     def keep(self, origin: Origin, found: AigoResult | Shown) -> None:
-        """Adds the candidate of a sequence, or those of the sequences that boxes show."""
+        """Adds the candidate of a sequence, or those of the sequences of boxes."""
         if isinstance(found, Shown):
             self.add(origin, *found)
         else:
             super().keep(origin, found)
 
     def vary(self) -> Iterator[Sequence[Proposal]]:
-        """Yields neighbors (`neighbors`) of good sequences, the best first, of each once."""
+        """Yields neighbors (`neighbors`) of good sequences, the best first, once for each."""
         self.tell(f"{len(self.by_sequence)} candidates; looking for others near the best")
         branched: set[TouchSequence] = set()
         while len(branched) < self.task.options.branches:
@@ -108,7 +108,7 @@ class BranchingSearch(SequenceSearch):
             yield from self._branch(best)
 
     def _branch(self, sequence: TouchSequence) -> Iterator[Sequence[Proposal]]:
-        """Yields those neighbors of a sequence that a trial finds good."""
+        """Yields the neighbors of a sequence whose trial is good."""
         phases, x = self.solved[sequence]
         origin = self.by_sequence[sequence].origin
         path = phases.sample_times(x), phases.split(x)[0]
@@ -116,15 +116,15 @@ class BranchingSearch(SequenceSearch):
         optimum = phases.contact_sequence(x)
         others = [*find_rests(phases, x), *retimed(optimum, self._pulling, self._duration)]
         for other in [*others, *neighbors(optimum, more)]:
-            # Where a plan holds, its times are the best ones, unless something pulls to a wall; of
-            # others they may not be.
+            # Times of a plan that holds are the best ones, unless something pulls to a wall; those
+            # of others may not be.
             held = [kinds(each) for each, it in self.by_sequence.items() if it.is_confirmed]
             is_pulled = any(touch.contact in self._pulling for touch in other)
             is_new = (is_pulled or kinds(other) not in held) and not self.is_known(other)
             if is_new and len(other) <= MOST_TOUCHES and self.task.fits(other):
                 tried = self._try(other, path)
                 if tried and not self._has_optimum(tried):
-                    # Where arcs did without the program, the trial was the polish.
+                    # If arcs sufficed, the trial was the polish.
                     solved = tried if tried[0].is_as_made else None
                     near = origin.changed(_change(sequence, other), sequence)
                     yield [propose(near, Shown(self.centers[sequence], other, path, solved))]
@@ -133,13 +133,13 @@ class BranchingSearch(SequenceSearch):
 
     @cached_property
     def _pulling(self) -> frozenset[int]:
-        """The contacts that something but the control pulls towards."""
+        """The contacts that the uncontrolled acceleration points to."""
         transcription = self.task.transcription
         pulls = find_pulls(transcription.world, transcription.scenario.goal_position)
         return frozenset(np.flatnonzero(pulls > 0).tolist())
 
     def _try(self, sequence: TouchSequence, path: Path) -> Solved | None:
-        """Returns a trial polish, if it meets the rows, and costs little more than the best."""
+        """Returns a trial polish, if it is feasible and costs little more than the best."""
         least = min(candidate.replay.cost for candidate in self.by_sequence.values())
         try:
             with self.clock("polish"):
@@ -152,18 +152,18 @@ class BranchingSearch(SequenceSearch):
         return (phases, x) if is_feasible and is_good else None
 
     def is_known(self, sequence: TouchSequence) -> bool:
-        """Returns whether nearly this sequence has been polished or refused, or came out."""
+        """Returns whether nearly this sequence was polished, refused, or the result of a polish."""
         optima = map(self._optimum, self.by_sequence)
         known = chain(self.by_sequence, optima, self._refused)
         return self._is_among(sequence, known, SAME_START)
 
     def _optimum(self, sequence: TouchSequence) -> TouchSequence:
-        """Returns what the polish made of a sequence's times."""
+        """Returns a sequence with its times after the polish."""
         phases, x = self.solved[sequence]
         return phases.contact_sequence(x)
 
     def _has_optimum(self, solved: Solved) -> bool:
-        """Returns whether a candidate has these times already."""
+        """Returns whether a known candidate has these times."""
         phases, x = solved
         optima = map(self._optimum, self.by_sequence)
         return self._is_among(phases.contact_sequence(x), optima, SAME_END)

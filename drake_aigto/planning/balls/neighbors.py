@@ -1,4 +1,4 @@
-"""Contact sequences near one: with one more bounce, a rest, a touch past a time of users."""
+"""Neighbors of contact sequences: one more bounce, a rest, a touch moved past an instant."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from drake_aigto.arrays import Floats
 from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
 from drake_aigto.world import World
 
-# A wall is grazed where it is nearer than this part of the length scale.
+# A wall is grazed within this part of the length scale.
 _GRAZE = 1e-5
 # Distance of a new touch to those before and after it, as a part of the time between them.
 _ROOM = 0.2
-# Of one that comes soon before the next.
+# The same of a touch that comes soon before the next.
 _LATE = 0.05
-# Less time between touches than this part of the duration has no room for another.
+# Shortest time between touches with room for another, as a part of the duration.
 _LEAST_GAP = 1e-3
-# Contacts are felt by each other if J M⁻¹ Jᵀ is more than this.
+# Contacts are coupled if J M⁻¹ Jᵀ is more than this.
 _FELT = 1e-9
 
 
 def find_insertions(phases: PhaseTranscription, x: Floats) -> list[Touch]:
-    """Returns one more bounce for each wall and each gap between the touches that it feels.
+    """Returns one more bounce for each wall and each gap between touches coupled to it.
 
-    A contact does not feel another if no impulse of it changes the other's speed, J_i M⁻¹ J_jᵀ = 0;
-    their order makes no difference. A wall that was touched last, or is next, is left out, unless
-    something pulls towards it. Each bounce is where the motion comes nearest to the wall, and where
-    something pulls also soon before the next touch: high and late.
+    Contacts are not coupled if no impulse of one changes the other's speed, J_i M⁻¹ J_jᵀ = 0; their
+    order makes no difference. The wall of the last or next touch is left out, unless something
+    pulls towards it. Each bounce is where the motion comes nearest to the wall; with such a pull
+    there is another one soon before the next touch, high and late.
 
     Args:
         phases: the multi-phase problem of a motion.
@@ -62,7 +62,7 @@ def find_insertions(phases: PhaseTranscription, x: Floats) -> list[Touch]:
 def find_grazes(phases: PhaseTranscription, x: Floats) -> list[Touch]:
     """Returns bounces where the motion keeps off a wall at φ = 0 by its control alone.
 
-    There a touch that the sequence lacks may pay. One for each run of such knots.
+    A touch may pay there. There is one bounce per run of such knots.
 
     Args:
         phases: the multi-phase problem of a motion.
@@ -89,7 +89,7 @@ _LEAST_REST = 0.02
 
 
 def find_rests(phases: PhaseTranscription, x: Floats) -> list[TouchSequence]:
-    """Returns a sequence with each touch as a contact that lasts, and no later ones of that wall.
+    """Returns sequences with one touch sustained, and no later touches of its wall.
 
     Off an elastic wall no bounce ends in rest. The contact is left in time for the cheapest
     jump to the goal's distance d from the wall, against the acceleration a towards it: from rest,
@@ -116,13 +116,13 @@ def find_rests(phases: PhaseTranscription, x: Floats) -> list[TouchSequence]:
     return found
 
 
-# Parts of the duration: touches start no nearer to an instant than this, and are held up by it if
-# the polish leaves them within that.
+# Parts of the duration: the least distance of first touches to an instant; and the distance at
+# which a polished touch is blocked by it.
 _APART, _HELD = 1e-3, 1e-5
 
 
 def keep_apart(sequence: TouchSequence, instants: Floats, duration: float) -> TouchSequence:
-    """Returns a sequence off the instants, shape (I,), I > 0 [s]: what is at one comes after it."""
+    """Returns a sequence off the instants, shape (I,), I > 0 [s]; touches at one come later."""
     gap = min([_APART * duration, *(np.diff(instants) / 4)])
 
     def move(time: float) -> float:
@@ -134,7 +134,7 @@ def keep_apart(sequence: TouchSequence, instants: Floats, duration: float) -> To
 
 
 def moved_past(phases: PhaseTranscription, x: Floats) -> Iterator[TouchSequence]:
-    """Yields the sequence with each touch that an instant holds up on its other side.
+    """Yields the sequence with each touch that an instant blocks on its other side.
 
     Args:
         phases: the multi-phase problem.

@@ -1,4 +1,4 @@
-"""Multi-phase problems of contact sequences, and what leads from a path to their optimum."""
+"""Multi-phase problems of contact sequences, and their optima near a path."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from drake_aigto.transcription import (
 )
 from drake_aigto.world import Scenario, World
 
-# AIGO's boxes tell a bounce from the start's own push if so many steps lead to the wall; for that
-# they have so many times the steps at most, if the scenario does not have more.
+# AIGO's boxes distinguish a bounce from the start's own impulse if this many steps lead to the
+# wall; and the factor by which they may have more steps for that, unless the scenario has more.
 _STEPS_TO_WALL, _MOST_FINER = 3, 4
 
 
@@ -51,9 +51,9 @@ def coarsen(world: World, scenario: Scenario, options: PlanOptions) -> Scenario:
 
 
 def _count_steps(world: World, scenario: Scenario) -> int:
-    """Returns into how many steps T has to be cut for the ball to fly three before the wall.
+    """Returns the number of steps of T for which the ball flies three before the wall.
 
-    No number would do for a wall that is touched at once, which needs no box to be seen.
+    Walls that are touched at once do not count: they are known without boxes.
     """
     distances = world.calc_signed_distance(scenario.initial_position)
     jacobian = world.calc_contact_jacobian(scenario.initial_position)
@@ -63,9 +63,9 @@ def _count_steps(world: World, scenario: Scenario) -> int:
 
 
 def least_flight_cost(dynamics: ConstantDynamics, scenario: Scenario) -> float:
-    """Returns what a motion that touches nothing costs at least.
+    """Returns a lower bound of the cost of motions without contact.
 
-    Without walls, and with a control that is free at any time, which is affine in t then:
+    Without walls, and with a control that may change at any time, which then is affine in t:
 
         d = goal − q₀ − T v₀ − ½ T² a₀,   G = M⁻¹ B,   J ≥ dᵀ (I/w_f + T³/(3 w_u) G Gᵀ)⁻¹ d
     """
@@ -79,12 +79,12 @@ def least_flight_cost(dynamics: ConstantDynamics, scenario: Scenario) -> float:
 
 
 def unfolds(dynamics: ConstantDynamics, world: World, scenario: Scenario) -> bool:
-    """Returns whether plans of the same contacts, in the same order, are expected to be one plan.
+    """Returns whether the contacts and their order are expected to determine a plan.
 
-    Mirrored at each wall that it bounces off, and with nothing but controls that bends it, a motion
-    is a free flight to the goal's image, and the cost of that is convex, if in the image
-    accelerations cost what they do here. A block can be passed on two sides, and under gravity a
-    ball bounces high and late or low and early; and of two masses the lighter one is cheaper.
+    Mirrored at each wall that it bounces off, a motion under controls alone is a free flight to the
+    goal's image. The cost of that is convex, if accelerations cost the same in the image. But a
+    block can be passed on two sides; under gravity a ball bounces high and late or low and early;
+    and of two masses the lighter one costs less.
     """
     return bool(
         world.num_solids == world.num_contacts
@@ -117,9 +117,9 @@ class PhaseTask(ProgramTask):
     """A task between rigid walls, whose contact sequences have a multi-phase problem each.
 
     Attributes:
-        asked_steps: time steps that plans are to have.
-        num_steps: those that candidates are judged with, `PlanOptions.aigo_steps` at least: what
-            few steps cost has nothing to do with which contacts are best.
+        asked_steps: time steps of plans.
+        num_steps: those that candidates are judged with, `PlanOptions.aigo_steps` at least: costs
+            with few steps do not show which contacts are best.
     """
 
     transcription: RigidTranscription
@@ -137,8 +137,8 @@ class PhaseTask(ProgramTask):
         Args:
             transcription: for AIGO.
             options: numerics.
-            num_steps: time steps that plans are to have; the transcription's if None.
-            programs: those of the same world, wherever its walls stand, and the same additions.
+            num_steps: time steps of plans; the transcription's if None.
+            programs: of the same world, wherever its walls stand, and the same additions.
         """
         options = options or PlanOptions()
         options.check_for_balls()
@@ -149,13 +149,13 @@ class PhaseTask(ProgramTask):
         self._scenarios: dict[int, Scenario] = {}  # By their number of steps.
 
     def _look_along(self, path: Path, sequence: TouchSequence) -> tuple[Floats, tuple[Facing, ...]]:
-        """Returns where touches are on a path, and on which sides of boxes it goes."""
+        """Returns the positions of touches on a path, and the sides on which it passes boxes."""
         world, (times, positions) = self.transcription.world, path
         through = interpolate(joint_times(sequence), times, positions)
         if world.num_solids == world.num_contacts:
             return through, ()
-        # Box centers miss the goal, and neighbors the walls: on which side of it a block is passed
-        # is to be seen on a path that does not.
+        # Box centers miss the goal, and neighbors the walls: the side on which a block is passed is
+        # read off a path that does not.
         stops = straight_path(world, self.transcription.scenario, sequence, through)
         return through, tuple(find_facings(world, *bend(path, *stops), sequence))
 
@@ -177,9 +177,9 @@ class PhaseTask(ProgramTask):
         return None if x is None else (phases, x)
 
     def _settle(self, nlp: PolynomialNlp, guess: Floats, max_iterations: int) -> LocalResult | None:
-        """Returns what plain Newton steps lead to, or else one run of our local solver, if any.
+        """Returns the result of plain Newton steps, or else of one run of our local solver.
 
-        Of most sequences no bound is active in the optimum: phases have some length.
+        For most sequences no bound is active in the optimum: phases have some length.
         """
         quick = NewtonLagrange(cost_unit=self._cost_scale)
         found = quick.solve(nlp, guess)
@@ -189,19 +189,19 @@ class PhaseTask(ProgramTask):
 
     @cached_property
     def least_flight_cost(self) -> float:
-        """What a motion that touches nothing costs at least; 0 where that has no closed form."""
+        """Lower bound of the cost without contact; 0 if it has no closed form."""
         dynamics = self._find_dynamics()
         return least_flight_cost(dynamics, self.transcription.scenario) if dynamics else 0.0
 
     @cached_property
     def unfolds(self) -> bool:
-        """Whether plans of the same contacts, in the same order, are expected to be one plan."""
+        """Whether the contacts and their order are expected to determine a plan."""
         dynamics, world = self._find_dynamics(), self.transcription.world
         return bool(dynamics and unfolds(dynamics, world, self.transcription.scenario))
 
     @cached_property
     def _instants(self) -> Floats:
-        """The times besides the ends that users bound something to, shape (I,) [s]."""
+        """Times of users' costs and constraints, without the ends, shape (I,) [s]."""
         return self.additions.times[list(self.additions.instants)]
 
     @cached_property
@@ -209,7 +209,7 @@ class PhaseTask(ProgramTask):
         return self.options.local_solver == "newton" and self._find_dynamics() is not None
 
     def _find_dynamics(self) -> ConstantDynamics | None:
-        """Returns what has closed forms: flight in parabolas, and nothing that users added."""
+        """Returns the dynamics if flights are parabolas without additions of users."""
         world = self.transcription.world
         is_known = world.has_constant_dynamics and not self.additions
         return world.constant_dynamics if is_known else None
@@ -217,7 +217,7 @@ class PhaseTask(ProgramTask):
     def _phases(
         self, sequence: TouchSequence, facings: Iterable[Facing], num_steps: int | None
     ) -> PhaseTranscription:
-        """Returns the multi-phase problem, with so many steps or AIGO's, one a phase at least."""
+        """Returns the multi-phase problem in num_steps or AIGO's, at least one per phase."""
         coarse, facings = self.transcription, tuple(facings)
         scenario = coarse.scenario
         turns = (facing.start for facing in facings)

@@ -35,19 +35,19 @@ from drake_aigto.transcription import Touch, TouchSequence, joint_times
 
 _LOG = logging.getLogger(__name__)
 
-# Touches of one wall that are nearer than this part of the duration are chatter.
+# Touches of one wall that are closer than this part of the duration are chatter.
 _CHATTER = 0.02
-# Another time step than the scenario's is worth this part of the cost.
+# Price of another time step than the scenario's, relative to the cost.
 _STEPS_PRICE = 1e-2
-# A candidate that costs no more than so many times the best may become the best.
+# A candidate that costs at most this times the best may become the best.
 _PROMISING = 20.0
 
 
 class BallSearch(BranchingSearch):
-    """AIGO proposes touches, which are polished; the best again if the first polish was coarse.
+    """Search in which AIGO proposes touches; they are polished, the best again if coarse.
 
     If a candidate's replay bounces where its plan does not, the plan with that bounce is another
-    candidate: knots may step over a short contact, and AIGO's do over one right after the start.
+    candidate: knots may miss a short contact, and those of AIGO miss one right after the start.
     """
 
     def __init__(self, task: BallTask, clock: Stopwatch | None = None) -> None:
@@ -56,18 +56,18 @@ class BallSearch(BranchingSearch):
         self._num_steps = task.num_steps
         self._least_flight_cost = task.least_flight_cost
         self._left_out: tuple[Origin, Floats] | None = None  # A flight's.
-        # What had no polish, as `add` was given it.
+        # Arguments of `add` whose polish failed.
         self._given_up: list[tuple[Origin, Shown]] = []
-        self._is_open = False  # Whether what costs too much to win is improved, too.
+        self._is_open = False  # Whether candidates that cost too much are improved, too.
 
     def rungs(self) -> Iterator[tuple[Rung, ...]]:
-        """Yields the rungs that may tell something new.
+        """Yields the rungs that may have new results.
 
-        Where contacts alone make a plan (`BallTask.unfolds`), the ends of the ladder are run; a
-        rung between two others only if these do not show the same contacts, or one touch more:
-        there is no sequence between such two. Colder rungs show fewer touches: after a first one
-        that shows a single touch none is run if no flight can win. Rungs around the coasting
-        motion, a ladder of their own, are left out if a candidate has its contacts.
+        If contacts determine a plan (`BallTask.unfolds`), the ends of the ladder are run; a rung
+        between two others only if these do not have the same contacts, or one touch more: there is
+        no sequence between such two. Colder rungs have fewer touches: after a first one with a
+        single touch none is run if no flight can win. Rungs around the uncontrolled motion, a
+        ladder of their own, are left out if a candidate has its contacts.
         """
         ladder = self.task.ladder
         if self.task.options.exhaustive or not self.task.unfolds:
@@ -87,7 +87,7 @@ class BallSearch(BranchingSearch):
                 yield from self._rungs_between(rungs)
 
     def _leaves_only_flight(self, rung: Rung) -> bool:
-        """Returns whether a flight, which can't win, is all that fewer touches would leave."""
+        """Returns whether fewer touches would only leave a flight, which can't win."""
         shown = self._shown_by(rung)
         is_settled = len(shown) == 1 and self._can_leave_flight_out()
         if is_settled:
@@ -98,7 +98,7 @@ class BallSearch(BranchingSearch):
         return is_settled
 
     def _rungs_between(self, rungs: tuple[Rung, ...]) -> Iterator[tuple[Rung, ...]]:
-        """Yields what is needed of the rungs between the first and the last of these."""
+        """Yields the necessary rungs between the first and the last of these."""
         if len(rungs) < 3 or are_neighbors(
             *(self._shown_by(rung) for rung in (rungs[0], rungs[-1]))
         ):
@@ -109,7 +109,7 @@ class BallSearch(BranchingSearch):
         yield from self._rungs_between(rungs[middle:])
 
     def _shown_by(self, rung: Rung) -> TouchSequence:
-        """Returns the contact sequence that a rung's box shows, () if none that fits."""
+        """Returns the contact sequence of a rung's box, () if none fits."""
         sequences = next(sequences for each, sequences in self.shown if each is rung)
         return sequences[0] if sequences else ()
 
@@ -125,16 +125,16 @@ class BallSearch(BranchingSearch):
         path: Path | None = None,
         solved: Solved | None = None,
     ) -> None:
-        """Adds the candidate of a sequence, and if its replay bounces more often, that one's.
+        """Adds the candidate of a sequence, and one of its replay if that bounces more often.
 
-        A flight is left out once another candidate costs so little that not even its neighbors
-        would be tried.
+        A flight is left out if another candidate costs so little that not even the flight's
+        neighbors would be tried.
 
         Args:
             origin: where it came from.
             center: of the box that led to it.
             sequence: the contacts.
-            path: near which they are; the box center's if None.
+            path: along which they are; the box center's if None.
             solved: the polish, if that is done.
         """
         if not sequence and self._can_leave_flight_out():
@@ -149,7 +149,7 @@ class BallSearch(BranchingSearch):
         try:
             self.solve(origin, center, sequence, polish)
         except (OptionsError, TrajectoryError, UnsupportedTermError):
-            # Boxes may see touches that no motion has, such as of opposite walls at once.
+            # Boxes may propose infeasible touches, such as of opposite walls at once.
             self._refused.append(sequence)
             self._given_up.append((origin, Shown(center, sequence, path)))
             return
@@ -179,11 +179,11 @@ class BallSearch(BranchingSearch):
 
     @property
     def flight_left_out(self) -> float | None:
-        """What a free flight costs at least, if it was left out for that."""
+        """Lower bound of the cost of a free flight, if it was left out because of that."""
         return None if self._left_out is None else self._least_flight_cost
 
     def add_left_out(self) -> None:
-        """Adds the flight that `add` left out, if it did, and improves what could not win."""
+        """Adds the flight that `add` left out, if any, and improves costly candidates."""
         self._is_open = True
         super().judge()
         if self._left_out is not None:
@@ -191,7 +191,7 @@ class BallSearch(BranchingSearch):
             self.solve(origin, center, (), self.task.polish)
 
     def _is_promising(self, candidate: Candidate) -> bool:
-        """Returns whether a candidate costs little enough for those near it to become the best."""
+        """Returns whether neighbors of a candidate may become the best."""
         costs = (other.replay.cost for other in self.by_sequence.values() if other.is_confirmed)
         return candidate.cost <= scaled(_PROMISING, min(costs, default=np.inf))
 
@@ -204,7 +204,7 @@ class BallSearch(BranchingSearch):
         )
 
     def _add_swapped(self, sequence: TouchSequence) -> None:
-        """Adds a candidate's sequence with touches swapped that became one moment."""
+        """Adds a candidate's sequence with touches swapped that became simultaneous."""
         candidate, (phases, x) = self.by_sequence[sequence], self.solved[sequence]
         if candidate.is_feasible:
             for other in swapped(phases.contact_sequence(x), SAME_END * self._duration):
@@ -214,7 +214,7 @@ class BallSearch(BranchingSearch):
                     self.add(origin, self.centers[sequence], other, path)
 
     def _with_unplanned_bounce(self, sequence: TouchSequence) -> list[TouchSequence]:
-        """Returns a sequence up to the first bounce of its replay that it lacks, and all of it."""
+        """Returns a sequence with the first bounce that it lacks, cut off there, and whole."""
         optimum, near = self._optimum(sequence), SAME_START * self._duration
         replay = self.by_sequence[sequence].replay
         for time, contact in zip(replay.bounce_times, replay.bounce_contacts, strict=True):
@@ -228,9 +228,9 @@ class BallSearch(BranchingSearch):
         return []
 
     def propose(self) -> Iterator[Sequence[Proposal]]:
-        """Yields boxes of rungs, and what the motion without control touches.
+        """Yields boxes of rungs, and the contacts of the uncontrolled motion.
 
-        Where these lead to no plan, what was given up is closed again before, more patiently.
+        If boxes lead to no plan, failed polishes are repeated first, with more iterations.
         """
         yield from super().propose()
         has_plan = any(each.is_feasible and each.is_confirmed for each in self.by_sequence.values())
@@ -242,9 +242,9 @@ class BallSearch(BranchingSearch):
         yield from self._coast()
 
     def _coast(self) -> Iterator[Sequence[Proposal]]:
-        """Yields the contacts of the motion without control, if they may lead to another plan.
+        """Yields the contacts of the uncontrolled motion, if they may lead to another plan.
 
-        A block that this bounces off may be passed, too.
+        Plans may also pass a block that it bounces off.
         """
         coast, world = self.task.coast, self.task.transcription.world
         bounces = zip(coast.bounce_times, coast.bounce_contacts, strict=True)
@@ -259,13 +259,13 @@ class BallSearch(BranchingSearch):
                 yield [propose(Origin(COASTING), shown)]
 
     def improve(self, sequence: TouchSequence) -> None:
-        """Polishes a candidate with the steps that all are judged with, in its place."""
+        """Replaces a candidate by its polish with the steps that all are judged with."""
         self._polish_again(sequence, self.task)
 
     def find_best(self) -> Candidate:
         """Returns the best candidate, polished with as few time steps as the scenario has.
 
-        If that makes another one the best, it is that one, and so on.
+        If that makes another one the best, that one is polished, and so on.
         """
         few, presented = self.task.in_steps(self.task.asked_steps), set[int]()
         while True:
@@ -276,10 +276,10 @@ class BallSearch(BranchingSearch):
             presented.add(id(self._polish_again(sequence, few)))
 
     def _polish_again(self, sequence: TouchSequence, problem: BallTask) -> Candidate:
-        """Puts a candidate with a problem's steps in its place, if it holds, and returns it."""
+        """Replaces a candidate by one with a problem's steps, if it holds, and returns it."""
         known, optimum = self.by_sequence[sequence], self._optimum(sequence)
         steps = max(problem.num_steps, 1 + len(joint_times(optimum)))
-        # A contact that ran into the end leaves a phase that vanishes: more steps win nothing.
+        # A contact at the very end leaves a vanishing phase: more steps do not help.
         vanishes = optimum and optimum[-1].end > (1 - SAME_END) * self._duration
         if steps == self.solved[sequence][0].scenario.num_steps or vanishes:
             return known
@@ -300,7 +300,7 @@ class BallSearch(BranchingSearch):
         return other
 
     def finalists(self) -> list[TouchSequence]:
-        """Returns the sequences by rank, one of each optimum, of those that may still win."""
+        """Returns the sequences that may still win by rank, one per optimum."""
         kept: list[TouchSequence] = []
         for sequence in sorted(self.by_sequence, key=self.rank_of):
             optima = map(self._optimum, kept)
@@ -315,9 +315,9 @@ class BallSearch(BranchingSearch):
         return [sequence for sequence in kept if self.by_sequence[sequence].cost <= most]
 
     def rank(self, candidate: Candidate) -> tuple[float, ...]:
-        """Orders by feasibility, what the event-driven replay confirms, time step, and its cost.
+        """Orders by feasibility, confirmation by the event-driven replay, and cost.
 
-        Where the steps that candidates are judged with would do, others only cost a little more.
+        Other time steps than those that candidates are judged with have a small price.
         """
         has_other_steps = len(candidate.trajectory.controls) != self._num_steps
         price = scaled(1 + _STEPS_PRICE * has_other_steps, candidate.replay.cost)

@@ -32,20 +32,20 @@ from drake_aigto.transcription import (
 if TYPE_CHECKING:
     from drake_aigto.world import Scenario, World
 
-# A touch this near to the start or the end, as a part of the duration, is none.
+# Touches closer than this part of the duration to the start or the end do not count.
 _MARGIN = 1e-6
-# A touch is moved so often at most past times that users bound something to.
+# How often touches are moved past instants of users, at most.
 _MOST_MOVES = 20
-# Boxes show a bounce that comes at once after so many steps at the latest.
+# Boxes have an immediate bounce within this many steps.
 _STEPS_OF_START = 3
-# Of the local solver on arcs: what takes more is left to the general way.
+# Of the local solver on arcs; the general solver takes over after that.
 _ARC_ITERATIONS = 60
-# The general way takes minutes for more steps than this, which hardly make a plan any cheaper; and
-# seconds for more than that, before it is known which candidates are the best.
+# The general solver takes minutes for more steps than the first number, which hardly improve a
+# plan; and seconds for more than the second, before the best candidates are known.
 _MOST_GENERAL, _MOST_COARSE = 1000, 300
-# How far an anneal cools down. Which contacts a plan has, boxes show long before they are
-# stationary: a loose tolerance at few temperatures reads as many sequences right as careful ones.
-# Fewer Newton steps than that takes are too few around the straight line, where bounces get lost.
+# Last temperature of an anneal, relative to the first. Boxes have a plan's contacts long before
+# they are stationary: a loose tolerance at few temperatures finds as many right sequences as
+# careful ones. Still fewer Newton steps would lose bounces around the straight line.
 _COOLED = 5e-5
 
 
@@ -62,20 +62,20 @@ class BallTask(PhaseTask):
 
     transcription_name: ClassVar[str] = "rigid"
 
-    # Gravity and springs may cost far more than the way does.
+    # Gravity and springs may cost far more than the motion.
     _cost_units = (1.0, 1e2, 1e4)
 
-    # Iterations of polishes after plain Newton steps, in turn; (): as many as it takes.
+    # Iterations of polishes after plain Newton steps, in turn; (): no limit.
     _brief: tuple[int, ...] = ()
 
     @property
     def coast_steps(self) -> int:
-        """Of the motion without control: a multiple of the transcription's, as many as plans'."""
+        """Time steps of the uncontrolled motion: a multiple of the transcription's, like plans'."""
         coarse = self.transcription.scenario.num_steps
         return coarse * math.ceil(self.num_steps / coarse)
 
     def in_steps(self, num_steps: int) -> BallTask:
-        """Returns the same problem, whose plans are polished with so many time steps."""
+        """Returns the same problem, with plans polished in this number of time steps."""
         other = copy.copy(self)
         other.num_steps = num_steps
         return other
@@ -83,9 +83,9 @@ class BallTask(PhaseTask):
     def in_brief(self, most_iterations: int) -> BallTask:
         """Returns the same problem for searches that may not take long.
 
-        Where there are arcs, a polish takes plain Newton steps alone, and has no general way after
-        them: few plans are lost, and most of the time is won. So many iterations at most come after
-        these steps where a search has found no plan otherwise (`patient`).
+        With arcs, a polish takes plain Newton steps alone, without the general solver: few plans
+        are lost, and most of the time is saved. Up to most_iterations follow these steps if a
+        search has found no plan otherwise (`patient`).
         """
         other = copy.copy(self)
         other._brief = (0, most_iterations)
@@ -93,7 +93,7 @@ class BallTask(PhaseTask):
 
     @property
     def patient(self) -> BallTask | None:
-        """The same problem for searches that have found nothing yet; None: there is no more."""
+        """The same problem for searches without a plan so far; None: there is no other."""
         if len(self._brief) < 2:
             return None
         other = copy.copy(self)
@@ -101,7 +101,7 @@ class BallTask(PhaseTask):
         return other
 
     def in_world(self, world: World) -> BallTask:
-        """Returns the same problem, as nothing was added, where walls stand elsewhere.
+        """Returns the same problem, without additions, with walls elsewhere.
 
         Args:
             world: see `EquationsOfMotion.with_walls_nearer`.
@@ -109,7 +109,7 @@ class BallTask(PhaseTask):
         return self._with(self.transcription.in_world(world), self.asked_steps)
 
     def make_algorithm(self, rung: Rung) -> Algorithm:
-        """Returns an annealing that ends as soon as boxes show contacts."""
+        """Returns an annealing that ends as soon as contacts can be read off boxes."""
         start = rung.temperature * self._cost_scale
         return Annealing(
             initial_temperature=start,
@@ -120,10 +120,10 @@ class BallTask(PhaseTask):
         )
 
     def again(self, scenario: Scenario) -> BallTask:
-        """Returns the problem of another scenario in the same world, with what users added.
+        """Returns the problem of another scenario in the same world, with additions of users.
 
-        A program is compiled for it only where its structure is a new one. What users bound to a
-        knot stays bound to it, so that there are as many as here.
+        A program is compiled only for a new structure. Additions stay at their knots, so that the
+        number of knots stays the same.
         """
         coarse = coarsen(self.transcription.world, scenario, self.options)
         if self.additions:
@@ -144,7 +144,7 @@ class BallTask(PhaseTask):
         return [self._with_touches_at_once(sequence) for sequence in filter(self.fits, read)]
 
     def _with_touches_at_once(self, sequence: TouchSequence) -> TouchSequence:
-        """Returns a sequence with the bounces that come at once, which boxes show late or never."""
+        """Returns a sequence with its immediate bounces, which boxes have late or never."""
         soon = _STEPS_OF_START * self.transcription.time_step()
         for touch in reversed(self._at_once):
             late = [
@@ -158,7 +158,7 @@ class BallTask(PhaseTask):
         return touches_at_once(self.transcription.world, self.transcription.scenario)
 
     def _transcribe_around(self, positions: Floats) -> RigidTranscription:
-        """Returns the transcription with those faces of boxes in force that a path goes along."""
+        """Returns the transcription with the faces of boxes that a path goes along."""
         first = self.transcription
         if first.world.num_solids == first.world.num_contacts:
             return first
@@ -174,8 +174,8 @@ class BallTask(PhaseTask):
     def polish(self, center: Floats, sequence: TouchSequence) -> tuple[PhaseTranscription, Floats]:
         """Returns the multi-phase problem of a contact sequence, and its local optimum.
 
-        Of AIGO's box center only the sequence, where the walls are touched, and on which side
-        blocks are passed, are kept.
+        Of AIGO's box center only the sequence, the positions of touches, and the sides on which
+        blocks are passed are kept.
         """
         path = self.transcription.split(center)[0]
         return self.polish_along((self.transcription.GetSampleTimes(), path), sequence)
@@ -187,18 +187,18 @@ class BallTask(PhaseTask):
         num_steps: int | None = None,
         max_iterations: int | None = None,
     ) -> tuple[PhaseTranscription, Floats]:
-        """Returns the same, for a contact sequence along another path than a box center's.
+        """Returns the same, for a contact sequence along any path.
 
-        A touch that is held up by a time that users bound something to is tried on its other side.
+        Touches that an instant of users blocks are tried on its other side.
 
         Args:
             path: times and positions.
             sequence: the contacts.
-            num_steps: of all phases together, where there are no arcs; this problem's if None.
-            max_iterations: of a single run of the local solver, rather than as many as it takes.
+            num_steps: of all phases together, without arcs; this problem's if None.
+            max_iterations: of a single run of the local solver; None: no limit.
 
         Raises:
-            OptionsError, TrajectoryError, UnsupportedTermError: touches that no motion has.
+            OptionsError, TrajectoryError, UnsupportedTermError: infeasible touches.
         """
         counts = num_steps, max_iterations
         if not self._instants.size:
@@ -224,9 +224,9 @@ class BallTask(PhaseTask):
         solved: Transcription,
         x: Floats,
     ) -> Candidate:
-        """Returns the candidate of a solution; hops that lead to rest are as they are simulated.
+        """Returns the candidate of a solution; hops that lead to rest are simulated ones.
 
-        The multi-phase problem counts their time, not their heights.
+        The multi-phase problem has their times, not their heights.
         """
         found = super().judge(origin, start, solved, x)
         if not (isinstance(solved, PhaseTranscription) and solved.hops(x)):
@@ -245,7 +245,7 @@ class BallTask(PhaseTask):
         )
 
     def _merit(self, phases: PhaseTranscription, x: Floats) -> tuple[float, float]:
-        """Returns what is less for a better solution: by how much it misses rows, then its cost."""
+        """Returns the merit, less for a better solution: its violation of rows, then its cost."""
         defect = largest_defect(self.defects(phases, x), self.scales)
         return max(defect, LARGEST_DEFECT), self.cost(phases, x)
 
@@ -258,8 +258,8 @@ class BallTask(PhaseTask):
     ) -> Solved:
         """Returns the local optimum of one multi-phase problem.
 
-        Arcs, where they lead to the optimum, have the last polish's steps at once: their number
-        makes no difference. Where they don't, there are `_MOST_GENERAL` steps at most.
+        Arcs that lead to the optimum have the last polish's steps at once, as their number makes no
+        difference. Otherwise, there are `_MOST_GENERAL` steps at most.
         """
         through, facings = self._look_along(path, sequence)
         if self._has_arcs:
@@ -281,9 +281,9 @@ class BallTask(PhaseTask):
         return phases, x
 
     def follow(self, path: Path, sequence: TouchSequence, max_iterations: int) -> Solved | None:
-        """Returns the same for who asks at every tick, or None if so few iterations don't lead on.
+        """Returns the same for controllers at every tick, or None if iterations do not suffice.
 
-        Where there are arcs, there is no general way after them; else what misses rows is None.
+        With arcs, the general solver is not tried; otherwise, infeasible solutions are None.
 
         Args:
             path: see `polish_along`, as sequence.
