@@ -1,4 +1,4 @@
-"""Closed rigid contacts with friction: which stick, slip or open, and with what forces."""
+"""Closed rigid contacts with friction: their modes (stick, slip, open) and forces."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from drake_aigto.world import World
 
 # Accelerations that differ by less than this, relative to the largest one or 1 m/s², are equal.
 _SAME = 1e-7
-# What counts as no acceleration, or as no force on the mass that a contact feels, in the same way.
+# Accelerations below this count as 0, as do forces on the mass of a contact, in the same way.
 _NOTHING = 1e-12
-# Directions whose part that others lack is below this are theirs.
+# Directions count as dependent if their part outside the span of others is below this.
 RANK = 1e-9
 
 
 class Touching(NamedTuple):
-    """Contacts that are closed, k of them, and how bodies would go on without them.
+    """Contacts that are closed, k of them, and the motion of bodies without them.
 
     At an instant, with Coulomb's law for each contact,
 
         x = x₀ + M⁻¹ (Jᵀ f_n + Tᵀ f_t),    0 ≤ f_n ⊥ J x + j ≥ 0,    |f_t| ≤ μ f_n,
-        f_t = −μ sign(s) f_n where it slips, or begins to slip as T x + t says.
+        f_t = −μ sign(s) f_n if slipping, or beginning to slip along T x + t.
 
-    For accelerations x = v̇, j = J̇ v and t = Ṫ v; for velocities after impacts that return nothing
-    x = v⁺, j = t = 0, and forces are impulses.
+    For accelerations x = v̇, j = J̇ v and t = Ṫ v; for velocities after plastic impacts x = v⁺,
+    j = t = 0, and forces are impulses.
     """
 
     kicks: Floats  # M⁻¹ [Jᵀ Tᵀ], shape (nv, 2k)
@@ -44,7 +44,7 @@ class Touching(NamedTuple):
 
 
 class Going(NamedTuple):
-    """How closed contacts go on."""
+    """Continuation of closed contacts: change and forces."""
 
     modes: tuple[Mode, ...]
     change: Floats  # x − x₀, shape (nv,)
@@ -52,13 +52,13 @@ class Going(NamedTuple):
 
 
 def find_modes(touching: Touching) -> Going:
-    """Returns how closed contacts go on.
+    """Returns the continuation of closed contacts.
 
     All combinations of stick, slip and opening are tried: 4ᵏ at the most.
 
     Raises:
-        FrictionError: no combination fits, or several do that lead to different motions, as rigid
-            bodies may have it (P. Painlevé, "Sur les lois du frottement de glissement", 1895).
+        FrictionError: no combination fits, or several fit with different motions, as may happen
+            for rigid bodies (P. Painlevé, "Sur les lois du frottement de glissement", 1895).
     """
     found = next(ways := list_modes(touching), None)
     if found is None:
@@ -71,7 +71,7 @@ def find_modes(touching: Touching) -> Going:
 
 
 def list_modes(touching: Touching) -> Iterator[Going]:
-    """Yields all ways to go on, those that stick first, then slip, then open."""
+    """Yields all combinations of modes, stick first, then slip, then opening."""
     choices = [
         _list_choices(slip, mu)
         for slip, mu in zip(touching.slips, touching.friction.tolist(), strict=True)
@@ -82,7 +82,7 @@ def list_modes(touching: Touching) -> Iterator[Going]:
 
 
 def calc_directions(modes: Sequence[Mode], friction: Floats) -> tuple[list[int], Floats]:
-    """Returns what vanishes in modes of k contacts, and what pushes for that.
+    """Returns the rows that vanish in modes of k contacts, and the forces for that.
 
     Returns:
         Which of [J; T] x vanish, r of them, and how much each of as many unknown forces adds to f_n
@@ -101,7 +101,7 @@ def calc_directions(modes: Sequence[Mode], friction: Floats) -> tuple[list[int],
 
 def _list_choices(slip: int, friction: float) -> tuple[Mode, ...]:
     """Returns the modes that a contact may have, given the sign of its slip velocity."""
-    if friction == 0:  # Whichever way it slips, nothing resists.
+    if friction == 0:  # No force depends on the direction of slip.
         return (Mode(slip or 1), Mode.OPEN)
     if slip:
         return (Mode(slip), Mode.OPEN)
@@ -109,7 +109,7 @@ def _list_choices(slip: int, friction: float) -> tuple[Mode, ...]:
 
 
 def _try_modes(touching: Touching, modes: tuple[Mode, ...]) -> Going | None:
-    """Returns how contacts go on in these modes, or None if that contradicts the law."""
+    """Returns the continuation in these modes, or None if that contradicts the law."""
     vanish, shares = calc_directions(modes, touching.friction)
     delassus = touching.rows @ touching.kicks  # (2k, 2k)
     pushes = delassus[vanish] @ shares.T
@@ -137,7 +137,7 @@ def _try_modes(touching: Touching, modes: tuple[Mode, ...]) -> Going | None:
 
 
 def _are_allowed(touching: Touching, modes: tuple[Mode, ...], forces: Floats, size: float) -> bool:
-    """Returns whether contacts push, and those that stick do so within the cone."""
+    """Returns whether contacts push, and sticking ones within their cones."""
     normal, tangent = np.split(forces, 2)
     weights = 1 / np.maximum(np.diag(touching.rows @ touching.kicks)[: len(modes)], _NOTHING)
     least = -_NOTHING * size * weights
@@ -154,7 +154,7 @@ def _spread(
     wanted: Floats,
     most: float,
 ) -> Floats | None:
-    """Returns forces of contacts that hold each other up without need, as far inside of cones.
+    """Returns forces of redundant contacts, as far inside of their cones as possible.
 
     They are not unique, but the motion is: a block on two feet stays if any forces hold it. None
     has to be farther inside than the most, as bodies may be wedged with any force.
@@ -188,7 +188,7 @@ def _name(going: Going) -> str:
 
 
 def refuse_modes(count: str, which: str) -> FrictionError:
-    """Returns the error of contacts that go on in no way, or in several."""
+    """Returns the error of contacts without a continuation, or with several."""
     return FrictionError(
         "contact with friction (Painlevé)",
         got=f"{count} of the ways in which rigid bodies can go on: {which}",
@@ -221,12 +221,12 @@ class Push(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Closed:
-    """Contacts that are closed, each in a mode: rows C vanish, and columns of Dᵀ push for that.
+    """Closed contacts, each in a mode: rates along C vanish, by forces along columns of Dᵀ.
 
         M v̇ + h = B u + Dᵀ λ,    C v̇ + Ċ v = 0
 
-    Rows of C are J, and T of what sticks. Columns of Dᵀ are Jᵀ and Tᵀ, or Jᵀ − μ σ Tᵀ of what slips
-    along σ.
+    Rows of C are J, and T of sticking contacts. Columns of Dᵀ are Jᵀ and Tᵀ, or Jᵀ − μ σ Tᵀ of
+    contacts that slip along σ.
 
     Attributes:
         world: the mechanism.
@@ -247,7 +247,7 @@ class Closed:
 
     @cached_property
     def _is_smooth(self) -> bool:
-        """Whether nothing has friction, so that J is all that counts."""
+        """Whether no contact has friction, so that only J counts."""
         return not self.friction.any()
 
     def calc_push(self, x: Floats, control: Floats) -> Push:
@@ -284,7 +284,7 @@ class Closed:
         return pushes @ np.linalg.pinv(C @ pushes, RANK), C
 
     def stop(self, q: Floats, v: Floats) -> Floats:
-        """Returns velocities after an impact of all that returns nothing, shape (nv,)."""
+        """Returns velocities after a plastic impact of all contacts, shape (nv,)."""
         if not len(self.contacts):
             return v
         arrest, C = self.calc_arrest(q)

@@ -1,4 +1,4 @@
-"""Impact maps: Newton's law of several contacts at once, and Coulomb's friction at one."""
+"""Impact maps: Newton's law for several contacts at once, and Coulomb's friction at one."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from drake_aigto.dynamics import ConstantInertia
 from drake_aigto.errors import OptionsError
 from drake_aigto.world import World
 
-# Least eigenvalue of J_C M⁻¹ J_Cᵀ in units of their masses, 1 if they don't feel each other.
+# Least eigenvalue of J_C M⁻¹ J_Cᵀ in units of their masses, 1 if they are not coupled.
 _DEPENDENT = 1e-9
-# An impact is at the edge of its mode where it sticks with this part of the friction there is, or
-# where what slips has this part of the approach's speed left.
+# An impact is at the edge of its mode if sticking takes this part of the available friction, or if
+# the slip that remains is this part of the approach's speed.
 _EDGE = 0.02
-# Where a c − b² is this part of a c, nothing moves along the wall that does not leave it, too: what
-# has one coordinate never sticks.
+# If a c − b² is below this part of a c, motions along the wall also leave it: mechanisms of one
+# coordinate never stick.
 _STIFF = 1e-9
 
 
 class Mode(IntEnum):
-    """How a contact goes on: the sign of its slip velocity, or that it opens."""
+    """Mode of a contact: the sign of its slip velocity, or that it opens."""
 
     BACKWARD = -1
     STICK = 0
@@ -36,7 +36,7 @@ class Mode(IntEnum):
 
 
 class Mobility(NamedTuple):
-    """What impulses at a contact change: φ̇ by a p_n + b p_t, and the slip s by b p_n + c p_t.
+    """Mobility of a contact: impulses change φ̇ by a p_n + b p_t, the slip s by b p_n + c p_t.
 
     a = J M⁻¹ Jᵀ > 0, b = J M⁻¹ Tᵀ and c = T M⁻¹ Tᵀ with a c > b²; or b = c = 0, where nothing can
     slide [1/kg].
@@ -48,14 +48,14 @@ class Mobility(NamedTuple):
 
     @classmethod
     def of(cls, normal: Floats, tangent: Floats, mass_matrix: Floats) -> Mobility:
-        """Returns that of a contact's rows J and T, shape (nv,), at a mass matrix (nv, nv)."""
+        """Returns the mobility for rows J and T, shape (nv,), and a mass matrix (nv, nv)."""
         rows = np.array([normal, tangent])
         inverse = (rows @ np.linalg.solve(mass_matrix, rows.T)).tolist()
         return cls(inverse[0][0], inverse[0][1], inverse[1][1])
 
 
 class Impulse(NamedTuple):
-    """The impulse of an impact, and how the contact ends it."""
+    """The impulse of an impact, and the mode at its end."""
 
     normal: float  # p_n ≥ 0 [N s]
     tangent: float  # p_t [N s]
@@ -73,19 +73,19 @@ class _Way(NamedTuple):
 def calc_impulse(
     mobility: Mobility, rate: float, slip: float, restitution: float, friction: float
 ) -> Impulse:
-    """Returns what an impact with Coulomb's friction does, by Routh's construction.
+    """Returns the impulse of an impact with Coulomb's friction, by Routh's construction.
 
     While the normal impulse grows from 0 the tangential one follows Coulomb's law at each instant,
 
         dp_t = −μ sign(s) dp_n    while it slips,    |dp_t| ≤ μ dp_n and ds = 0    while it sticks,
 
     so that φ̇ and s move along straight lines (E. J. Routh, "Dynamics of a system of rigid bodies",
-    part I, 1905, ch. VIII). Slip that has ended goes on as stick where μ c ≥ |b|, or else turns
-    round. It is over as φ̇ is −e times what it was (Newton), or as the normal impulse has returned
+    part I, 1905, ch. VIII). Slip that has ended becomes stick if μ c ≥ |b|, or else reverses. The
+    impact ends as φ̇ is −e times what it was (Newton), or as the normal impulse has returned
     e² of the work that it took (W. J. Stronge, "Rigid body collisions with friction", Proc. R. Soc.
     A 431, 1990), whichever comes first. Both come at once where b = 0, as for round bodies, without
-    friction, and where slip goes one way to the end. Elsewhere Newton's rule alone may make energy
-    from nothing; with both, kinetic energy never grows. Where b = 0,
+    friction, and if slip keeps its direction to the end. Otherwise Newton's rule alone may create
+    energy; with both, kinetic energy never grows. Where b = 0,
 
         p_n = −(1 + e) φ̇ / a,    p_t = −s/c,    but no more than μ p_n in size.
 
@@ -133,13 +133,13 @@ def calc_velocity_after(
 
 
 def _slide(mobility: Mobility, mode: Mode, friction: float) -> _Way:
-    """Returns how an impact goes on while it slips."""
+    """Returns the part of an impact while it slips."""
     along = -friction * mode
     return _Way(mode, along, mobility.a + along * mobility.b)
 
 
 def _find_way_from_stick(mobility: Mobility, friction: float) -> _Way:
-    """Returns how an impact goes on from where the slip velocity is zero."""
+    """Returns the part of an impact after the slip velocity is zero."""
     a, b, c = mobility
     if friction * c >= abs(b):
         return _Way(Mode.STICK, -b / c if c else 0.0, a - b**2 / c if c else a)
@@ -147,7 +147,7 @@ def _find_way_from_stick(mobility: Mobility, friction: float) -> _Way:
 
 
 def _find_rest(first: float, later: float, rate: float, until: float, restitution: float) -> float:
-    """Returns the normal impulse after the slip has ended, by that time no end of the impact.
+    """Returns the normal impulse of an impact whose slip ends before it does.
 
     Args:
         first: dφ̇ / dp_n until then [1/kg].
@@ -172,13 +172,13 @@ class JointImpact:
         v⁺ = R v⁻ = v⁻ + M⁻¹ J_Cᵀ p,    p = P v⁻ = −(J_C M⁻¹ J_Cᵀ)⁻¹ (I + E) J_C v⁻
 
     so that J_C v⁺ = −E J_C v⁻. Contacts that rest take part: their impulse keeps them at rest.
-    Where contacts are coupled, J_C M⁻¹ J_Cᵀ not diagonal, it is a convention of its own: impacts
-    one after the other would end in other velocities, that depend on the order.
+    If contacts are coupled, J_C M⁻¹ J_Cᵀ not diagonal, it is a convention: successive impacts
+    would end in other velocities, which depend on their order.
 
     Attributes:
         impulses: P, shape (c, nv) [kg].
         velocities: R, shape (nv, nv).
-        coupled: which of the contacts have an impulse that another one's speed changes, shape (c,).
+        coupled: which contacts have an impulse that depends on another one's speed, shape (c,).
     """
 
     impulses: Floats
@@ -186,7 +186,7 @@ class JointImpact:
     coupled: Bools
 
     @classmethod
-    @lru_cache(maxsize=64)  # A search asks for the same few again and again.
+    @lru_cache(maxsize=64)  # A search needs the same few repeatedly.
     def of(
         cls, inertia: ConstantInertia, contacts: tuple[int, ...], restitutions: tuple[float, ...]
     ) -> JointImpact:
@@ -218,9 +218,9 @@ class JointImpact:
 
 
 def read_mode(world: World, law: RigidLaw, contact: int, q: Floats, v: Floats) -> int:
-    """Returns how an impact ends, 0 if it sticks, else the sign of the slip; 0 without friction.
+    """Returns the mode at the end of an impact: 0 for stick or no friction, else the slip's sign.
 
-    What does not approach the wall counts as if it did, as fast as it leaves it.
+    A contact that leaves the wall counts as if it approached at that speed.
     """
     friction = float(law.friction[contact])
     if not friction:
@@ -233,7 +233,7 @@ def read_mode(world: World, law: RigidLaw, contact: int, q: Floats, v: Floats) -
 def find_other_mode(
     world: World, law: RigidLaw, contact: int, mode: int, q: Floats, v: Floats
 ) -> int | None:
-    """Returns the mode that an impact in a mode is at the edge to, if any, by the state before."""
+    """Returns the mode that an impact is at the edge to, if any, by the state before."""
     friction = float(law.friction[contact])
     if not friction:
         return None
@@ -255,7 +255,7 @@ def find_other_mode(
 
 
 def _measure(world: World, contact: int, q: Floats, v: Floats) -> tuple[Mobility, float, float]:
-    """Returns what impulses change, φ̇ and s."""
+    """Returns φ̇ and s, which impulses change."""
     J = world.calc_contact_jacobian(q)[contact]
     T = world.rubbing.calc_tangent_jacobian(q)[contact]
     return Mobility.of(J, T, world.calc_mass_matrix(q)), float(J @ v), float(T @ v)
@@ -279,15 +279,15 @@ def calc_saltation(
 
         Ξ = D + (f⁺ − D f⁻) ∇gᵀ / (∇gᵀ f⁻)
 
-    A deviation x̃ before the event is Ξ x̃ after it, to first order: what is −g̃/ġ late goes on as
-    before for as long, D f⁻, and has as much less of what comes after, f⁺.
+    A deviation x̃ before the event is Ξ x̃ after it, to first order: an event that is −g̃/ġ late
+    has that much longer the rates before it, D f⁻, and that much shorter those after it, f⁺.
 
     Args:
         jump: D = ∂x⁺/∂x⁻, shape (2n, 2n).
         before: f⁻, the rates of x before it, shape (2n,).
         after: f⁺, those after it, shape (2n,).
         normal: ∇g, shape (2n,).
-        slowest: where g changes more slowly, as a part of the rates, Ξ is D: it may come any time.
+        slowest: if g changes more slowly, relative to the rates, Ξ is D: its time is undetermined.
     """
     pace = float(normal @ before)
     if abs(pace) <= slowest * float(np.linalg.norm(normal) * np.linalg.norm(before)):

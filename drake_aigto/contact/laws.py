@@ -1,4 +1,4 @@
-"""Contact laws: impulses that return a part of the speed, or springs; and friction of both."""
+"""Contact laws: rigid ones with restitution, or springs; and friction of both."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.dynamics import calc_friction_share
 from drake_aigto.world import Scenario, World
 
-# Centers of spheres that rounding has brought nearer than a micron count as that far apart [m²].
+# Centers of spheres closer than a micron, by rounding, count as that far apart [m²].
 NO_ROOM = 1e-12
-# No finite dissipation takes all of the speed; below this restitution it is this.
+# Least restitution: no finite dissipation takes all of the speed.
 LEAST_RESTITUTION = 1e-3
 # This close to 1 the equation for the dissipation cancels, and its series is exact to 1e-8.
 _NEARLY_ELASTIC = 1e-4
@@ -23,7 +23,7 @@ _NEARLY_ELASTIC = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class RigidLaw(ArrayRecord):
-    """Walls that nothing enters, and impacts that last no time: φ̇⁺ = −e φ̇⁻, |p_t| ≤ μ p_n.
+    """Rigid walls with instantaneous impacts: φ̇⁺ = −e φ̇⁻, |p_t| ≤ μ p_n.
 
     Attributes:
         restitution: e of each contact, shape (m,), in [0, 1].
@@ -55,7 +55,7 @@ class CompliantLaw(ArrayRecord):
     Of two shapes k = k₁ k₂ / (k₁ + k₂) and d = (k₂ d₁ + k₁ d₂) / (k₁ + k₂). Of two spheres that
     move about each other, whose φ = (l² − R²) / 2R is not the distance l − R of their surfaces
     (l from center to center, R the sum of radii), that distance takes the place of φ above, and f
-    is the force times R/l = ∂l/∂φ, so that Jᵀ f is what acts.
+    is the force times R/l = ∂l/∂φ, so that Jᵀ f acts on q.
 
     Attributes:
         stiffness: k of each contact, shape (m,) [N/m].
@@ -119,11 +119,11 @@ ContactLaw: TypeAlias = RigidLaw | CompliantLaw
 
 
 def contact_law(world: World, scenario: Scenario) -> ContactLaw:
-    """Returns the law of a world's contacts, rigid or compliant as the scenario says.
+    """Returns the law of a world's contacts, rigid or compliant by the scenario.
 
     Raises:
         ModelError: a shape lacks stiffness or dissipation for compliant contact, or Drake's plant
-            would have another force there (`World.springs`); or friction acts where a sphere can
+            would have a different force (`World.springs`); or friction acts where a sphere can
             slide in two directions.
     """
     if scenario.contact == "rigid":
@@ -173,12 +173,11 @@ def calc_drag(world: World, law: ContactLaw, q: Floats, v: Floats, forces: Float
 def calc_dissipation(restitution: float, speed: float) -> float:
     """Returns the Hunt-Crossley dissipation that makes an impact's restitution e [s/m].
 
-    With f = k x (1 + d ẋ) an impact at speed v > 0 [m/s] returns e v where y = d v solves
+    With f = k x (1 + d ẋ) an impact at speed v > 0 [m/s] returns e v if y = d v solves
 
         y − ln(1 + y) = −e y − ln(1 − e y)
 
-    so that it depends on the speed: other impacts have another restitution. Below 1e-3, e is
-    taken for that.
+    so that it depends on the speed: other impacts have another restitution. e is at least 1e-3.
     """
     e = max(restitution, LEAST_RESTITUTION)
     if 1 - e < _NEARLY_ELASTIC:

@@ -1,4 +1,4 @@
-"""How contacts move while J is constant, or at an instant: distances, rates, what impulses do."""
+"""Motion of contacts with constant J, or at an instant: distances, rates, impulses."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from drake_aigto.world import World, find_anywhere
 # Rates of several contacts at once below this are rounding, relative to the largest among them.
 _ROUNDING = 1e-13
 
-# Rounding could make the search for those that push go round in circles.
+# Most exchanges in the search for contacts that push: rounding could make it cycle.
 _MOST_EXCHANGES = 1000
 
 
 class Clearance(NamedTuple):
-    """How far outside of a solid the ball is: in front of that face, of several, by the most."""
+    """Distance of the ball to a solid: the largest φ of its faces."""
 
     contact: int  # the face
     distance: float  # φ of that face [m]; at most 0 is inside
@@ -31,9 +31,9 @@ class Clearance(NamedTuple):
 
 
 class Walls(NamedTuple):
-    """What compiled code knows of contacts (`ConstantInertia`), of S solids.
+    """Tables of contacts for compiled code (`ConstantInertia`), of S solids.
 
-    Where J turns, as it does at an instant of a mechanism, one more coordinate carries J̇ v: its
+    If J varies, as for a mechanism at an instant, one more coordinate carries J̇ v: its
     position and velocity are 0, its acceleration is 1, and its column of J is J̇ v. So J v̇ is φ̈
     there, too, and no impulse changes it, as its column of lifts is 0.
     """
@@ -61,7 +61,7 @@ class Walls(NamedTuple):
 
 
 class ContactMotion:
-    """The distances φ of contacts along a motion x = (q, v), and what impulses at them do.
+    """The distances φ of contacts along a motion x = (q, v), and effects of their impulses.
 
     The faces of one box are one solid, which the ball is outside of while it is in front of one of
     them: its clearance is the largest of their φ. Beyond the box's edges that is a sharp corner,
@@ -70,11 +70,11 @@ class ContactMotion:
     Attributes:
         solids: the contacts of each solid.
         walls: the contacts, for compiled code.
-        masses: what each contact feels, shape (m,) [kg].
+        masses: effective mass of each contact, shape (m,) [kg].
     """
 
     def __init__(self, inertia: ConstantInertia, turning: Floats | None = None) -> None:
-        """Prepares what is asked in every step, with the turning of `Walls.of`."""
+        """Prepares arrays for every step, with the turning of `Walls.of`."""
         self._num_contacts = len(inertia.offset)
         self._turning = turning
         self._jacobian = inertia.jacobian
@@ -87,13 +87,13 @@ class ContactMotion:
 
     @classmethod
     def at(cls, world: World, x: Floats) -> ContactMotion:
-        """Returns how contacts of any world move at an instant, in the state x = (q, v)."""
+        """Returns the motion of contacts of any world at an instant, in the state x = (q, v)."""
         q, v = np.split(x, 2)
         return cls(world.inertia_at(q), world.calc_contact_bias(q, v))
 
     @classmethod
     def reader(cls, world: World) -> Callable[[Floats], ContactMotion]:
-        """Returns what gives the motion at a state (`at`): always the same one if J is constant."""
+        """Returns a function from states to motions (`at`); a constant one if J is constant."""
         if not world.has_constant_inertia:
             return partial(cls.at, world)
         motion = cls(world.constant_inertia)
@@ -120,7 +120,7 @@ class ContactMotion:
 
         For accelerations that is Gauss's principle of least constraint: x = r + M⁻¹ J_Cᵀ λ with
         λ ≥ 0, J_C x ≥ 0, λᵀ J_C x = 0, the forces of rest on frictionless walls. For velocities it
-        is an impact that returns nothing.
+        is a plastic impact.
         """
         held = np.zeros(self._num_contacts, dtype=bool)
         held[list(contacts)] = True
@@ -132,7 +132,7 @@ class ContactMotion:
         return x if self._turning is None else x[:-1]
 
     def extend(self, row: Floats, value: float) -> Floats:
-        """Returns a row of nv values as `Walls` have it: with a value for J̇ v where J turns."""
+        """Returns a row of nv values as in `Walls`: with a value for J̇ v if J varies."""
         return row if self._turning is None else np.append(row, value)
 
 
@@ -154,7 +154,7 @@ def find_clearances(
 
 
 def calc_depth(walls: Walls, positions: ArrayLike) -> float:
-    """Returns how deep inside a solid the ball is at most, at least 0 [m], at q (K, nq) [m]."""
+    """Returns the largest penetration of the ball in a solid, ≥ 0 [m], at q (K, nq) [m]."""
     distances = np.asarray(positions) @ walls.jacobian.T + walls.offset
     outside = np.maximum.reduceat(distances, walls.firsts[:-1], axis=1)
     return -float(np.min(outside, initial=0.0))
@@ -257,9 +257,9 @@ def _exchange(table: Floats, pivot: int) -> None:
 
 
 def contact_delay(world: World) -> float:
-    """Returns how long an elastic contact of the world lasts at most, π √(m / k) [s].
+    """Returns the longest duration of an elastic contact of the world, π √(m / k) [s].
 
-    A rigid wall turns the ball round at once. Drake's compliant one, of stiffness k = k₁ k₂ /
+    A rigid wall reverses the ball at once. Drake's compliant one, of stiffness k = k₁ k₂ /
     (k₁ + k₂), keeps it for half a period of m = (J_i M⁻¹ J_iᵀ)⁻¹ on a spring, which delays all
     that follows.
 
@@ -272,8 +272,8 @@ def contact_delay(world: World) -> float:
 def contact_delays(world: World, q: Floats | None = None) -> list[float]:
     """Returns `contact_delay` of each contact [s].
 
-    Where m depends on q it is the one there; without q, the smaller one of two positions, as at
-    either a link may be stretched out along a wall's normal, and be felt as a mass without end.
+    If m depends on q it is the one there; without q, the smaller one of two positions, as at either
+    a link may be stretched out along a wall's normal, with infinite effective mass.
     """
     reader = ContactMotion.reader(world)
     places = (world.plant.GetDefaultPositions(), find_anywhere(world.plant)) if q is None else (q,)
@@ -283,6 +283,6 @@ def contact_delays(world: World, q: Floats | None = None) -> list[float]:
 
 
 def calc_delays(motion: ContactMotion, stiffness: Floats, longest: float = math.inf) -> list[float]:
-    """Returns how long contacts of stiffness (m,) [N/m] last here, at most the longest [s]."""
+    """Returns durations of contacts of stiffness (m,) [N/m], limited to the longest [s]."""
     pairs = zip(motion.masses, stiffness, strict=True)
     return [min(math.pi * math.sqrt(m / k), longest) for m, k in pairs]

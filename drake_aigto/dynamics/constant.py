@@ -1,4 +1,4 @@
-"""Constant M and J, and h: whatever follows from them, derived once."""
+"""Constant M and J, and h, with their derived quantities."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class ConstantInertia:
 
         φ(q) = J q + φ(0),    φ̇ = J v,    φ̈ = J v̇
 
-    An impulse does the same anywhere, and so does a control; springs and dampers may still make
-    the bias h vary. What needs that says so by taking this instead of a World.
+    Effects of impulses and controls do not depend on q; with springs and dampers the bias h may
+    still vary. Functions that need this take it instead of a World.
 
     Letters as in `EquationsOfMotion`. Arrays are read-only.
 
@@ -61,7 +61,7 @@ class ConstantInertia:
 
     @cached_property
     def masses(self) -> Floats:
-        """1 / A_ii, shape (m,) [kg]: mass that each contact feels, infinite where nothing moves."""
+        """1 / A_ii, shape (m,) [kg]: effective mass of each contact, infinite if it can't move."""
         with np.errstate(divide="ignore"):
             return read_only(1 / np.diag(self.delassus))
 
@@ -69,7 +69,7 @@ class ConstantInertia:
     def lifts(self) -> Floats:
         """M⁻¹ J_iᵀ / A_ii, shape (m, nv): how v changes as contact i changes φ̇_i by 1.
 
-        It is 0 where nothing does, as of an arm that is stretched out along the wall's normal.
+        It is 0 if it can't move, as for an arm stretched out along the wall's normal.
         """
         mobility = np.diag(self.delassus)[:, np.newaxis]
         return read_only(self.kicks / np.where(mobility > 0, mobility, np.inf))
@@ -77,7 +77,7 @@ class ConstantInertia:
 
 @dataclass(frozen=True, eq=False)
 class ConstantDynamics(ConstantInertia):
-    """Equations of motion whose bias is constant, too: a held control flies parabolas.
+    """Equations of motion with constant bias, too: held controls lead to parabolas.
 
         v̇ = M⁻¹ (B u − h)    without contact
 

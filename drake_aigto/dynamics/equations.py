@@ -1,4 +1,4 @@
-"""Equations of motion with contact: as expressions, and the same compiled."""
+"""Equations of motion with contact: expressions, and the same compiled."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _BIAS_REMEDY = (
     "solvers do not."
 )
 
-# What is derived once, here and of a `World`, and does not depend on where walls stand.
+# Derived attributes, here and of a `World`, that do not depend on positions of walls.
 _PLACELESS = (
     *("solids", "has_constant_inertia", "has_constant_dynamics"),
     *("_mass_map", "_bias_map", "_jacobian", "_jacobian_map", "rubbing"),
@@ -35,14 +35,14 @@ _Self = TypeVar("_Self", bound="EquationsOfMotion")
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """A sphere and a face that can touch, and how far they are apart.
+    """A sphere and a face that can touch, and their distance.
 
     Attributes:
         name: such as "ball against wall", or "ball against block, +x face".
         signed_distance: φ(q) [m], positive when apart.
         jacobian: J = ∂φ/∂q, shape (nv,), as q̇ = v.
-        solid: index of what is touched. All faces of a box that one sphere can reach have the same:
-            the sphere is outside when it is in front of one of them.
+        solid: its index. All faces of a box that one sphere can reach have the same: the sphere is
+            outside if it is in front of one of them.
         restitution: the model's own, in [0, 1]; None leaves it to the scenario.
         radius: of the sphere [m].
     """
@@ -57,7 +57,7 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class EquationsOfMotion:
-    """How a mechanism moves: M, h, B, φ and J of AIGTO eq. (1).
+    """Equations of motion of a mechanism: M, h, B, φ and J of AIGTO eq. (1).
 
         M(q) v̇ + h(q, v) = B u + J(q)ᵀ λ,    0 ≤ φ(q) ⊥ λ ≥ 0,    q̇ = v
 
@@ -155,7 +155,7 @@ class EquationsOfMotion:
 
     @cached_property
     def has_constant_dynamics(self) -> bool:
-        """Whether h depends on nothing either, so that a held control flies parabolas."""
+        """Whether h is constant, too, so that held controls lead to parabolas."""
         return self.has_constant_inertia and is_constant(self.bias) and self.dry_friction is None
 
     @cached_property
@@ -172,7 +172,8 @@ class EquationsOfMotion:
     def with_walls_nearer(self: _Self, distances: Floats) -> _Self:
         """Returns the same with φ_i less by distances, shape (m,) [m], to plan many times.
 
-        Its diagram is as it was: what Drake simulates, and what is drawn (`World.with_wall_moved`).
+        Its diagram does not change: for simulation in Drake and pictures see
+        `World.with_wall_moved`.
 
         Raises:
             ModelError: M or J varies.
@@ -185,7 +186,7 @@ class EquationsOfMotion:
         moved = replace(self, contacts=contacts)
         vars(moved).update((name, vars(self)[name]) for name in _PLACELESS if name in vars(self))
         name = "constant_dynamics" if self.has_constant_dynamics else "constant_inertia"
-        nearer = vars(moved)[name] = copy.copy(inertia)  # Nothing that is derived depends on φ(0).
+        nearer = vars(moved)[name] = copy.copy(inertia)  # No derived attribute depends on φ(0).
         vars(nearer)["offset"] = read_only(inertia.offset - distances)
         return moved
 
@@ -235,11 +236,11 @@ class EquationsOfMotion:
         return self._signed_distance_map(q)
 
     def calc_clearance(self, q: Floats) -> Floats:
-        """Returns how far the sphere is outside each solid, (…, S) [m], at q of shape (…, nq).
+        """Returns distances of the sphere to each solid, (…, S) [m], at q of shape (…, nq).
 
         The largest φ_i of the solid's faces: at least 0 outside, and the distance itself where the
         sphere's center projects onto a face. Past an edge or a corner the distance is larger: the
-        corner counts as sharp though the sphere would round it.
+        corner counts as sharp.
         """
         firsts = np.array([faces[0] for faces in self.solids], dtype=int)
         return np.maximum.reduceat(self.calc_signed_distance(q), firsts, axis=-1)
@@ -254,11 +255,11 @@ class EquationsOfMotion:
         return np.asarray(rates[..., 0], dtype=np.float64)
 
     def calc_contact_bias(self, q: Floats, v: Floats) -> Floats:
-        """Returns J̇ v, which makes φ̈ = J v̇ + J̇ v, (…, m) [m/s²], at q (…, nq), v (…, nv)."""
+        """Returns J̇ v of φ̈ = J v̇ + J̇ v, (…, m) [m/s²], at q (…, nq), v (…, nv)."""
         return self._contact_bias_map(q, v)
 
     def inertia_at(self, q: Floats) -> ConstantInertia:
-        """Returns M and J as they are at q, shape (nq,) [m], and the affine φ that is φ there."""
+        """Returns M and J at q, shape (nq,) [m], with φ linearized there."""
         J, distances = self.calc_contact_jacobian(q), self.calc_signed_distance(q)
         offset = distances - J @ q
         return ConstantInertia(self.calc_mass_matrix(q), self.actuation, J, offset, self.solids)
@@ -271,7 +272,7 @@ class EquationsOfMotion:
             contacts: i, at least one.
         """
         J = self.calc_contact_jacobian(q)[contacts]
-        # Of one row: a singular value decomposition takes ten times as long as its norm.
+        # For one row, a singular value decomposition takes ten times as long as its norm.
         inverse = J.T / np.sum(J**2) if len(contacts) == 1 else np.linalg.pinv(J)
         return q - inverse @ self.calc_signed_distance(q)[contacts]
 
@@ -289,7 +290,7 @@ class EquationsOfMotion:
             q: shape (…, nq) [m].
             v: shape (…, nv) [m/s].
             u: shape (…, nu) [N].
-            forces: f of contacts, shape (…, m) [N]; None: nothing touches.
+            forces: f of contacts, shape (…, m) [N]; None: no contact.
             drag: d, friction of contacts, shape (…, nv) [N, N m] (`calc_drag`); None: none.
         """
         force = u @ self.actuation.T - self.calc_bias(q, v)
@@ -338,7 +339,7 @@ class EquationsOfMotion:
 
     @cached_property
     def dynamics_map(self) -> SumMap:
-        """M, h, φ and J of (q, v), row by row, for compiled code that asks for all of them."""
+        """M, h, φ and J of (q, v), row by row, for compiled code that needs all of them."""
         rows = self.mass_matrix.ravel(), self.bias, self._distances, self._jacobian.ravel()
         return SumMap(np.concatenate(rows), self.positions, self.velocities)
 

@@ -1,4 +1,4 @@
-"""Dry friction, smooth about zero speed as that of Drake's point contact."""
+"""Dry friction, smooth about zero speed like that of Drake's point contact."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ STICTION_SPEED: float = MultibodyPlantConfig().stiction_tolerance  # [m/s, rad/s
 
 
 def calc_friction_share(speeds: Floats, stiction_speed: float) -> Floats:
-    """Returns σ(s / v_s), the part of the largest friction that acts against a sliding speed s.
+    """Returns σ(s / v_s), the part of the largest friction that acts at a sliding speed s.
 
         σ(x) = x³ (10 − 15 |x| + 6 x²)    for |x| ≤ 1,    sign(x)    elsewhere
 
     That is the regularization of Drake's point contact, whose first two derivatives are continuous.
-    Whatever sticks creeps, slower than v_s.
+    Sticking contacts creep, slower than v_s.
 
     Args:
         speeds: s [m/s, rad/s].

@@ -17,18 +17,18 @@ from drake_aigto.terms import Factor, FunctionKind, Term, expression_terms
 # Coefficients below this, relative to the largest, are rounding left by rotations such as
 # cos(π/2) = 6e-17, not physics. They would make constants look like functions.
 _ROUNDING = 1e-13
-# Digits that rounding leaves of a coefficient: 0.7 read as a difference is 0.70000000000000018.
+# Significant digits of a coefficient: 0.7 read as a difference is 0.70000000000000018.
 _DIGITS = 14
 
 
 def tidy(expressions: NDArray[Any]) -> NDArray[Any]:
-    """Returns expressions multiplied out and rid of rounding, as a read-only array.
+    """Returns expressions expanded and without rounding errors, as a read-only array.
 
     Args:
         expressions: any shape; each a sum of products of powers, sin and cos.
 
     Raises:
-        UnsupportedTermError: one is none.
+        UnsupportedTermError: one is not.
     """
     found = {v.get_id(): v for expression in expressions.flat for v in expression.GetVariables()}
     variables = list(found.values())
@@ -43,7 +43,7 @@ def tidy(expressions: NDArray[Any]) -> NDArray[Any]:
 
 
 def calc_turning(rows: Iterable[NDArray[Any]], q: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
-    """Returns J̇ v of each row J(q), (nv,), of velocities J v: what they change by at constant v.
+    """Returns J̇ v of each row J(q), (nv,): rates of change of velocities J v at constant v.
 
     Args:
         rows: m of them.

@@ -1,4 +1,4 @@
-"""Optimal control of any mechanism by multiple shooting, between walls that yield or are rigid.
+"""Optimal control of any mechanism by multiple shooting, between compliant or rigid walls.
 
 Differential dynamic programming (Mayne 1966) in the Gauss-Newton form, on motions that need not
 be roll-outs, with bounded controls (Tassa, Mansard & Todorov 2014) and an augmented Lagrangian for

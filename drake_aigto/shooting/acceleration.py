@@ -19,7 +19,7 @@ from drake_aigto.shooting.tables import (
 
 @inner
 def triangle(n: int, i: int, j: int) -> int:
-    """Returns where entry (i, j) of a symmetric matrix stands in its upper triangle, by rows."""
+    """Returns the place of entry (i, j) of a symmetric matrix in its upper triangle, by rows."""
     low, high = min(i, j), max(i, j)
     return low * n - low * (low - 1) // 2 + high - low
 
@@ -51,7 +51,7 @@ def run_tape(
         numbers: of the tape.
         x: the coordinates, shape (n,).
         has_slopes: whether the derivatives are computed, too.
-        values: memory for what has a place.
+        values: memory for all values with a place.
         sums: the result, shape (Z,); those that never change are there already.
     """
     num_products, num_sums = (code[1], code[3]) if has_slopes else (code[2], code[4])
@@ -239,7 +239,7 @@ def _differentiate_force(i: int, mechanics: Mechanics, x: Floats, memory: Mechan
 
 @inner
 def find_friction(frictions: Floats, contact: int) -> int:
-    """Returns which friction is that of a contact, or −1 without friction."""
+    """Returns the index of a contact's friction, or −1 without friction."""
     for r in range(frictions.shape[0]):
         if frictions[r, SOURCE] == contact:
             return r

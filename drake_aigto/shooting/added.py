@@ -18,7 +18,7 @@ from drake_aigto.shooting.tables import FLOW, Added
 from drake_aigto.terms import parse_costs, parse_rows
 from drake_aigto.transcription import Addition, Additions
 
-# Where a function counts that is not bound to a time.
+# Knots of functions that are not bound to a time.
 EVERYWHERE, AT_END = -1.0, float(np.inf)
 
 
@@ -26,8 +26,8 @@ class AddedFunction(NamedTuple):
     """A function f(q, v, u) of a user: a cost, or a row of a constraint.
 
     Attributes:
-        name: of what it belongs to.
-        is_cost: whether it is no constraint.
+        name: of its cost or constraint.
+        is_cost: whether it is a cost, not a constraint.
         is_running: whether the cost of each knot is multiplied by the time until the next one.
         lower: bound of a constraint.
         upper: the same.
@@ -46,17 +46,17 @@ class AddedFunction(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class AddedTerms:
-    """What users added to a task, compiled once for any problem of the mechanism.
+    """Additions of users to a task, compiled once for any problem of the mechanism.
 
         J + Σ_{k<N} h_k g(x_k, u_k) + e(x_N) + c(x_j, u_j),    lower ≤ f(x_k, u_k) ≤ upper
 
     Functions are sums of products of powers, sin and cos; x_k is the state at knot k, (q, v), at an
-    impact the one after it, and constraints that read no control count before it as well. Costs
-    have exact gradients, and exact Hessians without what is negative; constraints, multipliers as
-    bounds have.
+    impact the one after it, and constraints without controls count before it as well. Costs have
+    exact gradients, and exact Hessians without negative eigenvalues; constraints have multipliers
+    like bounds.
 
     Attributes:
-        rows: what each function is.
+        rows: description of each function.
         tape: of values, slopes, and curvatures of costs, by (q, v, u); see `tables.Added`.
     """
 
@@ -65,7 +65,7 @@ class AddedTerms:
 
     @classmethod
     def of(cls, world: EquationsOfMotion, additions: Additions) -> AddedTerms:
-        """Returns the functions of a world's state and control that were added to its task.
+        """Returns the functions of a world's state and control from additions to its task.
 
         Raises:
             ProgramError: one reads variables of several knots.
@@ -89,7 +89,7 @@ class AddedTerms:
         """Returns Σ_i |∂f/∂x_i| s_i of each function, the largest about 0 and ±s; 1 where it is 0.
 
         Args:
-            scales: s, how much of (q, v, u) is much.
+            scales: s, of (q, v, u).
         """
         units, tape, shape = np.zeros(len(self.rows)), self.tape, (len(self.rows), len(scales))
         if not self.rows:
@@ -104,7 +104,7 @@ class AddedTerms:
         return np.where(np.isfinite(units) & (units > 0), units, 1.0)
 
     def check_untimed(self) -> None:
-        """Refuses functions of one time, which phases of free durations have no knot at.
+        """Refuses functions of one time, as phases of free durations have no knot there.
 
         Raises:
             ProgramError: there is one.
@@ -119,11 +119,11 @@ class AddedTerms:
                 )
 
     def lay_out(self, kinds: Ints, shares: Floats, times: Floats | None) -> tuple[Added, Floats]:
-        """Returns what kernels know of costs, and bounds at knots, shape (2, K + 1, R).
+        """Returns the tables of costs for kernels, and bounds at knots, shape (2, K + 1, R).
 
         Args:
             kinds: of the K stages, see `Program`.
-            shares: how long they last, see `Program`.
+            shares: their lengths, see `Program`.
             times: of the knots [s]; None: phases have free durations.
 
         Raises:
@@ -143,7 +143,7 @@ class AddedTerms:
 
 
 def _find_stages(row: AddedFunction, kinds: Ints, times: Floats | None) -> Ints:
-    """Returns the stages at whose start a function counts, K where it does at the end."""
+    """Returns the stages at the start of which a function counts, K for the end."""
     flights = np.append(np.flatnonzero(kinds == FLOW), len(kinds))
     if row.time == AT_END:
         return flights[-1:]
@@ -161,7 +161,7 @@ NO_TERMS = AddedTerms((), TapeBuilder([]).build([], []))
 def _read_all(
     builder: TapeBuilder, world: EquationsOfMotion, additions: Additions
 ) -> Iterator[tuple[AddedFunction, Sum]]:
-    """Yields each function with what it is."""
+    """Yields each function with its description."""
     for each in additions.running:
         yield from _read(builder, world, each, EVERYWHERE, is_running=True)
     for each in additions.final:

@@ -1,4 +1,4 @@
-"""What counts at knots: bounds as an augmented Lagrangian, and costs of users."""
+"""Terms at knots: bounds as an augmented Lagrangian, and costs of users."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _join(job: int, total: float, part: float) -> float:
 
 @inner
 def _excess(value: float, lower: float, upper: float) -> float:
-    """Returns how far a value is above its upper bound, negative below the lower one."""
+    """Returns the excess of a value above its upper bound, negative below the lower one."""
     return max(value - upper, 0.0) + min(value - lower, 0.0)
 
 
@@ -133,7 +133,7 @@ def _visit_approach(
 ) -> float:
     """Does a job for the bound of −φ̇ = −J v before the impact at knot k.
 
-    Where φ̇ > 0 a motion would come out of a wall, and be pulled back by the impact.
+    With φ̇ > 0 a motion would come out of a wall, and be pulled back by the impact.
     """
     bounds, contact, m = program.bounds, program.kinds[k], program.held.shape[1]
     sums, slope, rate = memory.flow.mechanics.sums, memory.flow.points[0], 0.0
@@ -156,11 +156,11 @@ def _visit_approach(
 
 @inner
 def _visit_modes(program: Program, k: int, penalty: float, job: int, memory: Memory) -> float:
-    """Does a job for what modes ask for at knot k, which the memory has."""
+    """Does a job for the rows of modes at knot k, which are in the memory."""
     values, slopes, weights, _ = memory.modes
     row, total, columns = program.bounds.weights.size + 1, 0.0, slopes.shape[2]
     if k == program.kinds.size or program.kinds[k] != FLOW:
-        columns = memory.flow.points.shape[1]  # What a phase's start chooses is its duration.
+        columns = memory.flow.points.shape[1]  # The control of a phase's start is its duration.
     for i in range(values.shape[0]):
         for side in range(3):
             value, weight = values[i, side], weights[i, side]
@@ -246,7 +246,7 @@ def add_costs(
 
 @inner
 def _make_positive(size: int, A: Floats, V: Floats, positive: Floats) -> None:
-    """Computes the upper triangle of a symmetric matrix whose eigenvalues below 0 become 0.
+    """Computes the upper triangle of a symmetric matrix with negative eigenvalues set to 0.
 
     They are found by Jacobi's rotations (Golub & Van Loan, *Matrix Computations*, 8.5).
 

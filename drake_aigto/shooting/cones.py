@@ -1,4 +1,4 @@
-"""What the modes of contacts ask for, at knots where these are held or hit."""
+"""Inequalities of contact modes, at knots where contacts are held or hit."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from drake_aigto.shooting.acceleration import (
 from drake_aigto.shooting.hold import hold, strike
 from drake_aigto.shooting.tables import COEFFICIENT, FLOW, Memory, Program
 
-# What the columns of `ModeMemory.values` are: both sides of a cone or an equation, or a slip before
-# and after an impact; and a contact's push.
+# Columns of `ModeMemory.values`: both sides of a cone or an equation, or slips before and after an
+# impact; and a contact's push.
 _ONE, _OTHER, _PUSH = range(3)
 
 
@@ -24,13 +24,14 @@ _ONE, _OTHER, _PUSH = range(3)
 def measure_modes(
     program: Program, k: int, z: Floats, u: Floats, has_slopes: bool, memory: Memory
 ) -> bool:
-    """Computes what has to be at least 0 at knot k, and its derivatives by (q, v, u) if asked.
+    """Computes inequalities (≥ 0) at knot k, and their derivatives by (q, v, u) if asked.
 
-        λ_n,  μ λ_n ± λ_t of what sticks,  σ s of what slips           where a flight starts
-        c (μ p_n ± p_t) of what sticks,  σ s and σ s⁺ of what slips    where something is hit
-        σ s of what slipped,  ±s of what sticks from then on           elsewhere
+        λ_n,  μ λ_n ± λ_t if sticking,  σ s if slipping            where a flight starts
+        c (μ p_n ± p_t) if sticking,  σ s and σ s⁺ if slipping     at impacts
+        σ s if slipping before,  ±s if sticking from then on       elsewhere
 
-    with c = T M⁻¹ Tᵀ at the start. The memory has it, and which of these count. Knot K is the end.
+    with c = T M⁻¹ Tᵀ at the start. They are written to the memory, with weights 0 for those that do
+    not count. Knot K is the end.
 
     Returns:
         Whether there is anything.
@@ -55,7 +56,7 @@ def measure_modes(
 
 @inner
 def _changes(program: Program, k: int) -> bool:
-    """Tells whether anything is held before or after a knot at which nothing is hit."""
+    """Returns whether any contact is held before or after a knot without impact."""
     after = k < program.kinds.size and program.held[k].any()
     return after or (k > 0 and program.held[k - 1].any())
 
@@ -90,7 +91,7 @@ def _measure_hold(
 
 @inner
 def _measure_impact(program: Program, k: int, z: Floats, has_slopes: bool, memory: Memory) -> None:
-    """Measures impulses and slips where something is hit."""
+    """Measures impulses and slips at an impact."""
     mechanics, bounds, room = program.mechanics, program.bounds, memory.flow.mechanics
     values, slopes, weights, after = memory.modes
     nx, m, frictions = memory.flow.points.shape[1], values.shape[0], mechanics.frictions
@@ -124,7 +125,7 @@ def _measure_impact(program: Program, k: int, z: Floats, has_slopes: bool, memor
 
 @inner
 def _measure_change(program: Program, k: int, z: Floats, has_slopes: bool, memory: Memory) -> None:
-    """Measures slips where modes may change, and nothing is hit."""
+    """Measures slips where modes may change without an impact."""
     mechanics, room = program.mechanics, memory.flow.mechanics
     nx, is_end = memory.flow.points.shape[1], k == program.kinds.size
     run_tape(mechanics.code, mechanics.numbers, z[:nx], has_slopes, room.values, room.sums)
@@ -145,7 +146,7 @@ def _measure_change(program: Program, k: int, z: Floats, has_slopes: bool, memor
 def _measure_cone(
     i: int, index: int, friction: float, unit: float, columns: int, memory: Memory
 ) -> None:
-    """Computes how far inside its cone a force or impulse is, on both sides, and derivatives."""
+    """Computes distances of a force or impulse to both sides of its cone, and derivatives."""
     values, slopes, room = memory.modes.values, memory.modes.slopes, memory.flow.mechanics
     m, w = values.shape[0], room.grip.shape[1]
     for side in range(2):

@@ -16,22 +16,22 @@ _SHARE = 1e-4
 # A step that closes gaps may raise the cost this much, times its size, gain included; and below
 # this step length closing a gap is worth any cost.
 _RISE, _SHORT = 3.0, 0.2
-# The same of a wary descent, where motions diverge as soon as they are let go.
+# The same for a wary descent, where motions diverge easily.
 _WARY_RISE, _WARY_SHORT = 0.3, 0.0
-# Damping, a share of curvature: where it starts, grows to at least and by, and gives up.
+# Damping, as a share of curvature: its start, its least value after growth, its growth, its limit.
 _DAMPING, _LEAST, _GROWTH, _MOST = 1e-6, 1e-2, 10.0, 1e3
 # Step lengths that are tried: 1, 1/2, ….
 _LENGTHS = 5
 # Iterations in a row that gain less than the tolerance and end it.
 _PATIENCE = 3
-# What costs more than is asked for, after so many times the fall that the expansion promises, is
-# left. Of 3,072 boxes around cart-poles between soft walls, whose motions are to be better than the
-# eighth of those known, that saves 37 % of all iterations; 13 of 346 that would have been better
-# than the best one are lost. At 8 times it is 31 % and 9, at 4 times 45 % and 20.
+# A motion is left unfinished if this times the decrease that the expansion promises does not
+# suffice. Of 3,072 boxes around cart-poles between soft walls, with the eighth best motion as a
+# limit, that saves 37 % of all iterations and loses 13 of 346 motions that would have been better
+# than the best one. A factor of 8 saves 31 % and loses 9, one of 4 45 % and 20.
 _FALLS = 6.0
 
 
-# How `travel` goes through the stages.
+# Modes of `travel`.
 FOLLOW, LINEARIZE, ROLL = range(3)
 
 
@@ -46,11 +46,11 @@ def travel(
     most: float,
     memory: Memory,
 ) -> float:
-    """Goes through all stages, and returns what they cost with the end; infinite above `most`.
+    """Goes through all stages, and returns their cost and the end's; infinite above `most`.
 
     ROLL computes the states after the first one, LINEARIZE the problem to second order about a
-    motion, and FOLLOW a trial that obeys the control law with a step length α, of which gaps
-    shrink likewise: z_{k+1} = f(z_k, u_k) − (1 − α) gap_k.
+    motion, and FOLLOW a trial under the control law with a step length α, with gaps that shrink
+    likewise: z_{k+1} = f(z_k, u_k) − (1 − α) gap_k.
     """
     feedforward, gains, gaps = memory.sweep.feedforward, memory.sweep.gains, memory.expansion.gaps
     lower, upper = program.bounds.lower_control, program.bounds.upper_control
@@ -142,8 +142,8 @@ def _improve(
 ) -> tuple[float, float]:
     """Returns the step length, and the damping.
 
-    The length is 0 if there is none, −1 if none is needed, as a step gains less than what is small,
-    and −2 if none leads below what is to be promised at most.
+    The length is 0 if none is good enough, −1 if none is needed, as steps gain next to nothing, and
+    −2 if none promises a cost below the limit.
     """
     while damping <= _MOST:
         drop = sweep_back(program, controls, has_gaps, damping, memory.expansion, memory.sweep)
@@ -174,7 +174,7 @@ def descend(
         program: the problem.
         states: shape (K + 1, nz); computed first unless they have gaps.
         controls: shape (K, nu), within bounds.
-        has_gaps: whether the states are no roll-out.
+        has_gaps: whether the states are not a roll-out.
         settings: of this pass.
         memory: room.
     """

@@ -64,16 +64,15 @@ def flow(
     after: Floats,
     memory: Memory,
 ) -> float:
-    """Computes where a flight ends, and returns its cost; with derivatives if asked.
+    """Computes the end of a flight, and returns its cost; with derivatives if asked.
 
     Args:
         program: the problem.
         k: the stage.
-        z: the state at its start, shape (nz,); of phases it says when that is, and how long they
-            last.
+        z: the state at its start, shape (nz,); for phases with its time and their duration.
         u: its control.
         eps: the smoothing ε [m].
-        has_slopes: whether derivatives are asked for.
+        has_slopes: whether to compute derivatives.
         after: becomes the state at its end, shape (nz,).
         memory: room, and of the stage F, l1 and the upper triangle of l2.
     """
@@ -215,7 +214,7 @@ def _add_rate(
 def _add_duration(
     tau: int, length: float, unit: float, rate: float, by_column: Floats, l1: Floats, l2: Floats
 ) -> None:
-    """Adds what follows from the length's being unit·τ: √length·e is the residual, not e."""
+    """Adds derivatives by τ, as length = unit·τ: √length·e is the residual, not e."""
     l1[tau] += unit * rate
     for c in range(tau + 1):
         l2[c, tau] += unit * by_column[c] / 2

@@ -1,4 +1,4 @@
-"""Friction of a mechanism: what joints and contacts have, and how much at rigid contacts."""
+"""Friction of a mechanism: of joints, of compliant contacts, and in rigid impacts."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ Row: TypeAlias = NDArray[Any]
 
 
 class FrictionTerm(NamedTuple):
-    """One friction, −Tᵀ c N σ(s / w), with s = T(q) v and σ of `calc_friction_share`.
+    """Friction of a joint or contact, −Tᵀ c N σ(s / w), with s = T(q) v (`calc_friction_share`).
 
     Of two spheres that move about each other, s is T v R/l (see `CompliantLaw`).
 
     Its stiction speed w is that of the world, smoothed over a length ε as contact forces are, and
-    no slower than what it takes from s in one Runge-Kutta step h, for steps not to swing about
-    rest: w² = max(v_s, a h)² + (ε/T)², with T the duration.
+    no slower than its change of s in one Runge-Kutta step h, lest steps oscillate about rest: w² =
+    max(v_s, a h)² + (ε/T)², with T the duration.
 
     Attributes:
         row: T(q).
-        numbers: which contact's force N is, or −1 where N = 1; c; v_s [m/s, rad/s]; a, by which
-            friction slows s [m/s², rad/s²], of contacts per speed of approach [1/s]; 1/T [1/s],
-            which a program sets (`fit_to_steps`).
+        numbers: the contact of the force N, or −1 for N = 1; c; v_s [m/s, rad/s]; deceleration a
+            of s [m/s², rad/s²], for contacts per speed of approach [1/s]; 1/T [1/s], which a
+            program sets (`fit_to_steps`).
     """
 
     row: Row
@@ -39,7 +39,7 @@ class FrictionTerm(NamedTuple):
 
 
 def list_friction(world: World, law: ContactLaw) -> list[FrictionTerm]:
-    """Returns the friction of a world's joints and of its walls, which, rigid, rub in impacts."""
+    """Returns the friction of a world's joints and walls; that of rigid walls is for impacts."""
     frictions = [] if world.dry_friction is None else list(_list_dry(world, world.dry_friction))
     if isinstance(law, CompliantLaw) and law.has_friction:
         frictions += _list_touching(world, law)
@@ -59,7 +59,7 @@ def _list_dry(world: World, friction: Floats) -> Iterator[FrictionTerm]:
 
 
 def _list_touching(world: World, law: CompliantLaw) -> Iterator[FrictionTerm]:
-    """Yields that of contacts, whose brake is per speed of approach: that of a half swing."""
+    """Yields the friction of compliant contacts, decelerations per speed of approach."""
     q = world.plant.GetDefaultPositions()
     J, T = world.calc_contact_jacobian(q), world.rubbing.calc_tangent_jacobian(q, is_compliant=True)
     M = world.calc_mass_matrix(q)
@@ -71,7 +71,7 @@ def _list_touching(world: World, law: CompliantLaw) -> Iterator[FrictionTerm]:
 
 
 def fit_to_steps(frictions: Floats, step: float, duration: float, speed: float) -> Floats:
-    """Returns the numbers of rubs, shape (R, 5), for Runge-Kutta steps of a length [s].
+    """Returns the numbers of frictions, shape (R, 5), for Runge-Kutta steps of a length [s].
 
     Contacts are approached at about the speed [m/s].
     """

@@ -1,9 +1,9 @@
-"""Rigid contacts that are closed at once: what their forces or impulses do to a motion.
+"""Rigid contacts that are closed at once: effects of their forces or impulses on a motion.
 
-Rows k of C are what vanishes: J_k of contacts k < m, and T of what sticks behind them, one for each
-friction. Columns of Dᵀ are what pushes for that: Jᵀ and Tᵀ, or, of a contact that slips along σ,
-Jᵀ − μ σ Tᵀ. `closed` says which rows count, shape (w,), w = m + R, and `leans` has −μ σ of each
-contact, shape (m,), 0 where it sticks or does not rub.
+Rates along rows k of C vanish: J_k of contacts k < m, and behind them T of sticking contacts, one
+for each friction. Columns of Dᵀ are directions of forces: Jᵀ and Tᵀ, or, of a contact that slips
+along σ, Jᵀ − μ σ Tᵀ. `closed` says which rows count, shape (w,), w = m + R, and `leans` has −μ σ of
+each contact, shape (m,), 0 for sticking contacts and without friction.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from drake_aigto.shooting.acceleration import (
 )
 from drake_aigto.shooting.tables import Mechanics, MechanicsMemory
 
-# Pivots of C M⁻¹ Dᵀ are at least this part of its diagonal: contacts may hold without need what
-# others hold.
+# Pivots of C M⁻¹ Dᵀ are at least this part of its diagonal: contacts may be redundant.
 _RIDGE = 1e-12
 
 
@@ -30,8 +29,7 @@ def _clasp(
 ) -> None:
     """Computes M⁻¹ D_kᵀ of rows that are closed, and factors C M⁻¹ Dᵀ.
 
-    Rows of `support` and of `grip`. What is not closed has zeros in the one, and a row of the
-    identity in the other.
+    They are rows of `support` and of `grip`: zeros and rows of the identity if not closed.
     """
     sums, support, grip = memory.sums, memory.support, memory.grip
     m, w = leans.size, closed.size
@@ -103,7 +101,7 @@ def hold(
     mechanics: Mechanics,
     memory: MechanicsMemory,
 ) -> None:
-    """Adds to the acceleration what the forces of contacts do that are held.
+    """Adds the effect of held contacts to the acceleration.
 
         v̇ = a + M⁻¹ Dᵀ λ,   C v̇ + Ċ v = 0,   λ = −(C M⁻¹ Dᵀ)⁻¹ (C a + Ċ v)
 
@@ -179,14 +177,14 @@ def strike(
 ) -> None:
     """Computes an impact of contacts that stick or slip in one direction throughout.
 
-        v⁺ = v + M⁻¹ Dᵀ p,   J v⁺ = −e J v,   T v⁺ = 0 of what sticks
+        v⁺ = v + M⁻¹ Dᵀ p,   J v⁺ = −e J v,   T v⁺ = 0 if sticking
 
-    Both v⁺ and p are linear in v. Of one contact that is what Routh's construction leads to
+    Both v⁺ and p are linear in v. For one contact that is the result of Routh's construction
     (`contact.impacts`) where Coulomb's inequalities hold (`cones`).
 
     Args:
-        closed: which rows of C count: those of what is hit, and of what is held from then on.
-        leans: −μ σ of what slips.
+        closed: which rows of C count: those of contacts that are hit or held from then on.
+        leans: −μ σ of slipping contacts.
         restitution: e.
         z: the state before, (q, v, …).
         has_slopes: whether derivatives are computed, too.

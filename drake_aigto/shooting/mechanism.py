@@ -27,7 +27,7 @@ from drake_aigto.shooting.tables import (
 from drake_aigto.terms import Factor, FunctionKind, Term, expression_terms
 from drake_aigto.world import World
 
-# What hardly moves away from a wall bears no weight there [1/kg].
+# Contacts with a smaller mobility bear no weight [1/kg].
 _IMMOBILE = 1e-12
 # The places of the factors of a product, in order ↦ coefficient.
 Sum = dict[tuple[int, ...], float]
@@ -40,10 +40,10 @@ class SumTape(NamedTuple):
     y = scale·x + offset, then P products of two earlier values each.
 
     Attributes:
-        code: W, P, how many products come early, how many sums change, and how many of these come
-            early; then x of each wave, two factors of each product, and of each sum that changes
-            its number, the number of its summands and their places. What is early is all that
-            values without derivatives need.
+        code: W, P, the number of early products, of sums that change, and of early ones of these;
+            then x of each wave, two factors of each product, and for each sum that changes its
+            number, the number of its summands and their places. Early ones suffice for values
+            without derivatives.
         numbers: scale and offset of each wave, then the coefficient of each summand.
         constants: the sums that never change, shape (Z,); others are 0 there.
     """
@@ -83,7 +83,7 @@ class TapeBuilder:
         return found
 
     def _find_places(self, label: str, factor: Factor, variables: Sequence[int]) -> list[int]:
-        """Returns the places whose product a factor is."""
+        """Returns the places of values with this factor as their product."""
         variable = int(variables[factor.variable])
         powers = [1 + variable] * factor.exponent
         if factor.kind == FunctionKind.POWER:
@@ -137,7 +137,7 @@ class TapeBuilder:
 
 
 class _ProductPlaces:
-    """Where products stand, each made of a shorter one and one factor more."""
+    """Places of products, each made of a shorter one and one more factor."""
 
     def __init__(self, first: int) -> None:
         self.factors: list[tuple[int, int]] = []
@@ -159,20 +159,20 @@ def _add(sum_: Sum, product: tuple[int, ...], coefficient: float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Mechanism:
-    """How a mechanism moves between walls that yield, as arrays that can be pickled.
+    """Dynamics of a mechanism between compliant walls, as arrays that can be pickled.
 
         M(q) v̇ + h(q, v) = B u + Σ_i J_i(q)ᵀ f_i − Σ_r T_r(q)ᵀ c_r N_r σ(s_r / w_r)
         f = k p(−φ) max(0, 1 − d φ̇),    p(y) = (y + √(y² + ε²)) / 2
 
     That is Hunt and Crossley's force as Drake's point contact has it, with max(0, −φ) smoothed over
     a length ε [m]; at ε = 0 it is the law itself. Of the faces of one solid only that one pushes
-    which the sphere is farthest in front of. Friction is that of `rubbing`. Letters as in
+    which the sphere is farthest in front of. Friction is that of `FrictionTerm`. Letters as in
     `EquationsOfMotion`, n = nq = nv.
 
     Attributes:
         mechanics: the tables.
-        edges: what φ_j is at most where a sphere touches face i, its center before that and not
-            beyond an edge: −r of other faces of its solid, else ∞, shape (m, m) [m].
+        edges: upper bounds of φ_j where a sphere touches face i, with its center in front of that
+            and not beyond an edge: −r for other faces of its solid, else ∞, shape (m, m) [m].
     """
 
     mechanics: Mechanics
@@ -267,7 +267,7 @@ class Mechanism:
         return mass + np.triu(mass, 1).T, sums[half : half + n]
 
     def calc_mobilities(self, q: Floats) -> Floats:
-        """Returns T M⁻¹ Tᵀ of each contact that rubs, 0 of others, shape (m,) [1/kg]."""
+        """Returns T M⁻¹ Tᵀ of contacts with friction, 0 of others, shape (m,) [1/kg]."""
         tangents, (mass, _) = self._read_tangents(q), self.calc_inertia(q)
         return np.einsum("ij,ji->i", tangents, np.linalg.solve(mass, tangents.T))
 
@@ -288,7 +288,7 @@ class Mechanism:
         return np.asarray((friction * loads) @ np.abs(self._read_tangents(q)))
 
     def _read_tangents(self, q: Floats) -> Floats:
-        """Returns T of each contact that rubs, zero of others, shape (m, n)."""
+        """Returns T of contacts with friction, zero of others, shape (m, n)."""
         n, m, R, sums = len(q), self.num_contacts, len(self.mechanics.frictions), self.calc_sums(q)
         found = np.zeros((m, n))
         rows = sums[n * (n + 1) // 2 + n + m + m * n :][: R * n].reshape(R, n)
@@ -306,7 +306,7 @@ class Mechanism:
 
 
 def _compile(world: EquationsOfMotion, is_rigid: bool, rows: Sequence[Row]) -> SumTape:
-    """Returns the tape of M, h, φ, J and T and of their derivatives; what holding takes if rigid.
+    """Returns the tape of M, h, φ, J, T and their derivatives; with those for `hold` if rigid.
 
     Rows T are expressions, shape (n,) each.
     """

@@ -1,4 +1,4 @@
-"""Problems of optimal control: what moves, from where, for how long, in which phases and bounds."""
+"""Problems of optimal control: mechanism, start, times, phases and bounds."""
 
 from __future__ import annotations
 
@@ -26,27 +26,27 @@ _FIELDS = {
 
 @dataclass(frozen=True, eq=False)
 class Phases(ArrayRecord):
-    """Which contact is hit at which knot, with free durations between; P phases, m contacts.
+    """Phases with free durations, and the contacts hit between them; P phases, m contacts.
 
         φ_i(q) = 0,   v⁺ = v⁻ − M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹ (1 + e) J v⁻     where contact i is hit
         J v̇ + J̇ v = 0,   M v̇ + h = B u + Jᵀ λ,   λ ≥ 0               while contacts are held
 
-    J has the rows of what is held from then on, too. What is held has been hit before, and e is 0
-    then, whatever the contact's is: so ends what bounces ever faster, or does not bounce at all. Or
-    it has been held from the start on. What rubs does so in a mode, as it is hit and while it is
-    held, and of these the last is λ_t, for impulses likewise:
+    J also has the rows of contacts that are held from then on. A held contact is hit first, with
+    e = 0 whatever its restitution: that ends ever faster bounces. Or it is held from the start. A
+    contact with friction is in a mode as it is hit and while it is held; λ_t is its tangential
+    force, and impulses follow the same laws:
 
         T v̇ + Ṫ v = 0,   |λ_t| ≤ μ λ_n                                stick, mode 0
         λ_t = −σ μ λ_n,   σ T v ≥ 0                                   slip, mode σ = ±1
 
     Attributes:
-        contacts: what ends each phase but the last, −1 if nothing is hit; shape (P − 1,).
-        knots: where it does, rising, inside of 0 … N, shape (P − 1,).
-        durations: of the phases, to start from, shape (P,) [s].
-        total: the least and the most of their sum [s].
+        contacts: hit at the end of each phase but the last, −1 for none; shape (P − 1,).
+        knots: at these ends, rising, inside of 0 … N, shape (P − 1,).
+        durations: of the phases, as a guess, shape (P,) [s].
+        total: limits of their sum [s].
         held: which contacts are held in each phase, shape (P, m); empty: never any.
-        modes: of contacts that rub, in which they are held in each phase, and hit where it starts:
-            0 if they stick, else the sign of the slip, shape (P, m); empty: all stick.
+        modes: of contacts with friction, held in each phase or hit at its start: 0 for stick, else
+            the sign of the slip, shape (P, m); empty: all stick.
     """
 
     contacts: Ints
@@ -85,20 +85,20 @@ class Phases(ArrayRecord):
 
     @classmethod
     def free(cls, duration: float, total: tuple[float, float]) -> Phases:
-        """Returns one phase, which ends where nothing is hit, of free duration [s]."""
+        """Returns one phase of free duration [s], without an impact."""
         none = np.zeros(0, dtype=np.int64)
         return cls(none, none, np.array([duration]), total)
 
 
 @dataclass(frozen=True, eq=False)
 class StageLayout:
-    """The stages of a problem: flights between knots and, of phases, what starts each."""
+    """The stages of a problem: flights between knots and starts of phases."""
 
     kinds: Ints  # FLOW, START or a contact, of each of K stages, shape (K,)
     held: Bools  # which contacts are held in each, shape (K, m)
     modes: Ints  # in which mode each contact is held in each, or hit, shape (K, m)
     flights: Ints  # which stages are flights, shape (N,)
-    shares: Floats  # how long each lasts [s]; of phases, as a share of its phase; shape (K,)
+    shares: Floats  # their lengths [s]; with phases, as shares of these; shape (K,)
 
     @classmethod
     def of(cls, times: Floats, phases: Phases | None, num_contacts: int) -> StageLayout:
@@ -125,7 +125,7 @@ class StageLayout:
         return cls(np.array(kinds), held, modes, np.flatnonzero(is_flight), np.array(shares))
 
     def calc_times(self, durations: Floats) -> Floats:
-        """Returns when knots are [s], shape (N + 1,), where phases last so long, shape (P,)."""
+        """Returns times of knots, shape (N + 1,) [s], given durations of phases, shape (P,)."""
         of_phase = np.cumsum(self.kinds != FLOW) - 1
         steps = (self.shares * durations[of_phase])[self.flights]
         return np.concatenate([[0.0], np.cumsum(steps)])
@@ -145,23 +145,23 @@ class OptimalControlProblem:
     Knots t_0 … t_N; n coordinates, nu controls.
 
     Attributes:
-        mechanism: what moves.
+        mechanism: its dynamics.
         cost: the task's weights.
         times: of the knots, shape (N + 1,) [s].
         start: q and v at the first knot, shape (2n,).
-        scales: how much of q and v is much, shape (2n,): units of bounds and violations.
+        scales: of q and v, shape (2n,): units of bounds and violations.
         state_bounds: lower and upper ones of q and v after the first knot, shape (2, 2n).
         control_bounds: the same of u, shape (2, nu).
-        hard_goal: what q and v have to be at the end, shape (2n,); NaN: anything. Whole turns do
-            not count where the cost does not count them.
+        hard_goal: prescribed q and v at the end, shape (2n,); NaN: free. Coordinates that count
+            modulo 2π in the cost do so here.
         control_norm: ‖u‖ at most.
-        length: what smoothing and φ are measured in [m].
-        phases: what rigid walls are hit at which knots; None: nothing is hit. Then `times` says how
-            knots divide each phase, and where contacts do not yield φ ≥ 0 at all knots.
-        clearances: of phases, how far φ has to be above 0 at knots, shape (N + 1, m) [m]; None: 0.
-        slowest: of phases, how fast walls are hit at least [m/s].
-        duration: of the whole task, where the knots are no more than its end, so that friction
-            stays what it was [s]; 0: they are all of it.
+        length: unit of smoothing and φ [m].
+        phases: with impacts at rigid walls; None: no impacts. With phases, `times` divide each of
+            them, and at rigid contacts φ ≥ 0 holds at all knots.
+        clearances: with phases, least φ at knots, shape (N + 1, m) [m]; None: 0.
+        slowest: with phases, least speed of impacts [m/s].
+        duration: of the whole task if the knots are only its end, so that friction stays the same
+            [s]; 0: they are all of it.
         added: costs and constraints of users.
 
     Raises:
@@ -198,7 +198,7 @@ class OptimalControlProblem:
         self._check_numbers()
 
     def _check_numbers(self) -> None:
-        """Refuses numbers that mean nothing."""
+        """Refuses meaningless numbers."""
         m, N, phases = self.mechanism.num_contacts, len(self.times) - 1, self.phases
         fits = phases is None or (
             np.all((phases.knots > 0) & (phases.knots < N))
@@ -226,7 +226,7 @@ class OptimalControlProblem:
 
     @cached_property
     def cost_scale(self) -> float:
-        """What the task costs where all is off by its scale, controls too; 1 if that is nothing."""
+        """Cost with all errors and controls at their scales; 1 if that is 0."""
         n, cost, T = self.mechanism.num_positions, self.cost, np.ptp(self.times)
         q, v = self.scales[:n], self.scales[n:]
         running = T * (cost.Q @ q**2 + cost.Qv @ v**2 + cost.R @ self.control_scales**2)
@@ -234,7 +234,7 @@ class OptimalControlProblem:
 
     @cached_property
     def control_scales(self) -> Floats:
-        """The control that moves by the scales in time, against friction, and holds the start.
+        """The control that moves by the scales in the duration, against friction and gravity.
 
         Its shape is (nu,).
         """
@@ -251,20 +251,20 @@ class OptimalControlProblem:
         return StageLayout.of(self.times, self.phases, self.mechanism.num_contacts)
 
     def fit_friction(self, substeps: int) -> Floats:
-        """Returns the numbers of friction in so short Runge-Kutta steps, see `fit_to_steps`."""
+        """Returns the numbers of friction for these Runge-Kutta steps, see `fit_to_steps`."""
         duration = self.duration or float(np.ptp(self.times))
         step, frictions = np.max(np.diff(self.times)) / substeps, self.mechanism.mechanics.frictions
         return fit_to_steps(frictions, step, duration, self.length / duration)
 
     @property
     def friction_substeps(self) -> int:
-        """In how many Runge-Kutta steps between knots friction is as steep as the world has it."""
+        """Number of Runge-Kutta steps between knots that resolves the world's friction."""
         ratios = self.fit_friction(1)[:, STICTION] / self.mechanism.mechanics.frictions[:, STICTION]
         return int(np.ceil(np.max(ratios, initial=1.0)))
 
     @property
     def knot_times(self) -> Floats:
-        """When knots are [s], shape (N + 1,), where phases last as long as at first."""
+        """Times of knots [s], shape (N + 1,), with the guessed durations of phases."""
         if self.phases is None:
             return self.times
         return self.layout.calc_times(self.phases.durations)

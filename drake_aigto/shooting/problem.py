@@ -33,12 +33,12 @@ class ShootingProblem(OptimalControlProblem):
 
         Args:
             controls: u_k, shape (N, nu); those out of bounds are moved into them.
-            states: q and v at knots, shape (N + 1, 2n), which need not follow from the controls
-                and are taken there; None: those that do.
+            states: q and v at knots, shape (N + 1, 2n), which need not follow from the controls;
+                None: those that do.
             options: numerics.
-            prices: of bounds at first: those of a result of this problem under other options.
-            most: a motion whose J is larger after a pass that ended is left as it is then, and one
-                that was cut off where J is far larger: as bounds count more, J rises.
+            prices: initial ones of bounds, from a result of this problem under other options.
+            most: a motion with larger J after a pass that ended is returned as it is, and one with
+                far larger J after a pass that was cut off: as bounds count more, J rises.
 
         Raises:
             ProgramError: a shape does not fit.
@@ -64,7 +64,7 @@ class ShootingProblem(OptimalControlProblem):
         return self._start(controls, None, options).finish()
 
     def calc_gains(self, controls: Floats, substeps: int, smoothing: float = 0.0) -> Floats:
-        """Returns how held controls best answer deviations of the state, shape (N, nu, 2n).
+        """Returns optimal feedback gains of held controls, shape (N, nu, 2n).
 
         ũ_k = K_k x̃_k has the least cost to go to second order, in the Gauss-Newton form, about the
         motion of given controls. Where a control is at its bound, K_k is 0.
@@ -75,13 +75,13 @@ class ShootingProblem(OptimalControlProblem):
             smoothing: ε in units of the problem's length.
 
         Raises:
-            ProgramError: a shape does not fit, or the motion runs away.
+            ProgramError: a shape does not fit, or the motion diverges.
         """
         options = ShootingOptions((Smoothing(smoothing, 1, np.inf),), substeps)
         return self._start(controls, None, options).find_gains()
 
     def estimate_error(self, result: ShootingResult) -> float:
-        """Returns how far off the steps of a result are: against twice as many of order 4.
+        """Returns the error of a result's steps, against twice as many of order 4.
 
         It is the larger one of the cost's change, in units of the cost or of `cost_scale` if that
         is larger, and the final state's, in units of its scales.
@@ -97,7 +97,7 @@ class ShootingProblem(OptimalControlProblem):
     def make_program(self, options: ShootingOptions) -> Program:
         """Returns the tables that compiled code reads, with multipliers of their own, zero.
 
-        All else is made once for each order and number of substeps.
+        The rest is made once for each order and number of substeps.
         """
         key = options.order, options.substeps
         if key not in self._programs:
@@ -120,13 +120,13 @@ class ShootingProblem(OptimalControlProblem):
         return ShootingRun(self, self.make_program(options), controls, states, options, prices)
 
     def lasting(self, duration: float) -> ShootingProblem:
-        """Returns the same problem, whose phases, if any, last for a sum at first [s]."""
+        """Returns the same problem with guessed durations of phases of this sum [s]."""
         if self.phases is None:
             return self
         return self._with_durations(duration / self.phases.durations.sum() * self.phases.durations)
 
     def starting_from(self, result: ShootingResult) -> ShootingProblem:
-        """Returns the same problem, whose phases last as long at first as those of a result."""
+        """Returns the same problem with guessed durations of phases from a result."""
         return self if self.phases is None else self._with_durations(result.durations)
 
     def _with_durations(self, durations: Floats) -> ShootingProblem:

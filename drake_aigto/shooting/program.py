@@ -21,14 +21,14 @@ from drake_aigto.shooting.tables import (
 )
 from drake_aigto.world import TaskCost
 
-# When each evaluation of a Runge-Kutta step is, as a part of the step, and its weight. It is ahead
-# of the start by that part of the slope before it; before the first one only positions move. So
-# order 2 is the leapfrog method where forces know no velocity, which stiff springs ask for.
+# Time of each evaluation of a Runge-Kutta step, as a part of the step, and its weight. Its state is
+# ahead of the start by that part of the slope before it; before the first one only positions move.
+# So order 2 is the leapfrog method for forces without velocities, which suits stiff springs.
 _METHODS = {
     2: np.array([[0.5, 0.0], [0.5, 1.0]]),
     4: np.array([[0.0, 1 / 6], [0.5, 1 / 3], [0.5, 1 / 3], [1.0, 1 / 6]]),
 }
-# A control's curvature counts as small below this share of the cost's scale per its own squared.
+# A control's curvature counts as small below this share of the cost's scale per its own, squared.
 _FLOOR = 1e-6
 # No phase is shorter than this share of the longest total.
 _SHORTEST = 1e-3
@@ -69,7 +69,7 @@ def make_program(problem: OptimalControlProblem, substeps: int, order: int) -> P
 def _find_closed(layout: StageLayout, mechanics: Mechanics) -> tuple[Bools, Floats, Floats]:
     """Returns which rows vanish in each stage, (K, m + R), how contacts lean, (K, m), and e, (K,).
 
-    Contacts are held during flights, and struck where something is hit.
+    Contacts are held during flights, and struck at impacts.
     """
     hits, e = np.flatnonzero(layout.kinds >= 0), np.zeros(len(layout.kinds))
     contacts, frictions = layout.kinds[hits], mechanics.frictions
@@ -111,7 +111,7 @@ def _make_bounds(problem: OptimalControlProblem, layout: StageLayout, of_users: 
     scales = np.concatenate([problem.scales, np.full(nz - nx, T)])
     units = problem.added.measure_units(np.concatenate([problem.scales, problem.control_scales]))
     weights = np.concatenate([scales**-2, np.full(m, float(problem.length) ** -2), units**-2])
-    # Turns do not count of hinges whose goal is hard.
+    # A hard goal of a hinge is modulo 2π.
     n, does_turn = nx // 2, np.zeros(nz, dtype=bool)
     turns = problem.cost.is_modulo | problem.cost.is_chordal
     does_turn[:n] = turns & np.isfinite(problem.hard_goal[:n])
@@ -139,7 +139,7 @@ def _make_bounds(problem: OptimalControlProblem, layout: StageLayout, of_users: 
 
 
 def _bound_states(problem: OptimalControlProblem, num_stages: int) -> Floats:
-    """Returns lower and upper bounds of z at knots, shape (2, K + 1, nz); of phases the end's."""
+    """Returns lower and upper bounds of z at knots, shape (2, K + 1, nz); with total duration."""
     bounds = np.repeat(problem.state_bounds[:, np.newaxis], num_stages + 1, axis=1)
     is_hard = np.isfinite(problem.hard_goal)
     bounds[:, -1, is_hard] = problem.hard_goal[is_hard]
@@ -176,7 +176,7 @@ def _bound_distances(problem: OptimalControlProblem, layout: StageLayout) -> Flo
 
 
 def _bound_controls(problem: OptimalControlProblem, layout: StageLayout) -> Floats:
-    """Returns lower and upper bounds of what stages choose, shape (2, K, nu)."""
+    """Returns lower and upper bounds of controls of stages, shape (2, K, nu)."""
     bounds = np.array(problem.control_bounds)
     if bounds.shape[1] == 1:
         norm = problem.control_norm

@@ -1,4 +1,4 @@
-"""How a shooting problem is solved: options, one solve, and its answer."""
+"""Solution of a shooting problem: options, one solve, and its result."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from drake_aigto.shooting.optimal_control import OptimalControlProblem
 from drake_aigto.shooting.tables import FLOW, Outcome, Pass, Program, make_memory
 from drake_aigto.simulation import Replay
 
-# Of 69 boxes around arms of three links, 5 are closed to motions that are better than no control in
-# steps that may raise the cost by much, 14 in such as may not, and 24 if Runge-Kutta steps are so
-# many times shorter as well. Around a cart-pole between soft walls the former lead to better plans.
+# Of 69 boxes around arms of three links, 5 are closed to motions better than no control if steps
+# may raise the cost by much, 14 if they may not, and 24 with Runge-Kutta steps shorter by this
+# factor as well. Around a cart-pole between soft walls, steps that may do so lead to better plans.
 _SHORTER = 2
-# Bounds can't be kept near a motion where so many updates in a row, each at a penalty that has
-# grown, leave more than this part of what they are off.
+# Bounds are infeasible near a motion if this many updates in a row, with growing penalties, each
+# leave more than this part of their violation.
 _PATIENCE, _STUCK = 4, 0.9
-# What a pass that was cut off leaves may still cost so many times less after the next ones: of 280
-# motions of discs that swap places, no dearer one did.
+# After a pass that was cut off, costs may still fall by up to this factor: of 280 motions of discs
+# that swap places, none fell further below the limit.
 _FALLING = 2.5
 
 
@@ -32,8 +32,8 @@ class Smoothing(NamedTuple):
 
     Attributes:
         smoothing: ε in units of the problem's length.
-        iterations: at most so many.
-        tolerance: of what the next step promises, as a share of the cost.
+        iterations: at most.
+        tolerance: of the decrease that the next step promises, as a share of the cost.
     """
 
     smoothing: float
@@ -46,17 +46,17 @@ class ShootingOptions:
     """Options of `ShootingProblem.solve`.
 
     Attributes:
-        rungs: passes at falling smoothing. Where nothing yields, the last one with all iterations
-            takes the place of all.
+        rungs: passes at falling smoothing. Without compliance or friction, the last one with all
+            iterations replaces them.
         substeps: Runge-Kutta steps of a stage.
         order: of their error: 4, or 2 with half as many evaluations.
         penalty: ρ at first, in units of cost per squared scale.
         multiplier_updates: further passes of the last rung, until bounds at knots hold.
-        feasibility: how far they may be off, in units of the state's scales.
-        is_wary: whether a step that closes the gaps of a guess may raise the cost by little only.
-            Most motions are found sooner without; where they diverge, few are found.
-        most_promised: what promises to cost more in the last pass, with what bounds are off, is
-            left where it is.
+        feasibility: their largest violation, in units of the state's scales.
+        is_wary: whether steps that close gaps of a guess may raise the cost by little only. Most
+            motions are found sooner without; where they diverge, few are.
+        most_promised: motions that promise to cost more in the last pass, with penalties, are
+            left unfinished.
 
     Raises:
         OptionsError: an option is out of its range.
@@ -95,13 +95,13 @@ class ShootingOptions:
 
     @property
     def wary(self) -> ShootingOptions:
-        """The same for what diverges."""
+        """The same options for motions that diverge."""
         return replace(self, substeps=_SHORTER * self.substeps, is_wary=True)
 
 
 @dataclass(frozen=True, eq=False)
 class ShootingResult(ArrayRecord):
-    """A motion, exactly that of its controls, as far as its steps are.
+    """The motion of given controls, to the accuracy of its steps.
 
     Attributes:
         times: of the knots, shape (N + 1,) [s].
@@ -109,17 +109,17 @@ class ShootingResult(ArrayRecord):
         controls: u between them, shape (N, nu).
         cost: with the contact law smoothed as it was at the end; infinite if the start's controls
             lead nowhere.
-        exact_cost: of the same controls, contact as it is.
+        exact_cost: of the same controls, without smoothing.
         violation: of bounds at knots, in units of the state's scales, at most.
-        iterations: how many it took.
-        is_converged: whether nothing was left to gain at the end.
+        iterations: in all.
+        is_converged: whether the last pass ended in its tolerance.
         smoothing: ε at the end [m].
         substeps: Runge-Kutta steps between knots.
         order: of their error.
         durations: of phases, shape (P,) [s]; none without phases.
         prices: of bounds at knots: ρ, then all multipliers.
-        is_left: whether it was left half-way (`ShootingOptions.most_promised`).
-        replay: of the controls, where they were simulated on the way to this; None: they were not.
+        is_left: whether it was left unfinished (`ShootingOptions.most_promised`).
+        replay: of the controls, if they were simulated to get this; else None.
     """
 
     times: Floats
@@ -156,7 +156,7 @@ class ShootingRun:
         options: ShootingOptions,
         prices: Floats | None = None,
     ) -> None:
-        """Takes the motion's shape from the problem, whose tables it fills."""
+        """Takes the motion's shape from the problem, and fills its tables."""
         self._problem, self._options, self._has_gaps = problem, options, states is not None
         self._layout, self._program = problem.layout, program
         self._controls = self._lay_out_controls(controls)
@@ -170,7 +170,7 @@ class ShootingRun:
             self._penalty, own[...] = float(known[0]), known[1:].reshape(own.shape)
 
     def _lay_out_controls(self, controls: Floats) -> Floats:
-        """Returns what each stage chooses, shape (K, nu): durations where phases start.
+        """Returns the controls of stages, shape (K, nu): durations where phases start.
 
         Controls are moved into their bounds, then towards 0 until their norm is within its own.
         """
@@ -224,7 +224,7 @@ class ShootingRun:
         return self.finish(outcome)
 
     def find_gains(self) -> Floats:
-        """Returns the gains of one sweep about the motion: no gain is worth a step here."""
+        """Returns the gains of one sweep about the motion, without a step."""
         outcome = self._descend(self._options.rungs[-1], self._states, False)
         if not outcome.is_converged:
             got = f"a motion that costs {outcome.cost}"
@@ -241,7 +241,7 @@ class ShootingRun:
         return (rungs[-1]._replace(iterations=sum(rung.iterations for rung in rungs)),)
 
     def _run_rung(self, rung: Smoothing, before: float) -> Outcome:
-        """Returns how a rung ended; ρ grows where bounds are violated as much as before it."""
+        """Returns the outcome of a rung; ρ grows if bounds are violated as much as before it."""
         outcome = self._descend(rung, self._states, self._is_bounded)
         self._iterations, self._has_gaps = self._iterations + outcome.iterations, False
         if self._is_bounded and outcome.violation > before / 4:
@@ -249,7 +249,7 @@ class ShootingRun:
         return outcome
 
     def _descend(self, rung: Smoothing, states: Floats, updates: bool) -> Outcome:
-        """Returns how a pass ended, which multipliers are updated after if asked."""
+        """Returns the outcome of a pass; multipliers are updated after it if asked."""
         is_last = rung.smoothing == self._options.rungs[-1].smoothing
         settings = Pass(
             eps=float(rung.smoothing * self._problem.length),
@@ -265,7 +265,7 @@ class ShootingRun:
         return descend(self._program, states, self._controls, has_gaps, settings, memory)
 
     def finish(self, outcome: Outcome | None = None) -> ShootingResult:
-        """Returns the motion of the controls, and what it costs; None: of no pass."""
+        """Returns the motion of the controls with its costs; None: without a pass."""
         last = self._options.rungs[-1]._replace(iterations=0)
         found = outcome or self._descend(last, self._states, False)
         exact = found.cost

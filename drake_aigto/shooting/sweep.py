@@ -12,7 +12,7 @@ from drake_aigto.shooting.tables import FLOW, Expansion, Program, SweepMemory
 
 @inner
 def clip_control(size: int, u: Floats, lower: Floats, upper: Floats, norm: float) -> None:
-    """Moves a control into its bounds, then towards 0 until its norm is what it may be."""
+    """Moves a control into its bounds, then towards 0 until its norm is within its limit."""
     squares = 0.0
     for j in range(size):
         u[j] = min(max(u[j], lower[j]), upper[j])
@@ -36,13 +36,13 @@ def sweep_back(
     Args:
         program: the problem.
         controls: of the motion that it is expanded about, shape (K, nu).
-        has_gaps: whether the motion is no roll-out.
+        has_gaps: whether the motion is not a roll-out.
         damping: share of a control's own curvature that is added to it.
         expansion: the problem about that motion.
         memory: room, and the result.
 
     Returns:
-        What the cost falls by in the expansion; −1 if a Hessian is not positive.
+        The decrease of the cost in the expansion; −1 if a Hessian is not positive.
     """
     V1, V2, Q1, Q2, H = memory.V1, memory.V2, memory.Q1, memory.Q2, memory.H
     bounds = program.bounds
@@ -115,7 +115,7 @@ def _expand_value(
 
 @inner
 def _factor_free(size: int, shift: float, H: Floats, is_free: Ints, L: Floats) -> bool:
-    """Factors H + shift I on what is free, the identity elsewhere; False if it is not positive."""
+    """Factors H + shift I on free controls, the identity elsewhere; False if not positive."""
     for i in range(size):
         for j in range(i + 1):
             if is_free[i] and is_free[j]:
@@ -179,7 +179,7 @@ def _solve_box(
             break
         value, is_best = attempt, True
         for i in range(size):
-            # All are free, and nothing is clipped: the least there is.
+            # All are free, and nothing is clipped: the minimum.
             is_best = is_best and is_free[i] and trial[i] == u[i] + du[i] + step[i] - u[i]
             du[i] = trial[i]
         if is_best:
@@ -235,7 +235,7 @@ def _solve_ball(
 def _find_gains(
     k: int, nz: int, size: int, is_on_ball: bool, u: Floats, du: Floats, memory: SweepMemory
 ) -> None:
-    """Computes how the control follows the state: not where clamped, along the ball on it."""
+    """Computes gains of the control: none where clamped, along the ball on its norm limit."""
     is_free, factor, gains = memory.is_free, memory.factor, memory.gains
     y, normal, along = memory.room[0], memory.room[1], 0.0
     if is_on_ball:
@@ -261,7 +261,7 @@ def _find_gains(
 def _step_back(
     nz: int, size: int, multiplier: float, du: Floats, gains: Floats, memory: SweepMemory
 ) -> float:
-    """Computes the cost to go before the stage, and returns what its control gains."""
+    """Computes the cost to go before the stage, and returns the gain of its control."""
     Q1, Q2, V1, V2, slope = memory.Q1, memory.Q2, memory.V1, memory.V2, memory.room[0]
     gain = 0.0
     for i in range(size):

@@ -1,4 +1,4 @@
-"""What compiled code knows of a shooting problem, and the memory that it works in."""
+"""Tables of a shooting problem for compiled code, and its memory."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
 
-# What a stage is, in place of the contact that it is an impact at.
+# Kinds of stages; others are impacts, given by their contact.
 FLOW, START = -1, -2
 
-# How the error of a coordinate is meant.
+# Kinds of errors of coordinates.
 EXACT, MODULO, CHORDAL = 0, 1, 2
 
 # In `FrictionTerm.numbers` and `Mechanics.frictions`.
@@ -19,7 +19,7 @@ SOURCE, COEFFICIENT, STICTION, BRAKE, PACE = range(5)
 
 
 class Mechanics(NamedTuple):
-    """What compiled code knows of a mechanism.
+    """Tables of a mechanism for compiled code.
 
     The tape is of M (upper triangle, by rows), h, φ, J, and T, the rows of friction; then of ∂M/∂q,
     ∂h/∂(q, v), ∂J/∂q (upper triangle) and ∂T/∂q; and where walls are rigid of vᵀ (∂²J/∂q²) v, by
@@ -82,7 +82,7 @@ class Bounds(NamedTuple):
     multipliers: Floats  # y of all rows, shape (K + 1, nz + m + R + 1 + 3m)
     slowest: float  # −φ̇ at least before an impact [m/s]
     approach_weight: float  # w of that
-    force_weight: float  # w of forces of what is held; unit: the control that costs as much as all
+    force_weight: float  # w of forces of held contacts; unit: the control that costs as much as all
     mobilities: Floats  # T M⁻¹ Tᵀ at the start, which makes speeds of impulses, shape (m,) [1/kg]
     lower_control: Floats  # shape (K, nu); of starts, of the duration
     upper_control: Floats  # the same
@@ -113,10 +113,10 @@ class Program(NamedTuple):
     closed: Bools  # rows of contacts that vanish in flights, or are struck, (K, m + R); see `hold`
     leans: Floats  # −μ σ, the part of their forces that acts along these contacts, shape (K, m)
     restitutions: Floats  # −e, the part of speeds that is left as a phase starts, shape (K,)
-    steps: Floats  # how long each stage lasts [s]; of phases, as a share of τ; shape (K,)
-    times: Floats  # when each stage starts, without phases, shape (K + 1,) [s]
+    steps: Floats  # lengths of stages [s]; with phases, as shares of τ; shape (K,)
+    times: Floats  # starts of stages, without phases, shape (K + 1,) [s]
     substeps: int  # Runge-Kutta steps of a stage
-    method: Floats  # when each evaluation of a step is, a part of it, and its weight, shape (E, 2)
+    method: Floats  # time of each evaluation, as a part of a step, and its weight, shape (E, 2)
 
 
 class FlowMemory(NamedTuple):
@@ -124,23 +124,23 @@ class FlowMemory(NamedTuple):
 
     mechanics: MechanicsMemory
     # x at the start of a Runge-Kutta step, y within it, ẏ, their weighted sum; e, the gradient of
-    # the cost's rate by it, and how fast the reference moves; shape (7, nx).
+    # the cost's rate by it, and velocities of the reference; shape (7, nx).
     points: Floats
     by_column: Floats  # the derivative of the cost's rate by (z, u), shape (nc,)
     slopes: Floats  # of the first four points by (z, u), shape (4, nx, nc)
 
 
 class ModeMemory(NamedTuple):
-    """What the modes of contacts ask for at a knot (`cones`)."""
+    """Inequalities of contact modes at a knot (`cones`)."""
 
     values: Floats  # at least 0, shape (m, 3)
     slopes: Floats  # of the same by (q, v, u), shape (m, 3, 2n + nu)
-    weights: Floats  # w of each, 0 where nothing is asked for, shape (m, 3)
+    weights: Floats  # w of each, 0 without an inequality, shape (m, 3)
     after: Floats  # v⁺ of an impact in its entries n … 2n − 1, shape (2n,)
 
 
 class AddedMemory(NamedTuple):
-    """Room for what users added at a knot, C = 2n + nu."""
+    """Room for functions of users at a knot, C = 2n + nu."""
 
     x: Floats  # (q, v, u)
     values: Floats  # of the tape
@@ -171,7 +171,7 @@ class SweepMemory(NamedTuple):
     Q1: Floats  # shape (nc,)
     Q2: Floats  # shape (nc, nc)
     H: Floats  # Hessian by the control, regularized, shape (nu, nu)
-    factor: Floats  # its Cholesky factor on what is free, shape (nu, nu)
+    factor: Floats  # its Cholesky factor on free controls, shape (nu, nu)
     room: Floats  # shape (6, nu)
 
 
@@ -188,32 +188,32 @@ class Memory(NamedTuple):
 
 
 class Pass(NamedTuple):
-    """How a motion is improved at one smoothing and penalty."""
+    """Settings of a pass at one smoothing and penalty."""
 
     eps: float  # ε, the smoothing of contact [m]
     penalty: float  # ρ
     iterations: int  # at most
-    tolerance: float  # of what the expansion promises, as a share of the cost
+    tolerance: float  # of the decrease that the expansion promises, as a share of the cost
     scale: float  # a cost below which costs are small
     is_wary: bool  # whether steps that close gaps may raise the cost by little only
-    most: float  # what promises to cost more is left
+    most: float  # motions that promise to cost more are left unfinished
     updates: bool  # whether multipliers are updated in the end
 
 
 class Outcome(NamedTuple):
-    """What a pass came to."""
+    """Result of a pass."""
 
     cost: float  # of the roll-out that it ends with, without penalties
-    iterations: int  # how many it took
+    iterations: int  # in all
     is_converged: bool  # whether it ended in its tolerance
-    is_left: bool  # whether it was left, as it promised to cost too much
+    is_left: bool  # whether it was left unfinished, as it promised to cost too much
     violation: float  # √w dist(s, [a, b]) of bounds at knots, at most
 
 
 def copy_writable(table: Any) -> Any:
-    """Returns a copy whose arrays are all writable: what cannot be written is of another type.
+    """Returns a copy whose arrays are all writable.
 
-    Code would be compiled once more for it.
+    Read-only arrays have another type, for which code would be compiled once more.
     """
     if isinstance(table, tuple):
         return type(table)(*map(copy_writable, table))
