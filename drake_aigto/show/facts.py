@@ -120,7 +120,13 @@ def answer_facts(plan: Plan, world: World) -> Iterator[Fact]:
         why = few if steps > asked else "with which it was not polished"
         yield "steps", f"{steps} instead of {asked}, {why}"
     if scenario.duration_range is not None:
-        yield "duration", _describe_duration(plan, scenario.duration_range)
+        T, (least, most) = plan.trajectory.times[-1], scenario.duration_range
+        text = f"{T:.4g} s, as it was free"
+        if abs(T - least) <= _AT_END * least:
+            text = f"{T:.4g} s, the least that it may be: with less, a plan may cost less"
+        elif abs(T - most) <= _AT_END * most:
+            text = f"{T:.4g} s, the most that it may be: with more, a plan may cost less"
+        yield "duration", text
     limits = (name for name in best.replay.violations if name not in plan.additions)
     yield from list_facts("limits", _misses(plan, limits))
     yield from list_facts("added", _additions(plan))
@@ -197,15 +203,6 @@ def _describe_bound(plan: Plan) -> str:
         f"at most {100 * plan.gap:.2g} %{of} above any plan, as simulated: no control does it for "
         f"less than {plan.bound.lower_bound:.4e}"
     )
-
-
-def _describe_duration(plan: Plan, ends: tuple[float, float]) -> str:
-    """Returns how long a plan lasts, and if no longer or shorter one was allowed."""
-    T = plan.trajectory.times[-1]
-    for end, word, other in zip(ends, ("least", "most"), ("less", "more"), strict=True):
-        if abs(T - end) <= _AT_END * end:
-            return f"{T:.4g} s, the {word} that it may be: with {other}, a plan may cost less"
-    return f"{T:.4g} s, as it was free"
 
 
 def _simulation(plan: Plan, replay: Replay, world: World, delay: float | None) -> Iterator[str]:

@@ -125,18 +125,10 @@ def pack(text: str) -> str:
     pieces: list[bytes] = []
     done = 0
     for run in _RUN.finditer(text):
-        content = _decode(run[0])
-        if content is not None:
+        content = b"" if len(run[0]) % 4 else base64.b64decode(run[0])
+        if base64.b64encode(content).decode("ascii") == run[0]:  # Nothing is lost.
             pieces += [text[done : run.start()].encode(), content]
             done = run.end()
     pieces.append(text[done:].encode())
     joined = b"".join(len(each).to_bytes(_LENGTH_BYTES, "big") + each for each in pieces)
     return base64.b64encode(gzip.compress(joined, mtime=0)).decode("ascii")
-
-
-def _decode(run: str) -> bytes | None:
-    """Returns the bytes of Base64, if encoding them gives the same letters again."""
-    if len(run) % 4:
-        return None
-    content = base64.b64decode(run)
-    return content if base64.b64encode(content).decode("ascii") == run else None

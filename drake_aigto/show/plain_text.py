@@ -99,7 +99,7 @@ def _search_facts(plan: Plan) -> Iterator[Fact]:
     if isinstance(options, PlanOptions) and plan.transcription == "rigid":
         boxes = [f"boxes of {options.aigo_steps} steps", f"relaxation {options.relaxation:g}"]
     parts = [part.split(", ") for part in str(plan.best.origin).split("; ")]
-    for index, items in enumerate([boxes, *parts] if boxes else [[], *parts]):
+    for index, items in enumerate([boxes, *parts]):
         if items:
             yield "" if index else "found by", join_items(items)
     count, iterations = len(plan.candidates), f"{plan.stats.aigo_steps} iterations of AIGO"
