@@ -45,7 +45,7 @@ class Box:
 
     @property
     def free(self) -> Bools:
-        """Which variables are not held, shape (n,)."""
+        """Whether each variable is not held, shape (n,)."""
         return self.half_width > 0
 
     @property
@@ -71,7 +71,7 @@ class Status(enum.Enum):
 
 @dataclass(frozen=True)
 class Iterate:
-    """Where an algorithm stands after an outer step.
+    """State of an algorithm after an outer step.
 
     Attributes:
         box: the current box.

@@ -153,7 +153,7 @@ class SlowMotion:
     stationary or has had its most steps, and lowers it.
 
     Attributes:
-        annealing: what is watched.
+        annealing: the algorithm to watch.
     """
 
     annealing: Annealing

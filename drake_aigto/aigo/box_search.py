@@ -92,7 +92,7 @@ class BoxSearch:
 
     One run of AIGO commits every variable once, and a wide box of many variables judges each by
     means over all values of the others, also those that will be ruled out. So boxes are opened
-    again, knowing what the other variables came to: in a round of renewal, connected clusters of
+    again, given the values of the other variables: in a round of renewal, connected clusters of
     variables, none coupled to another, are given random boxes inside the first one and all others
     are held. They shrink by a fast face flow, a few Newton steps end in a local minimum, and
     each cluster keeps its new values if f is lower for it. Clusters that are not coupled change f
@@ -113,8 +113,8 @@ class BoxSearch:
         patience: the search ends after this many rounds in a row without a lower f; fewer where a
             round costs much.
         polished_renewals: of the renewals of all variables, every second is polished, whether it
-            is lower or not, up to this number: for an f that stands in for what a polish
-            minimizes, as penalties do for constraints.
+            is lower or not, up to this number: for an f that approximates the objective of a
+            polish, as penalties do for constraints.
         seed: of the renewed boxes and clusters.
     """
 
@@ -173,7 +173,7 @@ class _SearchRun:
         self._num_rounds = self._num_mixes = 0
 
     def run(self) -> SearchResult:
-        """Runs the first algorithms, the rounds, and polishes what they lead to."""
+        """Runs the first algorithms and the rounds, and polishes their results."""
         widths, was_interrupted = [], False
         try:
             for algorithm in self._options.first:

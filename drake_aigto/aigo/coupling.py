@@ -1,4 +1,4 @@
-"""Which variables appear together in a term, and sets of variables that do not."""
+"""Coupling of variables: those that share a term, and sets of variables that do not."""
 
 from __future__ import annotations
 

@@ -25,8 +25,8 @@ class FaceFlow:
         D_i = F_i(c_i − w_i) − F_i(c_i + w_i) = −2 w_i ∂f̄/∂c_i
         c_i ← c_i + α_i D_i,      w_i ← w_i − max(α_i |D_i|, ε_w w_i)
 
-    so that what is cut off a box is what was worse. This is the rule by which [5] (Labbe & Del
-    Prete 2025, L4DC) proves AIGO global for one variable; there, it differs by its time step, and
+    so that boxes lose their worse parts. With this rule [5] (Labbe & Del Prete 2025, L4DC) proves
+    AIGO global for one variable; there, it differs by its time step, and
     by ε_w > 0, which lets boxes end whose faces balance. The rule in many variables is ours.
 
     The time step is α_i = share · min_j w_j/|D_j| over the coordinates j that share it: those that

@@ -35,7 +35,7 @@ class _FusedProduct(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """A variable, those that it depends on when it is eliminated, and what they appear in."""
+    """A variable, those that its elimination depends on, and their tables."""
 
     variable: int
     given: tuple[int, ...]

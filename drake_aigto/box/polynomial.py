@@ -188,7 +188,7 @@ class BoxPolynomial:
         return stride * self.num_variables, stride * (self.bandwidth + 1)
 
     def pattern(self, order: Order) -> Pattern | None:
-        """Returns the pattern of Hessians, made when first asked for; None: they are bands."""
+        """Returns the pattern of Hessians, made at first use; None: they are bands."""
         if self.storage.pattern is None:
             return None
         if order not in self._patterns:
@@ -196,7 +196,7 @@ class BoxPolynomial:
         return self._patterns[order]
 
     def lanes(self, order: Order) -> Lanes:
-        """Returns the kernels' tables for derivatives of an order, made when first asked for."""
+        """Returns the kernels' tables for derivatives of an order, made at first use."""
         if order not in self._lanes:
             self._lanes[order] = make_lanes(self._terms, order)
         return self._lanes[order]
@@ -291,7 +291,7 @@ class ParametricPolynomial:
 
     @property
     def storage(self) -> Storage:
-        """How Newton systems are stored, see `BoxPolynomial`."""
+        """Storage of Newton systems, see `BoxPolynomial`."""
         return self._structure.storage
 
     def at(self, parameters: ArrayLike) -> BoxPolynomial:

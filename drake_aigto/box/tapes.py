@@ -46,7 +46,7 @@ _Key = TypeVar("_Key", bound=Hashable)
 
 
 class Order(enum.Enum):
-    """Which derivatives of a mean a tape computes, as parts of the factors' means."""
+    """Derivatives of a mean that a tape computes, as parts of the factors' means."""
 
     MEAN = ()
     GRADIENT = (D_C, D_Z)

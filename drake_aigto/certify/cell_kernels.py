@@ -38,7 +38,7 @@ _LEAST_SIDE = 1e-3
 
 
 class Rows(NamedTuple):
-    """Rows lower ≤ r_j(x) ≤ upper, and what they add to the cost where they hold.
+    """Rows lower ≤ r_j(x) ≤ upper, and their terms in the cost where they hold.
 
     On all feasible x, f ≥ f + λ_j (r_j − t_j) + ½ ρ_j (r_j − t_j)²: of an equality with any λ and
     ρ; of an inequality at its bound t with λ (r − t) ≤ 0 and ρ ≤ 2 |λ| / max |r − t|.

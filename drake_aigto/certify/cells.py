@@ -150,5 +150,5 @@ class CellSearch:
 
 
 def _is_at(values: Floats, bounds: Floats) -> Bools:
-    """Returns which values are next to their bounds, none of which is infinite then."""
+    """Returns which values are next to their bounds, which are finite then."""
     return np.abs(values - bounds) <= _NEAR * np.maximum(1.0, np.abs(values))

@@ -28,7 +28,7 @@ _FEW = 4
 _FIRST_CHUNK = 500
 # Polynomials of more variables are too many to multiply out.
 _MOST_OF_SQUARES = 1000
-# Cells are settled at this part of the gap that is asked for.
+# Cells are settled at this part of the required gap.
 _MARGIN = 0.5
 # Dynamic programming bounds up to this many cells for each that branch and bound may use.
 _CLIQUE_CELLS = 40
@@ -101,7 +101,7 @@ def certify(
     Args:
         prog: costs and constraints linear, quadratic or symbolic; variables with bounds.
         point: a feasible point, the better the tighter, shape (n,).
-        gap: relative; what is enough.
+        gap: relative; small enough.
         cells: the most cells that are bounded.
 
     Raises:
@@ -140,7 +140,7 @@ class Certifier:
             self._method, self._search = Method.CELLS, CellSearch(formulas, _MARGIN * gap)
         self._cost = _sum_of(formulas) if self._search is None else self._search.cost
         self.least_sum, most = self._cost.range(formulas.lower, formulas.upper)
-        # What the cost varies by over the bounds, if that is below 1 in its own unit.
+        # The variation of the cost over the bounds, if that is below 1 in its own unit.
         width = most - self.least_sum
         self._scale = min(1.0, width) if math.isfinite(width) else 1.0
         self._best, self._best_cost = np.full(formulas.lower.size, np.nan), math.inf
@@ -166,7 +166,7 @@ class Certifier:
             self._search.offer(x, value)
 
     def run(self, cells: int, improve: Improve = lambda _: None) -> Certificate:
-        """Bounds more cells, and returns what is known then.
+        """Bounds more cells, and returns the bound so far.
 
         Args:
             cells: number of cells at most.
@@ -220,7 +220,7 @@ class Certifier:
             self._try(search.best.copy(), improve)
 
     def _try(self, x: Floats, improve: Improve) -> None:
-        """Takes a point, and what it is improved to; of a program with rows, only the latter."""
+        """Takes a point and its improvement; for a program with rows, only the latter."""
         if not self._formulas.rows:
             self.offer(x)
         better = improve(x)

@@ -285,7 +285,7 @@ class CliqueSearch:
     def _best_points(self, formula: int, bins: Bins) -> Iterator[Floats]:
         """Yields for each variable of a formula the points of its bins' best neighbors.
 
-        All variables of the formula (·, m); what is in the variable's own column does not matter.
+        All variables of the formula (·, m); values in the variable's own column do not matter.
         """
         variables, home = self._variables[formula], self._home[formula]
         clique, sums = self._order[home], self._sums[home]

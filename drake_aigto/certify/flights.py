@@ -1,4 +1,4 @@
-"""Cheapest flights between walls under a constant force, and bounds of what they cost."""
+"""Cheapest flights between walls under a constant force, and bounds of their costs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Wall:
 
 @dataclass(frozen=True)
 class Line:
-    """The cost ∫₀¹ (ẍ − drift)² dt + weight (x(1) − goal)², a unit of which is worth the price.
+    """The cost ∫₀¹ (ẍ − drift)² dt + weight (x(1) − goal)², in units of the price.
 
     One axis on its own: a mass on a line between walls, in unit time.
     """
@@ -59,7 +59,7 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class FlightFamily:
-    """Flights of one kind, as functions of what they depend on.
+    """Flights of one kind, as functions of their parameters.
 
     Attributes:
         tape: their cost, and where they are at some times.
@@ -85,7 +85,7 @@ class FlightFamily:
         Args:
             low: lower ends (E, m).
             high: upper ends.
-            most: what is of interest.
+            most: the largest cost of interest.
         """
         found = self._values(0, low, high)[:, 0]
         keep = found <= most
@@ -197,7 +197,7 @@ def last_flights(line: Line, wall: Wall) -> FlightFamily:
 
 
 def direct_cost(line: Line) -> float:
-    """Returns what the cheapest flight costs without walls; ∞ if it goes through one.
+    """Returns the cost of the cheapest flight without walls; ∞ if it goes through one.
 
     Then the cheapest one that does not grazes a wall, and is bounded as one that touches it.
     """
@@ -213,5 +213,5 @@ def direct_cost(line: Line) -> float:
 
 
 def goal_price(weight: float) -> float:
-    """Returns what a flight in unit time costs for each squared unit that it has to be moved by."""
+    """Returns the cost of a flight in unit time per squared unit of displacement."""
     return 3.0 * weight / (3.0 + weight)

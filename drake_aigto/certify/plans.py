@@ -114,7 +114,7 @@ def bound_plans(world: World, scenario: Scenario, cost: float) -> PlanBound:
 
 
 def _obstacle(world: World, scenario: Scenario) -> str:
-    """Returns why a scenario is none of lines between walls, or an empty string."""
+    """Returns why a scenario is not one of lines between walls, or an empty string."""
     if scenario.contact != "rigid":
         return "walls that give way have no images, and their motions no closed form"
     if not scenario.is_plain:
@@ -305,7 +305,7 @@ def _accelerations(
 
 
 def _free_reach(start: Interval, forces: Interval, scenario: Scenario) -> Interval:
-    """Returns where a coordinate may be in the end, if nothing is touched along it."""
+    """Returns the range of a coordinate at the end, without contact along it."""
     x, v = start
     first, last = scenario.duration_range or (scenario.duration, scenario.duration)
     ends = []
@@ -319,7 +319,7 @@ def _free_reach(start: Interval, forces: Interval, scenario: Scenario) -> Interv
 def _reach_above(
     wall: int, axis: int, world: World, scenario: Scenario, forces: Interval
 ) -> tuple[Interval, str] | None:
-    """Returns where a coordinate may be in the end above a wall that it falls towards, and why.
+    """Returns the range of a coordinate at the end above a wall that it falls towards, and why.
 
     None if walls of several faces, or several coordinates, or forces away from it are in play.
     """

@@ -91,7 +91,7 @@ class _PolynomialReader:
         """Returns a formula's polynomial.
 
         Raises:
-            NoSquaresError: it is none.
+            NoSquaresError: it is not one.
         """
         values: list[Polynomial] = []
         for entry in formula_of((summand,), summand.variables):
@@ -171,7 +171,7 @@ class BoxProgram:
     waves: Mapping[int, int]
 
     def main(self, p: Polynomial) -> Polynomial:
-        """Returns p without what tiny intervals add, which are there for what is rounded."""
+        """Returns p without the tiny intervals that enclose rounding errors."""
         return {m: c for m, c in p.items() if all(self.half_widths[i] > _TINY for i in m)}
 
     def start(self, y: Mapping[int, float], x: Floats) -> Floats:

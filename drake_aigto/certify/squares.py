@@ -66,7 +66,7 @@ def bound_by_squares(formulas: Formulas, x: Floats) -> SquaresBound:
 
     Args:
         formulas: the program.
-        x: what a start has where moments say nothing (n,).
+        x: values of a start for variables without moments (n,).
     """
     try:
         program = box_program(formulas)
@@ -136,7 +136,7 @@ class _Relaxation:
         self.equalities = [p for p in self._multiplied(bases) if self._is_of(p, known)]
 
     def _is_of(self, p: Polynomial, known: set[Monomial]) -> bool:
-        """Returns whether all of p but what is tiny is of these monomials."""
+        """Returns whether p has only these monomials, except for tiny ones."""
         own = self._program.main(p)
         return any(own) and own.keys() <= known
 
@@ -151,7 +151,7 @@ class _Relaxation:
         return bases
 
     def _localized(self, clique: Sequence[int]) -> Iterator[Block]:
-        """Yields squares times what is 0 or more in a clique."""
+        """Yields squares times nonnegative polynomials of a clique."""
         basis = _monomials(clique, 1)
         for i in clique:
             yield Block({(): ONE, (i, i): -ONE}, basis)
@@ -292,7 +292,7 @@ class _Moments:
 
 
 class Identity:
-    """The cost less what is 0 or more, term by term: at least t where −1 ≤ y ≤ 1.
+    """The cost minus nonnegative terms, term by term: at least t where −1 ≤ y ≤ 1.
 
     Args:
         cost: f.
@@ -315,7 +315,7 @@ class Identity:
             self.take(p, definite[i, j] * (1.0 if i == j else 2.0))
 
     def bound(self) -> float:
-        """Returns t, of which all that is left of other terms, and rounding, is taken away."""
+        """Returns t minus remainders of all other terms, and rounding."""
         parts = [self._left(())[0]]
         for m in filter(None, list(self._terms)):
             low, high = self._left(m)

@@ -7,13 +7,13 @@ against the pull γ costs
 
 and to the end, with the goal at y = G, 3w/(3 + wh³) (G − vh + γh²/2)². A motion is a path through
 its touches, each a point (time, speed before it) of its wall. These planes are cut into cells, and
-an edge from one cell to another is what a flight between any two of their points costs at least.
-Hence no motion is cheaper than the shortest path from the start to the end, whose edges are all it
-takes to know: times, speeds and numbers of touches are bounded at once. Cells and edges that no
+an edge from one cell to another is the least cost of a flight between any two of their points.
+Hence no motion costs less than the shortest path from the start to the end. Its edges contain all
+that is needed: times, speeds and numbers of touches are bounded at once. Cells and edges that no
 path below a known cost goes through are dropped, the others are cut into four and sixteen.
 
 So that a path gains little by leaving a cell elsewhere than it came, each cell has a slope p, near
-that of the cost that is still to come. What is paid for is f + p'(z' − c') − p (z − c), with z, z'
+that of the cost to go. Edges cost f + p'(z' − c') − p (z − c), with z, z'
 the touches and c, c' the middles of their cells: along a motion these terms cancel.
 
 Where touches accumulate, their speeds go to 0. Cells that 0 speed belongs to have p = 0, and a way
@@ -45,7 +45,7 @@ _FIRST_BINS = 16  # of times, and of speeds
 _MOST = 200_000  # edges of one level, and cells
 _LEVELS = 16
 _BISECTIONS = 6
-_ENOUGH = 1e-3  # of what is of interest: a level that gains less is the last one
+_ENOUGH = 1e-3  # of the largest cost of interest: a level that gains less is the last one
 _ROUNDING = 1e-13
 
 
@@ -124,11 +124,11 @@ class _Paths(NamedTuple):
 
 
 class _LineFlights:
-    """All flights on a line, and what they cost between cells.
+    """All flights on a line, and their costs between cells.
 
     Args:
         line: the question.
-        most: what is of interest.
+        most: the largest cost of interest.
     """
 
     def __init__(self, line: Line, most: float) -> None:
@@ -182,7 +182,7 @@ class _LineFlights:
         return costs
 
     def _hops_of(self, cells: _Cells, edges: Ints) -> Iterator[tuple[Ints, FlightFamily]]:
-        """Yields the edges from one wall to another that are no rests."""
+        """Yields the edges from one wall to another that are not rests."""
         (first, second), moves = cells.walls[edges], ~self._rests(cells, edges)
         for (i, j), flights in self._hops.items():
             yield np.flatnonzero(moves & (first == i) & (second == j)), flights
@@ -193,7 +193,7 @@ class _LineFlights:
         return (before | self._sticks[first]) & (first == second) & after
 
     def without_gain(self, cells: _Cells, edges: Ints, flat: _Costs) -> _Cells:
-        """Returns cells whose slopes are so small that no path gains by going round.
+        """Returns cells with slopes so small that no cycle lowers the cost of a path.
 
         Only what may take no time leads back. What leads to a cell that way costs no less then than
         its slope gains between two of its points.
@@ -209,7 +209,7 @@ class _LineFlights:
         return replace(cells, slopes=cells.slopes * parts[:, None])
 
     def with_slopes(self, cells: _Cells, walls: Ints, touches: Floats) -> _Cells:
-        """Returns cells with p: how what is to come varies with a cell's middle.
+        """Returns cells with p: the slope of the cost to go at a cell's middle.
 
         Args:
             cells: whose.

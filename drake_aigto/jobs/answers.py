@@ -50,7 +50,7 @@ class AnswerFolder:
     """Folder of a plan file for each answer, ``NAME.json``, and ``answers.jsonl`` about all.
 
     The latter begins with a line about how plans are made, and grows by a line with each answer:
-    whenever work ends, what is done is there.
+    whenever work ends, all finished answers are there.
     """
 
     def __init__(self, folder: str | os.PathLike[str], options: object, resume: bool) -> None:

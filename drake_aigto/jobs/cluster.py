@@ -27,7 +27,7 @@ _LOCAL = {
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
 }
-# What must be the same everywhere, for a plan to be the same anywhere.
+# Versions that have to agree, so that plans are the same on all machines.
 _PACKAGES = ("drake_aigto", "drake")
 
 
@@ -53,7 +53,7 @@ def _silent() -> Iterator[None]:
 
 @contextlib.contextmanager
 def start_cluster(count: int) -> Iterator[Executor]:
-    """Yields as many processes of this machine, and ends them at once when the block is left."""
+    """Yields processes of this machine, and ends them at once when the block is left."""
     with contextlib.ExitStack() as stack:
         stack.enter_context(_silent())
         with dask.config.set(_LOCAL), without_ctrl_c():
@@ -68,7 +68,7 @@ def _start(count: int) -> LocalCluster:
         return LocalCluster(
             n_workers=count,
             threads_per_worker=1,
-            memory_limit=0,  # Nothing pauses or is killed for what it takes.
+            memory_limit=0,  # No worker is paused or killed for its memory.
             dashboard_address=":0",  # No fixed port: a second study warns of nothing.
             scheduler_kwargs={"dashboard": False},
             silence_logs=logging.CRITICAL,  # The study tells what matters of it.
@@ -98,7 +98,7 @@ def _end(cluster: LocalCluster) -> None:
 
 @contextlib.contextmanager
 def connect(address: str) -> Iterator[Executor]:
-    """Yields the workers of a scheduler, once they are found fit.
+    """Yields the workers of a scheduler after checking them.
 
     Raises:
         StudyError: it does not answer, or has no workers, or one that is not fit.
@@ -120,7 +120,7 @@ def connect(address: str) -> Iterator[Executor]:
         raise StudyError(name, got="no workers", expected="some", remedy=_how_to_start(address))
     for worker in sorted(threads.keys() & versions.keys()):
         _check_worker(worker, threads[worker], versions[worker], address)
-    # That a scheduler is lost is told by its jobs.
+    # The loss of a scheduler shows in its jobs.
     with (
         _silent(),
         Client(address, timeout=_PATIENCE, set_as_default=False) as client,

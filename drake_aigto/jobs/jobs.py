@@ -1,4 +1,4 @@
-"""Jobs under way: each comes to an end, whatever becomes of the process that runs it."""
+"""Jobs under way: each ends, even if the process that runs it dies."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class _Call(NamedTuple):
 
 @contextmanager
 def open_jobs(executor: AbstractContextManager[Executor] | None = None) -> Iterator[Jobs]:
-    """Yields what starts jobs on an executor, which is entered here; `open_workers` if None.
+    """Yields `Jobs` on an executor, which is entered here; `open_workers` if None.
 
     Jobs that have not begun when the block is left never do.
 
@@ -52,10 +52,10 @@ def open_jobs(executor: AbstractContextManager[Executor] | None = None) -> Itera
 
 
 class Jobs:
-    """Jobs under way on an executor, and what comes of each.
+    """Jobs under way on an executor, and their results.
 
-    Whose process dies runs again when no other job is under way, as Dask blames a worker's death on
-    all that waited there: only if it dies again was it this job.
+    A job whose process dies runs again when no other job is under way, as Dask blames a worker's
+    death on all jobs that waited there: only if it dies again was it this job.
     """
 
     def __init__(self, executor: Executor) -> None:
@@ -66,7 +66,7 @@ class Jobs:
         self._ended: SimpleQueue[Future[Any]] = SimpleQueue()
 
     def start(self, name: Any, function: Callable[..., Any], *arguments: Any) -> None:
-        """Has a function of a module called with what can be pickled; `ended` calls it by its name.
+        """Starts a call of a module's function with picklable arguments; `ended` yields its name.
 
         Raises:
             BrokenExecutor: the executor takes no more.
@@ -84,7 +84,7 @@ class Jobs:
         The future of a job whose processes died raises ProcessDiedError.
 
         Raises:
-            TimeoutError: so many seconds are over, all in all.
+            TimeoutError: these seconds are over, in total.
             BrokenExecutor: the executor broke as a whole.
         """
         deadline = time.monotonic() + seconds

@@ -28,23 +28,23 @@ def plan_many(
     resume: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Iterator[Answer]:
-    """Plans for many scenarios side by side, and yields each answer as it comes.
+    """Plans for many scenarios in parallel, and yields each answer as it is ready.
 
-    All is checked before this returns; work begins with the first answer that is asked for. A
-    question without a plan, or whose process dies, is answered with its error, and the others go
-    on. Plans are those of `plan`, to the last bit. Ctrl-C, or leaving the loop, ends the workers:
-    what was yielded is in the folder.
+    All is checked before this returns; work begins with the first answer that is requested. If a
+    question has no plan or its process dies, its answer is the error, and the others continue.
+    Plans are those of `plan`, to the last bit. Ctrl-C, or leaving the loop, ends the workers:
+    all yielded answers are in the folder.
 
     Args:
         scenarios: the questions, by name; without names, they have their numbers.
         options: of every plan; the defaults, on one thread each, if None.
-        workers: how many processes of this machine plan, started below a script's
-            ``if __name__ == "__main__":``; None: one a core.
+        workers: number of processes of this machine, started below a script's
+            ``if __name__ == "__main__":``; None: one per core.
         scheduler: address of a Dask scheduler whose workers plan instead (extra ``cluster``).
         folder: keeps each plan as ``NAME.json`` and all answers in ``answers.jsonl``
             (`load_answers`); None keeps nothing.
-        resume: go on from the answers in the folder: they are yielded first, and not planned again,
-            but for those whose processes died.
+        resume: continue from the answers in the folder: they are yielded first, and not planned
+            again, except those whose processes died.
         progress: called with a line of text (`Count`) after each answer.
 
     Raises:
@@ -75,8 +75,8 @@ def _check(scenarios: Mapping[str, Scenario], options: PlanOptions | None) -> No
         try:
             Planner(scenario, options)
         except AigtoError as error:
-            told = f"{name}: {error.what}"
-            raise type(error)(told, error.got, error.expected, error.remedy) from error
+            what = f"{name}: {error.what}"
+            raise type(error)(what, error.got, error.expected, error.remedy) from error
 
 
 def _answer(
@@ -87,7 +87,7 @@ def _answer(
     done: Mapping[str, Answer],
     progress: Callable[[str], None] | None,
 ) -> Iterator[Answer]:
-    """Yields the answers that are done, then the others as they come."""
+    """Yields finished answers, then the others as they are ready."""
     yield from done.values()
     if len(done) == len(scenarios):
         return
@@ -110,7 +110,7 @@ def _answer(
 
 
 def answer_question(name: str, scenario: Scenario, options: PlanOptions | None = None) -> Answer:
-    """Plans in this process, and returns the plan, or what it failed with."""
+    """Plans in this process, and returns the plan, or its error."""
     start, plan, error = time.process_time(), None, None
     try:
         planner = Planner(scenario, options)

@@ -29,11 +29,11 @@ def without_ctrl_c() -> Iterator[None]:
 
 
 class Processes(Executor):
-    """Runs jobs in processes of this machine; one that dies takes only its own job with it.
+    """Runs jobs in processes of this machine; if one dies, only its own job fails.
 
     That job's future raises BrokenProcessPool, and the next job gets a new process. The processes
-    are spawned, as forking one whose libraries have threads is not safe, and stay for further jobs:
-    what a job has cached is there for the next.
+    are spawned, as forking with threads in libraries is not safe, and stay for further jobs, which
+    can use caches of earlier ones.
     """
 
     def __init__(self, count: int) -> None:

@@ -1,4 +1,4 @@
-"""Where jobs run: processes of this machine, or the workers of a Dask scheduler."""
+"""Executors of jobs: processes of this machine, or the workers of a Dask scheduler."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _ONE_THREAD = {
 
 @contextlib.contextmanager
 def open_workers(count: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
-    """Yields an executor whose processes have one thread each, and ends them afterwards.
+    """Yields an executor with one thread per process, and ends the processes afterwards.
 
-    Nothing starts before the block is entered. What still runs when it is left is broken off; a
+    Nothing starts before the block is entered. Jobs that still run when it is left are cancelled; a
     job that has begun elsewhere runs to its end. Ctrl-C does not reach the processes of this
-    machine: it is for whoever waits for them to handle.
+    machine: the caller has to handle it.
 
     Args:
         count: of processes on this machine, which are a Dask cluster if the extra "cluster" is
-            installed; None: one a core.
+            installed; None: one per core.
         scheduler: address of a Dask scheduler whose workers are to run the jobs instead, such as
             "tcp://10.0.0.1:8786".
 

@@ -29,7 +29,7 @@ _MOST_DENSITY = 0.25  # of the matrix, beyond which no order that keeps L sparse
 
 
 class Factorization(enum.Enum):
-    """How a symmetric matrix is stored and factorized."""
+    """Storage and factorization of a symmetric matrix."""
 
     BAND = "banded LDLᵀ"
     DENSE = "dense LDLᵀ (LAPACK)"

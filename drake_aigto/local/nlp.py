@@ -98,7 +98,7 @@ class PolynomialNlp:
 
     @cached_property
     def kkt_structure(self) -> KktStructure:
-        """Where its unknowns stand in KKT matrices, found once."""
+        """Places of its unknowns in KKT matrices, found once."""
         return KktStructure(
             self.terms, self.copy_weights, self.num_costs, self.lower != self.upper, self.order
         )

@@ -39,7 +39,7 @@ _HOPELESS, _FEASIBLE = 1e-3, 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Climb:
-    """Where a ladder ended.
+    """End of a ladder.
 
     Attributes:
         x: the point (n,).

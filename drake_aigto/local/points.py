@@ -206,7 +206,7 @@ def evaluate(tables: PointTables, x: Floats, values: Floats, rows: Floats) -> fl
     for i in range(values.size):
         _set_function(tables, i, x, parts)
         values[i] = parts[VALUE]
-    # Named once: each time that a tuple is asked for an array, that counts references.
+    # Named once: each access of an array in a tuple counts references.
     coefficients, factors = tables.coefficients, tables.factors
     first_factors, first_terms = tables.first_factors, tables.first_terms
     f = 0.0

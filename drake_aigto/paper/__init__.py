@@ -1,4 +1,4 @@
-"""What the paper does, as it does it, and what simulations make of it (AIGTO Sec. III and IV)."""
+"""The methods of the paper, with its formulation, and their simulations (AIGTO Sec. III, IV)."""
 
 import lazy_loader
 

@@ -30,7 +30,7 @@ class LiteralTranscription(Transcription):
 
         q_{k+1} = q_k + dt v_k                                                         "kinematics"
         M (v_{k+1} − v_k) = dt (B u_k − h(q_k, v_k) + J_kᵀ λ_k),   λ_k = ε/(φ_k + δ)     "dynamics"
-        φ(q_k) ≥ 0, k ≥ 1, where asked for                                       "nonpenetration"
+        φ(q_k) ≥ 0, k ≥ 1, if requested                                          "nonpenetration"
 
     The dynamics rows that the contact acts on are multiplied out, so that all rows are polynomial:
     (φ_k + δ)(M Δv − dt (B u − h)) − dt ε Jᵀ = 0.
@@ -41,7 +41,7 @@ class LiteralTranscription(Transcription):
     Args:
         world: the plant, read.
         scenario: the task, with its ε and δ.
-        nonpenetration: whether φ(q_k) ≥ 0 is asked for. The paper's figures need it off.
+        nonpenetration: whether φ(q_k) ≥ 0 is a constraint. The paper's figures need it off.
         law: λ(φ) instead of ε/(φ + δ), so that nothing has to be multiplied out.
     """
 
@@ -72,7 +72,7 @@ class LiteralTranscription(Transcription):
 
     @property
     def structure(self) -> Hashable:
-        """What rows and costs depend on besides the world, users, and `parameters`."""
+        """All that rows and costs depend on besides the world, users, and `parameters`."""
         return super().structure, self._dt
 
     def _is_bounded(self) -> npt.NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""How to plan as the paper does: numerics only."""
+"""Options for planning as the paper does: numerics only."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LiteralOptions(SearchOptions):
     Attributes:
         ladder: the starts of AIGO; candidates come out of each. Local_solver, finalists, threads
             and confirm: see `SearchOptions`.
-        nonpenetration: whether φ(q_k) ≥ 0 is asked for. The paper's figures need it off.
+        nonpenetration: whether φ(q_k) ≥ 0 is a constraint. The paper's figures need it off.
         algorithm: "annealing"; or "full gradient", the paper's Algorithm 1, or "alternating", the
             one before it.
         knot_steps: by how many knots the contacts of finalists are moved to and fro, in turn.

@@ -1,4 +1,4 @@
-"""The paper's road: a plan is taken at its word, and simulations tell what it is worth."""
+"""Planning as in the paper: plans are literal, and simulations show their value."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class LiteralSearch(SequenceSearch):
     task: LiteralTask
 
     def improve(self, sequence: Knots) -> None:
-        """Moves a candidate's contact to and fro by so many knots, while that helps.
+        """Moves a candidate's contact back and forth by knots, while that helps.
 
         Each of the options' knot steps is repeated until it does not help any more.
         """

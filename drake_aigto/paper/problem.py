@@ -45,7 +45,7 @@ class LiteralTask(ProgramTask):
     def __init__(
         self, transcription: LiteralTranscription, options: LiteralOptions | None = None
     ) -> None:
-        """Compiles; whether φ ≥ 0 is asked for is the transcription's."""
+        """Compiles; the transcription decides whether φ ≥ 0 is a constraint."""
         options = options or LiteralOptions()
         super().__init__(transcription, options, options.ladder)
 
@@ -111,13 +111,13 @@ def ballistic_guess(transcription: Transcription, x: Floats, knots: Knots) -> Fl
 
 
 def gradient_from_zero(problem: LiteralTask) -> Candidate:
-    """Returns what the problem's local solver makes of a guess of zeros."""
+    """Returns the result of the problem's local solver from a guess of zeros."""
     start = np.zeros(problem.transcription.prog().num_vars())
     return _run(problem, "zero", start)
 
 
 def gradient_from_random(problem: LiteralTask, generator: np.random.Generator) -> Candidate:
-    """Returns what the local solver makes of a guess, uniform over the first box of AIGO."""
+    """Returns the local solver's result from a guess, uniform over the first box of AIGO."""
     return _run(problem, "random", random_guess(problem.transcription, generator))
 
 

@@ -140,16 +140,16 @@ class _UnitTask:
         return bool(path(1 - math.sqrt(1 + 2 * v / (3 * lift))) > 0)
 
     def _calc_miss(self) -> float:
-        """Returns how far from the goal it ends if nothing is done."""
+        """Returns the distance of its uncontrolled end to the goal."""
         return self.goal - self.position - self.velocity
 
     def find_bounces(self) -> Iterator[_TouchOnce]:
-        """Yields the stationary motions that touch once; the best of all touching ones is there."""
-        # In 1/s: early touches, of which a bit too late is dear, come out most exactly.
+        """Yields the stationary motions that touch once; the best touching motion is among them."""
+        # In 1/s: early touches, whose delay costs much, are most exact.
         roots = np.roots(self._make_slope().coef)
-        # A double root may come out as a complex pair. Whatever the real part is, the motion that
-        # it stands for is admissible, so that none can be yielded that is too cheap. The end, 1, is
-        # there for a ball that comes to the wall at T by itself.
+        # A double root may become a complex pair. The motion of any real part is admissible, so
+        # that no cost is too low. The end, 1, is for a ball that reaches the wall at T without
+        # control.
         for r in [1.0, *roots.real.tolist()]:
             if r >= max(1.0, -self.velocity / (3 * self.position)):
                 yield self._make_bounce(1 / r)
@@ -221,7 +221,7 @@ def _make_task(world: World, scenario: Scenario) -> tuple[_UnitTask, float]:
 
 
 def _read_line(world: World) -> ConstantDynamics:
-    """Returns the dynamics of a point mass on a line; refuses what is more."""
+    """Returns the dynamics of a point mass on a line; refuses others."""
     if world.num_positions != 1:
         raise refuse_world(f"{world.num_positions} coordinates", "one coordinate")
     dynamics = world.constant_dynamics

@@ -36,8 +36,8 @@ class SingleShooting:
         minimize over u_k    Σ_{k<N} dt w_u ‖u_k‖² + w_f ‖q_N(u) − goal‖²
         q_{k+1} = q_k + dt v_k,    v_{k+1} = v_k + dt M⁻¹ (B u_k − h(q_k, v_k) + J_kᵀ λ(φ_k))
 
-    There are no rows: each state is substituted, as a polynomial, into the next. What comes of that
-    depends on the contact:
+    There are no rows: each state is substituted, as a polynomial, into the next. The result depends
+    on the contact:
 
     - Without one, and with an affine h, states are affine and the cost is quadratic, of about N²/2
       terms. The paper's objection does not hold there.
@@ -51,13 +51,13 @@ class SingleShooting:
     each step with all before it, and the trouble of `RigidWithForces`. φ ≥ 0 is an inequality of
     many variables here, whose penalty has no mean in closed form: only the law keeps the ball off.
 
-    The words are those of `Transcription`, but that `state(k)` returns expressions. It is for the
-    scenario's own costs.
+    Methods are named as in `Transcription`, but `state(k)` returns expressions. Only the scenario's
+    own costs count.
 
     Args:
         world: the plant, read.
         scenario: the task; its ε and δ act through the law alone.
-        law: of the contact force; walls are not felt if None.
+        law: of the contact force; walls have no effect if None.
         max_terms: the most that a state or a cost may have.
 
     Attributes:
@@ -187,7 +187,7 @@ def _states(
 # NumPy takes Drake's boxed constants for invalid numbers, and warns.
 @np.errstate(invalid="ignore")
 def _euler_step(world: World, dt: float, law: PolynomialLaw) -> list[Expression]:
-    """Returns what x is a step later."""
+    """Returns x a step later."""
     force = world.actuation @ world.controls - world.bias
     for contact in world.contacts:
         force = force + contact.jacobian * law(contact.signed_distance)

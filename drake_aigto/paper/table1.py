@@ -43,8 +43,8 @@ _LOG = logging.getLogger(__name__)
 ROWS = (1, 2, 3, 4)
 # Through Drake.
 GRADIENT_SOLVERS: tuple[LocalSolverName, ...] = ("snopt", "ipopt")
-# Whether φ ≥ 0 is asked for → who gets the random guesses: with φ free SNOPT ends far lower than
-# IPOPT, with φ ≥ 0 it does not and takes five times as long.
+# Whether φ ≥ 0 is a constraint → the solver with random guesses: with φ free SNOPT ends far lower
+# than IPOPT, with φ ≥ 0 it does not and takes five times as long.
 GUESS_SOLVERS: dict[bool, LocalSolverName] = {False: "snopt", True: "ipopt"}
 ALGORITHMS: dict[str, AlgorithmName] = {
     "AIGTO, Algorithm 1": "full gradient",
@@ -73,9 +73,9 @@ class Entry:
     """A line of the table: one run, and simulations of its control.
 
     Attributes:
-        label: what it is.
+        label: its name.
         candidate: the run.
-        drake: its control on Drake's plant, if that was asked for.
+        drake: its control on Drake's plant, if requested.
         holds: whether that and the candidate's own replay confirm it.
     """
 
@@ -92,12 +92,12 @@ class Entry:
 
 @dataclass(frozen=True)
 class TableMethod:
-    """What one method came to on one row of the table.
+    """Results of one method on one row of the table.
 
     Attributes:
         name: of the method.
         costs: J of every run that met the transcription's rows, sorted.
-        num_runs: how many runs there were.
+        num_runs: the number of runs.
         entries: the runs that are shown: the best, after the median where there are guesses.
         seconds: all runs together, replays apart.
     """
@@ -120,7 +120,7 @@ class Cell:
 
     Attributes:
         row: 1 … 4.
-        nonpenetration: whether φ(q_k) ≥ 0 was asked for, of all methods alike.
+        nonpenetration: whether φ(q_k) ≥ 0 was a constraint, for all methods.
         methods: in the order that they are shown.
     """
 
@@ -131,13 +131,13 @@ class Cell:
 
 @dataclass(frozen=True)
 class RigidCell:
-    """One row of the table with the rigid transcription: what is planned holds on a rigid wall.
+    """One row of the table with the rigid transcription: plans hold on a rigid wall.
 
     Attributes:
         row: 1 … 4.
         restitution: of the wall.
         optimum: the exact one, which the planner does not know.
-        contact_delay: by how much Drake's compliant wall is late, π √(m / k) [s].
+        contact_delay: of Drake's compliant wall, π √(m / k) [s].
         methods: in the order that they are shown.
     """
 
@@ -150,12 +150,12 @@ class RigidCell:
 
 @dataclass(frozen=True)
 class Table1:
-    """The table, as far as it was run, and what was asked for.
+    """The table, as far as it was run, and its settings.
 
     Attributes:
         literal: with the paper's transcription, φ free first.
         rigid: with the rigid one.
-        rows: that were asked for.
+        rows: the selected ones.
         num_guesses: random guesses of the gradient solvers.
         seed: of the guesses.
         confirm: whether the plans are also replayed on Drake's plant.
@@ -170,14 +170,14 @@ class Table1:
 
     @property
     def num_missing(self) -> int:
-        """How many cells an interruption left out."""
+        """The number of cells missing after an interruption."""
         return 3 * len(self.rows) - len(self.literal) - len(self.rigid)
 
 
 def run_cell(
     row: int, nonpenetration: bool, num_guesses: int = 10, seed: int = 0, confirm: bool = True
 ) -> Cell:
-    """Runs every method on one row, literally transcribed, φ(q_k) ≥ 0 asked for or not.
+    """Runs every method on one row, literally transcribed, with or without φ(q_k) ≥ 0.
 
     The rest is as of `run_table1`; the same seed gives the same plans.
     """

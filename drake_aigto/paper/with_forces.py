@@ -9,8 +9,8 @@ With λ a variable, the mean of (φ λ)² over a box is (φ² + w_φ²/3)(λ² +
   as M Δv − dt (B u − h) stays as uncertain as v.
 - It is no law. With the row that ties p to the motion ten times lighter and a light restitution
   row, hot boxes find the bounce nearly as often as without forces. A box that starts in the bounce,
-  around the motion without control, keeps it.
-- With literal rows and a heavy contact row φ goes to −δ instead, and p becomes what it likes.
+  around the uncontrolled motion, keeps it.
+- With literal rows and a heavy contact row φ goes to −δ instead, and p is arbitrary.
 
 `python -m benchmarks ablations` counts this beside the transcriptions without forces.
 """
@@ -44,7 +44,7 @@ PUSH = "push"
 
 
 class ForceVariables(Transcription):
-    """What transcriptions with impulses p_k = dt λ_k ≥ 0 as decision variables share.
+    """Base of transcriptions with impulses p_k = dt λ_k ≥ 0 as decision variables.
 
     p has shape (N, m) [N s], and stands by its knot in the elimination order.
 

@@ -83,9 +83,9 @@ def as_row(total: Sum) -> TermBlock:
 def are_shared(found: Sequence[Complementarity]) -> Bools:
     """Returns whether complementarities share a side, λ or s, with others, or within (k,).
 
-    Equations λ s = ε of all of them leave less than they should: of f between −m and m, of which
-    v > 0 lets only −m and w > 0 only m, three equations v w = w (m − f) = v (m + f) = ε determine
-    all three variables; and so does λ (1 − λ) = ε.
+    Equations λ s = ε of all of them are too restrictive: for f between −m and m, where v > 0
+    implies f = −m and w > 0 implies f = m, three equations v w = w (m − f) = v (m + f) = ε
+    determine all three variables; and so does λ (1 − λ) = ε.
     """
     counts = Counter(itertools.chain.from_iterable(each.sides for each in found))
     of_one = [{part.variable for parts in each.gap for part in parts} for each in found]

@@ -39,8 +39,8 @@ _LEAST_EQUALITIES = 1 / 3
 _MOST_WORK = 3e7
 # λ s ends at this part of the violation that an answer may have.
 _PART_OF_FEASIBILITY = 0.1
-# Number of points that are kept, no two of which cost the same but for the second of these, which
-# is also the gain, relative to the best cost, that makes a point better.
+# Number of points that are kept; and the least relative difference of their costs, which is also
+# the gain, relative to the best cost, that makes a point better.
 _MOST_KEPT, _SAME = 4, 1e-3
 # Costs this much above the best one, relative to it, are of no use.
 _TOO_COSTLY = 0.05
@@ -60,7 +60,7 @@ _RENEWED_PART = 0.7  # of all climbs after the first starts
 
 
 class StagedProgram:
-    """A program whose complementarities are rows λ s = ε, after all other rows.
+    """A program with complementarities as rows λ s = ε, after all other rows.
 
     Attributes:
         program: as it was read, without presolve.
@@ -135,7 +135,7 @@ class StagedProgram:
 
     @property
     def is_beyond_boxes(self) -> bool:
-        """Whether ladders alone search it: stages with contact, of which boxes see the mean."""
+        """Whether ladders alone search it: it has stages with contact, which boxes average."""
         return self.is_worth_ladders and self._is_chain and bool(self.complementarities)
 
     def at_corners(self, y: Floats) -> PolynomialNlp:

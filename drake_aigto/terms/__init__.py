@@ -1,6 +1,6 @@
 """Programs as sums of products of one-variable functions: their data, and how they are parsed.
 
-Only what parses a program (`parse_costs`, `parse_rows` and what they share) loads pydrake.
+Only parsers of programs (`parse_costs`, `parse_rows` and shared code) load pydrake.
 """
 
 import lazy_loader

@@ -61,7 +61,7 @@ def expression_terms(
     """Returns the terms of a sum of products of one-variable functions, multiplied out.
 
     Args:
-        label: How messages call what the expression is the formula of.
+        label: name in messages of the expression's cost or constraint.
         expression: See `parse_costs` for what may stand in it.
         variables: The local variables, in their order.
         is_row: Whether it is a row of a constraint, where penalties and barriers have no place.
@@ -136,7 +136,7 @@ def _summand_terms(label: str, summand: Expression, index: LocalIndex, is_row: b
 
 
 def _check_smooth(total: Sum) -> None:
-    """Refuses what a row can't have, as its square must have a mean too."""
+    """Refuses functions that a row can't have, as its square must have a mean, too."""
     kinds = {part.kind for parts in total for part in parts}
     if not kinds <= {FunctionKind.POWER, *WAVES}:
         raise NoClosedFormError("max(0, y)² or log(y) stands in a constraint")

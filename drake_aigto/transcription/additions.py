@@ -18,7 +18,7 @@ from drake_aigto.transcription.rows import formula_rows, is_affine_in_one, share
 
 Part = Literal["q", "v", "u"]
 
-# A bound is met if it is missed by this part of 1 + its size: rounding.
+# A bound is met within this part of 1 + its size: rounding.
 _ROUNDING = 1e-12
 # A knot is at a time if it is no farther from it than this part of the duration: rounding.
 _LATE = 1e-9
@@ -45,9 +45,9 @@ class Addition:
     """A cost or a constraint of a user.
 
     Attributes:
-        name: its description, or what it is about.
+        name: its description, or its variables.
         evaluator: as Drake made it.
-        places: what each of its variables is.
+        places: of its variables.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Addition:
 
     @property
     def is_cost(self) -> bool:
-        """Whether it is no constraint."""
+        """Whether it is a cost, not a constraint."""
         return isinstance(self.evaluator, Cost)
 
     @property
@@ -72,7 +72,7 @@ class Addition:
 
     @property
     def is_of_start(self) -> bool:
-        """Whether it reads nothing but the state at the first knot, where it counts."""
+        """Whether it only reads the state at the first knot."""
         return not self.reads_control and all(not place.knot for place in self.places)
 
 
@@ -163,9 +163,9 @@ class Additions:
     def violations(self, motion: Samples) -> dict[str, float]:
         """Returns by how much a motion misses each constraint, by name; 0 where it is met.
 
-        A row g(x) that misses its bound by r counts as r / Σ_i |∂g/∂x_i| s_i: to first order, each
-        x_i has to change by so many of the task's `scales` s_i to meet it. Where the motion has no
-        knot at a constraint's time, that counts as so many parts of the duration as it is off.
+        A row g(x) that misses its bound by r counts as r / Σ_i |∂g/∂x_i| s_i: to first order,
+        the change of each x_i, in units of the task's `scales` s_i, that meets it. If the motion
+        has no knot at a constraint's time, the difference, relative to the duration, counts.
         """
         found: dict[str, float] = {}
         for each in self.constraints:

@@ -1,4 +1,4 @@
-"""Whether users' constraints leave any motion at all: asked before long work starts."""
+"""Checks that constraints of users are consistent, before long work starts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drake_aigto.transcription.additions import SLACK, Additions
 
 
 def check_bounds_of(additions: Additions) -> None:
-    """Refuses constraints that no number meets.
+    """Refuses constraints that no number satisfies.
 
     Raises:
         ProgramError: a lower bound above its upper one, or one that is NaN.
@@ -64,7 +64,7 @@ def check_linear(prog: MathematicalProgram, names: Collection[str]) -> None:
 def check_together(
     constraints: Sequence[Binding], may_be_feasible: Callable[[Sequence[Binding]], bool]
 ) -> None:
-    """Refuses constraints that leave no point, as far as is known.
+    """Refuses constraints that are known to be infeasible.
 
     Raises:
         ProgramError: they leave none; the message has few that contradict each other.
@@ -72,7 +72,7 @@ def check_together(
     if may_be_feasible(constraints):
         return
     kept = list(constraints)
-    for each in constraints:  # What remains is contradictory, and nothing less than it is.
+    for each in constraints:  # The remaining set is contradictory, and minimal.
         others = [other for other in kept if other is not each]
         if not may_be_feasible(others):
             kept = others

@@ -23,12 +23,12 @@ from drake_aigto.world import Scenario, World
 
 
 class Parameters(NamedTuple):
-    """What a program reads of a scenario, but for its start: numbers, or symbols for them.
+    """Parameters of a program from a scenario without its start: numbers, or symbols for them.
 
     Rows divide by none of these, so that programs are polynomials of the symbols.
 
     Attributes:
-        goal: where q(T) should be, shape (nq,) [m].
+        goal: of q(T), shape (nq,) [m].
         control_weight: w_u [1/(N² s)].
         goal_weight: w_f [1/m²].
         time_step: dt [s].
@@ -78,7 +78,7 @@ _NUMBERS = ("lower_bound", "upper_bound", "GetDenseA", "Q", "a", "b", "c")
 
 
 class KnotProgram(Knots):
-    """A program over knots, made when it is first asked for; it knows what is its own in it."""
+    """A program over knots, made at its first use; it distinguishes additions of users."""
 
     def __init__(self, world: World, scenario: Scenario) -> None:
         """Lays out the variables, and makes placeholders for those of a stage."""
@@ -89,7 +89,7 @@ class KnotProgram(Knots):
     def _forget_program(self) -> None:
         self._last = None, None
         self._made: MathematicalProgram | None = None
-        self._bounds: Bounds | None = None  # Where they are known without it.
+        self._bounds: Bounds | None = None  # If known without it.
         # Placeholder id → decision variable, of each stage that something was bound to.
         self._chosen: dict[int, dict[int, Variable]] = {}
         # The evaluators of all rows and costs that the class bound, as they were, and how often.
@@ -98,7 +98,7 @@ class KnotProgram(Knots):
 
     @property
     def is_as_made(self) -> bool:
-        """Whether the program is what the class says, as nobody has asked for it yet."""
+        """Whether the program has no additions, as it was not used yet."""
         return self._made is None
 
     @property
@@ -120,7 +120,7 @@ class KnotProgram(Knots):
 
     @property
     def _given(self) -> Parameters:
-        """What rows and costs are made with: the numbers, or symbols for them."""
+        """Parameters of rows and costs: the numbers, or symbols for them."""
         return self._symbols or self.parameters
 
     def _of(self: _Self, scenario: Scenario) -> _Self:
@@ -135,7 +135,7 @@ class KnotProgram(Knots):
         return other
 
     def twin(self: _Self) -> _Self:
-        """Returns a copy whose program has a decision variable for each of `parameters`.
+        """Returns a copy with a decision variable for each of `parameters` in its program.
 
         They come after the others. Its penalties hold for all scenarios of one `structure`.
         """
@@ -146,7 +146,7 @@ class KnotProgram(Knots):
 
     @property
     def structure(self) -> Hashable:
-        """What rows and costs depend on besides the world, users, and `parameters`."""
+        """All that rows and costs depend on besides the world, users, and `parameters`."""
         return self.scenario.num_steps
 
     def bounds(self) -> Bounds:
@@ -169,7 +169,7 @@ class KnotProgram(Knots):
 
     @abstractmethod
     def _stage(self, k: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-        """Returns pairs of placeholders and what they stand for at knot k."""
+        """Returns pairs of placeholders and their variables at knot k."""
 
     def _num_variables(self) -> int:
         return super()._num_variables() if self._made is None else self._made.num_vars()
@@ -190,17 +190,16 @@ class KnotProgram(Knots):
 
     @property
     def _duration(self) -> Expression:
-        """How long a stage takes."""
+        """The length of a stage."""
         return Expression(self._given.time_step)
 
     def prog(self) -> MathematicalProgram:
         """Returns the constrained program; add costs and constraints until it is solved.
 
-        What is bound to variables of `state(k)` and `input(k)` is met at the time of knot k, or
-        over the time from it to the next, wherever the knots of a plan lie; at an impact, before
-        it. Costs are linear, quadratic or an ExpressionCost; constraints are bounds, linear,
-        quadratic or other formulas.
-        An initial guess has no effect on plans: AIGO starts from a box.
+        Constraints on variables of `state(k)` and `input(k)` hold at the time of knot k, or over
+        the time from it to the next, whatever the knots of a plan are; at an impact, before it.
+        Costs are linear, quadratic or an ExpressionCost; constraints are bounds, linear, quadratic
+        or other formulas. An initial guess has no effect on plans: AIGO starts from a box.
         """
         return self._prog
 
@@ -273,7 +272,7 @@ class KnotProgram(Knots):
 
 
 def numbers_of(evaluator: EvaluatorBase) -> Hashable:
-    """Returns what Drake lets users change of a cost or constraint: bounds and coefficients."""
+    """Returns the mutable parts of a cost or constraint: bounds and coefficients."""
     getters = (getattr(evaluator, name, None) for name in _NUMBERS)
     return tuple(np.asarray(getter()).tobytes() for getter in getters if getter)
 

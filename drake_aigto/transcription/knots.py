@@ -1,4 +1,4 @@
-"""The decision variables over knots k = 0 … N, and the motion that their values stand for."""
+"""The decision variables over knots k = 0 … N, and the motion of their values."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from drake_aigto.errors import ProgramError
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scales, Scenario, World, calc_inertia
 
-# A time is that of a knot but for this part of the duration: rounding.
+# A time within this part of the duration is that of a knot: rounding.
 _ON_KNOT = 1e-9
 
 
 class Layout:
-    """Which decision variable is which, before there is a program that has them.
+    """Places of decision variables, before there is a program with them.
 
     Attributes:
-        size: how many variables there are.
+        size: the number of variables.
     """
 
     def __init__(self) -> None:
@@ -65,7 +65,7 @@ class Knots(ABC):
     Shape letters: N time steps, nq positions, nv = nq velocities, nu controls, m contacts.
     """
 
-    # The last read-only vector whose trajectory was asked for, and that.
+    # The last read-only vector and its trajectory.
     _last: tuple[Floats | None, Trajectory | None] = (None, None)
 
     def __init__(self, world: World, scenario: Scenario) -> None:
@@ -110,11 +110,11 @@ class Knots(ABC):
         return np.zeros((len(self._u), self.world.num_contacts))
 
     def close_rows(self, x: Floats) -> Floats:
-        """Returns x with the rounding that a solver left in the rows taken out, where it can be."""
+        """Returns x without the rounding errors of rows, where these can be removed."""
         return x
 
     def _depth(self, x: Floats) -> float:
-        """Returns how deep inside of solids the knots are after the start, 0 outside [m]."""
+        """Returns the penetration of knots after the start, 0 outside [m]."""
         clearances = self.world.calc_clearance(self.split(x)[0][1:])
         return max(0.0, -float(np.min(clearances)))
 
@@ -152,9 +152,9 @@ class Knots(ABC):
         return self.GetSampleTimes()
 
     def trajectory(self, x: Floats) -> Trajectory:
-        """Returns the trajectory that a vector of all decision variables stands for.
+        """Returns the trajectory of a vector of all decision variables.
 
-        That of a read-only vector is remembered until the next one's is asked for.
+        That of a read-only vector is kept until the next call.
         """
         known, trajectory = self._last
         if x is not known or trajectory is None:

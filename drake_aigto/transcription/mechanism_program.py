@@ -21,7 +21,7 @@ from drake_aigto.transcription.mechanism_sums import (
 )
 from drake_aigto.world import TaskCost, World, find_anywhere
 
-# What blocks are called: J, what no control can meet, distances that are variables, hard goals.
+# Names of blocks: J, rows that no control can meet, distances that are variables, hard goals.
 COST, ROWS, DISTANCES, GOAL = "cost", "rows", "distances", "goal"
 
 _LEAST_RESTITUTION = 0.2  # of springs that stand in for rigid walls
@@ -29,16 +29,16 @@ _LEAST_MOBILITY = 0.01  # of the one elsewhere: an arm that is not quite stretch
 
 
 def soften(world: World, law: RigidLaw, time_step: float, speed: float) -> CompliantLaw:
-    """Returns springs that stand in for rigid walls, as soft as time steps need them to be.
+    """Returns springs that stand in for rigid walls, as soft as time steps require.
 
-    They turn a speed round in π dt, k = 1/(dt² J M⁻¹ Jᵀ) at the plant's default position, where
-    explicit steps would become unstable at twice the frequency; and return a part e of one speed.
+    They reverse a speed in π dt, k = 1/(dt² J M⁻¹ Jᵀ) at the plant's default position, where
+    explicit steps would become unstable at twice the frequency; their restitution is e at a speed.
 
     Args:
         world: has M and J.
-        law: has μ, and e; below 0.2 it counts as that, as springs that return less pull.
+        law: has μ, and e; it is at least 0.2, as springs with less would pull.
         time_step: dt [s].
-        speed: φ̇ of an impact that returns e of it [m/s].
+        speed: φ̇ of an impact with restitution e [m/s].
     """
     mobility = _calc_mobility(world)
     e = np.maximum(law.restitution, _LEAST_RESTITUTION)
@@ -47,7 +47,7 @@ def soften(world: World, law: RigidLaw, time_step: float, speed: float) -> Compl
 
 
 class Ends(NamedTuple):
-    """What may change from plan to plan.
+    """Start and cost, which may change from plan to plan.
 
     Attributes:
         position: q_0, shape (n,) [m, rad].
@@ -77,9 +77,9 @@ class MechanismProgram:
         v_k = (q_{k+1} − q_{k−1})/2dt,   a_k = (q_{k+1} − 2 q_k + q_{k−1})/dt²,
         p_k = M(q_k) a_k + h(q_k, v_k) − J(q_k)ᵀ f(q_k, v_k),   q_{−1} = q_1 − 2 dt v_0,
 
-    both ends of second order, the control is what p_k asks of the actuators, u_k = B⁺ p_k. What it
-    asks of nobody is a residual r_k = S Nᵀ p_k, with N a basis of the null space of Bᵀ and S its
-    inverse inertia, so that r is an acceleration. By the trapezoid rule
+    both ends of second order, the control is the part of p_k along actuators, u_k = B⁺ p_k. The
+    rest is a residual r_k = S Nᵀ p_k, with N a basis of the null space of Bᵀ and S its inverse
+    inertia, so that r is an acceleration. By the trapezoid rule
 
         minimize   Σ_k dt [u_kᵀ R u_k + e_kᵀ Q e_k + ė_kᵀ Qv ė_k]
                        + e_NᵀQT e_N + ė_NᵀQTv ė_N                                  "cost"
@@ -88,28 +88,28 @@ class MechanismProgram:
                  + W_g |e_N/L|²,   |ė_N T/L|²    where the goal is hard            "goal"
 
     Boxes are of variables z_k = (y_k, s_k), see `BoxCoordinates`; κ = k J M⁻¹ Jᵀ makes an
-    acceleration of what a distance is off.
+    acceleration of an error of a distance.
 
-    All knots between start and end share their sums of terms over (z_{k−1}, z_k, z_{k+1}). What
-    the ends change are `parameters`.
+    All knots between start and end share their sums of terms over (z_{k−1}, z_k, z_{k+1}).
+    Values of the ends are `parameters`.
 
     Args:
         world: the mechanism. M and J in S and κ are those of the plant's default position; of
-            several faces of one solid, that pushes which it faces there.
-        cost: the weights; the reference is one point, or another at each knot, for good. An angle
-            of which turns do not count has a chord, which is smooth, in place of its error.
+            several faces of one solid, the one in front of the body pushes.
+        cost: the weights; the reference is one point, or one per knot, fixed. An angle that counts
+            modulo 2π has a chord, which is smooth, in place of its error.
         law: forces of walls; a stiffness of 0 pushes nothing.
         duration: T [s].
         num_steps: N ≥ 2.
-        is_hard: which of q and v have to be at the goal in the end, shape (2n,); None: neither.
+        is_hard: which of q and v have to reach the goal, shape (2n,); None: none.
 
     Raises:
         UnsupportedTermError: a knot has too many terms.
 
     Attributes:
-        coordinates: what z is.
+        coordinates: z.
         num_variables: (n + S)(N + 2), z_0 first.
-        num_parameters: how many there are.
+        num_parameters: P.
         blocks: terms over the variables, and over parameters behind them.
     """
 
@@ -122,7 +122,7 @@ class MechanismProgram:
         num_steps: int,
         is_hard: Bools | None = None,
     ) -> None:
-        """Multiplies out."""
+        """Expands products."""
         self._is_hard = (
             np.zeros(2 * world.num_positions, dtype=bool) if is_hard is None else is_hard
         )
@@ -146,7 +146,7 @@ class MechanismProgram:
             raise error.refusal("a knot of the mechanism's motion", "when multiplied out") from None
 
     def _find_contacts(self) -> list[int]:
-        """Returns those that push."""
+        """Returns the contacts that push."""
         if not self.world.num_contacts:
             return []
         phi = self.world.calc_signed_distance(self.world.plant.GetDefaultPositions())
@@ -154,7 +154,7 @@ class MechanismProgram:
         return [i for i in facing if self.law.stiffness[i] > 0]
 
     def _fixed_blocks(self, stage: StageSums, is_damped: bool) -> Iterator[TermBlock]:
-        """Yields what depends on no end."""
+        """Yields blocks that do not depend on the ends."""
         N, dt, motion = self.num_steps, self.time_step, (stage.positions, stage.velocities)
         effort = _sum_of_squares(self._efforts, stage.forces)
         running, half, final, goal = (each.fixed(*motion) for each in self._tracking())
@@ -168,7 +168,7 @@ class MechanismProgram:
         yield from self._block(DISTANCES, distances, range(1, N + 1 + is_damped))
 
     def _tracking(self) -> Iterator[TrackingSums]:
-        """Yields what a knot on the way adds, the last one as one of these, the end, its goal."""
+        """Yields sums of an inner knot, of the last one as such, of the end, and of its goal."""
         cost, dt = self.cost, self.time_step
         Q, Qv = np.diag(dt * cost.Q), np.diag(dt * cost.Qv)
         hard = np.diag(self._is_hard / self._calc_units() ** 2)
@@ -192,7 +192,7 @@ class MechanismProgram:
         return rates[self.coordinates.num_positions :]
 
     def _start_sums(self, stage: StageSums) -> Iterator[_Parametric]:
-        """Yields what knot 0 adds: p_0 is affine in q_1, which is q at the knot of the sums."""
+        """Yields the sums of knot 0: p_0 is affine in q_1, which is q at the knot of the sums."""
         q, n = stage.positions, len(stage.positions)
         basis = [multiply(q[i], q[j]) for i in range(n) for j in range(i, n)]
         basis += [*q, constant(1.0)]
@@ -203,7 +203,7 @@ class MechanismProgram:
             )
 
     def _calc_start_efforts(self, ends: Ends) -> Floats:
-        """Returns the parameters of what knot 0 costs."""
+        """Returns the parameters of the cost of knot 0."""
         found = self._calc_start(self._efforts, ends)
         none = np.zeros(len(self.cost.R))
         found[-1] += self.time_step / 2 * ends.cost.running(0.0, ends.position, ends.velocity, none)
@@ -219,7 +219,7 @@ class MechanismProgram:
         return dt / 2 * np.concatenate([upper, 2 * slope.T @ offset, [offset @ offset]])
 
     def _tracking_sums(self, stage: StageSums) -> Iterator[_Parametric]:
-        """Yields what goals and references add."""
+        """Yields the sums of goals and references."""
         N, times = self.num_steps, self.time_step * np.arange(self.num_steps + 1)
         is_constant = len(self.cost.times) == 1
         groups = [range(1, N)] if is_constant else [range(k, k + 1) for k in range(1, N)]
@@ -235,9 +235,9 @@ class MechanismProgram:
             yield _Parametric(name, basis, knots, about(tracking, time))
 
     def _find_target(self, ends: Ends, time: float | None) -> tuple[Floats, Floats]:
-        """Returns where q and v should be at a time, or at the end (None).
+        """Returns goals of q and v at a time, or at the end (None).
 
-        Turns that do not count are those to the start, where no chord stands for the error.
+        Coordinates modulo 2π without chords get the goal nearest to the start.
         """
         cost = ends.cost
         q, v = (cost.goal, cost.goal_velocity) if time is None else cost.reference(time)
@@ -245,7 +245,7 @@ class MechanismProgram:
         return q + 2 * np.pi * turns, v
 
     def _parametric_blocks(self) -> Iterator[TermBlock]:
-        """Yields what depends on the ends."""
+        """Yields blocks that depend on the ends."""
         first = 0
         for name, basis, knots, _ in self._parametric:
             parameters = np.arange(first, first + len(basis))
@@ -257,7 +257,7 @@ class MechanismProgram:
     def _block(
         self, name: str, total: Sum, knots: Sequence[int], parameters: Ints | None = None
     ) -> Iterator[TermBlock]:
-        """Yields the block of a sum at knots, if there is any."""
+        """Yields the block of a sum at knots, if there are any."""
         if not total or not knots:
             return
         num = self.coordinates.num_variables
@@ -270,7 +270,7 @@ class MechanismProgram:
         yield TermBlock(name, to_terms(total), places)
 
     def parameters(self, ends: Ends) -> Floats:
-        """Returns what the ends make of the parameters, shape (num_parameters,)."""
+        """Returns the parameters of ends, shape (num_parameters,)."""
         return np.concatenate([each.calc(ends) for each in self._parametric])
 
     def calc_forces(self, q: Floats, v: Floats, a: Floats) -> Floats:
@@ -313,7 +313,7 @@ class MechanismProgram:
 
     @property
     def is_free(self) -> Bools:
-        """Which variables boxes are of: not z_0, nor what nothing reads, shape (num_variables,)."""
+        """Which variables have boxes: not z_0, nor unused ones, shape (num_variables,)."""
         used = np.zeros(self.num_variables + self.num_parameters, dtype=bool)
         for block in self.blocks:
             read = {factor.variable for term in block.terms for factor in term.factors}
@@ -325,8 +325,8 @@ class MechanismProgram:
 def _calc_mobility(world: World) -> Floats:
     """Returns J M⁻¹ Jᵀ of each contact at the plant's default position, shape (m,) [1/kg].
 
-    Where an arm is stretched out there along the wall's normal, so that nothing yields, it is the
-    one at another position.
+    If an arm is stretched out there along the wall's normal, with zero mobility, it is that at
+    another position.
     """
     if not world.num_contacts:
         return np.zeros(0)

@@ -29,12 +29,12 @@ from drake_aigto.world import World
 
 
 class Reading(NamedTuple):
-    """How a signed distance is read off a variable z of its knot: φ = scale · z + offset.
+    """A signed distance as a function of a variable z of its knot: φ = scale · z + offset.
 
     Attributes:
         variable: the place of z among the knot's variables.
         scale: ∂φ/∂z.
-        offset: φ where z is 0 [m].
+        offset: φ at z = 0 [m].
     """
 
     variable: int
@@ -49,7 +49,7 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True)
 class BoxCoordinates:
-    """The variables z = (y, s) of a knot, and how positions and distances are read off them.
+    """The variables z = (y, s) of a knot, with positions and distances as their functions.
 
     The force k max(0, −φ) of a soft wall has a mean over boxes where φ is affine in one variable.
     So where φ(q) = c q_j + g(the others) + b, with constants c and b, as for the tip of a pole on a
@@ -59,8 +59,8 @@ class BoxCoordinates:
     Attributes:
         positions: q as functions of z, n of them.
         distances: φ − b as functions of y, for each s, S of them.
-        contacts: those that were asked for.
-        readings: how the signed distance of each of these is read off.
+        contacts: the selected ones.
+        readings: of the signed distances of these.
     """
 
     positions: tuple[Sum, ...]
@@ -114,7 +114,7 @@ class BoxCoordinates:
         return self._with_variable(distance)
 
     def _find_readings(self, distance: Sum) -> list[Reading]:
-        """Returns how a distance can be read off the variables that there are."""
+        """Returns the reading of a distance from existing variables, if possible."""
         varying, offset = _split_constant(distance)
         known = [*variables(range(self.num_positions)), *self.distances]
         ratios = (_find_ratio(varying, other) for other in known)
@@ -164,7 +164,7 @@ def read_sum(expression: Expression, names: Sequence[Any] | NDArray[Any]) -> Sum
 
 
 def _split_constant(distance: Sum) -> tuple[Sum, float]:
-    """Returns what varies of a sum, and its constant."""
+    """Returns the varying part of a sum, and its constant."""
     varying = dict(distance)
     return varying, varying.pop((), 0.0)
 
@@ -182,7 +182,7 @@ class StageSums:
 
     Args:
         world: the mechanism.
-        coordinates: what z is.
+        coordinates: z.
         stiffness: k of the springs of its contacts [N/m].
         dissipation: d of these [s/m].
         time_step: dt [s].
@@ -202,7 +202,7 @@ class StageSums:
         dissipation: Floats,
         time_step: float,
     ) -> None:
-        """Multiplies out."""
+        """Expands products."""
         self._coordinates, self._dt = coordinates, time_step
         self._num = coordinates.num_variables
         positions = coordinates.positions
@@ -289,7 +289,7 @@ class TrackingSums:
     Attributes:
         position_weight: Q, shape (n, n).
         velocity_weight: Qv, shape (n, n).
-        is_chordal: of which coordinates e² is 2 − 2 cos e; Q has only its diagonal there.
+        is_chordal: coordinates with 2 − 2 cos e as e²; Q has only its diagonal there.
     """
 
     position_weight: Floats
@@ -305,7 +305,7 @@ class TrackingSums:
         return self.position_weight - np.diag(self._chord_weights)
 
     def fixed(self, positions: Sequence[Sum], velocities: Sequence[Sum]) -> Sum:
-        """Returns what depends on no parameter, of sums that are q and v."""
+        """Returns the part without parameters, given sums for q and v."""
         return add(
             quadratic(self._exact_weight, positions),
             quadratic(self.velocity_weight, velocities),
@@ -313,7 +313,7 @@ class TrackingSums:
         )
 
     def basis(self, positions: Sequence[Sum], velocities: Sequence[Sum]) -> list[Sum]:
-        """Returns what parameters are factors of."""
+        """Returns the factors of parameters."""
         chords, exact, rates = self._members()
         waves = [compose(wave, [positions[i]]) for wave in (_COSINE, _SINE) for i in chords]
         lines = [*(positions[i] for i in exact), *(velocities[i] for i in rates)]
@@ -328,6 +328,6 @@ class TrackingSums:
         return np.append(-2 * np.concatenate(parts), about_q @ slope + about_v @ rate)
 
     def _members(self) -> list[list[int]]:
-        """Returns which coordinates have chords, other squares, and squares of velocities."""
+        """Returns the coordinates with chords, other squares, and squares of velocities."""
         weights = np.diag(self._chord_weights), self._exact_weight, self.velocity_weight
         return [np.flatnonzero(np.any(each, axis=1)).tolist() for each in weights]

@@ -48,7 +48,7 @@ class OpenProgram(KnotProgram):
 
     def __init__(self, world: World, scenario: Scenario) -> None:
         """Lays out the variables."""
-        # What the program has from its making on, and what users have added to it since.
+        # Costs and constraints of the program itself, and additions of users.
         self._additions = self._added = NO_ADDITIONS
         self._rows: list[AddedRow] = []
         self._frozen_count: tuple[int, int] | None = None
@@ -118,7 +118,7 @@ class OpenProgram(KnotProgram):
             self._add(Additions(everywhere=self._read(shared)))
 
     def _add(self, more: Additions) -> None:
-        """Adds what is about every knot, as users wrote it."""
+        """Adds a cost or constraint on every knot, as users wrote it."""
         if self._frozen_count is not None:
             raise _late()
         self._bind_costs(more)
@@ -128,7 +128,7 @@ class OpenProgram(KnotProgram):
         self._added = self._added.joined(more)
 
     def additions(self) -> Additions:
-        """Returns all that users have added so far.
+        """Returns all additions of users so far.
 
         Raises:
             ProgramError: what was added is on variables that are not of the state or the control,
@@ -153,12 +153,12 @@ class OpenProgram(KnotProgram):
         return dataclasses.replace(additions, times=self.GetSampleTimes(), scales=scales)
 
     def closed(self: _Self) -> _Self:
-        """Returns this transcription with what users added, as AIGO and local solvers take it.
+        """Returns this transcription with additions of users, as AIGO and local solvers take it.
 
         Inequalities of several variables have a variable of their own there.
 
         Raises:
-            ProgramError: see `additions`; or what was added contradicts itself or the start.
+            ProgramError: see `additions`; or they contradict each other or the start.
             UnsupportedTermError: a constraint whose formula Drake does not give.
         """
         additions = self.additions()
@@ -195,16 +195,16 @@ class OpenProgram(KnotProgram):
 
     @property
     def structure(self) -> Hashable:
-        """What rows and costs depend on besides the world, users, and `parameters`."""
+        """All that rows and costs depend on besides the world, users, and `parameters`."""
         rows = tuple((row.bounds, row.unit) for row in self._rows)
         return super().structure, rows
 
     def freeze(self) -> None:
-        """Refuses what is added from now on, to `prog()` itself by `check_frozen`."""
+        """Refuses additions from now on, to `prog()` itself by `check_frozen`."""
         self._frozen_count = self._num_foreign()
 
     def check_frozen(self) -> None:
-        """Checks that nothing was added since it was frozen.
+        """Refuses additions since it was frozen.
 
         Raises:
             ProgramError: something was.
@@ -213,7 +213,7 @@ class OpenProgram(KnotProgram):
             raise _late()
 
     def _num_foreign(self) -> tuple[int, int]:
-        """Returns how many variables, costs and constraints are not the class's own."""
+        """Returns the numbers of variables, costs and constraints that users added."""
         prog = self._made
         if prog is None:
             return 0, 0
@@ -261,7 +261,7 @@ class OpenProgram(KnotProgram):
         }
 
     def _read(self, shared: SharedEvaluator, reads_control: bool = True) -> tuple[Addition]:
-        """Returns what is about every knot, or about the last one, in placeholders."""
+        """Returns additions on every knot, or on the last one, in placeholders."""
         places = {
             variable.get_id(): Place(part, i)
             for part, variables in self._placeholders.items()

@@ -44,15 +44,15 @@ from drake_aigto.transcription.transcription import ImpactTranscription, rigid_d
 from drake_aigto.world import Scenario, World
 
 # The least parts of the duration. Flights: times of a trajectory have to increase, and a bounce may
-# come right after the start, or sooner still (`touches_at_once`). Contacts that last: what is
-# shorter is a bounce, and without a bound the solver would chase a contact that wants to vanish.
+# come right after the start, or sooner still (`touches_at_once`). Sustained contacts: shorter ones
+# are bounces, and without a bound the solver would chase vanishing contacts.
 _SHORTEST_FLIGHT, _SHORTEST_CONTACT = 1e-7, 1e-3
-# What comes at less than this part of the velocity scale comes to rest without hops.
+# Contacts slower than this part of the velocity scale come to rest without hops.
 _SLOW = 1e-6
 
 
 class PhaseTranscription(ImpactTranscription):
-    """What is left to optimize once the contact sequence is known: a multi-phase problem.
+    """Multi-phase problem of a contact sequence.
 
     Phases meet where a contact is touched or left. Knots are spread evenly over each phase, whose
     duration is free, so time steps h_k are decision variables. From the velocity v⁺_k after knot k,
@@ -67,11 +67,11 @@ class PhaseTranscription(ImpactTranscription):
         h_{k+1} = h_k within a phase,  Σ h_k = T                                             "clock"
 
     C are all contacts that are touched at that knot, and those that were resting until then: they
-    are struck at once (`JointImpact`), and no impulse pulls. A contact that lasts holds its normal
-    only, so that the body slides along the frictionless wall. It also stands for the hops
-    that come first (`Settling`); only elastic walls hold nothing but what comes without speed. Of a
-    box with several faces the one that is in force (`Facing`) stands for all; where it is touched,
-    φ ≤ 0 for the others.
+    are struck at once (`JointImpact`), and no impulse pulls. A sustained contact holds its normal
+    only, so that the body slides along the frictionless wall. It includes the hops that come first
+    (`Settling`); at elastic walls, contacts are sustained only without approach speed. Of a box
+    with several faces only the one in force (`Facing`) counts; while it is touched, φ ≤ 0 for the
+    others.
 
     Held controls make flight exact for a constant h; with springs and dampers this is the implicit
     midpoint rule. Forces are variables here, for the mode is known.
@@ -82,21 +82,21 @@ class PhaseTranscription(ImpactTranscription):
 
     Args:
         world: the plant, read; its signed distances have to be affine.
-        scenario: the task; its time step only says how many knots there are.
+        scenario: the task; its time step only sets the number of knots.
         sequence: the contacts in the order of time; () is a free flight.
         facings: which faces of boxes keep the motion out; if None, those of a straight guess.
-        additions: what users added to a transcription with other knots. Phases meet at each time
-            that something was bound to, too, and controls that were bound are held.
+        additions: of users to a transcription with other knots. Phases meet at their times, too,
+            and controls that they read are held as long as there.
 
     Attributes:
         sequence: as given.
-        timeline: what it says about every knot.
-        impacts: knot → what the contacts that are struck there do.
+        timeline: of its knots.
+        impacts: knot → impact of the contacts struck there.
         restitutions: e of each contact, shape (m,).
 
     Raises:
-        OptionsError: times out of order or outside of the duration, contacts that there are not,
-            more phases than steps, or facings that leave out a box or what is touched.
+        OptionsError: times out of order or outside of the duration, unknown contacts, more phases
+            than steps, or facings that leave out a box or a touched face.
     """
 
     def __init__(
@@ -177,7 +177,7 @@ class PhaseTranscription(ImpactTranscription):
 
     @property
     def _returned(self) -> Floats:
-        """Which part of its speed a touch at a knot returns there, shape (N+1, m)."""
+        """Restitution of touches at knots, shape (N+1, m)."""
         return np.where(self.timeline.lands, 0.0, self.restitutions)
 
     def _add_rows(self) -> None:
@@ -221,7 +221,7 @@ class PhaseTranscription(ImpactTranscription):
         return shortest / (phase.last - phase.first)
 
     def _add_touches(self) -> None:
-        """Adds how the ball comes to walls, and that no wall pulls."""
+        """Adds approach speeds at walls, and that no wall pulls."""
         line = self.timeline
         for k, i in np.argwhere(line.starts).tolist():
             closing = self._variables_at(self._closing[k, i])
@@ -247,7 +247,7 @@ class PhaseTranscription(ImpactTranscription):
             self._bound(self._variables_at(momenta[-1:]), 0.0, np.inf)
 
     def _hold_controls(self) -> None:
-        """Adds that controls which users bound are held as long as where they bound them."""
+        """Adds that controls read by additions are held as long as in their transcription."""
         same = LinearEqualityConstraint(np.array([[1.0, -1.0]]), [0.0])
         same.set_description("held")
         for k in self._additions.held:
@@ -362,12 +362,12 @@ class PhaseTranscription(ImpactTranscription):
         return forces
 
     def hops(self, x: Floats) -> bool:
-        """Returns whether a contact that lasts begins with hops: it is touched at a speed."""
+        """Returns whether a sustained contact begins with hops: it is touched at a speed."""
         closing = [x[self._closing[each.first, each.contact]] for each in self._settlings]
         return bool(closing) and min(closing) < -_SLOW * self.scales.velocity
 
     def defects(self, x: Floats) -> dict[str, float]:
-        """Returns the same, with contacts that last before their hops are over as restitution."""
+        """Returns the same, with sustained contacts that end before their hops as restitution."""
         motion, jacobian = self.trajectory(x), self._inertia.jacobian
         found = rigid_defects(self.world, self._returned, motion)
         left = [-each.momenta(motion, jacobian)[-1] / each.mass for each in self._settlings]

@@ -1,4 +1,4 @@
-"""The rigid transcription: impulses are what flight leaves unexplained, along their directions."""
+"""The rigid transcription: impulses are residuals of flight, along their directions."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ from drake_aigto.world import Scenario, World
 
 # Jacobians are parallel, or directions dependent, within this.
 _PARALLEL = 1e-9
-# How much a push from afar counts against one from nearby, where impulses could be either's.
+# Weight of pushes from afar relative to those from nearby, where either may explain impulses.
 _AFAR = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class ImpulseDirections:
-    """What of a net impulse p = Σ_i J_iᵀ λ_i readings show: π = R p = G λ.
+    """Readings of a net impulse p = Σ_i J_iᵀ λ_i: π = R p = G λ.
 
     Contacts whose Jacobians are parallel share a direction d_a; two opposite walls for one. A
     reading ρ·p is blind to as many independent directions as it can be, so it shows few contacts:
 
     - of independent directions each has its own reading, R = (D M⁻¹ Dᵀ)⁻¹ D M⁻¹ for the rows D of
       all d_a;
-    - of others, such as those of two bodies between two walls, which push in three ways on two
-      coordinates, there is a reading for each set of directions that leaves only one free: what
-      the first body gets, what the second one gets, and what both get.
+    - of dependent ones, such as those of two bodies between two walls, with three directions for
+      two coordinates, there is a reading for each set of directions that leaves only one free: for
+      the first body, for the second one, and for both.
 
     The law λ_i φ_i = dt ε then leaves, for each reading,
 
@@ -96,8 +96,8 @@ class ImpulseDirections:
     def contact_impulses(self, impulses: Floats, distances: Floats, in_force: Bools) -> Floats:
         """Returns λ (K, m) of net impulses p (K, nv) [N s]: the nearest wall that pushes so has it.
 
-        What nothing can push, a pull, is the nearest wall's too. Where directions depend on each
-        other, λ ≥ 0 are those that explain p best, pushes from nearby before those from afar.
+        Pulls, which no wall can exert, are assigned to the nearest wall, too. If directions are
+        dependent, λ ≥ 0 explain p best, with pushes from nearby before those from afar.
         Distances φ [m], and which contacts there are, are of shape (K, m).
         """
         if not self.are_independent:
@@ -138,7 +138,7 @@ def _readers(directions: Floats, inverse: Floats, rank: int) -> Floats:
 
 
 def _distinct(jacobians: Floats) -> Floats:
-    """Returns those rows that are parallel to none before them."""
+    """Returns the rows that are not parallel to earlier ones."""
     kept: list[Floats] = []
     for row in jacobians:
         unit = row / np.linalg.norm(row)
@@ -150,12 +150,12 @@ def _distinct(jacobians: Floats) -> Floats:
 class RigidTranscription(ImpactTranscription):
     """Impulses at knots, exact flight between them, relaxed complementarity, Newton restitution.
 
-    The impulse at knot k is what flight leaves unexplained, so it is no decision variable:
+    The impulse at knot k is the residual of flight, so it is not a decision variable:
 
         p_k = M (v_{k+1} − v_k) − dt (B u_k − h̄_k),   h̄_k = h((q_k + q_{k+1})/2, (q_{k+1} − q_k)/dt)
 
-    What a reading a shows of it (`ImpulseDirections`) is π_ak, with the mass m_a, and the velocity
-    after it is v⁺_k = v_{k+1} − dt M⁻¹ (B u_k − h̄_k):
+    Its reading a (`ImpulseDirections`) is π_ak, with the mass m_a, and the velocity after it is
+    v⁺_k = v_{k+1} − dt M⁻¹ (B u_k − h̄_k):
 
         q_{k+1} = q_k + dt v_{k+1} − (dt²/2) M⁻¹ (B u_k − h̄_k)                             "flight"
         tᵀ p_k = 0 for all t along all walls, J t = 0                                    "dynamics"
@@ -181,9 +181,9 @@ class RigidTranscription(ImpactTranscription):
         world: the plant, read; its signed distances have to be affine.
         scenario: the task, with its restitution e; its ε and δ are the literal transcription's.
         relaxation: ε ≥ 0, in units of m L²/T² [1].
-        path: positions at the knots, shape (N+1, nq) [m]. Of a box with several faces those are in
-            force at each knot which such a motion goes along (`find_facings`), for to be outside of
-            it is no polynomial inequality. If None, the straight line from start to goal.
+        path: positions at the knots, shape (N+1, nq) [m]. Of a box with several faces only those
+            along the path are in force (`find_facings`), as being outside of all of it is not a
+            polynomial inequality. If None, the straight line from start to goal.
     """
 
     ROWS: ClassVar[tuple[str, ...]] = (FLIGHT, DYNAMICS, CONTACT, RESTITUTION, NONPENETRATION)
@@ -200,7 +200,7 @@ class RigidTranscription(ImpactTranscription):
         super().__init__(world, scenario)
 
     def again(self, scenario: Scenario, path: Floats | None = None) -> RigidTranscription:
-        """Returns the same, with what users added, for another scenario, or around another path."""
+        """Returns the same, with additions, for another scenario or around another path."""
         additions = self.additions()
         fronts = _find_fronts(self.world, scenario, path)
         if additions or not np.array_equal(fronts, self._fronts):
@@ -209,7 +209,7 @@ class RigidTranscription(ImpactTranscription):
         return self._of(scenario)
 
     def in_world(self, world: World) -> RigidTranscription:
-        """Returns the same, as nothing was added, where walls stand elsewhere.
+        """Returns the same, without additions, with walls elsewhere.
 
         Args:
             world: see `EquationsOfMotion.with_walls_nearer`.
@@ -221,7 +221,7 @@ class RigidTranscription(ImpactTranscription):
 
     @property
     def structure(self) -> Hashable:
-        """What rows and costs depend on besides users, `parameters`, and the world's M, B and J."""
+        """All that rows and costs depend on besides users, `parameters`, and M, B and J."""
         return super().structure, self._fronts.tobytes(), self._inertia.offset.tobytes()
 
     def _is_bounded(self) -> Bools:
@@ -245,7 +245,7 @@ class RigidTranscription(ImpactTranscription):
         self._bound_distances(self._fronts)
 
     def _add_flight_rows(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Adds flight; returns v⁺_k and p_k of a stage, what flight leaves unexplained."""
+        """Adds flight; returns v⁺_k and p_k of a stage, the residual of flight."""
         world, inertia, given = self.world, self._inertia, self._given
         mean_velocity = (self._next_q - world.positions) * given.rate
         bias = world.express_bias((world.positions + self._next_q) / 2, mean_velocity)
@@ -259,7 +259,7 @@ class RigidTranscription(ImpactTranscription):
 
     @property
     def _per_speed(self) -> Any:
-        """T/L, what speeds in rows are multiplied by [s/m]."""
+        """T/L, the factor of speeds in rows [s/m]."""
         return self.scenario.num_steps * self._given.time_step * self._given.per_length
 
     def _knots_by_members(self, direction: int) -> dict[tuple[int, ...], list[int]]:
@@ -289,7 +289,7 @@ class RigidTranscription(ImpactTranscription):
         )
         gap = sum(phi, Expression(0.0)).Expand()
         is_gap = len(phi) == 2 and gap.GetVariables().empty()
-        # Of all distances but that of the wall which is touched.
+        # Of all distances but that of the touched wall.
         per_others = 1 / gap.Evaluate() if is_gap else per_length ** (len(phi) - 1)
         law = self.relaxation / self.scenario.num_steps * law
         pushed = jump * self._per_speed * per_length * _product(phi)
@@ -311,7 +311,7 @@ class RigidTranscription(ImpactTranscription):
         ]
 
     def cost_scale(self) -> float:
-        """Returns what L costs to overcome in T from rest, without a wall.
+        """Returns the cost of a way L in T from rest, without a wall.
 
         The optimum of ∫ w_u u² dt + w_f (L − q(T))² with m q̈ = u, which is w_f L² / (1 + w_f T³ /
         (3 w_u m²)): penalty weights and temperatures in this unit mean the same for every scale.

@@ -33,7 +33,7 @@ FLIGHT, DYNAMICS, CONTACT, RESTITUTION = "flight", "dynamics", "contact", "resti
 KINEMATICS = "kinematics"
 INTEGRATION = "integration"
 
-# Row → the unit of its defect. Those of others are parts of the task's scales.
+# Row → the unit of its defect. Defects of other rows are relative to the task's scales.
 UNITS: Mapping[str, str] = {
     **dict.fromkeys((FLIGHT, KINEMATICS, CONTACT, NONPENETRATION, CLEARANCE), "m"),
     **dict.fromkeys((DYNAMICS, RESTITUTION), "m/s"),
@@ -41,7 +41,7 @@ UNITS: Mapping[str, str] = {
 
 
 def scaled_defects(defects: Mapping[str, float], scales: Scales) -> dict[str, float]:
-    """Returns each defect as a part of the task's scale in its unit."""
+    """Returns each defect relative to the task's scale in its unit."""
     units = {"m": scales.length, "m/s": scales.velocity}
     return {name: by / units.get(UNITS.get(name, ""), 1.0) for name, by in defects.items()}
 
@@ -57,7 +57,7 @@ _WITH_FORMULA = (LinearConstraint, QuadraticConstraint, ExpressionConstraint)
 
 @dataclass(frozen=True)
 class SharedEvaluator:
-    """An evaluator, and which placeholder variables it reads in which order.
+    """An evaluator, and the placeholder variables that it reads in order.
 
     Attributes:
         evaluator: a Drake cost or constraint.
@@ -95,7 +95,7 @@ def as_expression(value: Any) -> Expression:
 
 
 def shared_cost(expression: Expression, description: str) -> SharedEvaluator:
-    """Returns a cost: linear or quadratic where it is one, else an ExpressionCost.
+    """Returns a cost: linear or quadratic if possible, else an ExpressionCost.
 
     Drake keeps the formula of these three; the PolynomialCost that `AddCost` makes of higher
     degrees hides it.
@@ -114,10 +114,10 @@ def shared_cost(expression: Expression, description: str) -> SharedEvaluator:
 def shared_constraint(
     expression: Expression, description: str, lower: float = 0.0, upper: float = 0.0
 ) -> SharedEvaluator:
-    """Returns lower ≤ expression ≤ upper, as special a constraint as Drake has for it."""
+    """Returns lower ≤ expression ≤ upper, as the most special constraint of Drake."""
     scratch = _scratch_program(expression)
     if expression.is_polynomial() and Polynomial(expression).TotalDegree() == 2:
-        # Drake warns where its own test of convexity does not come to an end.
+        # Drake warns if its own test of convexity does not end.
         kind = QuadraticConstraint.HessianType.kIndefinite
         binding = scratch.AddQuadraticConstraint(expression, lower, upper, hessian_type=kind)
     else:
@@ -175,22 +175,22 @@ def penalize(
     scale: float = 1.0,
     per_unit: Mapping[str, Any] | None = None,
 ) -> MathematicalProgram:
-    """Returns a program over the same variables whose costs include penalties for the constraints.
+    """Returns a program over the same variables with penalties for constraints as costs.
 
         r(x) = 0     ↦   scale · r(x)²
         y(x_i) ≥ 0   ↦   scale · max(0, −y)²   or   −scale · log y      (y affine in one variable)
 
     Each penalty carries its constraint's description, so that `BoxPolynomial.with_weights` can
-    weigh it; constraints that share an evaluator share its penalty. A variable that equal bounds
-    fix keeps them: `cut_to_bounds` holds it.
+    weight it; constraints that share an evaluator share its penalty. A variable with equal bounds
+    keeps them: `cut_to_bounds` holds it.
 
     Args:
         prog: the program; it is not changed.
         inequality: how inequalities are penalized. A log barrier needs boxes that stay on its
             feasible side.
         scale: common factor of all penalties.
-        per_unit: description → what residuals of such constraints are multiplied by: a number, or
-            one of the program's variables; 1 if left out.
+        per_unit: description → factor of residuals of such constraints: a number, or one of the
+            program's variables; 1 if left out.
 
     Raises:
         UnsupportedTermError: a constraint whose formula Drake does not give, or an inequality of
@@ -250,7 +250,7 @@ def _penalty(
     scale: float,
     factor: Expression,
 ) -> SharedEvaluator | None:
-    """Returns the cost over placeholders x that stands for lower ≤ g(x) ≤ upper; None if empty."""
+    """Returns the penalty over placeholders x of lower ≤ g(x) ≤ upper; None if empty."""
     name = constraint.get_description() or type(constraint).__name__
     total = Expression(0.0)
     for y, lower, upper in formula_rows(constraint, name, x):

@@ -1,4 +1,4 @@
-"""What a contact sequence says about every knot, how long hops take, and guesses for motions."""
+"""Knots of a contact sequence, durations of hops, and guesses for motions."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ class Timeline:
         times: when they meet, and both ends [s], shape (P+1,).
         spans: the first and the last knot of each touch.
         turns: the knot at which each facing starts.
-        instants: times that are asked for besides [s] → their knots.
+        instants: further times of knots [s] → their knots.
         starts: which contacts are touched anew at each knot, shape (N+1, m).
-        struck: those, and with them the ones that have been resting until then.
+        struck: those, and the ones that were resting until then.
         held: φ = 0: struck, resting, or about to leave.
-        apart: φ ≥ 0 is asked for: neither held, nor one of several faces that others stand for.
-        beside: φ ≤ 0: the other faces of a box that is held, whose corners count as sharp.
+        apart: φ ≥ 0 has to hold: neither held, nor a face that is not in force.
+        beside: φ ≤ 0: the other faces of a held box, with sharp corners.
         rests: which contacts rest during each step, shape (N, m).
-        lands: which contacts last from each knot on, shape (N+1, m).
+        lands: which contacts are sustained from each knot on, shape (N+1, m).
     """
 
     phases: tuple[Phase, ...]
@@ -72,7 +72,7 @@ def make_timeline(
     the start and before the end [s].
 
     Raises:
-        OptionsError: more phases than steps, or facings that leave out a box or what is touched.
+        OptionsError: more phases than steps, or facings that leave out a box or a touched face.
     """
     N, m, T = scenario.num_steps, world.num_contacts, scenario.duration
     fronts = Fronts(world, facings, T)
@@ -125,10 +125,10 @@ def make_timeline(
 
 
 def check_sequence(world: World, sequence: TouchSequence, duration: float) -> None:
-    """Checks that a sequence may be one of this world, and takes no longer than the duration [s].
+    """Checks that a sequence fits the world and the duration [s].
 
     Raises:
-        OptionsError: times out of order or outside of the duration, or contacts that there are not.
+        OptionsError: times out of order or outside of the duration, or unknown contacts.
     """
     m = world.num_contacts
     for touch in sequence:
@@ -155,7 +155,7 @@ def check_sequence(world: World, sequence: TouchSequence, duration: float) -> No
 
 
 def _spread(durations: Floats, count: int) -> Ints:
-    """Returns how many of the steps each phase gets: by duration, and an equal share of half."""
+    """Returns the number of steps of each phase: by duration, and an equal share of half."""
     even = np.full(len(durations), 1 / len(durations))
     shares = np.cumsum(durations / durations.sum() + even) / 2
     spare = count - len(durations)  # Each gets one first.
@@ -167,17 +167,17 @@ def _spread(durations: Floats, count: int) -> Ints:
 class Settling:
     """A contact of 0 < e < 1 that lasts, and may be touched at a speed.
 
-    Hops of e, e², … that speed follow, without control, and take as long as the wall's force of a
-    ball that rests, λ, takes to push by 2 e/(1 − e) m J v: the momentum p that is left of that is
+    Hops of e, e², … that speed follow, without control. They last until the wall's force on a
+    resting ball, λ, has the impulse 2 e/(1 − e) m J v: the momentum p that remains of that is
 
         p_first = 2 e/(1 − e) m J v_first ≤ 0,    p_{k+1} = p_k + h_k λ_k,    p_last ≥ 0
 
-    exact where λ is steady. m = (J M⁻¹ Jᵀ)⁻¹ is the mass that the contact feels.
+    exact for constant λ. m = (J M⁻¹ Jᵀ)⁻¹ is the effective mass of the contact.
 
     Attributes:
-        contact: which.
-        first: the knot that it is touched at.
-        last: the knot that it is left at.
+        contact: its index.
+        first: the knot of its start.
+        last: the knot of its end.
         mass: m [kg].
         factor: 2 e/(1 − e) m [kg].
     """
@@ -211,7 +211,7 @@ def find_settlings(
 def straight_path(
     world: World, scenario: Scenario, sequence: Sequence[Touch], through: ArrayLike | None = None
 ) -> tuple[Floats, Floats]:
-    """Returns start, goal and the stops between, when and where: shapes (J+2,) [s], (J+2, nq) [m].
+    """Returns times (J+2,) [s] and positions (J+2, nq) [m] of start, goal and stops between.
 
     There is a stop at each of a sequence's `joint_times`, on the straight way from start to goal
     unless it is given, (J, nq), and moved to the walls that are touched then.
@@ -230,10 +230,10 @@ def straight_path(
 def make_guess(
     world: World, scenario: Scenario, timeline: Timeline, times: Floats, stops: Floats
 ) -> Trajectory:
-    """Returns a motion at all knots; contacts that last go straight, pressed by what pulls.
+    """Returns a motion at all knots; sustained contacts are straight, pressed by gravity.
 
-    Flights are without control, bent as gravity bends them. After a rest, which leaves no speed to
-    fly with, they are pushed by as much as it takes, and less and less:
+    Flights are without control, bent by gravity. After a rest, without speed to fly with, a
+    decreasing control pushes them:
 
         q(t) = q₀ + t w + t²/2 a + t²/2 (1 − t/(3τ)) p,    u(t) = G⁺ p (1 − t/τ),    G = M⁻¹ B
 
@@ -274,7 +274,7 @@ def make_guess(
 def _jump(
     phase: Phase, pull: Floats, motion: tuple[Floats, Floats, Floats, Floats], gain: Floats
 ) -> None:
-    """Writes a flight that begins with no more speed than the phase before ends with.
+    """Writes a flight that begins at the speed of the end of the phase before.
 
     Args:
         phase: the flight.
@@ -294,7 +294,7 @@ def _jump(
 
 
 def bend(path: tuple[Floats, Floats], times: Floats, stops: Floats) -> tuple[Floats, Floats]:
-    """Returns a path moved to where it has to be at some times, and between them in proportion.
+    """Returns a path moved to stops at some times, and between them in proportion.
 
     Args:
         path: times and positions.

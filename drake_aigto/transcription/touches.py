@@ -1,4 +1,4 @@
-"""Contact sequences: which contacts there are and when, and in front of which faces motions go."""
+"""Contact sequences: contacts and their times, and the faces that motions are in front of."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from drake_aigto.contact import calc_time_to_wall
 from drake_aigto.errors import OptionsError
 from drake_aigto.world import Scenario, World
 
-# What is touched within this part of the duration without control is touched whatever the control:
-# to brake before would take the inverse of that in force.
+# Contacts of the uncontrolled motion within this part of the duration are inevitable: to brake
+# before would take the inverse of that in force.
 AT_ONCE = 1e-6
 
 
@@ -22,12 +22,12 @@ class Touch:
     """One contact of a sequence.
 
     Attributes:
-        start: when the wall is touched [s]; 0 for a contact that lasts and is there from the start.
-        end: when it is left [s]; equal to `start` for a bounce, later for a contact that lasts.
+        start: of the touch [s]; 0 for a sustained contact that exists at the start.
+        end: of it [s]; equal to `start` for a bounce, later for a sustained contact.
         contact: which of the world's contacts.
-        mode: how the impact ends where the contact rubs, and how it goes on as it lasts: 0 if it
-            sticks, else the sign of the slip. A contact that lasts on in another mode is another
-            touch, which starts when the one before ends.
+        mode: with friction, at the end of the impact and while it lasts: 0 for stick, else the sign
+            of the slip. A sustained contact that changes its mode is two touches, and the second
+            starts when the first ends.
     """
 
     start: float
@@ -37,7 +37,7 @@ class Touch:
 
     @classmethod
     def bounce(cls, time: float, contact: int = 0) -> Touch:
-        """Returns a touch that takes no time."""
+        """Returns an instantaneous touch."""
         return cls(float(time), float(time), contact)
 
     @property
@@ -47,7 +47,7 @@ class Touch:
 
     @property
     def joints(self) -> tuple[float, ...]:
-        """When phases meet here: once for a bounce, twice for a contact that lasts [s]."""
+        """Times at which phases meet: one for a bounce, two for a sustained contact [s]."""
         return (self.start, self.end) if self.lasts else (self.start,)
 
 
@@ -57,12 +57,12 @@ TouchSequence = tuple[Touch, ...]
 
 
 def joint_times(sequence: Sequence[Touch]) -> tuple[float, ...]:
-    """Returns when a sequence's phases meet, each time once, in order [s]."""
+    """Returns the times at which a sequence's phases meet, without repetition, in order [s]."""
     return tuple(sorted({time for touch in sequence for time in touch.joints}))
 
 
 def touches_at_once(world: World, scenario: Scenario) -> TouchSequence:
-    """Returns the bounces right after the start, which no control of any reasonable size prevents.
+    """Returns the bounces right after the start, which no reasonable control prevents.
 
     A solid is entered as the last of its faces is passed.
     """
@@ -83,18 +83,18 @@ def touches_at_once(world: World, scenario: Scenario) -> TouchSequence:
     )
 
 
-# How finely a path is looked at to find the faces that it passes, in parts of the duration.
+# Resolution of paths for finding the faces that they pass, in parts of the duration.
 _GRID = 200
-# Times that differ by less than this part of the duration are one.
+# Times that differ by less than this part of the duration count as equal.
 _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
 class Facing:
-    """From a time on, a motion is in front of one face of a box that has several.
+    """A time from which a motion is in front of one face of a box with several.
 
-    A sphere is outside of a box where φ ≥ 0 for one of its faces. Which one is a choice, as which
-    contact is touched is: it turns the alternative into a row.
+    A sphere is outside of a box if φ ≥ 0 for one of its faces. The choice of that face, like that
+    of contacts, turns the alternative into a row.
 
     Attributes:
         start: since when [s]; 0 for the first face, until the next one of the same box.
@@ -106,10 +106,10 @@ class Facing:
 
 
 class Fronts:
-    """The faces in force over time: of half spaces the only one, of boxes as the facings say.
+    """The faces in force over time: the only one of half spaces, and those of boxes by facings.
 
     Attributes:
-        times: when a facing starts, after 0 [s].
+        times: of starts of facings, after 0 [s].
     """
 
     def __init__(self, world: World, facings: Sequence[Facing], duration: float) -> None:
@@ -162,18 +162,18 @@ def _check_starts(starts: Sequence[float], duration: float) -> None:
 def find_facings(
     world: World, times: Floats, path: Floats, sequence: Sequence[Touch] = ()
 ) -> tuple[Facing, ...]:
-    """Returns the faces that a path goes along, as few changes as it takes.
+    """Returns the faces that a path goes along, with the fewest changes.
 
-    A face lasts for as long as the path is in front of it, or, where the path cuts a box, nearer to
-    it than to the others. It takes over in the middle of the time in which both are. Where a face
-    is touched, it is the one. The path is straight between its points (K, nq) [m], at times (K,).
+    A face lasts while the path is in front of it, or, if the path cuts a box, nearer to it than to
+    the others. Faces change in the middle of the time for which both would do. A face that is
+    touched is the one in force. The path is straight between its points (K, nq) [m], at times (K,).
     """
     boxes = [faces for faces in world.solids if len(faces) > 1]
     if not boxes:
         return ()
     joints = np.unique([time for touch in sequence for time in touch.joints])
     others = np.unique([*np.linspace(times[0], times[-1], _GRID + 1), *times])
-    # A touch at one of them is at the same time, but for rounding, not a moment before or after.
+    # A touch at one of them is simultaneous, up to rounding.
     gaps = np.abs(others[:, np.newaxis] - joints)
     is_apart = np.all(gaps > _ROUNDING * (times[-1] - times[0]), axis=1)
     grid = np.union1d(others[is_apart], joints)
@@ -192,13 +192,13 @@ def find_facings(
 
 
 def _cover(fits: Bools) -> list[tuple[int, int]]:
-    """Returns from which row on which column to take, so that all fit (K, F) and few change."""
+    """Returns rows from which on to take columns, so that all fit (K, F) with few changes."""
     cover: list[tuple[int, int]] = []
     k, K = 0, len(fits)
     while k < K:
         ends = [k + int(np.argmin(np.append(column[k:], False))) for column in fits.T]
         face = int(np.argmax(ends))
-        # Back to since when it fits, at most to where the one before began.
+        # Back to the first row that fits, at most to the begin of the one before.
         since = k - int(np.argmin(np.append(fits[:k, face][::-1], False)))
         earliest = cover[-1][0] + 1 if cover else 0
         cover.append(((max(since, earliest) + k) // 2 if cover else 0, face))

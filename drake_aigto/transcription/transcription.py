@@ -97,7 +97,7 @@ class Transcription(OpenProgram):
     def _bound_distances(
         self, where: Bools, name: str = NONPENETRATION, lower: float = 0.0, upper: float = np.inf
     ) -> None:
-        """Adds lower ≤ φ_i(q_k) ≤ upper where the mask, shape (N+1, m), says so, k ≥ 1."""
+        """Adds lower ≤ φ_i(q_k) ≤ upper where the mask, shape (N+1, m), is True, k ≥ 1."""
         for i, knots in enumerate(where[1:].T):
             if np.any(knots):
                 row = shared_constraint(self._distance(i), name, lower, upper)
@@ -131,11 +131,11 @@ class Transcription(OpenProgram):
             self._prog.SetInitialGuess(self._variables_at(indices), values)
 
     def GetInputSamples(self, result: MathematicalProgramResult) -> Floats:
-        """Returns the controls, shape (nu, N), a column a knot as in Drake."""
+        """Returns the controls, shape (nu, N), one column per knot as in Drake."""
         return self.split(result.get_x_val())[2].T
 
     def GetStateSamples(self, result: MathematicalProgramResult) -> Floats:
-        """Returns the states, shape (nq + nv, N+1), a column a knot as in Drake."""
+        """Returns the states, shape (nq + nv, N+1), one column per knot as in Drake."""
         q, v, _ = self.split(result.get_x_val())
         return np.hstack([q, v]).T
 
@@ -151,7 +151,7 @@ class Transcription(OpenProgram):
         """Returns center and half width, over all decision variables, of AIGO's first box.
 
         The center goes straight from start to goal. With L the `length_scale`, positions get a half
-        width of L, velocities 2L/T and controls 4 M L/T² (what covers 2L in T by accelerating and
+        width of L, velocities 2L/T and controls 4 M L/T² (which cover 2L in T by accelerating and
         braking), cut to the program's bounds.
         Variables that the program fixes get half width 0.
         """
@@ -165,8 +165,8 @@ class Transcription(OpenProgram):
     ) -> tuple[Floats, Floats]:
         """Returns center and half width of a box around a motion, narrow at first.
 
-        Half widths are those of `initial_box` times share · (t/T)², as far off as a push of unknown
-        size leads, but at least a hundredth of the last ones. Controls are around zero. Positions
+        Half widths are those of `initial_box` times share · (t/T)², like deviations by an unknown
+        push, but at least a hundredth of the last ones. Controls are around zero. Positions
         (N+1, nq) [m] and velocities (N+1, nv) [m/s] are those at the knots.
         """
         grown = np.maximum(np.linspace(0, 1, self.num_samples()) ** 2, _LEAST_GROWN)
@@ -197,7 +197,7 @@ class Transcription(OpenProgram):
         return penalize(self._prog, inequality, scale=1 / self._dt)
 
     def _stage(self, k: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-        """Returns pairs of placeholders and what they stand for at knot k."""
+        """Returns pairs of placeholders and their variables at knot k."""
         clearances = self._variables_at(self._clearances[k])
         pairs = [(self.state(), self.state(k)), (self._clearance, clearances)]
         if self._symbols is not None:
@@ -212,7 +212,7 @@ class Transcription(OpenProgram):
 
 
 class ImpactTranscription(Transcription):
-    """A transcription whose contacts are those of a rigid wall with Newton's restitution."""
+    """A transcription with rigid contacts under Newton's restitution."""
 
     def __init__(self, world: World, scenario: Scenario) -> None:
         """Reads M and J, then makes the program."""
@@ -228,7 +228,7 @@ class ImpactTranscription(Transcription):
 
 
 def rigid_defects(world: World, restitution: ArrayLike, trajectory: Trajectory) -> dict[str, float]:
-    """Returns how far a trajectory is from a motion with rigid impacts at its knots.
+    """Returns defects of a trajectory as a motion with rigid impacts at its knots.
 
     With v⁺_k = v_k + M⁻¹ Jᵀ p_k, τ_k = t_{k+1} − t_k and means over the interval marked by a bar:
 
@@ -237,8 +237,8 @@ def rigid_defects(world: World, restitution: ArrayLike, trajectory: Trajectory) 
         contact         min(φ_k, τ_k p_k/m): the wall pushes from afar; φ_k, φ_{k+1} if λ_k ≠ 0  [m]
         restitution     min(p_k/m, |φ̇⁺_k + e φ̇_k|): the impact returns another speed         [m/s]
 
-    the largest over all contacts, where m is the mass that a contact feels, so that p/m is how its
-    own impulse changes φ̇. Likewise a pull, p_k < 0 or λ_k < 0, counts as restitution.
+    the largest over all contacts, where m is the effective mass of a contact, so that p/m is the
+    change of φ̇ by its own impulse. Likewise a pull, p_k < 0 or λ_k < 0, counts as restitution.
 
     Args:
         world: the plant, read.
