@@ -42,7 +42,7 @@ class LiteralTranscription(Transcription):
         world: the plant, read.
         scenario: the task, with its ε and δ.
         nonpenetration: whether φ(q_k) ≥ 0 is a constraint. The paper's figures need it off.
-        law: λ(φ) instead of ε/(φ + δ), so that nothing has to be multiplied out.
+        law: λ(φ) instead of ε/(φ + δ), which needs no expansion.
     """
 
     ROWS: ClassVar[tuple[str, ...]] = (KINEMATICS, DYNAMICS, NONPENETRATION)
@@ -98,7 +98,7 @@ class LiteralTranscription(Transcription):
             self._bind_stages(shared_constraint(as_expression(row), DYNAMICS))
 
     def _momentum(self) -> npt.NDArray[np.object_]:
-        """Returns what contact has to explain, M Δv − dt (B u − h) [N s]."""
+        """Returns the residual of flight, M Δv − dt (B u − h) [N s]."""
         world = self.world
         force = world.actuation @ world.controls - world.bias
         return world.mass_matrix @ (self._next_v - world.velocities) - self._dt * force
@@ -122,7 +122,7 @@ class LiteralTranscription(Transcription):
         """Returns x with controls changed by B⁺ M d/dt, which cancels dynamics defects d.
 
         A solver that meets the rows multiplied out to 1e-13 may leave 1e-7 m/s where φ + δ is
-        1e-5 m. As far as the defects can be actuated, nothing is left.
+        1e-5 m. Defects along actuators vanish.
         """
         q, v, u = self.split(x)
         M, inverse = self.world.calc_mass_matrix(q[:-1]), np.linalg.pinv(self.world.actuation)
@@ -170,7 +170,7 @@ class PolynomialLaw:
     def fit(cls, scenario: Scenario, degree: int, reach: float) -> PolynomialLaw:
         """Returns ε/(φ + δ), interpolated at Chebyshev's points of 0 ≤ φ ≤ reach.
 
-        How near that is to ε/(φ + δ) depends on δ alone: the error falls by ρ = 1 + 2r + 2√(r² + r)
+        Its accuracy depends on δ alone: the error falls by ρ = 1 + 2r + 2√(r² + r)
         with each degree, r = δ/reach (`largest_error` measures it). At the paper's δ = 1 mm before
         a wall 1 m away that is 1.07: 36 degrees more for a tenth of the error. As sums of powers,
         rounding ends all gain before a degree of 30.

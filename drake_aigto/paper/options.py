@@ -40,7 +40,7 @@ class LiteralOptions(SearchOptions):
         nonpenetration: whether φ(q_k) ≥ 0 is a constraint. The paper's figures need it off.
         algorithm: "annealing"; or "full gradient", the paper's Algorithm 1, or "alternating", the
             one before it.
-        knot_steps: by how many knots the contacts of finalists are moved to and fro, in turn.
+        knot_steps: numbers of knots by which contacts of finalists are moved, in turn.
     """
 
     ladder: tuple[Rung, ...] = field(default=LITERAL_LADDER, repr=False)

@@ -11,7 +11,7 @@ from drake_aigto.planning import Candidate, Plan, Progress, SequenceSearch, Stop
 from drake_aigto.transcription import Touch
 from drake_aigto.world import Scenario, World
 
-# Contacts this many knots apart are one proposal of AIGO's; moving them tells them apart.
+# Contacts this many knots apart are one proposal of AIGO's; moving them distinguishes them.
 _SAME = 2
 
 

@@ -62,7 +62,7 @@ class LiteralTask(ProgramTask):
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[Knots]:
         """Returns the contact sequences that AIGO proposes; () is a free flight.
 
-        One is read off the box center as it is, another after pulling it towards the constraints.
+        One is read off the box center itself, another after pulling it towards the constraints.
         """
         center = result.box.center
         return [contact_knots(self.transcription, x) for x in (center, self.pull(center, rung))]
@@ -95,7 +95,7 @@ def contact_knots(transcription: Transcription, x: Floats) -> Knots:
 def ballistic_guess(transcription: Transcription, x: Floats, knots: Knots) -> Floats:
     """Returns a guess that flies straight from the start over the contacts to the goal, u = 0.
 
-    Of x, AIGO's box center of shape (n,), it takes where the contacts are along the wall, at
+    Of x, AIGO's box center of shape (n,), it takes the positions of contacts along the wall, at
     increasing knots.
     """
     scenario = transcription.scenario

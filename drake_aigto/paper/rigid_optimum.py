@@ -1,6 +1,6 @@
-"""The exact optimum of a point mass before a rigid wall, by algebra: the judge of plans.
+"""The exact optimum of a point mass before a rigid wall, by algebra, to judge plans.
 
-It shares no line and no idea with the planner: no knots, no boxes, no solver, no guesses.
+It is independent of the planner: no knots, no boxes, no solver, no guesses.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from drake_aigto.world import Scenario, World
 
 @dataclass(frozen=True)
 class RigidOptimum:
-    """The least cost of a scenario on a rigid wall, and the motion that has it.
+    """The least cost of a scenario on a rigid wall, and its motion.
 
     Attributes:
         cost: control_weight ∫₀ᵀ ‖u(t)‖² dt + goal_weight (q(T) − goal)².
-        bounce_times: when the wall is touched, at most once [s].
+        bounce_times: of touches, at most one [s].
         impact_velocities: φ̇⁻ < 0 of each touch [m/s].
-        flight_cost: of the best motion that touches nothing; infinite if that which would be best
-            without the wall meets it.
+        flight_cost: of the best motion without contact; infinite if the best one without the wall
+            meets it.
     """
 
     cost: float
@@ -47,8 +47,8 @@ def rigid_optimum(world: World, scenario: Scenario) -> RigidOptimum:
 
     One touch is enough, and rest saves nothing. Up to a touch at time s, and after it, the cheapest
     motion is a cubic; at the best velocity there, the cost is a rational function of s whose slope
-    has the sign of a polynomial of degree 8: its roots, and the flight that touches nothing, are
-    all the candidates. The documentation, "Why the optima are exact", has the proof.
+    has the sign of a polynomial of degree 8: its roots, and the flight without contact, are
+    all candidates. The documentation, "Why the optima are exact", has the proof.
 
     Args:
         world: one coordinate, no bias, φ affine in q.
@@ -126,7 +126,7 @@ class _UnitTask:
     restitution: float
 
     def calc_flight_cost(self) -> float:
-        """Returns the least cost if there were no wall."""
+        """Returns the least cost without a wall."""
         return _calc_goal_price(self.weight, 1.0) * self._calc_miss() ** 2
 
     def flight_is_clear(self) -> bool:
@@ -205,7 +205,7 @@ def _calc_goal_price(weight: float, left: Any) -> Any:
 
 
 def _make_task(world: World, scenario: Scenario) -> tuple[_UnitTask, float]:
-    """Returns the problem in unit time, and what its unit of cost is worth."""
+    """Returns the problem in unit time, and its unit of cost."""
     dynamics = _read_line(world)
     start, (J,) = scenario.initial_position, dynamics.jacobian[0]
     (effort,) = calc_efforts(dynamics)
@@ -231,7 +231,7 @@ def _read_line(world: World) -> ConstantDynamics:
 
 
 def refuse_world(got: object, expected: str) -> ModelError:
-    """Returns the error of a world whose optimum is not known."""
+    """Returns the error of a world without a known optimum."""
     remedy = "For other worlds no exact optimum is known here; judge a plan by its replays."
     return ModelError("the exact optimum", str(got), expected, remedy)
 

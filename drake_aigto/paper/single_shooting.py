@@ -1,4 +1,4 @@
-"""Controls as the only variables, states as polynomials of them: what AIGTO Sec. III-B rejects."""
+"""Controls as the only variables, states as their polynomials, rejected by AIGTO Sec. III-B."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Layout, as_expression, shared_cost
 from drake_aigto.world import Scenario, World
 
-# The next state but one has about the square of a state's terms: soon no memory holds them.
+# The state two steps later has about the square of a state's terms, soon too many for memory.
 MAX_TERMS = 25_000
 _NO_CONTACT = PolynomialLaw((0.0,))
 
@@ -112,7 +112,7 @@ class SingleShooting:
         return self._u[k]
 
     def num_terms(self, k: int) -> int:
-        """Returns how many terms an entry of x_k has at most."""
+        """Returns the largest number of terms of an entry of x_k."""
         return max(map(_count, self._states[k]))
 
     def GetSampleTimes(self) -> Floats:
@@ -132,7 +132,7 @@ class SingleShooting:
         return found
 
     def vector(self, x: Floats) -> Floats:
-        """Returns all decision variables of `multiple_shooting`: x, and the states it leads to."""
+        """Returns all decision variables of `multiple_shooting`: x, and its states."""
         world, scenario, dt = self.world, self.scenario, self.scenario.time_step
         controls = x[self._places]
         q, v = [scenario.initial_position], [scenario.initial_velocity]
@@ -144,7 +144,7 @@ class SingleShooting:
         return self.multiple_shooting.vector_of(np.array(q), np.array(v), controls)
 
     def trajectory(self, x: Floats) -> Trajectory:
-        """Returns the trajectory that controls x lead to."""
+        """Returns the trajectory of controls x."""
         return self.multiple_shooting.trajectory(self.vector(x))
 
     def scenario_cost(self, x: Floats) -> float:
@@ -155,7 +155,7 @@ class SingleShooting:
 def count_terms(
     world: World, scenario: Scenario, law: PolynomialLaw | None = None, max_terms: int = MAX_TERMS
 ) -> list[int]:
-    """Returns how many terms a state has after 1, 2, … steps: as far as `max_terms` and T allow.
+    """Returns numbers of terms of states after 1, 2, … steps, as far as `max_terms` and T allow.
 
     With one coordinate and a law of degree 2: 2, 3, 5, 8, 16, 32, 88, 240, 968. A cost has more.
     """

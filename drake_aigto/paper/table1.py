@@ -1,4 +1,4 @@
-"""The paper's Table I, what its plans do on a rigid wall, and plans that hold there."""
+"""The paper's Table I, simulations of its plans on a rigid wall, and plans that hold there."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ def run_cell(
 ) -> Cell:
     """Runs every method on one row, literally transcribed, with or without φ(q_k) ≥ 0.
 
-    The rest is as of `run_table1`; the same seed gives the same plans.
+    The rest is as in `run_table1`; the same seed gives the same plans.
     """
     scenario = Scenario.named(f"table1/{row}")
     world = World.from_scenario(scenario)
@@ -212,11 +212,11 @@ def run_table1(
     Ctrl-C leaves those cells that were done.
 
     Args:
-        rows: which, each shown once.
+        rows: the selected ones, each shown once.
         num_guesses: random guesses of the gradient solvers.
         seed: of the guesses.
         confirm: whether the plans are also replayed on Drake's plant.
-        executor: where cells run, entered here; `open_workers`, with a process a core, if None.
+        executor: runs cells, entered here; `open_workers`, with one process per core, if None.
         progress: called with a line of text after each cell.
 
     Raises:

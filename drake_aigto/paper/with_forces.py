@@ -7,7 +7,7 @@ With λ a variable, the mean of (φ λ)² over a box is (φ² + w_φ²/3)(λ² +
   every plan from the straight line is the free flight, at every temperature and for every first
   width of p. The half widths of p are its own and shrink to nothing, where the same impulse written
   as M Δv − dt (B u − h) stays as uncertain as v.
-- It is no law. With the row that ties p to the motion ten times lighter and a light restitution
+- But not always: with the row that ties p to the motion ten times lighter and a light restitution
   row, hot boxes find the bounce nearly as often as without forces. A box that starts in the bounce,
   around the uncontrolled motion, keeps it.
 - With literal rows and a heavy contact row φ goes to −δ instead, and p is arbitrary.
@@ -50,7 +50,7 @@ class ForceVariables(Transcription):
 
     Attributes:
         impulse_width: half width of p in AIGO's first box, in units of m · 4L/T, the impulse that
-            turns the fastest motion in that box around.
+            reverses the fastest motion in that box.
     """
 
     impulse_width: float
@@ -77,7 +77,7 @@ class ForceVariables(Transcription):
         ]
 
     def _add_impulse_rows(self, momentum: npt.NDArray[Any], per_unit: Any) -> None:
-        """Adds momentum = Jᵀ p, where momentum is what flight leaves unexplained, and p ≥ 0."""
+        """Adds momentum = Jᵀ p, where momentum is the residual of flight, and p ≥ 0."""
         J = np.array([contact.jacobian for contact in self.world.contacts])
         for row in (momentum - J.T @ self._impulse) * per_unit:
             self._bind_stages(shared_constraint(as_expression(row), DYNAMICS))
@@ -117,8 +117,8 @@ class LiteralWithForces(ForceVariables, LiteralTranscription):
         M (v_{k+1} − v_k) = dt (B u_k − h(q_k, v_k)) + J_kᵀ p_k                          "dynamics"
         (φ_k + δ) p_k = dt ε,   p_k ≥ 0                                          "contact", "push"
 
-    Rows are in SI units. It is for one contact, and takes what `LiteralTranscription` does, without
-    a law, and `impulse_width` (`ForceVariables`).
+    Rows are in SI units. It is for one contact, with the arguments of `LiteralTranscription`
+    without a law, and `impulse_width` (`ForceVariables`).
     """
 
     ROWS: ClassVar[tuple[str, ...]] = (*LiteralTranscription.ROWS, CONTACT, PUSH)
@@ -155,7 +155,7 @@ class RigidWithForces(ForceVariables, RigidTranscription):
         p_ik (J_i v⁺_k + e J_i v_k) = 0, k ≥ 1                                      "restitution"
 
     Flight and nonpenetration are as without forces. Every contact has an impulse of its own, and so
-    no products of several distances are needed. It takes what `RigidTranscription` does, and
+    no products of several distances are needed. Arguments are those of `RigidTranscription`, and
     `impulse_width` (`ForceVariables`).
     """
 
@@ -174,7 +174,7 @@ class RigidWithForces(ForceVariables, RigidTranscription):
         super().__init__(world, scenario, relaxation, path)
 
     def again(self, scenario: Scenario, path: Floats | None = None) -> RigidWithForces:
-        """Returns the same, with what users added, for another scenario, or around another path."""
+        """Returns the same, with additions, for another scenario or around another path."""
         args = self.world, scenario, self.relaxation, path, self.impulse_width
         return RigidWithForces(*args).with_additions(self.additions())
 
@@ -197,5 +197,5 @@ class RigidWithForces(ForceVariables, RigidTranscription):
         self._bound_distances(self._fronts)
 
     def implied_impulses(self, x: Floats) -> Floats:
-        """Returns what flight leaves unexplained, shape (N+1, m) [N s]; 0 at the last knot."""
+        """Returns the residual of flight, shape (N+1, m) [N s]; 0 at the last knot."""
         return RigidTranscription.impulses(self, x)

@@ -1,4 +1,4 @@
-"""How to plan: numerics only. Physics and task are the Scenario's."""
+"""Options of planning: numerics only. Physics and task belong to the Scenario."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drake_aigto.planning.rungs import BALL_LADDER, MECHANISM_LADDER, MechanismR
 
 LocalSolverName = Literal["newton", "ipopt", "snopt"]
 
-# Transcription → its options, by name, as the paper's are further down the road than this.
+# Transcription → its options, by name, as the paper's modules import this one.
 _KINDS = {
     "rigid": "drake_aigto.planning.options:PlanOptions",
     "literal": "drake_aigto.paper.options:LiteralOptions",
@@ -32,8 +32,8 @@ class SearchOptions:
         local_solver: refines AIGO's results where they are solutions of programs: "newton"
             (`local.InteriorPoint`), or "ipopt" or "snopt" through Drake.
         finalists: how many of the best candidates are improved.
-        threads: how many starts are run at once, in threads of this process: plans are the same to
-            the last bit. None: as many as it has cores where that pays, else one.
+        threads: how many starts run in parallel, in threads of this process: plans are the same to
+            the last bit. None: one per core if that pays, else one.
         confirm: whether the plan is also replayed on Drake's plant; the independent replay is
             always run.
     """
@@ -52,7 +52,7 @@ class SearchOptions:
 
     @property
     def num_threads(self) -> int:
-        """The threads that were asked for, or one a core."""
+        """The requested threads, or one per core."""
         if self.threads is not None:
             return self.threads
         if hasattr(os, "sched_getaffinity"):  # Not on macOS.
@@ -89,31 +89,31 @@ class PlanOptions(SearchOptions):
             for mechanisms, where the center of each last box is closed by shooting; None: those of
             `BALL_LADDER` or `MECHANISM_LADDER`. If no rung of a mechanism has a half width,
             renewals have none either: a search without boxes.
-        finalists: how many of the best candidates are improved; of mechanisms at most: fewer where
-            the next ones promise no less than what was found, and between rigid walls not to the
-            end where they cost more.
-        certify: whether a lower bound of all plans is found, too (`Plan.lower_bound`), or it is
-            said why there is none.
+        finalists: how many of the best candidates are improved; for mechanisms at most: fewer if
+            the next ones promise no lower cost than those found, and between rigid walls not to
+            the end if they cost more.
+        certify: whether a lower bound of all plans is found, too (`Plan.lower_bound`), or the
+            reason why there is none.
         local_solver: balls: see `SearchOptions`, as for threads and confirm. Threads pay where
             boxes are of a thousand variables or more; for less, starting them takes longer than it
             saves.
         relaxation: balls: ε of the complementarity φ p = dt ε, which the wall pushes from afar with
             while boxes shrink (`RigidTranscription`).
-        aigo_steps: balls: how many time steps boxes have: coarse ones show the contact sequence,
-            and the last refinement, of finalists, has the scenario's. Candidates are judged with as
-            many or more; only the plan itself has the scenario's where these are fewer, or one a
+        aigo_steps: balls: number of time steps of boxes: coarse ones show the contact sequence, and
+            the last refinement, of finalists, has the scenario's. Candidates are judged with as
+            many or more; only the plan itself has the scenario's if these are fewer, or one per
             phase.
-        exhaustive: balls: whether rungs are run, too, that can hardly tell anything new
+        exhaustive: balls: whether rungs are run, too, that hardly have new results
             (`BallSearch.rungs`), and flights refined that cost too much (`BallSearch.add`).
-        branches: balls: of how many candidates neighbors are tried, with a bounce more or less.
+        branches: balls: number of candidates with neighbors tried, with one bounce more or fewer.
         renewals: mechanisms: how many times at most a stretch of a candidate is opened to boxes
             again, or boxes are drawn around another start.
         patience: mechanisms: renewals in a row that find nothing better, after which there are no
-            more; twice as many where something turns fast at the start, or once a wall has thrown
-            it off.
-        search_steps: mechanisms: how many time steps candidates have at most; finalists have the
+            more; twice as many if a hinge turns fast at the start, or after a wall has pushed it
+            off.
+        search_steps: mechanisms: number of time steps of candidates, at most; finalists have the
             scenario's.
-        seed: mechanisms: of what is drawn.
+        seed: mechanisms: of random draws.
     """
 
     ladder: tuple[Rung | MechanismRung, ...] | None = field(default=None, repr=False)
@@ -149,7 +149,7 @@ class PlanOptions(SearchOptions):
         return tuple(rung for rung in rungs if isinstance(rung, MechanismRung))
 
     def check_for_balls(self) -> None:
-        """Refuses what does not count for balls between rigid walls.
+        """Refuses options that do not count for balls between rigid walls.
 
         Raises:
             OptionsError: an option is not at its default, or a rung is a mechanism's.
@@ -157,7 +157,7 @@ class PlanOptions(SearchOptions):
         self._refuse_others(_OF_MECHANISMS, Rung, "balls between rigid walls", "a mechanism")
 
     def check_for_mechanisms(self) -> None:
-        """Refuses what does not count for a task that is not one of balls between rigid walls.
+        """Refuses options that only count for balls between rigid walls.
 
         Raises:
             OptionsError: an option is not at its default, or a rung is of balls.

@@ -30,7 +30,7 @@ class PlanStats:
 
     Attributes:
         aigo_steps: inner iterations of AIGO, all candidates.
-        polished: how many candidates the polish made feasible.
+        polished: number of candidates that are feasible after their polish.
         seconds: wall time by part of the road.
         box_contacts: numbers of contacts of the last box of each rung, before any polish; None for
             a rung that was left out.
@@ -45,11 +45,11 @@ class PlanStats:
 
 
 class PlanningError(AigtoError, RuntimeError):
-    """Nothing was found; the message says what was tried.
+    """Failure to find a plan; the message says what was tried.
 
     Attributes:
         plan: the best that does not hold, if there is one.
-        is_proven: whether no motion at all can do what was asked for.
+        is_proven: whether it is proven that no motion can reach the goal.
     """
 
     plan: Plan | None = None
@@ -66,13 +66,12 @@ class Plan:
         candidates: all of them, the best first.
         replay: simulations of the best one's control.
         stats: iterations and seconds.
-        made_in: what tells the world that it was made in from others; None: a file of version 3
-            did not say.
+        made_in: fingerprint of its world; None for files of version 3.
         is_interrupted: whether Ctrl-C ended the search before it was done.
-        bound: what any plan costs at least; None unless the options asked for it.
-        options: that it was made with; None: a file of version 3 did not say.
-        world: that it was made in, while it is in memory: neither files nor copies in other
-            processes have it (`find_world`).
+        bound: lower bound of the cost of any plan; None unless requested by the options.
+        options: that it was made with; None for files of version 3.
+        world: that it was made in, while it is in memory: files and copies in other processes do
+            not have it (`find_world`).
     """
 
     scenario: Scenario
@@ -92,9 +91,9 @@ class Plan:
             raise PlanFileError("candidates", got="none", expected="at least one")
 
     def __repr__(self) -> str:
-        """Returns a line without arrays: the cost, and what no cost is shown without."""
+        """Returns a line without arrays: the cost, its simulations and its verdict."""
         best, ratio = self.best, self.best.energy_ratio
-        told = [
+        facts = [
             f"cost={self.cost:.4g}",
             *(f"{replay.simulator}={replay.cost:.4g}" for replay in self.replay),
             f"holds={self.holds}",
@@ -104,20 +103,20 @@ class Plan:
             *([] if ratio is None else [f"energy ratio {ratio:.4g}"]),
             *(["interrupted"] if self.is_interrupted else []),
         ]
-        return f"Plan({', '.join(told)})"
+        return f"Plan({', '.join(facts)})"
 
     def __getstate__(self) -> dict[str, Any]:
-        """Returns what is copied and sent to other processes: all but the world."""
+        """Returns the state for copies and other processes: all but the world."""
         return {**self.__dict__, "world": None}
 
     @property
     def best(self) -> Candidate:
-        """The candidate that was chosen."""
+        """The chosen candidate."""
         return self.candidates[0]
 
     @property
     def additions(self) -> tuple[str, ...]:
-        """The costs and constraints that users added (`Planner.transcription`), by name."""
+        """Names of costs and constraints of users (`Planner.transcription`)."""
         named = {**self.best.added_costs, **self.best.replay.violations}
         return tuple(name for name in named if name not in (BOUNDS, HARD_GOAL))
 
@@ -128,12 +127,12 @@ class Plan:
 
     @property
     def lower_bound(self) -> float | None:
-        """No control brings the cost below it; None where no bound was found."""
+        """A lower bound of the cost under any control; None if none was found."""
         return self.bound.lower_bound if self.bound else None
 
     @property
     def gap(self) -> float | None:
-        """How far above that the simulated cost is: its part of it (`PlanBound.gap`)."""
+        """Relative gap between that and the simulated cost (`PlanBound.gap`)."""
         return self.bound.gap(self.replay.event_driven.cost) if self.bound else None
 
     @property
@@ -148,7 +147,7 @@ class Plan:
 
     @property
     def holds(self) -> bool:
-        """Whether it `keeps_promise`, and is worth more than doing nothing."""
+        """Whether it `keeps_promise`, and is better than the uncontrolled motion."""
         return self.keeps_promise and not self.is_beaten
 
     @property
@@ -158,7 +157,7 @@ class Plan:
 
     @property
     def is_beaten(self) -> bool:
-        """Whether doing nothing, which simulations confirm, costs less on rigid walls."""
+        """Whether the uncontrolled motion, if confirmed, costs less between rigid walls."""
         idle, replay = self.idle, self.replay.event_driven
         if idle is None or not (idle.is_feasible and idle.holds(Replays(idle.replay, idle.drake))):
             return False
@@ -179,16 +178,16 @@ class Plan:
 
     @property
     def idle(self) -> Candidate | None:
-        """Doing nothing, which a plan has to beat; None where the search did not look at it."""
+        """The uncontrolled motion, which a plan has to beat; None if the search left it out."""
         return next((candidate for candidate in self.candidates if candidate.is_idle), None)
 
     def find_world(self, world: World | None = None) -> World:
-        """Returns the world that the plan was made in: its own, or its model's, or it is given.
+        """Returns the world of the plan: its own, its model's, or the given one.
 
         Raises:
-            ModelError: it was made in a diagram of one's own, which is needed; or the world that is
-                given, or the model, is not as it was.
-            ScenarioError: the scenario does not fit the world that is given.
+            ModelError: it was made in a diagram of the user, which is needed; or the given world or
+                the model has changed.
+            ScenarioError: the scenario does not fit the given world.
         """
         world = world or self.world or self._build_world()
         if world is self.world:
@@ -204,7 +203,7 @@ class Plan:
         return world
 
     def _check_sizes(self, world: World) -> None:
-        """Refuses a world that can't be that of a file which does not tell its own."""
+        """Refuses a world that can't be that of a file without a fingerprint."""
         q, u, p = self.trajectory.positions, self.trajectory.controls, self.trajectory.impulses
         there = q.shape[1], u.shape[1], p.shape[1]
         here = world.num_positions, world.num_actuators, world.num_contacts
@@ -270,7 +269,7 @@ class Plan:
 
 
 def _take_version(path: str | os.PathLike[str], data: Any) -> int:
-    """Returns the version of a plan file, whose data lack it and the format from now on."""
+    """Returns the version of a plan file, and removes it and the format from its data."""
     if not isinstance(data, dict) or data.pop("format", None) != FORMAT:
         raise PlanFileError(
             f"{path} is not a plan file",

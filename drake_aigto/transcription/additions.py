@@ -65,7 +65,7 @@ class Addition:
         return any(place.part == "u" for place in self.places)
 
     def knots(self, num_steps: int) -> range:
-        """Returns the knots that stand for a place of any knot, in a motion of so many steps."""
+        """Returns the knots for a place of any knot, in a motion with this number of steps."""
         if all(place.knot is not None for place in self.places):
             return range(1)
         return range(num_steps if self.reads_control else num_steps + 1)
@@ -94,9 +94,9 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Additions:
-    """All that users have added to a transcription.
+    """All additions of users to a transcription.
 
-    What is bound to knot k is bound to its time t_k. A control u_k is that of all of t_k … t_{k+1}:
+    Additions at knot k are at its time t_k. A control u_k is that of all of t_k … t_{k+1}:
     over this time it is held in any program that these are added to.
 
     Attributes:
@@ -120,7 +120,7 @@ class Additions:
         return bool(self.running or self.final or self.everywhere or self.at_knots)
 
     def joined(self, other: Additions) -> Additions:
-        """Returns what is in either, with the knots of this one."""
+        """Returns the additions of both, with the knots of this one."""
         return replace(
             self,
             running=(*self.running, *other.running),
@@ -131,13 +131,13 @@ class Additions:
 
     @property
     def held(self) -> tuple[int, ...]:
-        """The knots k whose control u_k something is bound to, in order."""
+        """The knots k with additions on their control u_k, in order."""
         places = (place for each in self.at_knots for place in each.places)
         return tuple(sorted({place.knot or 0 for place in places if place.part == "u"}))
 
     @property
     def instants(self) -> tuple[int, ...]:
-        """The knots, but for the first and last, at whose times another program needs one, too."""
+        """The inner knots at whose times another program needs a knot, too."""
         places = (place for each in self.at_knots for place in each.places)
         knots = {place.knot or 0 for place in places if place.part != "u"}
         knots |= {k + after for k in self.held for after in (0, 1)}
@@ -145,7 +145,7 @@ class Additions:
 
     @property
     def constraints(self) -> tuple[Addition, ...]:
-        """All that are no costs."""
+        """All constraints."""
         return tuple(e for e in (*self.everywhere, *self.at_knots) if not e.is_cost)
 
     def costs(self, motion: Samples) -> dict[str, float]:
@@ -161,9 +161,9 @@ class Additions:
         return found
 
     def violations(self, motion: Samples) -> dict[str, float]:
-        """Returns by how much a motion misses each constraint, by name; 0 where it is met.
+        """Returns a motion's violation of each constraint, by name; 0 if it is met.
 
-        A row g(x) that misses its bound by r counts as r / Σ_i |∂g/∂x_i| s_i: to first order,
+        A row g(x) that violates its bound by r counts as r / Σ_i |∂g/∂x_i| s_i: to first order,
         the change of each x_i, in units of the task's `scales` s_i, that meets it. If the motion
         has no knot at a constraint's time, the difference, relative to the duration, counts.
         """
@@ -175,14 +175,14 @@ class Additions:
         return found
 
     def _lateness(self, addition: Addition, times: Floats) -> float:
-        """Returns how far a motion's knots are from an addition's, as a part of the duration."""
+        """Returns the largest distance of an addition's knots to a motion's, per duration."""
         knots = {place.knot for place in addition.places if place.knot is not None}
         late = [abs(times[self._row(k, times)] - self.times[k]) for k in knots]
         parts = max(late, default=0.0) / float(self.times[-1])
         return parts if parts > _LATE else 0.0
 
     def miss_at_start(self, addition: Addition, state: Floats) -> float:
-        """Returns by how much the initial state [q, v] misses a constraint, as `violations`."""
+        """Returns the initial state's violation of a constraint, as in `violations`."""
         q, v = np.split(state[np.newaxis], 2, axis=1)
         return self._violation(addition, Samples(np.zeros(1), q, v, np.empty((0, 0))), 0)
 

@@ -25,22 +25,22 @@ _MOST_KEPT = 64
 
 @dataclass(frozen=True, eq=False)
 class ArcShape:
-    """Arcs of a multi-phase problem, but for the numbers that bounds can hold.
+    """Arcs of a multi-phase problem, without numbers that bounds can fix.
 
     Letters: J arcs between J + 1 joints, m contacts.
 
     Attributes:
-        counts: steps of each arc, shape (J,); where no row reads them, 1 for one and 2 for more.
+        counts: steps of each arc, shape (J,); if no row reads them, 1 for one and 2 for more.
         phases: which phase each arc is a part of, shape (J,).
         rests: which contacts last during each arc, shape (J, m).
         lands: which contacts last from each joint on, shape (J+1, m).
         starts: which contacts are touched anew at each joint, shape (J+1, m).
-        struck: as `Timeline` has it, shape (J+1, m).
+        struck: as in `Timeline`, shape (J+1, m).
         held: likewise.
         apart: likewise.
         beside: likewise.
-        restitutions: of contacts that last, or are struck with others that feel each other, shape
-            (m,); 0 for others, whose impacts are held.
+        restitutions: of contacts that are sustained, or struck with others coupled to them, shape
+            (m,); 0 for others, whose impacts bounds fix.
         weights: w_u and w_f.
     """
 
@@ -113,7 +113,7 @@ class ArcPrograms:
 
 @dataclass(frozen=True, eq=False)
 class WallBounds:
-    """Bounds of φ = J q + φ(0), W of them, that each are bounds of one position.
+    """Bounds of φ = J q + φ(0), W of them, each a bound of one position.
 
     Attributes:
         positions: the unknowns, shape (W,).
@@ -129,7 +129,7 @@ class WallBounds:
 
     @classmethod
     def of(cls, rows: list[tuple[int, int, float, float, float]]) -> WallBounds:
-        """Returns those of these unknowns, contacts, slopes, and lower and upper bounds."""
+        """Returns bounds from unknowns, contacts, slopes, and lower and upper bounds."""
         table = np.array(rows, dtype=float).reshape(-1, 5).T
         return cls(table[0].astype(np.int64), table[1].astype(np.int64), table[2], table[3:])
 
@@ -144,12 +144,12 @@ class WallBounds:
 class ArcProgram:
     """The problem of arcs of one shape (`Arcs` has its equations).
 
-    What else differs between problems (the start, the goal, durations, √ρ/2, where walls stand, and
-    what they return) are unknowns that bounds hold, so that tables and the order of unknowns are
-    made once.
+    Other differences between problems (the start, the goal, durations, √ρ/2, positions and
+    restitutions of walls) are unknowns that bounds fix, so that tables and the order of unknowns
+    are made once.
 
     Attributes:
-        nlp: the problem, whose `held` unknowns, and h, are to be given their bounds.
+        nlp: the problem; its `held` unknowns, and h, still need their bounds.
         q: positions at the joints, shape (J+1, nq).
         v: velocities there, at an impact those before it.
         t: times there.
@@ -288,7 +288,7 @@ class ArcProgram:
         """Adds approach speeds at walls, and that no wall pulls in an impact."""
         builder, shape = self._builder, self._shape
         for j, i in np.argwhere(shape.starts).tolist():
-            # What rebounds elastically must be at rest already to stay.
+            # An elastic contact must be at rest already to stay.
             stays = shape.lands[j, i] and shape.restitutions[i] == 1
             least = 0.0 if stays else -np.inf
             builder.bound_sum(RESTITUTION, self._dynamics.jacobian[i], self.v[j], least, 0.0)

@@ -79,21 +79,21 @@ def _deepest_knots(phases: PhaseTranscription, x: Floats) -> set[int]:
 class Arcs:
     """A multi-phase problem (`PhaseTranscription`) without its inner knots: the same optimum.
 
-    Where M and h are constant, controls held over n steps of H/n each that cost least between two
-    states are affine in k, for so are the costates. With the steps counted by
+    If M and h are constant, the cheapest controls held over n steps of H/n each between two states
+    are affine in k, like the costates. With the steps counted by
     σ_k = (2k + 1 − n)/n, which add up to 0, and ρ_n = Σ σ_k²/n = (n² − 1)/(3n²),
 
         u_k = a + σ_k b/√ρ_n
 
-    so that an arc of n steps, from q and velocity w on, is as short as one step is:
+    so that an arc of n steps, from q and velocity w on, needs as few unknowns as one step:
 
         v' = w + H M⁻¹ (B a − h + Jᵀ f)
         q' = q + H (w + v')/2 − H² √ρ_n/2 M⁻¹ (B b + Jᵀ g),        Σ h ‖u_k‖² = H (‖a‖² + ‖b‖²)
 
-    and likewise λ_k = f + σ_k g/√ρ_n of contacts that last, which φ' = 0 and J v' = 0 hold. It is
-    exact: the phases' own knots and their φ ≥ 0 are left out between the ends of arcs, where they
-    hold by themselves, or else have to become ends; and λ_k ≥ 0 is asked for at both ends of an
-    arc, which is exact where no wall would rather pull.
+    and likewise λ_k = f + σ_k g/√ρ_n of sustained contacts, with φ' = 0 and J v' = 0. It is exact:
+    the phases' own knots and their φ ≥ 0 are left out between the ends of arcs, where they hold by
+    themselves, or else become ends; and λ_k ≥ 0 holds at both ends of an arc, which is exact if
+    these bounds are not active.
 
     Letters: J arcs between J + 1 joints.
 
