@@ -1,4 +1,4 @@
-"""What a plant is that its model is not, and what happens to it on the way."""
+"""Differences between a plant and its model, and a kick on the way."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _as_row(name: str, value: object) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Disturbance(ArrayRecord):
-    """By how much a plant in the loop is other than its model. The default is not at all.
+    """Differences of a plant in the loop from its model. The default is none.
 
     Letters: n coordinates. An empty array stands for zeros.
 
@@ -36,8 +36,8 @@ class Disturbance(ArrayRecord):
         friction_factor: of all friction, where contacts have one μ, and of that in joints.
         kick: by how much v jumps, shape (n,) [m/s, rad/s].
         kick_time: when it does, before the run ends [s].
-        noise: standard deviations of what the controller is told of q and v, shape (2n,), drawn
-            anew at each of its periods [m, rad, 1/s].
+        noise: standard deviations of the estimate of q and v, shape (2n,), drawn anew
+            at each of the controller's periods [m, rad, 1/s].
         seed: of the noise.
     """
 
@@ -161,5 +161,5 @@ class Disturbance(ArrayRecord):
                 body.SetMass(context, self.mass_factor * body.get_mass(context))
 
     def draw_noise(self, count: int) -> Floats:
-        """Returns what is added to q and v at each of so many periods, shape (count, 2n)."""
+        """Returns the noise of q and v at each of a count of periods, shape (count, 2n)."""
         return self.noise * np.random.default_rng(self.seed).normal(size=(count, len(self.noise)))

@@ -68,12 +68,12 @@ class Horizon:
 
     @property
     def cost_scale(self) -> float:
-        """What the task costs where all is off by its scale."""
+        """Cost of the task where all is off by its scale."""
         return self._closer.cost_scale
 
     @property
     def restitution(self) -> float | None:
-        """What walls are planned to return; None where that is no number."""
+        """Restitution that walls are planned with; None where that is no number."""
         return self.scenario.restitution if self._closer.is_rigid else None
 
     def end(self, now: float) -> float:

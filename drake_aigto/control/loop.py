@@ -52,7 +52,7 @@ class LoopRecorder:
         Args:
             world: of the diagram that is simulated.
             controller: in it.
-            contacts: plans steps between stiff walls; None: walls yield, or there are none.
+            contacts: plans steps between stiff walls; None: walls are compliant, or there are none.
             end: of the simulation [s].
             progress: called with a line of text.
         """

@@ -1,4 +1,4 @@
-"""What happened in a loop: the motion, what the controller said, and its plans as they changed."""
+"""Run of a loop: the motion, the controller's reports, and its plans as they changed."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class PlanSwitch:
 
 @dataclass(frozen=True)
 class ClosedLoopRun:
-    """What a plant did under a controller, in Drake's Simulator.
+    """Motion of a plant under a controller, in Drake's Simulator.
 
     Attributes:
         method: how it was controlled.
@@ -99,7 +99,7 @@ class ClosedLoopRun:
     def __repr__(self) -> str:
         """Returns a line without arrays: the cost, and what no cost is shown without."""
         replay = self.replay
-        told = [
+        parts = [
             self.method,
             f"cost={self.cost:.4g}",
             f"promised={self.promised:.4g}",
@@ -110,7 +110,7 @@ class ClosedLoopRun:
             f"switches of the plan: {len(self.switches)}",
             *(["interrupted"] if self.is_interrupted else []),
         ]
-        return f"ClosedLoopRun({', '.join(told)})"
+        return f"ClosedLoopRun({', '.join(parts)})"
 
     @property
     def world(self) -> World:

@@ -26,7 +26,7 @@ _DIFFERENCE = 1e-6
 
 
 class Cut(Enum):
-    """What ends a stretch of a plan."""
+    """Events that end a stretch of a plan."""
 
     HIT = "a wall is hit, and bounced off or stayed at"
     STOP = "a slip ends"
@@ -135,7 +135,7 @@ def _read_modes(world: World, friction: Floats, trajectory: Trajectory) -> Ints:
 
 
 def is_at_rest_on(world: World, q: Floats, v: Floats, speed: float | None = None) -> Bools:
-    """Returns which contacts a state lies at, slower than a speed [m/s] towards it, shape (m,).
+    """Returns which contacts are closed and approach by less than a speed [m/s], shape (m,).
 
     Args:
         world: the mechanism.
@@ -151,9 +151,9 @@ def is_at_rest_on(world: World, q: Floats, v: Floats, speed: float | None = None
 
 
 def touches_walls(world: World, trajectory: Trajectory) -> bool:
-    """Returns whether a plan hits a wall, or lies at one between knots."""
-    lies = _read_modes(world, np.zeros(world.num_contacts), trajectory) != Mode.OPEN
-    return bool(trajectory.impulses.any() or lies.any())
+    """Returns whether a plan hits a wall, or stays at one between knots."""
+    closed = _read_modes(world, np.zeros(world.num_contacts), trajectory) != Mode.OPEN
+    return bool(trajectory.impulses.any() or closed.any())
 
 
 def check_sizes(world: World, trajectory: Trajectory) -> None:

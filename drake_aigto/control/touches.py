@@ -174,7 +174,7 @@ class _Bounce(NamedTuple):
 
 @dataclass(frozen=True)
 class SeenBounces:
-    """What was seen of walls: how much they return, and where they stand.
+    """Knowledge of walls from bounces: how much they return, and where they stand.
 
     Attributes:
         squares: Σ (φ̇⁻)² of bounces off walls that return what the scenario says [m²/s²].

@@ -243,7 +243,7 @@ def check_period(period: float) -> float:
 
 
 def read_start(system: System, port: InputPort, context: Context) -> Floats:
-    """Returns the state that a controller is told first.
+    """Returns the first estimated state of a controller.
 
     Raises:
         ControlError: nothing is connected, or it is not finite.
