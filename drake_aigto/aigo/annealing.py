@@ -72,7 +72,7 @@ class Annealing:
 
     @property
     def max_steps(self) -> int:
-        """One more than there are temperatures, as `minimize` asks before a step whether to end."""
+        """One more than temperatures, as `minimize` checks its end before each step."""
         ratio = np.log(self.final_temperature / self.initial_temperature) / np.log(self.cooling)
         return max(0, int(np.ceil(ratio - 1e-9))) + 2
 

@@ -157,7 +157,7 @@ def _residual(gradient: Floats, scale: Floats) -> float:
 
 @inner
 def _move(lower: Floats, upper: Floats, y: Floats, step: Floats, moved: Floats) -> None:
-    """Fills moved with where a step leads, within bounds; the step becomes what was taken of it."""
+    """Fills moved with the point after a step, cut to bounds; the step is cut likewise."""
     for k in range(y.size):
         moved[k] = y[k] + step[k]
     if lower.size == 0:

@@ -307,7 +307,7 @@ def _press(low: Floats, high: Floats, outer: Floats, work: _Work) -> bool:
 
 @pasted
 def _widest(problem: Problem, low: Floats, high: Floats, work: _Work) -> int:
-    """Returns the variable with the largest part in what formulas vary by, of those not too short.
+    """Returns the variable with the largest share in variations of formulas, if not too short.
 
     Rows that are within their bounds anyway do not count. −1 if there is none.
     """

@@ -177,7 +177,7 @@ class CliqueSearch:
         self._low[1::2], self._high[::2] = middle[1::2], middle[::2]
 
     def _drop_by_slopes(self) -> None:
-        """Drops bins where f has no minimum along their own variable, whatever the others are.
+        """Drops bins where f has no minimum along their own variable, for any values of others.
 
         It rises or falls all over the bin, which is none of the ends; or it is concave. That holds
         however many other variables there are, and however far from the best value the bound is.

@@ -120,7 +120,7 @@ def power(x: Interval, exponent: int) -> Interval:
 
 @inner
 def widened(low: float, high: float) -> Interval:
-    """Returns an interval that holds what the C library's functions round to its ends."""
+    """Returns an interval widened by the rounding of the C library's functions."""
     a = low - LIBRARY * abs(low) - _UNDERFLOW if math.isfinite(low) else low
     b = high + LIBRARY * abs(high) + _UNDERFLOW if math.isfinite(high) else high
     return a, b

@@ -88,7 +88,7 @@ class PlanBound:
 
     @property
     def is_nothing(self) -> bool:
-        """Whether the bound is 0, but for what does not count at the task's scale."""
+        """Whether the bound is 0 at the task's scale."""
         return self.lower_bound is not None and self.lower_bound <= _NO_COST * self.scale
 
 

@@ -220,7 +220,7 @@ def box_program(formulas: Formulas) -> BoxProgram:
 
 
 def _sides(reader: _PolynomialReader, row: BoundedFormula) -> Iterator[tuple[Polynomial, bool]]:
-    """Yields what is 0 or more, or 0 where it says so, of a row that is a polynomial."""
+    """Yields polynomials of a polynomial row that are ≥ 0, or, if flagged, equal to 0."""
     try:
         p = reader.read(row)
     except NoSquaresError:

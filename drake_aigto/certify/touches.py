@@ -1,4 +1,4 @@
-"""Lower bounds of motions between walls under a constant force, whatever they touch and how often.
+"""Lower bounds of motions between walls under a constant force, for any number of touches.
 
 In unit time, and along y = side (x − wall), the cheapest flight from (0, v) to (Δ, v') in time h
 against the pull γ costs
@@ -94,7 +94,7 @@ class _Cells:
 
 
 class _Costs(NamedTuple):
-    """Lower bounds of what flights and rests cost.
+    """Lower bounds of the costs of flights and rests.
 
     Attributes:
         starts: from the start to each cell (N,).

@@ -40,7 +40,7 @@ _Form = frozenset[tuple[tuple[Part, ...], float]]
 
 @dataclass(frozen=True, eq=False)
 class Complementarity:
-    """A row λ s ≤ ε of λ, s ≥ 0, in whatever signs.
+    """A row λ s ≤ ε of λ, s ≥ 0, with any signs.
 
     Attributes:
         row: its number among the program's rows.
@@ -259,7 +259,7 @@ class TightenedProgram:
         return local.solve(nlp, np.clip(start, nlp.lower, nlp.upper))
 
     def tighten(self, y: Floats, sizes: Floats, first: float, is_warm: bool) -> tuple[Floats, int]:
-        """Returns the point that y (n,) becomes on ever smaller ε, and steps.
+        """Returns the point that y (n,) leads to as ε decreases, and steps.
 
         Args:
             y: the start.

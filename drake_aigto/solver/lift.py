@@ -152,7 +152,7 @@ class _Lift:
         self._prog.AddCost(cost, vars=cost.vars())
 
     def _add_constraint(self, binding: Binding) -> Iterator[EvaluatorBase]:
-        """Adds the constraints that one becomes, and yields them."""
+        """Adds the lifted constraints of one, and yields them."""
         evaluator = binding.evaluator()
         self._label, self._is_row = evaluator_label(binding), True
         if _formulas(binding) is None:
