@@ -1,4 +1,4 @@
-"""The gradient peer where walls yield and rub: CasADi and IPOPT from many starts.
+"""The gradient peer where walls are compliant and have friction: CasADi and IPOPT from many starts.
 
 Knots, accelerations, velocities and costs are those of `robots.ipopt`, second order throughout, of
 any world: its equations are written in CasADi's symbols. What is relaxed is contact,
@@ -84,8 +84,8 @@ class Motion(NamedTuple):
     controls: Floats
 
 
-class RubbingProgram:
-    """Positions at knots 0, …, N + 1 and forces at 0, …, N, between walls that yield and rub."""
+class FrictionProgram:
+    """Positions at knots 0, …, N + 1, forces at 0, …, N, between compliant walls with friction."""
 
     def __init__(self, world: World, scenario: Scenario) -> None:
         """Reads one question.
@@ -99,7 +99,7 @@ class RubbingProgram:
         is_turn = (task.is_modulo | task.is_chordal) & is_weighed
         is_other = scenario.hard_goal or is_turn.any()
         if not isinstance(law, CompliantLaw) or is_other or world.dry_friction is not None:
-            raise ValueError(f"{scenario.model} asks for more than walls that yield and rub")
+            raise ValueError(f"{scenario.model} asks for more than compliant walls with friction")
         self._world, self._scenario, self._law, self._task = world, scenario, law, task
         self.num_steps = scenario.num_steps * -(-IPOPT_STEPS // scenario.num_steps)
 
@@ -221,7 +221,7 @@ def solve_from_many(scenario: Scenario, options: PlanOptions, seconds: float) ->
         seconds: of the processor, without those of the polish.
     """
     world = World.from_scenario(scenario)
-    program, rng = RubbingProgram(world, scenario), np.random.default_rng(0)
+    program, rng = FrictionProgram(world, scenario), np.random.default_rng(0)
     program.prepare()
     deadline, found = time.process_time() + seconds, list[Motion]()
     for ladder in itertools.cycle(_LADDERS):

@@ -13,7 +13,7 @@ from pydrake.solvers import MathematicalProgram
 
 from benchmarks import friction_peer
 from benchmarks.collections.peer_programs import payload, push_circle
-from benchmarks.friction_peer import RubbingProgram
+from benchmarks.friction_peer import FrictionProgram
 from benchmarks.friction_worlds import Run, ask_payload, list_circle, list_payload
 from benchmarks.local_peers import casadi
 from drake_aigto import Scenario, World
@@ -118,7 +118,7 @@ def test_binaries_of_stick_and_slip_lead_to_the_closed_form() -> None:
 def test_the_gradient_peer_has_the_worlds_equations(name: str) -> None:
     scenario = Scenario.named(name)
     world, rng = World.from_scenario(scenario), np.random.default_rng(0)
-    program, law = RubbingProgram(world, scenario), contact_law(world, scenario)
+    program, law = FrictionProgram(world, scenario), contact_law(world, scenario)
     sizes = world.num_positions, world.num_positions, world.num_actuators, world.num_positions
     z, exact = [casadi.SX.sym("z", size) for size in sizes], casadi.DM([0.0, 0.0])
     balance = casadi.Function("balance", z, [program.balance(z[0], z[1], z[2], z[3], exact)])

@@ -41,7 +41,8 @@ class Contact:
         name: such as "ball against wall", or "ball against block, +x face".
         signed_distance: φ(q) [m], positive when apart.
         jacobian: J = ∂φ/∂q, shape (nv,), as q̇ = v.
-        solid: its index. All faces of a box that one sphere can reach have the same: the sphere is
+        solid: index of the face's solid. All faces of a box that one sphere can reach have the
+        same: the sphere is
             outside if it is in front of one of them.
         restitution: the model's own, in [0, 1]; None leaves it to the scenario.
         radius: of the sphere [m].
@@ -172,8 +173,7 @@ class EquationsOfMotion:
     def with_walls_nearer(self: _Self, distances: Floats) -> _Self:
         """Returns the same with φ_i less by distances, shape (m,) [m], to plan many times.
 
-        Its diagram does not change: for simulation in Drake and pictures see
-        `World.with_wall_moved`.
+        Its diagram, for Drake and for pictures, does not change (`World.with_wall_moved`).
 
         Raises:
             ModelError: M or J varies.

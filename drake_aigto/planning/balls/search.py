@@ -74,7 +74,7 @@ class BallSearch(BranchingSearch):
             yield ladder
             return
         for start in dict.fromkeys(rung.start for rung in ladder):
-            if start == "line" or not self._has_contacts_of_coast():
+            if start == "line" or not self._has_uncontrolled_contacts():
                 rungs = tuple(rung for rung in ladder if rung.start == start)
                 first, last = rungs[:1], rungs[1:][-1:]
                 if rungs[-1].temperature < rungs[0].temperature:
@@ -113,7 +113,7 @@ class BallSearch(BranchingSearch):
         sequences = next(sequences for each, sequences in self.shown if each is rung)
         return sequences[0] if sequences else ()
 
-    def _has_contacts_of_coast(self) -> bool:
+    def _has_uncontrolled_contacts(self) -> bool:
         coast = [(contact, False) for contact in self.task.coast.bounce_contacts]
         return any(kinds(sequence) == coast for sequence in self.by_sequence)
 
@@ -239,9 +239,9 @@ class BallSearch(BranchingSearch):
             self.task, given_up, self._given_up = patient, self._given_up, []
             for each in given_up:
                 yield [propose(*each)]
-        yield from self._coast()
+        yield from self._propose_uncontrolled()
 
-    def _coast(self) -> Iterator[Sequence[Proposal]]:
+    def _propose_uncontrolled(self) -> Iterator[Sequence[Proposal]]:
         """Yields the contacts of the uncontrolled motion, if they may lead to another plan.
 
         Plans may also pass a block that it bounces off.

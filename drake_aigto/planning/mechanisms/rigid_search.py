@@ -40,7 +40,7 @@ _MOST_BRANCHED, _PROMISING, _MOST_BRANCHES = 3, 1.5, 6
 # one led to a new and better motion, and they took three quarters of the time.
 _HOPELESS = 3.0
 # How many of the first touches of the uncontrolled motion are tried.
-_MOST_COASTED = 3
+_MOST_UNCONTROLLED = 3
 # Touches closer than this part of the duration count as the same, and may be swapped.
 _NEAR = 0.05
 
@@ -73,7 +73,7 @@ class RigidMechanismSearch(MechanismSearch):
         A fast start touches a wall at once, where boxes and springs are too coarse to tell how.
         """
         yield from super().propose()
-        first = self.task.coasting[:_MOST_COASTED]
+        first = self.task.coasting[:_MOST_UNCONTROLLED]
         sequences = [first[: count + 1] for count in range(len(first))]
         guess = self.task.idle_motion
         yield [
