@@ -184,13 +184,21 @@ class Sweep:
         self, stretch: Stretch, x: Floats, u: Floats, h: float
     ) -> tuple[Floats, Floats]:
         """Returns F and G of a control that is held for h [s], shapes (2n, 2n) and (2n, nu)."""
-        size = len(x)
+        size, world = len(x), self._world
+        if self._is_parabola(stretch):
+            eye, none = np.eye(size // 2), np.zeros((size // 2, size // 2))
+            lift = world.constant_inertia.inverse_mass @ world.actuation
+            return np.block([[eye, h * eye], [none, eye]]), np.vstack([h**2 / 2 * lift, h * lift])
 
         def go(z: Floats) -> Floats:
             return _flow(stretch, z[..., :size], z[..., size:], h)
 
         slopes = _differentiate(go, np.concatenate([x, u]))
         return slopes[:, :size], slopes[:, size:]
+
+    def _is_parabola(self, stretch: Stretch) -> bool:
+        """Returns whether accelerations are constant under a held control."""
+        return self._world.has_constant_dynamics and not len(stretch.closed.contacts)
 
     def _continue(self, stretch: Stretch) -> tuple[Floats, Floats, Floats]:
         """Returns knots, states and controls of a phase, and of what is before and after it."""
@@ -200,9 +208,8 @@ class Sweep:
         if plan.impulses[first].any():
             states[0] = self._hit(int(np.argmax(plan.impulses[first])), stretch, states[0])
         duration, step = float(plan.times[-1] - plan.times[0]), float(np.mean(np.diff(times)))
-        is_parabola = self._world.has_constant_dynamics and not len(stretch.closed.contacts)
         coast, span = _coast, _BEYOND * duration
-        if is_parabola:
+        if self._is_parabola(stretch):
             coast, span, step = _fly, duration, max(step, duration / len(plan.controls))
         if first > 0:
             early, ahead = coast(stretch, states[0], controls[0], -step, span)
