@@ -55,7 +55,11 @@ def test_factors_solve_and_count_negative_eigenvalues(
         return  # too near singular for either to count
     band[beyond(band)] = 1e9  # nobody may read it
     factors = kind(size, bandwidth)
-    assert factors.factorize(band) == np.count_nonzero(eigenvalues < 0.0)
+    count = factors.factorize(band)
+    # In a band pivots may be as small as 1e-8: then signs are known of eigenvalues above 1e8 times
+    # rounding alone.
+    if kind is DenseFactors or least >= 1e8 * np.finfo(float).eps * largest:
+        assert count == np.count_nonzero(eigenvalues < 0.0)
     x = rng.normal(size=size)
     right = matrix @ x
     found = factors.solve(right)
