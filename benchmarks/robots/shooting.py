@@ -181,15 +181,16 @@ class Transcription:
     def __init__(self, problem: ShootingProblem) -> None:
         """Makes Drake's program of a problem between walls that yield, or without any."""
         self._problem, self._tables = problem, problem.make_program(_LADDER_OPTIONS)
-        bounds, (K, nu) = self._tables.bounds, self._tables.bounds.lower_control.shape
-        self._stages, self._nz, self._nu = K, len(problem.start), nu
+        bounds, nz = self._tables.bounds, len(problem.start)
+        K, nu = bounds.lower_control.shape
+        self._stages, self._nz, self._nu = K, nz, nu
         self._memory = make_memory(self._tables)
         self._smoothing, self._at = 0.0, np.full(K * (self._nz + nu), np.nan)
         self._cost = np.inf
         self._prog = MathematicalProgram()
         x = self._prog.NewContinuousVariables(self._at.size)
-        lower = np.concatenate([bounds.lower[1:].ravel(), bounds.lower_control.ravel()])
-        upper = np.concatenate([bounds.upper[1:].ravel(), bounds.upper_control.ravel()])
+        lower = np.concatenate([bounds.lower[1:, :nz].ravel(), bounds.lower_control.ravel()])
+        upper = np.concatenate([bounds.upper[1:, :nz].ravel(), bounds.upper_control.ravel()])
         self._prog.AddBoundingBoxConstraint(lower, upper, x)
         self._prog.AddCost(self._calc_cost, x)
         rest = np.zeros(K * self._nz)
