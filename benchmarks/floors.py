@@ -41,7 +41,7 @@ from drake_aigto.world import Scenario, World, models_directory
 
 # The grid: times of touches, speeds before them, and the fastest, of what falling freely reaches.
 _TIMES, _SPEEDS, _FASTEST = 100, 90, 1.6
-# So many touches are tried, or so many beyond the best number of them, at which costs only rise.
+# The most touches that are tried, or the most beyond the best number, at which costs only rise.
 _MOST_TOUCHES, _BEYOND = 16, 4
 # Below the floor by this much is on it.
 _TOLERANCE = 1e-9

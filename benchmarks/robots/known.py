@@ -130,7 +130,7 @@ _BATCH = 50  # tries between two writings of the file
 def search(
     questions: list[Question], method: str, tries: int, seconds: float, tell: Callable[[str], None]
 ) -> None:
-    """Gives each question so many tries of a method, those of earlier searches included.
+    """Gives each question a number of tries of a method, those of earlier searches included.
 
     All questions have some tries before any has more, so that the search may end at any time.
 
@@ -156,7 +156,7 @@ def search(
 
 
 def _try(question: Question, known: Known, method: str, most: int) -> Known:
-    """Returns what is known after so many tries."""
+    """Returns what is known after a number of tries."""
     done = known.tries.get(method, 0)
     for attempt in islice(METHODS[method].run(question, done), most - done):
         # What is promised is a little off: what would be far worse isn't judged.

@@ -290,10 +290,6 @@ class MechanismProgram:
         """Returns u_k, shape (N + 1, nu), of positions at knots, shape (N + 2, n)."""
         return self.calc_forces(*self.calc_motion(q, ends)) @ self.world.inverse_actuation.T
 
-    def calc_residuals(self, q: Floats, ends: Ends) -> Floats:
-        """Returns r_k, shape (N + 1, n − rank B), of positions at knots, shape (N + 2, n)."""
-        return self.calc_forces(*self.calc_motion(q, ends)) @ self._residuals.T
-
     def calc_motion(self, q: Floats, ends: Ends) -> tuple[Floats, Floats, Floats]:
         """Returns q, v and a at knots 0 … N, shape (N + 1, n) each."""
         dt = self.time_step
