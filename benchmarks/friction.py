@@ -26,9 +26,10 @@ from pydrake.systems.framework import DiagramBuilder
 
 from benchmarks.listed_modes import ListOfModes
 from benchmarks.script import plan_all, read_flags, run_all, run_as
-from drake_aigto import Answer, PlanOptions, Scenario, World, replay_event_driven
+from drake_aigto import PlanOptions, Scenario, World, replay_event_driven
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import Mobility, calc_impulse
+from drake_aigto.jobs import Answer
 from drake_aigto.simulation import Replay
 
 _RADIUS, _MU, _G = 0.1, 0.3, 9.81

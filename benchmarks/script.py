@@ -23,9 +23,10 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
-from drake_aigto import AigtoError, Answer, OptionsError, Scenario
+from drake_aigto import AigtoError, Scenario
 from drake_aigto.cli import BAD_INPUT, add_workers, read_workers
-from drake_aigto.jobs import open_jobs, plan_many
+from drake_aigto.errors import OptionsError
+from drake_aigto.jobs import Answer, open_jobs, plan_many
 
 # `drake-aigto`, for an interpreter that is started with -c.
 COMMAND = "import sys; from drake_aigto.cli import main; sys.exit(main(sys.argv[1:]))"

@@ -10,7 +10,8 @@ from phase_solutions import MET, bouncing, solve, two_joints
 from replay_worlds import make_diagram, make_scenario, make_task, shipped, shipped_world
 from rigid_worlds import Array
 
-from drake_aigto import ModelError, Scenario, UnsupportedTermError, World
+from drake_aigto import Scenario, World
+from drake_aigto.errors import ModelError, UnsupportedTermError
 from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp
 from drake_aigto.planning import ArcPrograms, Arcs, solve_in_arcs
 from drake_aigto.transcription import Facing, PhaseTranscription, Touch, TouchSequence

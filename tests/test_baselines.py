@@ -20,10 +20,10 @@ from benchmarks.baselines import (
 )
 from benchmarks.baselines.gradient import GaussianSmoothing, list_sequences
 from benchmarks.baselines.sampling import ControlSpace
-from drake_aigto import ModelError, OptionsError, Scenario, World, replay_event_driven
+from drake_aigto import Scenario, World, replay_event_driven
 from drake_aigto.aigo import Box, minimize
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.errors import MissingExtraError
+from drake_aigto.errors import MissingExtraError, ModelError, OptionsError
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 

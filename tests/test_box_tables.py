@@ -12,9 +12,9 @@ from box_programs import blocks as random_blocks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_aigto import OptionsError, UnsupportedTermError
 from drake_aigto.aigo import CenterObjective
 from drake_aigto.box import BoxPolynomial, NewtonSystem, Order, add_means, make_lanes
+from drake_aigto.errors import OptionsError, UnsupportedTermError
 from drake_aigto.local import PolynomialNlp
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock, stack_terms
 

@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from pydrake.systems.analysis import Simulator
 
 from drake_aigto import (
-    ControlError,
     ModelPredictiveController,
     Plan,
     Planner,
@@ -25,7 +24,7 @@ from drake_aigto import (
     plan,
 )
 from drake_aigto.control import ClosedLoopRun, Disturbance, run_in_loop
-from drake_aigto.errors import ResultsFileError
+from drake_aigto.errors import ControlError, ResultsFileError
 from drake_aigto.show import figures_of_run, format_run, plot_run
 
 WALL, POLE = Scenario.named("table1/1"), Scenario.named("cart_pole/soft_06")

@@ -34,7 +34,7 @@ from pydrake.symbolic import (
 from pydrake.symbolic import max as smax
 from pydrake.symbolic import min as smin
 
-from drake_aigto import OptionsError, UnsupportedTermError
+from drake_aigto.errors import OptionsError, UnsupportedTermError
 from drake_aigto.terms import FunctionKind
 
 

@@ -21,8 +21,9 @@ from mechanisms import (
 )
 from world_models import make_scenario
 
-from drake_aigto import ModelError, ScenarioError, World
+from drake_aigto import World
 from drake_aigto.contact import CompliantLaw, RigidLaw, calc_pushes, contact_law
+from drake_aigto.errors import ModelError, ScenarioError
 
 COMPLIANT = make_scenario(contact="compliant")
 

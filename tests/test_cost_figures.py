@@ -24,7 +24,8 @@ from benchmarks.paper_figures import (
     plot_methods,
     write_numbers,
 )
-from drake_aigto import ModelError, Planner, PlanOptions, Scenario, World, replay_event_driven
+from drake_aigto import Planner, PlanOptions, Scenario, World, replay_event_driven
+from drake_aigto.errors import ModelError
 from drake_aigto.paper import bounce_costs, rigid_optimum
 from drake_aigto.planning import Candidate, Origin
 from drake_aigto.show import (

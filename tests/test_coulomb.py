@@ -17,7 +17,7 @@ import scipy
 from pydrake.multibody.plant import CoulombFriction
 from rubbing_worlds import make_discs
 
-from drake_aigto import ModelError, Scenario, ScenarioError, World
+from drake_aigto import Scenario, World
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import (
     Impulse,
@@ -28,7 +28,7 @@ from drake_aigto.contact import (
     find_modes,
     list_modes,
 )
-from drake_aigto.errors import FrictionError
+from drake_aigto.errors import FrictionError, ModelError, ScenarioError
 from drake_aigto.paper import plan_literal
 
 

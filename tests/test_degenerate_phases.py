@@ -9,7 +9,8 @@ import pytest
 from phase_solutions import bouncing, check_clock, one_bounce, optimise, solve
 from replay_worlds import make_scenario, shipped_world
 
-from drake_aigto import OptionsError, Scenario
+from drake_aigto import Scenario
+from drake_aigto.errors import OptionsError
 from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
 
 

@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from replay_worlds import hold, hold_still, make_diagram, make_scenario, shipped, shipped_world
 
-from drake_aigto import ModelError, Scenario, World
+from drake_aigto import Scenario, World
 from drake_aigto.contact import RigidLaw, Walls, support
+from drake_aigto.errors import ModelError
 from drake_aigto.simulation import (
     HeldControl,
     Parabolas,

@@ -27,8 +27,9 @@ import yaml
 
 import drake_aigto
 from benchmarks import records
-from drake_aigto import ModelError, Planner, Scenario, World
+from drake_aigto import Planner, Scenario, World
 from drake_aigto.cli import load_scenario, make_parser
+from drake_aigto.errors import ModelError
 
 API = Path(__file__).resolve().parents[1] / "docs" / "api"
 

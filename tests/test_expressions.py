@@ -22,8 +22,8 @@ from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Expression, Variable, cos, exp, log, pow, sin
 from pydrake.symbolic import max as smax
 
-from drake_aigto import UnsupportedTermError
 from drake_aigto.box import BoxPolynomial
+from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.local import compile_nlp
 from drake_aigto.terms import MAX_TERMS, FunctionKind
 

@@ -15,8 +15,9 @@ from phase_solutions import optimise
 from replay_worlds import make_diagram, make_scenario, make_task, shipped, shipped_world
 
 import drake_aigto.control
-from drake_aigto import Scenario, TrajectoryError, World
+from drake_aigto import Scenario, World
 from drake_aigto.control import Feedback, Sweep
+from drake_aigto.errors import TrajectoryError
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.simulation import (
     DRAKE,

@@ -15,8 +15,9 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from drake_aigto import ModelError, Scenario, World
+from drake_aigto import Scenario, World
 from drake_aigto.aigo import Box, Iterate
+from drake_aigto.errors import ModelError
 from drake_aigto.paper import LiteralTranscription
 from drake_aigto.show import (
     PALETTE,

@@ -20,18 +20,10 @@ from pydrake.multibody.tree import PrismaticJoint, RevoluteJoint, SpatialInertia
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from refusals import refuse_work
 
-from drake_aigto import (
-    ModelError,
-    OptionsError,
-    Planner,
-    PlanOptions,
-    Scenario,
-    ScenarioError,
-    World,
-    plan,
-)
+from drake_aigto import Planner, PlanOptions, Scenario, World, plan
 from drake_aigto.contact import contact_law
 from drake_aigto.dynamics import calc_friction_share
+from drake_aigto.errors import ModelError, OptionsError, ScenarioError
 from drake_aigto.planning import MECHANISM_LADDER
 from drake_aigto.shooting import Mechanism
 from drake_aigto.show import format_plan

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import graphlib
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -192,3 +193,13 @@ def test_every_public_name_can_be_had() -> None:
         assert name in dir(drake_aigto)
     with pytest.raises(ImportError, match="cannot import name 'Scenery'"):
         exec("from drake_aigto import Scenery")
+
+
+@pytest.mark.parametrize("name", sorted(drake_aigto._GONE))
+def test_a_name_that_left_the_top_level_says_where_it_is(name: str) -> None:
+    with pytest.raises(ImportError, match=f"{name} is gone: use ") as error:
+        exec(f"from drake_aigto import {name}")
+    place = str(error.value).split("use ")[1].rstrip(".").partition(",")[0]
+    *module, there = place.removeprefix("drake_aigto.").split(".")
+    room = importlib.import_module(".".join(["drake_aigto", *module]))
+    assert there in room.__all__ if hasattr(room, "__all__") else hasattr(room, there)

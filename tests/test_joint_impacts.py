@@ -16,9 +16,10 @@ from pydrake.systems.framework import DiagramBuilder
 from rest_solutions import least_rest
 from unfolded_flights import MODELS, Flight
 
-from drake_aigto import OptionsError, Scenario, World
+from drake_aigto import Scenario, World
 from drake_aigto.contact import JointImpact
 from drake_aigto.dynamics import ConstantInertia
+from drake_aigto.errors import OptionsError
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import (
     PhaseTranscription,

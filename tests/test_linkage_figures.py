@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from mechanisms import build
 
-from drake_aigto import ModelError, Scenario, World
+from drake_aigto import Scenario, World
+from drake_aigto.errors import ModelError
 from drake_aigto.show import (
     Motion,
     coordinate_names,

@@ -17,7 +17,8 @@ from pydrake.solvers import (
 )
 from pydrake.symbolic import log
 
-from drake_aigto import Scenario, UnsupportedTermError, World
+from drake_aigto import Scenario, World
+from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.local import InteriorPoint, LocalStatus, NlpBuilder, PolynomialNlp, compile_nlp
 from drake_aigto.paper import LiteralTranscription
 

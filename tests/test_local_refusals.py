@@ -14,7 +14,7 @@ from pydrake.solvers import (
 from pydrake.symbolic import cos, exp, log, sin, tan
 from pydrake.symbolic import max as symbolic_max
 
-from drake_aigto import OptionsError, UnsupportedTermError
+from drake_aigto.errors import OptionsError, UnsupportedTermError
 from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
 
 

@@ -13,8 +13,9 @@ from pydrake.multibody.tree import JacobianWrtVariable
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk, ellipkinc
 
-from drake_aigto import Scenario, TrajectoryError, World
+from drake_aigto import Scenario, World
 from drake_aigto.contact import Closed, Mode, RigidLaw
+from drake_aigto.errors import TrajectoryError
 from drake_aigto.planning import find_rates, integrate_rates
 from drake_aigto.simulation import (
     Replay,

@@ -28,9 +28,10 @@ from numpy import cos, sin
 from pydrake.geometry import Role
 from pydrake.multibody.tree import BodyIndex, MultibodyForces
 
-from drake_aigto import ModelError, Scenario, World, scenario_names
+from drake_aigto import Scenario, World, scenario_names
 from drake_aigto.contact import CompliantLaw, contact_law
 from drake_aigto.dynamics import SumMap
+from drake_aigto.errors import ModelError
 from drake_aigto.world import TaskCost
 
 # Sums over some hundred products, each of a few roundings, of numbers of size 1 to 100.

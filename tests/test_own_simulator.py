@@ -24,8 +24,9 @@ from pydrake.systems.primitives import TrajectorySource, ZeroOrderHold
 from pydrake.trajectories import PiecewisePolynomial
 from replay_worlds import make_diagram
 
-from drake_aigto import ModelError, Scenario, ScenarioError, World
+from drake_aigto import Scenario, World
 from drake_aigto.contact import contact_delay, contact_delays
+from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.simulation import confirms, make_simulator, replay_drake, replay_event_driven
 from drake_aigto.world import Scales, find_anywhere, package_map
 

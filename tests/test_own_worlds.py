@@ -33,8 +33,9 @@ from world_models import (
     make_world,
 )
 
-from drake_aigto import ModelError, Scenario, ScenarioError, World
+from drake_aigto import Scenario, World
 from drake_aigto.dynamics import Contact
+from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world import build_diagram
 
 

@@ -11,7 +11,8 @@ from phase_solutions import Solved, optimise
 from rigid_worlds import Array
 from unfolded_flights import MODELS, Flight
 
-from drake_aigto import OptionsError, Scenario, World
+from drake_aigto import Scenario, World
+from drake_aigto.errors import OptionsError
 from drake_aigto.transcription import Facing, PhaseTranscription, Touch, find_facings
 
 # Contacts of room_with_block: the block keeps q out of [0.4, 0.6]².

@@ -14,17 +14,9 @@ from pydrake.geometry import Meshcat
 from replay_worlds import make_diagram
 from rigid_worlds import write_model
 
-from drake_aigto import (
-    ModelError,
-    OutputFileError,
-    Plan,
-    PlanFileError,
-    Planner,
-    PlanOptions,
-    Scenario,
-    World,
-)
+from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
 from drake_aigto.cli import BAD_INPUT, FINE, main
+from drake_aigto.errors import ModelError, OutputFileError, PlanFileError
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal
 from drake_aigto.planning import BALL_LADDER
 from drake_aigto.show import format_plan, play, play_boxes, report_plan, run_boxes

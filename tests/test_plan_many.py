@@ -24,7 +24,6 @@ from scenario_studies import Inline
 
 from drake_aigto import (
     AigtoError,
-    OptionsError,
     Plan,
     Planner,
     PlanningError,
@@ -34,7 +33,7 @@ from drake_aigto import (
     plan_many,
 )
 from drake_aigto.cli import FINE, INTERRUPTED, NOTHING_HOLDS, main
-from drake_aigto.errors import StudyError
+from drake_aigto.errors import OptionsError, StudyError
 from drake_aigto.jobs import Answer, ProcessDiedError, load_answers, open_jobs
 from drake_aigto.planning import BALL_LADDER
 

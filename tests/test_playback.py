@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from meshcat_pages import BALL, MOTIONS, ball, clips, messages, objects, position, recording
 from pydrake.geometry import Meshcat
 
-from drake_aigto import OptionsError, OutputFileError, Scenario, World
+from drake_aigto import Scenario, World
+from drake_aigto.errors import OptionsError, OutputFileError
 from drake_aigto.show import ROOT, Board, Motion, open_meshcat, pack, play, publish, save_html
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch

@@ -15,7 +15,6 @@ from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput, Tr
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto import (
-    ControlError,
     ModelPredictiveController,
     Planner,
     PlanOptions,
@@ -24,6 +23,7 @@ from drake_aigto import (
     World,
 )
 from drake_aigto.control import ClosedLoopRun, Disturbance, Horizon, TickStatus, run_in_loop
+from drake_aigto.errors import ControlError
 from drake_aigto.planning import MECHANISM_LADDER
 from drake_aigto.simulation import make_simulator
 from drake_aigto.world import TaskCost

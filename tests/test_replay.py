@@ -14,9 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from replay_worlds import hold, make_diagram, make_scenario, shipped_world
 
-from drake_aigto import TrajectoryError
 from drake_aigto.contact import calc_dissipation, contact_delay
-from drake_aigto.errors import DamagedDataError, ModelError
+from drake_aigto.errors import DamagedDataError, ModelError, TrajectoryError
 from drake_aigto.plain import from_plain, to_plain
 from drake_aigto.simulation import Replay, confirms, replay_drake, replay_event_driven
 from drake_aigto.world import Scales, Scenario, World

@@ -15,10 +15,11 @@ from replay_worlds import make_diagram, make_scenario, shipped_world
 from rigid_worlds import AXIS, NAMES, Physics, indices, make_motion, physics_of, write_model
 from scipy.linalg import expm
 
-from drake_aigto import ModelError, OptionsError, Scenario, World
+from drake_aigto import Scenario, World
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.contact import JointImpact
 from drake_aigto.dynamics import Contact
+from drake_aigto.errors import ModelError, OptionsError
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import (
     PhaseTranscription,

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from rubbing_worlds import RADIUS, make_discs
 
-from drake_aigto import FrictionError, Scenario, World, replay_drake, replay_event_driven
+from drake_aigto import Scenario, World, replay_drake, replay_event_driven
 from drake_aigto.arrays import Floats
+from drake_aigto.errors import FrictionError
 from drake_aigto.simulation import Replay
 
 G, MU = 9.81, 0.3

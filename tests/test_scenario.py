@@ -15,8 +15,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drake_aigto import Scenario, ScenarioError, scenario_names
-from drake_aigto.errors import AigtoError, OutputFileError
+from drake_aigto import Scenario, scenario_names
+from drake_aigto.errors import AigtoError, OutputFileError, ScenarioError
 from drake_aigto.output import write_text
 
 ENDS: dict[str, Any] = {"initial_position": 1.0, "initial_velocity": -2.0, "goal_position": 0.73}

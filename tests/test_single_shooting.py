@@ -15,8 +15,9 @@ from replay_worlds import make_scenario, make_task, shipped, shipped_world
 from rigid_worlds import AXIS, write_model
 
 from benchmarks.equal_widths import EqualWidths
-from drake_aigto import ModelError, OptionsError, Scenario, UnsupportedTermError, World
+from drake_aigto import Scenario, World
 from drake_aigto.aigo import Annealing, Box, minimize
+from drake_aigto.errors import ModelError, OptionsError, UnsupportedTermError
 from drake_aigto.paper import (
     LiteralTask,
     LiteralTranscription,

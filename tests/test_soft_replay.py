@@ -12,8 +12,9 @@ from mechanisms import build
 from replay_worlds import make_diagram
 from scipy.integrate import quad, solve_ivp
 
-from drake_aigto import Scenario, ScenarioError, World
+from drake_aigto import Scenario, World
 from drake_aigto.contact import calc_dissipation
+from drake_aigto.errors import ScenarioError
 from drake_aigto.simulation import (
     Replay,
     make_simulator,

@@ -29,8 +29,7 @@ from pydrake.solvers import (
 )
 from pydrake.symbolic import Expression, Variable
 
-from drake_aigto import UnsupportedTermError
-from drake_aigto.errors import OptionsError
+from drake_aigto.errors import OptionsError, UnsupportedTermError
 from drake_aigto.solver import (
     AigoDetails,
     AigoOptions,

@@ -13,9 +13,9 @@ from local_problems import make_program as general_program
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Polynomial, atan2, cos, exp, sin
 
-from drake_aigto import UnsupportedTermError
 from drake_aigto.aigo import Box
 from drake_aigto.box import BoxPolynomial
+from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
 from drake_aigto.solver import (
     AigoOptions,

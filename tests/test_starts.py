@@ -7,7 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from drake_aigto import OptionsError, PlanOptions, Scenario, World
+from drake_aigto import PlanOptions, Scenario, World
+from drake_aigto.errors import OptionsError
 from drake_aigto.planning import BALL_LADDER, BallTask, Rung, make_ball_task, read_sequences
 from drake_aigto.simulation import replay_event_driven
 

@@ -20,7 +20,8 @@ from replay_worlds import make_scenario, make_task, shipped, shipped_world
 
 from benchmarks.baselines import BASELINES, run_baseline
 from benchmarks.optima import block_optimum, masses_optimum, walls_optimum
-from drake_aigto import Planner, PlanOptions, Scenario, ScenarioError, World
+from drake_aigto import Planner, PlanOptions, Scenario, World
+from drake_aigto.errors import ScenarioError
 from drake_aigto.paper import (
     LiteralWithForces,
     RigidWithForces,

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from mechanisms import build
 
-from drake_aigto import Plan, Scenario, ScenarioError, World
+from drake_aigto import Plan, Scenario, World
+from drake_aigto.errors import ScenarioError
 from drake_aigto.planning import Candidate, Origin, PlanStats, Replays
 from drake_aigto.show import (
     Page,

@@ -15,17 +15,9 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_aigto import (
-    ControlError,
-    ModelError,
-    Plan,
-    Planner,
-    PlanOptions,
-    Scenario,
-    TrackingController,
-    World,
-)
+from drake_aigto import Plan, Planner, PlanOptions, Scenario, TrackingController, World
 from drake_aigto.control import Disturbance, Sweep, run_in_loop
+from drake_aigto.errors import ControlError, ModelError
 from drake_aigto.planning import MechanismTask
 from drake_aigto.simulation import make_simulator, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory

@@ -17,8 +17,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from drake_aigto import Scenario, TrajectoryError, World
-from drake_aigto.errors import DamagedDataError
+from drake_aigto import Scenario, World
+from drake_aigto.errors import DamagedDataError, TrajectoryError
 from drake_aigto.plain import from_plain, to_plain
 from drake_aigto.show import PALETTE, PLAN_LABEL, Motion, color_of, motions_of_plan
 from drake_aigto.simulation import Replay, replay_drake, replay_event_driven

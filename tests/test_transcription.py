@@ -22,7 +22,8 @@ from pydrake.solvers import (
 from pydrake.symbolic import tan
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_aigto import Scenario, UnsupportedTermError, World
+from drake_aigto import Scenario, World
+from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.paper import LiteralTranscription
 from drake_aigto.transcription import Transcription, cut_to_bounds, penalize
 from drake_aigto.world import models_directory

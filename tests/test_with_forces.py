@@ -13,9 +13,10 @@ from replay_worlds import make_scenario, make_task, shipped, shipped_world
 from rigid_worlds import NAMES, make_motion, physics_of
 
 from benchmarks.ablations.ablations import Variant, VariantProblem
-from drake_aigto import OptionsError, Scenario
+from drake_aigto import Scenario
 from drake_aigto.aigo import Annealing
 from drake_aigto.box import BoxPolynomial
+from drake_aigto.errors import OptionsError
 from drake_aigto.paper import (
     LiteralOptions,
     LiteralSearch,

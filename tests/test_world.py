@@ -26,8 +26,9 @@ from world_models import (
     make_world,
 )
 
-from drake_aigto import ModelError, Scenario, World, scenario_names
+from drake_aigto import Scenario, World, scenario_names
 from drake_aigto.dynamics import SumMap, tidy
+from drake_aigto.errors import ModelError
 from drake_aigto.world import models_directory
 
 

@@ -27,7 +27,8 @@ from pydrake.multibody.tree import (
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from world_models import RELATIVE, VARIANTS, ModelWriter, differs_by_zero, make_world
 
-from drake_aigto import ModelError, Scenario, ScenarioError, World
+from drake_aigto import Scenario, World
+from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.paper import LiteralTranscription
 from drake_aigto.plain import from_plain, to_plain
 from drake_aigto.world import Fingerprint

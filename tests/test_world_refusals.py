@@ -24,7 +24,8 @@ from world_models import (
 )
 
 from benchmarks.baselines import Recorder
-from drake_aigto import ModelError, Planner, Scenario, ScenarioError, World
+from drake_aigto import Planner, Scenario, World
+from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.world import build_diagram
 
