@@ -37,7 +37,40 @@ def test_a_contact_that_only_the_simulation_has_is_told() -> None:
     assert f"on a rigid wall it also touches wall at {time:.3f} s" in format_plan(hidden)
 
 
-# What is worth less than nothing.
+# What is worth less than nothing, or no more.
+
+
+@pytest.mark.parametrize(
+    ("weights", "words"),
+    [
+        ({"control_weight": 1e5}, "hardly better than doing nothing"),
+        ({}, ""),
+        ({"initial_velocity": [0.0], "goal_position": [1.0]}, ""),  # Nothing is to be done.
+    ],
+)
+def test_a_plan_that_hardly_does_anything_says_so_first(
+    weights: dict[str, Any], words: str
+) -> None:
+    found = plan(table1(1, **weights, **COARSE), UNCONFIRMED)
+    verdict = format_plan(found).splitlines()[0]
+    assert found.idleness == words
+    assert verdict.split("     ")[1].strip(" ,").startswith(words or "holds")
+    page = Page("")
+    add_verdict(page, found, found.find_world())
+    if words:
+        assert "of which its control" in format_plan(found) and words in page.to_html().lower()
+    assert ("doing nothing" in repr(found)) == bool(words)
+
+
+def test_what_speaks_against_moving_is_said_where_a_plan_does_nothing() -> None:
+    found = plan(table1(1, control_weight=1e5, **COARSE), UNCONFIRMED)
+    idle = dataclasses.replace(
+        found, candidates=tuple(sorted(found.candidates, key=lambda each: not each.is_idle))
+    )
+    text = format_plan(idle)
+    assert idle.idleness == "does nothing" and text.startswith("verdict     does nothing,")
+    moving = min(each.cost for each in found.candidates if not each.is_idle)
+    assert f"that move costs {moving:.3e}" in text
 
 
 def test_a_literal_plan_that_keeps_its_promise_is_no_success_where_doing_nothing_costs_less() -> (

@@ -217,6 +217,7 @@ def _plan_many(options: argparse.Namespace) -> int:
                     cost = cost_text(plan.cost, 3, plan.best.scales.cost)
                     touches = plan.best.describe_contacts()
                     text = f"holds  cost {cost:>9}  {answer.seconds:7.2f} s  {touches}"
+                    text += plan.idleness and f"; {plan.idleness}"
                 print(f"{answer.name:{width}}  {text}", flush=True)
                 status = status if answer.holds else NOTHING_HOLDS
     except KeyboardInterrupt:

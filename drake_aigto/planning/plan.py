@@ -23,6 +23,10 @@ from drake_aigto.world import Fingerprint, Scenario, World
 FORMAT = "drake_aigto plan"
 FORMAT_VERSION = 4
 
+# A plan that saves at most this part of what the uncontrolled motion costs is idle, unless that
+# costs at most the second, of the task's scale: what its replay adds by rounding.
+_HARDLY, _NOTHING = 1e-2, 1e-6
+
 
 @dataclass(frozen=True)
 class PlanStats:
@@ -102,6 +106,7 @@ class Plan:
             f"deepest penetration {best.max_penetration + 0.0:.2g} m",
             *([] if ratio is None else [f"energy ratio {ratio:.4g}"]),
             *(["interrupted"] if self.is_interrupted else []),
+            *([self.idleness] if self.idleness else []),
         ]
         return f"Plan({', '.join(facts)})"
 
@@ -164,6 +169,21 @@ class Plan:
         is_known = replay.added_costs.keys() == idle.added_costs.keys()
         free = dataclasses.replace(replay, violations={})
         return is_known and not confirms(idle.cost, free, idle.scales)
+
+    @property
+    def idleness(self) -> str:
+        """Words for a plan that is hardly better than the uncontrolled motion; else none.
+
+        In simulation, it then saves no more than 1 % of what that costs. A task whose uncontrolled
+        motion costs nothing asks for nothing else.
+        """
+        if self.idle is None or abs(self.idle.replay.cost) <= _NOTHING * self.best.scales.cost:
+            return ""
+        if self.best.is_idle:
+            return "does nothing"
+        saved = self.idle.replay.cost - self.replay.event_driven.cost
+        is_little = saved <= _HARDLY * abs(self.idle.replay.cost)
+        return "hardly better than doing nothing" if is_little and self.holds else ""
 
     @property
     def vetoes(self) -> tuple[Veto, ...]:

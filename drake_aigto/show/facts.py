@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from string import ascii_lowercase
 
+import numpy as np
+
 from drake_aigto.arrays import interpolate
 from drake_aigto.contact import contact_delay, contact_delays
 from drake_aigto.planning import Candidate, Plan, Veto
@@ -27,7 +29,7 @@ from drake_aigto.show.text import (
 )
 from drake_aigto.simulation import PlannedContact, Replay
 from drake_aigto.transcription import UNITS
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, TaskCost, World
 
 Fact = tuple[str, str]
 
@@ -71,6 +73,8 @@ def verdict_facts(plan: Plan, world: World) -> Iterator[Fact]:
         yield "vetoed", _describe_veto(veto, plan.scenario, world)
     if len(vetoes) > _MOST_VETOES:
         yield "vetoed", f"{len(vetoes) - _MOST_VETOES} more candidates that promise less"
+    if plan.idleness:
+        yield "moving", join_items(_why_idle(plan, world))
     if plan.best.is_idle:
         yield "no control", "this is the plan: nothing that was found and holds costs less"
     elif plan.idle is not None:
@@ -145,8 +149,30 @@ def answer_facts(plan: Plan, world: World) -> Iterator[Fact]:
         yield "simulated", join_items(_simulation(plan, replay, world, delay))
 
 
+def _why_idle(plan: Plan, world: World) -> Iterator[str]:
+    """Yields what the best motion that differs from the uncontrolled one costs, and why."""
+    moving = [each for each in plan.candidates if not each.is_idle and each.is_feasible]
+    if not moving:
+        yield f"nothing else that was found is feasible ({len(plan.candidates)} candidates)"
+        return
+    best = min(moving, key=lambda candidate: candidate.cost)
+    scale, path = best.scales.cost, best.trajectory
+    effort = TaskCost.of(world, plan.scenario).effort(path.times, path.controls)
+    yield f"the best of {len(moving)} candidates that move costs {cost_text(best.cost, 3, scale)}"
+    yield f"of which its control {cost_text(effort, 3, scale)} by control_weight"
+    lower, upper = world.bounds(plan.scenario).control
+    at_bound = np.any((path.controls <= lower) | (path.controls >= upper), axis=1)
+    share = float(np.diff(path.times) @ at_bound / (path.times[-1] - path.times[0]))
+    if share:
+        yield f"which is at its bound for {100 * share:.0f} % of the time"
+    if vetoed := len(plan.vetoes):
+        yield f"{vetoed} that promise less are contradicted by a simulation"
+
+
 def verdict_items(plan: Plan, names: Sequence[str]) -> Iterator[str]:
     """Yields whether simulations confirm a plan, and what is wrong with it."""
+    if plan.idleness:
+        yield plan.idleness
     against = [replay for replay in plan.replay if not plan.best.is_confirmed_by(replay)]
     where = " and ".join(name_simulator(replay, names) for replay in against or plan.replay)
     if against:

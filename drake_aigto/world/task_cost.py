@@ -108,6 +108,10 @@ class TaskCost(ArrayRecord):
         e_q, e_v = self.position_error(q, about_q), np.asarray(v) - about_v
         return np.asarray(u) ** 2 @ self.R + e_q**2 @ self.Q + e_v**2 @ self.Qv
 
+    def effort(self, times: Floats, controls: Floats) -> float:
+        """Returns ∫ uᵀ R u dt of controls (N, nu) that are held between times (N+1,)."""
+        return float(np.diff(times) @ (controls**2 @ self.R))
+
     def final(self, q: ArrayLike, v: ArrayLike) -> Floats:
         """Returns what the end costs, of states (…, n)."""
         e_q, e_v = self.position_error(q, self.goal), np.asarray(v) - self.goal_velocity
