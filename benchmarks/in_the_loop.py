@@ -53,6 +53,7 @@ from drake_aigto.control import (
     Disturbance,
     Horizon,
     PlannedMotion,
+    make_horizon,
     run_in_loop,
 )
 from drake_aigto.planning import needs_shooting
@@ -273,7 +274,7 @@ def prepare(name: str, num_steps: int | None = None) -> Task:
     world = World.from_scenario(scenario)
     options = MECHANISMS if needs_shooting(world, scenario) else BALLS
     planner = Planner(scenario, options, world)
-    horizon = Horizon(planner, is_receding=False, iterations=5, period=PERIOD)
+    horizon = make_horizon(planner, is_receding=False, iterations=5, period=PERIOD)
     x = np.concatenate([scenario.initial_position, scenario.initial_velocity])
     motion = horizon.search(0.0, x)
     assert motion is not None

@@ -93,7 +93,7 @@ def test_a_plan_between_walls_is_reproduced() -> None:
     touches = [Touch.bounce(t, c) for t, c in [(0.17, 1), (0.63, 0), (1.31, 1)]]
     plan = optimise(world, scenario, *touches).trajectory
     controller = Feedback(world, scenario, plan)
-    assert [end.stretch.contact for end in controller.ends] == [1, 0, 1]
+    assert [stretch.contact for stretch in controller.stretches[:-1]] == [1, 0, 1]
     tracked = replay_with(EVENT_DRIVEN, world, scenario, controller)
     assert tracked.bounce_contacts == (1, 0, 1)
     open_loop = replay_event_driven(world, scenario, plan.times, plan.controls)
@@ -192,7 +192,7 @@ def test_phases_follow_the_plan_and_go_on_beyond(row: int, e: float) -> None:
         for i in knots:
             x = phase.calc_state(plan.times[i])
             assert x == pytest.approx([plan.positions[i, 0], plan.velocities[i, 0]], abs=1e-9)
-    joint = controller.ends[0].time
+    joint = controller.stretches[0].end
     for phase, u, t in ((first, plan.controls[k - 1], 0.3), (last, plan.controls[k], -0.3)):
         q, v = phase.calc_state(joint)
         expected = [q + v * t + u[0] * t**2 / 2, v + u[0] * t]
@@ -206,11 +206,11 @@ def test_phases_follow_the_plan_and_go_on_beyond(row: int, e: float) -> None:
 def test_the_next_phase_begins_when_the_ball_bounces(shift: float) -> None:
     scenario, _ = make_bounce(1, 1.0)
     controller = make_controller(1, 1.0)
-    (planned,) = controller.ends
+    planned, _ = controller.stretches
     tracked = EVENT_DRIVEN.simulate(shipped_world(), moved(scenario, shift), controller)
     replay = replay_with(EVENT_DRIVEN, shipped_world(), moved(scenario, shift), controller)
     (time,) = replay.bounce_times
-    assert (time - planned.time) * shift > 1e-4  # From farther away it comes later.
+    assert (time - planned.end) * shift > 1e-4  # From farther away it comes later.
     (k,) = np.flatnonzero(np.abs(np.array(tracked.control_times) - time) < 1e-6)
     # Just before it, and from then on, the deviation is from the phase that the ball is in.
     for i, phase, at in (

@@ -10,7 +10,7 @@ import pytest
 
 from drake_aigto import ModelPredictiveController, Planner, PlanOptions, Scenario, World
 from drake_aigto.arrays import Floats
-from drake_aigto.control import Disturbance, Horizon, PlannedMotion, run_in_loop
+from drake_aigto.control import Disturbance, Horizon, PlannedMotion, make_horizon, run_in_loop
 from drake_aigto.planning import MECHANISM_LADDER, RigidMechanismTask
 from drake_aigto.simulation import EVENT_DRIVEN, HeldControl, replay_event_driven
 from drake_aigto.transcription import Touch
@@ -31,7 +31,7 @@ def find_plan() -> PlannedMotion:
 
 @cache
 def find_horizon(is_receding: bool = False) -> Horizon:
-    return Horizon(Planner(BLOCK, PlanOptions(), find_world()), is_receding, 15, STEP)
+    return make_horizon(Planner(BLOCK, PlanOptions(), find_world()), is_receding, 15, STEP)
 
 
 def push(now: float, x: Floats, control: Floats, friction: float) -> Floats:

@@ -22,7 +22,7 @@ from drake_aigto import (
     TrackingController,
     World,
 )
-from drake_aigto.control import ClosedLoopRun, Disturbance, Horizon, TickStatus, run_in_loop
+from drake_aigto.control import ClosedLoopRun, Disturbance, TickStatus, make_horizon, run_in_loop
 from drake_aigto.errors import ControlError
 from drake_aigto.planning import MECHANISM_LADDER
 from drake_aigto.simulation import make_simulator
@@ -341,7 +341,7 @@ SPINNER = Scenario.named("spinner/two_radians")
 def test_ticks_along_a_push_with_friction_are_no_dearer_than_the_one_before() -> None:
     ladder = MECHANISM_LADDER[4:5]
     planner = Planner(SPINNER, PlanOptions(renewals=0, ladder=ladder, threads=1))
-    horizon = Horizon(planner, is_receding=False, iterations=5, period=SPINNER.time_step)
+    horizon = make_horizon(planner, is_receding=False, iterations=5, period=SPINNER.time_step)
     start = np.concatenate([SPINNER.initial_position, SPINNER.initial_velocity])
     motion = horizon.search(0.0, start)
     assert motion is not None

@@ -17,10 +17,6 @@ from .impacts import calc_saltation as calc_saltation
 from .impacts import calc_velocity_after as calc_velocity_after
 from .impacts import find_other_mode as find_other_mode
 from .impacts import read_mode as read_mode
-from .impacts import reflect as reflect
-from .kernels import calc_share as calc_share
-from .kernels import find_gap as find_gap
-from .kernels import find_share as find_share
 from .laws import LEAST_RESTITUTION as LEAST_RESTITUTION
 from .laws import CompliantLaw as CompliantLaw
 from .laws import ContactLaw as ContactLaw
@@ -28,8 +24,11 @@ from .laws import RigidLaw as RigidLaw
 from .laws import calc_dissipation as calc_dissipation
 from .laws import calc_drag as calc_drag
 from .laws import calc_pushes as calc_pushes
+from .laws import calc_share as calc_share
 from .laws import calc_slips as calc_slips
 from .laws import contact_law as contact_law
+from .laws import find_gap as find_gap
+from .laws import find_share as find_share
 from .motion import Clearance as Clearance
 from .motion import ContactMotion as ContactMotion
 from .motion import Walls as Walls

@@ -261,17 +261,6 @@ def _measure(world: World, contact: int, q: Floats, v: Floats) -> tuple[Mobility
     return Mobility.of(J, T, world.calc_mass_matrix(q)), float(J @ v), float(T @ v)
 
 
-def reflect(lift: Floats, jacobian: Floats, restitution: float) -> Floats:
-    """Returns Newton's impact map of one contact, I − (1 + e) l J, shape (nv, nv).
-
-    Args:
-        lift: l = M⁻¹ Jᵀ / (J M⁻¹ Jᵀ), shape (nv,).
-        jacobian: J, shape (nv,).
-        restitution: e.
-    """
-    return np.eye(len(lift)) - (1 + restitution) * np.outer(lift, jacobian)
-
-
 def calc_saltation(
     jump: Floats, before: Floats, after: Floats, normal: Floats, slowest: float = 0.0
 ) -> Floats:

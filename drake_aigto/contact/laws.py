@@ -1,4 +1,4 @@
-"""Contact laws: rigid ones with restitution, or springs; and friction of both."""
+"""Contact laws: rigid ones with restitution, or springs; friction of both; numbers and kernels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
-from drake_aigto.dynamics import calc_friction_share
+from drake_aigto.dynamics import calc_friction_share, smooth_sign
+from drake_aigto.kernels import inner
 from drake_aigto.world import Scenario, World
 
 # Centers of spheres closer than a micron, by rounding, count as that far apart [m²].
@@ -190,3 +191,31 @@ def calc_dissipation(restitution: float, speed: float) -> float:
 
     z = scipy.optimize.brentq(excess, _NEARLY_ELASTIC / 10, 2 / e + 2, xtol=1e-15)
     return -math.expm1(-z) / e / speed
+
+
+_bend = inner(smooth_sign)
+
+
+@inner
+def find_share(y: float) -> float:
+    """Returns σ of a speed y in parts of the stiction speed (`calc_friction_share`)."""
+    return _bend(min(max(y, -1.0), 1.0))
+
+
+@inner
+def calc_share(y: float) -> tuple[float, float]:
+    """Returns σ and dσ/dy of a speed y in parts of the stiction speed."""
+    size = abs(y)
+    if not size < 1.0:
+        return np.sign(y), 0.0
+    share = y * y * y * (10.0 - 15.0 * size + 6.0 * y * y)
+    return share, 30.0 * y * y * (1.0 - size) ** 2
+
+
+@inner
+def find_gap(reach: float, distance: float) -> tuple[float, float]:
+    """Returns the distance of surfaces [m] and ∂l/∂φ at a distance φ (`CompliantLaw.find_gaps`)."""
+    if reach == 0.0:
+        return distance, 1.0
+    apart = np.sqrt(max(reach**2 + 2.0 * reach * distance, NO_ROOM))
+    return apart - reach, reach / apart

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from abc import ABC, abstractmethod
 
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.closers import BallCloser, Closer, CompliantCloser, RigidCloser
-from drake_aigto.control.touches import PlannedMotion, SeenBounces
-from drake_aigto.errors import ControlError
-from drake_aigto.planning import Planner
+from drake_aigto.control.touches import PlannedMotion, SeenBounces, choose, find_left
+from drake_aigto.errors import ControlError, OptionsError, TrajectoryError, UnsupportedTermError
+from drake_aigto.planning import (
+    BallSearch,
+    BallTask,
+    Path,
+    Planner,
+    PlanningError,
+    make_ball_task,
+)
 from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import Scales, Scenario
 
 _ASKED = "the planner of a controller that plans again"
@@ -27,27 +35,35 @@ _OFF, _DOUBT, _RECENT = 0.2, 0.1, 4.0
 _DIGITS = 3
 
 
-class Horizon:
+# Iterations of the local solver for balls after plain Newton steps: none, but where these lead to
+# nothing. And the same of searches, whose unlikely touches would take most of their time.
+_ITERATIONS, _SEARCHED = (0, 20), 10
+# How many places of walls are kept compiled at most.
+_MOST_KEPT = 8
+
+
+class Horizon(ABC):
     """A planner's task, as it is asked again from where things are.
 
     A motion is a plan from a state on. `advance` leads the last one to the best one near it, from
-    another state; `search` finds one without. How depends on what the world is made of, which its
-    closer knows (`Closer`).
+    another state; `search` finds one without. How depends on what the world is made of, which heirs
+    know (`make_horizon`).
 
     Attributes:
         world: where the task is.
         scenario: the task; its start does not count.
         is_receding: whether the horizon always lasts as long as the scenario, or ends with it.
+        num_steps: time steps of a motion.
+        cost_scale: what the task costs where all is off by its scale.
+        is_rigid: whether walls return a part of the speed that they are hit with.
     """
 
-    def __init__(self, planner: Planner, is_receding: bool, iterations: int, period: float) -> None:
-        """Compiles the planner's task once more: what searches in a thread shares nothing.
+    is_rigid = True
+    num_steps: int
+    cost_scale: float
 
-        Args:
-            planner: of the task.
-            is_receding: whether the horizon always lasts as long as the scenario, or ends with it.
-            iterations: of a descent in a tick, at most.
-            period: between ticks [s].
+    def __init__(self, planner: Planner, is_receding: bool, period: float) -> None:
+        """Takes a planner's task, for ticks a period [s] apart.
 
         Raises:
             ControlError: a free duration, or costs or constraints that were added: those at knots
@@ -55,26 +71,38 @@ class Horizon:
         """
         _check(planner)
         self.world, self.scenario, self.is_receding = planner.world, planner.scenario, is_receding
-        self._closer: Closer
-        if planner.is_of_balls:
-            self._closer = BallCloser(planner, period)
-        elif self.scenario.contact == "rigid" and self.world.contacts:
-            self._closer = RigidCloser(planner, iterations, period)
-        else:
-            self._closer = CompliantCloser(planner, iterations)
-        self._learns, self._period = planner.is_of_balls, period
-        self._scales = Scales.of(self.world, self.scenario)
-        self._step = self.scenario.duration / self._closer.num_steps
+        self._period, self._scales = period, Scales.of(self.world, self.scenario)
 
-    @property
-    def cost_scale(self) -> float:
-        """Cost of the task where all is off by its scale."""
-        return self._closer.cost_scale
+    @abstractmethod
+    def is_inside(self, x: Floats) -> bool:
+        """Returns whether a state is inside of a wall that nothing can be planned from."""
+
+    @abstractmethod
+    def search(self, now: float, x: Floats) -> PlannedMotion | None:
+        """Returns the best motion that the planner finds from a state on; None if it finds none.
+
+        It takes what the planner's options allow: counts, not seconds.
+        """
+
+    @abstractmethod
+    def _lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
+        """Returns the best motion near what is left of the last one; None if there is none.
+
+        Args:
+            last: the motion, with its touches and its cost.
+            left: what is left of it, from a state on.
+            asked: the task from there on.
+        """
 
     @property
     def restitution(self) -> float | None:
         """Restitution that walls are planned with; None where that is no number."""
-        return self.scenario.restitution if self._closer.is_rigid else None
+        return self.scenario.restitution if self.is_rigid else None
+
+    @property
+    def _step(self) -> float:
+        """Time step of a motion [s]."""
+        return self.scenario.duration / self.num_steps
 
     def end(self, now: float) -> float:
         """Returns when a horizon ends that begins now [s]."""
@@ -84,13 +112,9 @@ class Horizon:
         """Returns whether hardly anything is left of a horizon that begins now [s]."""
         return self.end(now) - now <= _OVER * self._step
 
-    def is_inside(self, x: Floats) -> bool:
-        """Returns whether a state is inside of a wall that nothing can be planned from."""
-        return self._closer.is_inside(x)
-
     def rest(self, now: float, x: Floats) -> PlannedMotion:
         """Returns no control, as far as bounds allow, where nothing better is known."""
-        count, m = self._closer.num_steps, self.world.num_contacts
+        count, m = self.num_steps, self.world.num_contacts
         times = np.linspace(now, max(self.end(now), now + self._step), count + 1)
         q, v = (np.tile(part, (count + 1, 1)) for part in np.split(x, 2))
         none = np.zeros((count, self.world.num_actuators))
@@ -103,14 +127,7 @@ class Horizon:
         if now >= motion.trajectory.times[-1]:  # Where it leads from there on, no plan says.
             motion = self.rest(now, x)
         left = self._shift(motion.trajectory, now, x)
-        return self._closer.lead(motion, left, self._ask(now, x))
-
-    def search(self, now: float, x: Floats) -> PlannedMotion | None:
-        """Returns the best motion that the planner finds; None if it finds none.
-
-        It takes what the planner's options allow: counts, not seconds.
-        """
-        return self._closer.search(self._ask(now, x), now, x)
+        return self._lead(motion, left, self._ask(now, x))
 
     def _ask(self, now: float, x: Floats) -> Scenario:
         """Returns the task from a state on."""
@@ -157,8 +174,36 @@ class Horizon:
 
         Only J that does not change tells where a wall is: mechanisms learn nothing.
         """
-        if not self._learns:
-            return seen
+        return seen
+
+    def knowing(self, seen: SeenBounces) -> Horizon:
+        """Returns the same task between walls that return what was seen, and stand there."""
+        return self
+
+
+class BallHorizon(Horizon):
+    """Balls between rigid walls: what has to be known of a plan is its touches.
+
+    Each tick polishes the multi-phase problem of those that are still to come, from the last
+    plan's times. Which these are, a state does not tell for sure: a bounce may come sooner or later
+    than it was planned. So near a touch, or where one was just seen, the motion with it and that
+    without it are polished, the likelier first, and the other where that costs more than the last
+    plan did: to repeat a bounce that has been costs more, and so does to leave one out.
+    """
+
+    def __init__(self, planner: Planner, is_receding: bool, period: float) -> None:
+        """Compiles the planner's task, for ticks a period [s] apart."""
+        super().__init__(planner, is_receding, period)
+        self._task = make_ball_task(self.world, self.scenario, planner.options).in_brief(_SEARCHED)
+        self.num_steps = self.scenario.num_steps
+        self.cost_scale = self._task.transcription.cost_scale()
+        self._bounced: int | None = None
+        self._kept: dict[tuple[float, ...], BallTask] = {}
+
+    def watch(
+        self, seen: SeenBounces, samples: tuple[Floats, Floats], elapsed: float, control: Floats
+    ) -> SeenBounces:
+        """Returns what is seen of bounces by now; the arguments are those of `SeenBounces`."""
         off = _OFF * self._scales.length
         if elapsed <= _RECENT * self._period:
             seen = seen.watch(self.world, samples, elapsed, control, off)
@@ -166,19 +211,74 @@ class Horizon:
             seen = dataclasses.replace(seen, latest=None)
         return seen.pass_walls(self.world, np.split(samples[1], 2)[0], off)
 
-    def knowing(self, seen: SeenBounces) -> Horizon:
+    def knowing(self, seen: SeenBounces) -> BallHorizon:
         """Returns the same task between walls that return what was seen, and stand there."""
         if seen == SeenBounces():
             return self
         learned, length = copy.copy(self), self._scales.length
+        learned._bounced = seen.latest
         if seen.squares:
             doubt = (_DOUBT * self._scales.velocity) ** 2
             e = round(seen.find_restitution(self.scenario.restitution, doubt), _DIGITS)
             learned.scenario = dataclasses.replace(self.scenario, restitution=e)
-        places = tuple(length * round(each / length, _DIGITS) for each in seen.nearer)
-        assert isinstance(self._closer, BallCloser)
-        learned._closer = self._closer.knowing(seen.latest, places)
+        nearer = tuple(length * round(each / length, _DIGITS) for each in seen.nearer)
+        if any(nearer):
+            if nearer not in self._kept:
+                if len(self._kept) >= _MOST_KEPT:
+                    del self._kept[next(iter(self._kept))]
+                # Its diagram, where walls are as they were, is not simulated.
+                moved = self._task.world.with_walls_nearer(np.array(nearer))
+                self._kept[nearer] = self._task.in_world(moved)
+            learned._task = self._kept[nearer]
         return learned
+
+    def is_inside(self, x: Floats) -> bool:
+        """Returns whether a wall is touched: how fast a ball is there, no rigid wall tells."""
+        return bool(np.any(self._task.world.calc_clearance(np.split(x, 2)[0]) <= 0))
+
+    def _lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
+        """Returns the best polished motion of the touches that may be left; None if none is."""
+        task, now = self._task.again(asked), float(left.times[0])
+        rates = task.world.calc_contact_rate(left.positions[0], left.velocities[0])
+        may_be_left = find_left(
+            last.touches, now, asked.duration, self._period, rates, self._bounced
+        )
+        sequences = [each for each in may_be_left if task.fits(each)]
+        path = left.times - now, left.positions
+        for most in _ITERATIONS:
+            tried = (_polish(task, path, touches, most) for touches in sequences)
+            if found := choose(tried, last.cost):
+                return found.later(now)
+        return None
+
+    def search(self, now: float, x: Floats) -> PlannedMotion | None:
+        """Returns the best motion that boxes, neighbors and polishes lead to; None if none."""
+        search = BallSearch(self._task.again(self._ask(now, x)))
+        try:
+            search.run()
+            best = search.find_best()
+        except PlanningError:
+            return None
+        if search.is_interrupted:
+            raise KeyboardInterrupt
+        if not best.is_confirmed:
+            return None
+        touches = tuple(Touch(each.time, each.last_time, each.index) for each in best.contacts)
+        return PlannedMotion(best.trajectory, best.cost, touches).later(now)
+
+
+def _polish(
+    task: BallTask, path: Path, touches: TouchSequence, max_iterations: int
+) -> PlannedMotion | None:
+    """Returns the local optimum with these touches; None if no motion has them, or none is met."""
+    try:
+        solved = task.follow(path, touches, max_iterations)
+    except (OptionsError, TrajectoryError, UnsupportedTermError):
+        return None
+    if solved is None:
+        return None
+    phases, x = solved
+    return PlannedMotion(phases.trajectory(x), task.cost(phases, x), phases.contact_sequence(x))
 
 
 def _check(planner: Planner) -> None:

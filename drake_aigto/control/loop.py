@@ -15,8 +15,7 @@ from pydrake.systems.primitives import Adder, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.disturbance import Disturbance
-from drake_aigto.control.loop_run import ClosedLoopRun, PlannedPath, PlanSwitch
+from drake_aigto.control.loop_run import ClosedLoopRun, Disturbance, PlannedPath, PlanSwitch
 from drake_aigto.control.predictive import ModelPredictiveController, TickStatus
 from drake_aigto.control.tracking import TrackingController
 from drake_aigto.errors import ControlError, ModelError
@@ -26,7 +25,7 @@ from drake_aigto.simulation import (
     Held,
     Recording,
     StepEnd,
-    read_steps,
+    StepTrace,
     start_plant,
     summarize,
 )
@@ -153,35 +152,19 @@ class LoopRecorder:
 
     def _record(self) -> Recording:
         """Returns what was seen, as simulations of a held control have it."""
-        rows, holds = self._rows, self._list_holds()
-        if self._contacts is None:
-            recording = Recording()
-            for number, row in enumerate(rows):
-                recording.add(row.time, *np.split(row.x, 2))
-                if number in holds:
-                    recording.hold(row.time, holds[number])
-            read_steps(self._world, rows, recording)
-            return recording
-        trace = ContactTrace(self._world)
-        trace.hold(rows[0].time, Held(holds[0], np.inf))
-        for number, row in enumerate(rows):
-            # A step's end belongs to the control that led there.
-            trace.add(row.time, row.x)
-            if number in holds and number > 0:
-                trace.hold(row.time, Held(holds[number], np.inf))
-        recording = trace.read(rows[-1].time)
-        recording.matched_speeds = self._contacts.speeds
-        return recording
-
-    def _list_holds(self) -> dict[int, Floats]:
-        """Returns from which rows on another control was held, and those where v jumped."""
-        holds: dict[int, Floats] = {}
-        held = np.empty(0)
+        is_stiff, held = self._contacts is not None, np.empty(0)
+        trace = ContactTrace(self._world) if is_stiff else StepTrace(self._world, keeps_all=True)
         for number, (row, after) in enumerate(itertools.pairwise(self._rows)):
-            is_step = after.time > row.time
-            if number in self._kicked or (is_step and not np.array_equal(after.control, held)):
-                holds[number] = held = after.control
-        return holds
+            # A step's end belongs to the control that led there.
+            is_other = after.time > row.time and not np.array_equal(after.control, held)
+            if is_other or number in self._kicked:
+                held = after.control
+                trace.hold(row.time, Held(held, np.inf))
+            for each in (row, after) if number == 0 else (after,):
+                trace.add(each.time, each.x)
+        recording = trace.read(self._rows[-1].time)
+        recording.matched_speeds = self._contacts.speeds if self._contacts else []
+        return recording
 
 
 def _read_path(trajectory: Trajectory) -> PlannedPath:

@@ -14,6 +14,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
 from drake_aigto.control.horizon import Horizon
+from drake_aigto.control.mechanism_horizon import make_horizon
 from drake_aigto.control.touches import PlannedMotion, SeenBounces
 from drake_aigto.control.tracking import check_period, read_start
 from drake_aigto.errors import ControlError
@@ -199,11 +200,11 @@ class ModelPredictiveController(LeafSystem):
         self.period = check_period(period)
         self._world, self._every = planner.world, search_every
         self._margin, self._surprise, self._learns = margin, surprise, learns
-        self._horizon = Horizon(planner, horizon == "receding", iterations, self.period)
+        self._horizon = make_horizon(planner, horizon == "receding", iterations, self.period)
         self._search_ticks = search_ticks
         if search_ticks is not None:
             # In its thread it shares nothing that changes.
-            self._searching = Horizon(planner, horizon == "receding", iterations, self.period)
+            self._searching = make_horizon(planner, horizon == "receding", iterations, self.period)
             self._thread = ThreadPoolExecutor(1, "search")
         n, nu = self._world.num_positions, self._world.num_actuators
         nowhere = _Question(0.0, np.zeros(2 * n), SeenBounces(), self._horizon)

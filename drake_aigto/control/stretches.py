@@ -41,15 +41,23 @@ class Stretch:
         first: the knot at which it starts.
         last: the knot at which it ends.
         closed: the contacts that are, and how each of them goes on.
+        begin: when, in the plan [s].
+        end: when, in the plan [s].
         cut: what ends it.
         contact: which hits its wall, or stops to slip, then; −1: none.
+        speed: of a stop, the largest slip before; of an impact, the approach [m/s].
+        is_shown_by_state: whether a stop ends it, or an impact at a wall that is then held.
     """
 
     first: int
     last: int
     closed: Closed
-    cut: Cut
-    contact: int
+    begin: float
+    end: float
+    cut: Cut = Cut.CLOCK
+    contact: int = -1
+    speed: float = 0.0
+    is_shown_by_state: bool = False
 
     def find_mode(self, contact: int) -> Mode:
         """Returns how a contact goes on."""
@@ -102,18 +110,31 @@ def read_stretches(world: World, friction: Floats, trajectory: Trajectory) -> li
     for first, last in itertools.pairwise(ends):
         held = np.flatnonzero(modes[first] != Mode.OPEN)
         kinds = tuple(Mode(mode) for mode in modes[first, held])
-        cut, contact = Cut.CLOCK, -1
-        if last < len(modes) and is_hit[last]:
-            cut, contact = Cut.HIT, int(np.argmax(trajectory.impulses[last]))
-        elif last < len(modes):
-            before, after = modes[first], modes[last]
-            slid = (np.abs(before) == 1) & (after != before) & (after != Mode.OPEN)
-            stopped = np.flatnonzero(slid & (friction > 0))
-            if len(stopped):
-                cut, contact = Cut.STOP, int(stopped[0])
         closed = Closed(world, held, kinds, friction[held])
-        found.append(Stretch(first, last, closed, cut, contact))
+        begin, end = trajectory.times[[first, last]].tolist()
+        cut = _find_cut(world, friction, trajectory, modes, first, last)
+        found.append(Stretch(first, last, closed, begin, end, *cut))
     return found
+
+
+def _find_cut(
+    world: World, friction: Floats, plan: Trajectory, modes: Ints, first: int, last: int
+) -> tuple[Cut, int, float, bool]:
+    """Returns what ends a stretch: the last four attributes of `Stretch`."""
+    if last == len(modes):
+        return Cut.CLOCK, -1, 0.0, False
+    q, v = plan.positions[first : last + 1], plan.velocities[first : last + 1]
+    if plan.impulses[last].any():
+        contact = int(np.argmax(plan.impulses[last]))
+        speed = abs(float(world.calc_contact_rate(q[-1], v[-1])[contact]))
+        return Cut.HIT, contact, speed, bool(modes[last, contact] != Mode.OPEN)
+    before, after = modes[first], modes[last]
+    slid = (np.abs(before) == 1) & (after != before) & (after != Mode.OPEN)
+    stopped = np.flatnonzero(slid & (friction > 0))
+    if not len(stopped):
+        return Cut.CLOCK, -1, 0.0, False
+    slips = world.rubbing.calc_slips(q, v)[:, stopped[0]]
+    return Cut.STOP, int(stopped[0]), float(np.max(np.abs(slips))), True
 
 
 def _read_modes(world: World, friction: Floats, trajectory: Trajectory) -> Ints:

@@ -1,11 +1,7 @@
-from .contacts import PlannedContact as PlannedContact
-from .contacts import find_contacts as find_contacts
-from .contacts import max_penetration as max_penetration
 from .drake_judge import ContactTrace as ContactTrace
 from .drake_judge import StepEnd as StepEnd
-from .drake_judge import read_steps as read_steps
+from .drake_judge import StepTrace as StepTrace
 from .event_driven import Parabolas as Parabolas
-from .lateness import calc_compliance_error as calc_compliance_error
 from .recording import Controller as Controller
 from .recording import Held as Held
 from .recording import HeldControl as HeldControl
@@ -16,9 +12,12 @@ from .recording import find_impacts as find_impacts
 from .replay import DRAKE as DRAKE
 from .replay import EVENT_DRIVEN as EVENT_DRIVEN
 from .replay import Judge as Judge
+from .replay import PlannedContact as PlannedContact
 from .replay import Replay as Replay
 from .replay import confirms as confirms
+from .replay import find_contacts as find_contacts
 from .replay import has_knots as has_knots
+from .replay import max_penetration as max_penetration
 from .replay import replay_drake as replay_drake
 from .replay import replay_event_driven as replay_event_driven
 from .replay import replay_with as replay_with
@@ -31,6 +30,7 @@ from .simulator import start_plant as start_plant
 from .springs import compile_springs as compile_springs
 from .verdict import BOUNDS as BOUNDS
 from .verdict import HARD_GOAL as HARD_GOAL
+from .verdict import calc_compliance_error as calc_compliance_error
 from .verdict import calc_excess as calc_excess
 from .verdict import narrow_bounds as narrow_bounds
 from .verdict import state_scales as state_scales

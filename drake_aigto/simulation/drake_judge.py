@@ -18,7 +18,6 @@ from drake_aigto.contact import (
     calc_time_to_wall,
     read_clearances,
 )
-from drake_aigto.simulation.lateness import calc_compliance_error, calc_lateness
 from drake_aigto.simulation.recording import Controller, Held, Impact, Recording, Rest
 from drake_aigto.simulation.simulator import (
     SETTLED,
@@ -26,7 +25,7 @@ from drake_aigto.simulation.simulator import (
     start_plant,
 )
 from drake_aigto.simulation.springs import find_depth, read_touch
-from drake_aigto.simulation.verdict import sample_steps
+from drake_aigto.simulation.verdict import calc_compliance_error, calc_lateness, sample_steps
 from drake_aigto.world import Scenario, World
 
 
@@ -123,9 +122,12 @@ class StepTrace:
         bounces: the contact of each touch of a stiff wall that has ended so far.
     """
 
-    def __init__(self, world: World) -> None:
-        """Begins with nothing; the first control has to be held before the first step."""
-        self._world = world
+    def __init__(self, world: World, keeps_all: bool = False) -> None:
+        """Begins with nothing; the first control has to be held before the first step.
+
+        Recordings have the ends of all steps, or of those at which the control changes.
+        """
+        self._world, self._keeps_all = world, keeps_all
         self._samples: list[StepEnd] = []
         self._held: Held | None = None
         self._recording = Recording()
@@ -134,7 +136,8 @@ class StepTrace:
     def add(self, time: float, x: Floats) -> None:
         """Appends a step's end."""
         assert self._held is not None, "a control is held from the start"
-        if not self._samples or time > self._samples[-1].time:
+        last = self._samples[-1] if self._samples else None
+        if last is None or time > last.time or not np.array_equal(x, last.x):
             self._samples.append(StepEnd(time, x, self._held.control))
 
     def hold(self, time: float, held: Held) -> None:
@@ -147,13 +150,41 @@ class StepTrace:
         return self._held is None or time >= self._held.until
 
     def read(self, end: float) -> Recording:
-        """Returns the states whenever the control changed and at the end, and the impacts."""
-        at_samples = {*self._recording.control_times, end}
-        for row in self._samples:
-            if row.time in at_samples:
-                self._recording.add(row.time, *np.split(row.x, 2))
-        read_steps(self._world, self._samples, self._recording)
-        return self._recording
+        """Returns the states whenever the control changed, at the end, and about contacts."""
+        recording = self._recording
+        columns = (np.array([sample[k] for sample in self._samples]) for k in range(3))
+        recording.samples.append(sample_steps(*columns))
+        kept = {*recording.control_times, end}
+        rows = [(row.time, row.x) for row in self._samples if self._keeps_all or row.time in kept]
+        rows += self._read_contacts(recording)
+        # Of several at one time, the first of the world's comes first.
+        recording.impacts.sort(key=lambda impact: (impact.time, impact.contact))
+        recording.rests.sort(key=lambda rest: rest.time)
+        for time, x in sorted(rows, key=lambda row: row[0]):
+            recording.add(time, *np.split(x, 2))
+        return recording
+
+    def _read_contacts(self, recording: Recording) -> list[tuple[float, Floats]]:
+        """Adds contacts and depth, and returns the times and states that are kept of them."""
+        world, rows = self._world, self._samples
+        times, states = np.array([row.time for row in rows]), np.array([row.x for row in rows])
+        q, v = np.split(states, 2, axis=1)
+        distances, rates = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
+        recording.max_penetration = find_depth(times, distances, rates)
+        outside = distances > 0
+        for before, contact in np.argwhere(outside[:-1] & ~outside[1:]).tolist():
+            a, b = rows[before], rows[before + 1]
+            step, (q, v), (_, later) = b.time - a.time, np.split(a.x, 2), np.split(b.x, 2)
+            push = (rates[before + 1, contact] - rates[before, contact]) / step
+            wait = calc_time_to_wall(distances[before, contact], rates[before, contact], push)
+            t, acceleration = min(wait, step), (later - v) / step
+            x = np.concatenate([q + t * (v + t / 2 * acceleration), v + t * acceleration])
+            touch = read_touch(world, a.time + t, x, contact, b.control)
+            after = np.flatnonzero(outside[before + 1 :, contact])
+            end = rows[before + 1 + after[0]] if len(after) else rows[-1]
+            energy = float(world.calc_kinetic_energy(*np.split(end.x, 2)))
+            recording.impacts.append(touch._replace(energy_after=energy))
+        return []
 
 
 class _Row(NamedTuple):
@@ -207,13 +238,9 @@ class ContactTrace(StepTrace):
                 return False
         return time >= self._held.until
 
-    def read(self, end: float) -> Recording:
-        """Returns the states at samples and about contacts, and the impacts."""
-        recording = self._recording
-        columns = (np.array([sample[k] for sample in self._samples]) for k in range(3))
-        recording.samples.append(sample_steps(*columns))
-        at_samples = {*recording.control_times, end}
-        rows = [(sample.time, sample.x) for sample in self._samples if sample.time in at_samples]
+    def _read_contacts(self, recording: Recording) -> list[tuple[float, Floats]]:
+        """Adds contacts and depth, and returns their begins, deepest states, and ends."""
+        rows: list[tuple[float, Floats]] = []
         for solid in range(self._world.num_solids):
             depth = self._calc_depth(solid)
             recording.max_penetration = max(recording.max_penetration, depth)
@@ -231,11 +258,7 @@ class ContactTrace(StepTrace):
                     recording.impacts.append(impact)
                 elif touch.push < 0:
                     recording.rests.append(Rest(touch.time, self._face(solid, first)))
-        recording.impacts.sort(key=lambda impact: impact.time)
-        recording.rests.sort(key=lambda rest: rest.time)
-        for time, x in sorted(rows, key=lambda row: row[0]):
-            recording.add(time, *np.split(x, 2))
-        return recording
+        return rows
 
     def _face(self, solid: int, index: int) -> int:
         """Returns which face of a solid a sample is at."""
@@ -294,28 +317,3 @@ class ContactTrace(StepTrace):
             if depth > deepest and self._is_on_face(solid, index + 1):
                 deepest = depth
         return deepest
-
-
-def read_steps(world: World, rows: list[StepEnd], recording: Recording) -> None:
-    """Adds samples, contacts and depth to a recording, read off the ends of steps."""
-    times, states = np.array([row.time for row in rows]), np.array([row.x for row in rows])
-    controls = np.array([row.control for row in rows])
-    recording.samples.append(sample_steps(times, states, controls))
-    q, v = np.split(states, 2, axis=1)
-    distances, rates = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
-    recording.max_penetration = find_depth(times, distances, rates)
-    outside = distances > 0
-    for before, contact in np.argwhere(outside[:-1] & ~outside[1:]).tolist():
-        a, b = rows[before], rows[before + 1]
-        step, (q, v), (_, later) = b.time - a.time, np.split(a.x, 2), np.split(b.x, 2)
-        push = (rates[before + 1, contact] - rates[before, contact]) / step
-        wait = calc_time_to_wall(distances[before, contact], rates[before, contact], push)
-        t, acceleration = min(wait, step), (later - v) / step
-        x = np.concatenate([q + t * (v + t / 2 * acceleration), v + t * acceleration])
-        touch = read_touch(world, a.time + t, x, contact, b.control)
-        after = np.flatnonzero(outside[before + 1 :, contact])
-        end = rows[before + 1 + after[0]] if len(after) else rows[-1]
-        energy = float(world.calc_kinetic_energy(*np.split(end.x, 2)))
-        recording.impacts.append(touch._replace(energy_after=energy))
-    # Of several at one time, the first of the world's comes first.
-    recording.impacts.sort(key=lambda impact: (impact.time, impact.contact))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.contact import CompliantLaw, RigidLaw, Walls, calc_depth, contact_law
+from drake_aigto.contact import CompliantLaw, Walls, calc_depth, contact_law
 from drake_aigto.dynamics import ConstantDynamics
 from drake_aigto.kernels import kernel
 from drake_aigto.simulation.flights import (
@@ -13,16 +13,16 @@ from drake_aigto.simulation.flights import (
     TIME,
     HybridState,
     Rules,
-    advance,
     calc_curves,
+    copy_phase,
     fly,
     make_log,
     may_touch,
     run,
+    start_phase,
 )
 from drake_aigto.simulation.recording import Controller, HeldControl, Recording, list_impacts
-from drake_aigto.simulation.rigid import RigidMotion, SlidingMotion
-from drake_aigto.simulation.smooth import HybridMotion
+from drake_aigto.simulation.rigid import Flights, RigidMotion, SlidingMotion
 from drake_aigto.simulation.springs import SpringMotion
 from drake_aigto.world import Scenario, World
 
@@ -109,47 +109,14 @@ class Parabolas:
 
         Each may have times of its own, shape (C, N+1), from 0 to T [s].
         """
-        times = np.broadcast_to(
-            self._times if times is None else times, (len(controls), self._times.size)
-        )
-        accelerations = self._calc_accelerations(controls)
-        ends = np.empty((len(controls), len(self._start.q)))
-        log = make_log(0, ends.shape[1])
-        # A copy, for read-only arrays would be compiled for once more.
-        knots = np.array(times, order="C")
-        roll_out_many(self._walls, self._rules, self._start, knots, accelerations, ends, log)
+        states = np.empty((self._times.size, 2, len(self._start.q)))
+        moments = states, np.empty(self._times.size, dtype=np.int64)
+        log, ends = make_log(0, states.shape[2]), np.empty((len(controls), states.shape[2]))
+        for c, accelerations in enumerate(self._calc_accelerations(controls)):
+            knots, phase = self._times if times is None else times[c], copy_phase(self._start)
+            roll_out(self._walls, self._rules, phase, knots, accelerations, *moments, log)
+            ends[c] = phase.q
         return ends
-
-
-class Flights(HybridMotion):
-    """The same under a controller of an open or a closed loop."""
-
-    def __init__(
-        self, world: World, law: RigidLaw, state: tuple[Floats, Floats], span: tuple[float, float]
-    ) -> None:
-        """Starts at rest on nothing; arguments are those of `RigidMotion`."""
-        super().__init__(world, state, span[0])
-        self._dynamics = world.constant_dynamics
-        self._walls = Walls.of(self._dynamics)
-        self._rules = Rules(law.restitution, span[1] - span[0])
-        self._phase = start_phase(state, world.num_contacts)
-        self._log = make_log(_USUAL_IMPACTS, world.num_positions)
-
-    def _advance(self, control: Floats, until: float, feels_contact: bool) -> None:
-        acceleration = self._dynamics.gain @ control + self._dynamics.drift
-        moment = acceleration, until, until - self.time, feels_contact
-        while True:
-            phase = copy_phase(self._phase)
-            count = advance(self._walls, self._rules, phase, *moment, self._log)
-            if count <= len(self._log):
-                break
-            self._log = make_log(count, len(phase.q))
-        self._phase, self.x = phase, np.concatenate([phase.q, phase.v])
-        self.time = float(self._log[0, TIME]) if feels_contact and count else until
-        self.recording.add_impacts(self._log[:count], self._dynamics.mass_matrix)
-
-    def _find_depth(self) -> float:
-        return calc_depth(self._walls, self.recording.positions)
 
 
 class EventDriven:
@@ -192,18 +159,6 @@ class EventDriven:
         return recording
 
 
-def start_phase(state: tuple[Floats, Floats], num_contacts: int) -> HybridState:
-    """Returns a state (q, v) at rest on nothing."""
-    q, v = np.array(state)
-    return HybridState(q, v, np.zeros(num_contacts, dtype=bool), np.zeros(num_contacts))
-
-
-def copy_phase(phase: HybridState) -> HybridState:
-    """Returns a copy, as compiled code changes phases in place."""
-    q, v, resting, counts = phase
-    return HybridState(q.copy(), v.copy(), resting.copy(), counts.copy())
-
-
 @kernel
 def roll_out(
     walls: Walls,
@@ -240,24 +195,3 @@ def roll_out(
         for i in range(q.size):
             states[k, 0, i], states[k, 1, i] = q[i], v[i]
     return impacts_until[-1]
-
-
-@kernel
-def roll_out_many(
-    walls: Walls,
-    rules: Rules,
-    start: HybridState,
-    times: Floats,
-    accelerations: Floats,
-    ends: Floats,
-    log: Floats,
-) -> None:
-    """Write the last position of each of C motions from a start, shape (C, nq), as `roll_out`."""
-    states = np.empty((times.shape[1], 2, start.q.size))
-    impacts_until = np.empty(times.shape[1], np.int64)
-    for c in range(len(ends)):
-        phase = HybridState(
-            start.q.copy(), start.v.copy(), start.resting.copy(), start.counts.copy()
-        )
-        roll_out(walls, rules, phase, times[c], accelerations[c], states, impacts_until, log)
-        ends[c] = phase.q

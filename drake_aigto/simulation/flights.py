@@ -55,6 +55,18 @@ class HybridState(NamedTuple):
     counts: Floats  # how many impacts each contact had, shape (m,)
 
 
+def start_phase(state: tuple[Floats, Floats], num_contacts: int) -> HybridState:
+    """Returns a state (q, v) at rest on nothing."""
+    q, v = np.array(state)
+    return HybridState(q, v, np.zeros(num_contacts, dtype=bool), np.zeros(num_contacts))
+
+
+def copy_phase(phase: HybridState) -> HybridState:
+    """Returns a copy, as compiled code changes phases in place."""
+    q, v, resting, counts = phase
+    return HybridState(q.copy(), v.copy(), resting.copy(), counts.copy())
+
+
 class Rules(NamedTuple):
     """Rules by which impacts end."""
 

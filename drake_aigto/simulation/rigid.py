@@ -14,7 +14,9 @@ from drake_aigto.contact import (
     Mode,
     RigidLaw,
     Touching,
+    Walls,
     calc_contact_turning,
+    calc_depth,
     calc_velocity_after,
     find_modes,
     list_modes,
@@ -23,7 +25,14 @@ from drake_aigto.contact import (
 )
 from drake_aigto.errors import FrictionError
 from drake_aigto.simulation import flights
-from drake_aigto.simulation.flights import MOST_IMPACTS, SHORTEST_HOP, STATE, HybridState, Rules
+from drake_aigto.simulation.flights import (
+    MOST_IMPACTS,
+    SHORTEST_HOP,
+    STATE,
+    HybridState,
+    Rules,
+    copy_phase,
+)
 from drake_aigto.simulation.recording import Impact
 from drake_aigto.simulation.smooth import HybridMotion
 from drake_aigto.world import World
@@ -71,7 +80,7 @@ class RigidMotion(HybridMotion):
         self._rules, self._friction = Rules(law.restitution, span[1] - span[0]), law.friction
         m = world.num_contacts
         self._held, self._counts = np.zeros(m, dtype=bool), np.zeros(m)
-        self._log = flights.make_log(MOST_IMPACTS, world.num_positions + 1)
+        self._log = flights.make_log(0, 0)
 
     def _advance(self, control: Floats, until: float, feels_contact: bool) -> None:
         known = len(self.recording.impacts)
@@ -135,22 +144,48 @@ class RigidMotion(HybridMotion):
         world, air = self.world, calc_air(q)
         if not self._held.any() and np.all(world.calc_clearance(q) > air):
             return
-        motion, n = ContactMotion.at(world, self.x), len(q)
-        phase = HybridState(motion.extend(q, 0.0), motion.extend(v, 0.0), self._held, self._counts)
+        motion = ContactMotion.at(world, self.x)
         free = motion.extend(world.calc_acceleration(q, v, control), 1.0)
         walls = motion.walls._replace(offset=motion.walls.offset - air)
-        moment = free, self.time, 0.0, False
-        count = flights.advance(walls, self._rules, phase, *moment, self._log)
-        states = self._log[:count, STATE:].reshape(-1, 3, n + 1)[..., :n].reshape(-1, 3 * n)
+        self._pass(walls, free, self.time, False)
+
+    def _pass(self, walls: Walls, acceleration: Floats, until: float, stops: bool) -> None:
+        """Passes a moment until a time [s], or until its first impact if it stops there."""
+        n, (q, v) = self.world.num_positions, self._split()
+        left, more = until - self.time, np.zeros(len(acceleration) - self.world.num_positions)
+        start = HybridState(np.append(q, more), np.append(v, more), self._held, self._counts)
+        while True:
+            phase = copy_phase(start)
+            moment = phase, acceleration, until, left, stops
+            count = flights.advance(walls, self._rules, *moment, self._log)
+            if count <= len(self._log):
+                break
+            self._log = flights.make_log(count, len(phase.q))
+        states = self._log[:count, STATE:].reshape(-1, 3, len(phase.q))[..., :n].reshape(-1, 3 * n)
         rows = np.hstack([self._log[:count, :STATE], states])
-        rows[-1:, -n:] = phase.v[:n]  # What follows is too slow for impacts, and part of the last.
-        self.recording.add_impacts(rows, world.calc_mass_matrix(q))
+        if not left:  # What follows is too slow for impacts, and part of the last.
+            rows[-1:, -n:] = phase.v[:n]
+        self.recording.add_impacts(rows, self.world.calc_mass_matrix(q))
+        self._held, self._counts = phase.resting, phase.counts
         self.x = np.concatenate([phase.q[:n], phase.v[:n]])
+        self.time = float(self._log[0, flights.TIME]) if stops and count else until
 
     def _find_depth(self) -> float:
         states = np.concatenate([samples.states for samples, _ in self.recording.samples])
         clearances = self.world.calc_clearance(states[:, : self.world.num_positions])
         return max(0.0, -float(np.min(clearances, initial=0.0)))
+
+
+class Flights(RigidMotion):
+    """The same where flight is a parabola: by roots alone, without integration."""
+
+    def _advance(self, control: Floats, until: float, feels_contact: bool) -> None:
+        dynamics = self.world.constant_dynamics
+        acceleration = dynamics.gain @ control + dynamics.drift
+        self._pass(Walls.of(dynamics), acceleration, until, feels_contact)
+
+    def _find_depth(self) -> float:
+        return calc_depth(Walls.of(self.world.constant_dynamics), self.recording.positions)
 
 
 class SlidingMotion(RigidMotion):

@@ -1,29 +1,22 @@
-"""How the last motion becomes the next one: what differs between worlds that are planned again."""
+"""Mechanisms, planned again: a descent leads from the last motion to the next one."""
 
 from __future__ import annotations
 
-import copy
 import dataclasses
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, interpolate
+from drake_aigto.control.horizon import BallHorizon, Horizon
 from drake_aigto.control.touches import PlannedMotion, choose, find_left, keep_apart
-from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.planning import (
-    BallSearch,
-    BallTask,
     BouncingResult,
     MechanismSearch,
-    Path,
     Planner,
-    PlanningError,
     RigidMechanismTask,
     find_deepest,
     lay_onto,
-    make_ball_task,
     make_mechanism_task,
     start_search,
 )
@@ -32,11 +25,6 @@ from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import Scenario
 
-# Iterations of the local solver for balls after plain Newton steps: none, but where these lead to
-# nothing. And the same of searches, whose unlikely touches would take most of their time.
-_ITERATIONS, _SEARCHED = (0, 20), 10
-# How many places of walls are kept compiled at most.
-_MOST_KEPT = 8
 # Where nothing promises more than this part of the cost, a descent ends before its iterations do.
 _TOLERANCE = 1e-4
 # A tick descends on compliant walls that are smoothed by this part of the task's length: about how
@@ -66,126 +54,31 @@ _MORE = ShootingOptions(
 )
 
 
-class Closer(ABC):
-    """Local optima of a task that is asked from one state after another.
+def make_horizon(planner: Planner, is_receding: bool, iterations: int, period: float) -> Horizon:
+    """Returns a planner's task, compiled once more: what searches in a thread shares nothing.
 
-    Attributes:
-        num_steps: time steps of a motion.
-        cost_scale: what the task costs where all is off by its scale.
-        is_rigid: whether walls return a part of the speed that they are hit with.
+    Args:
+        planner: of the task.
+        is_receding: whether the horizon always lasts as long as the scenario, or ends with it.
+        iterations: of a descent in a tick, at most.
+        period: between ticks [s].
+
+    Raises:
+        ControlError: a free duration, or costs or constraints that were added.
     """
-
-    is_rigid = True
-    num_steps: int
-    cost_scale: float
-
-    @abstractmethod
-    def is_inside(self, x: Floats) -> bool:
-        """Returns whether a state is inside of a wall that nothing can be planned from."""
-
-    @abstractmethod
-    def lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
-        """Returns the best motion near what is left of the last one; None if there is none.
-
-        Args:
-            last: the motion, with its touches and its cost.
-            left: what is left of it, from a state on.
-            asked: the task from there on.
-        """
-
-    @abstractmethod
-    def search(self, asked: Scenario, now: float, x: Floats) -> PlannedMotion | None:
-        """Returns the best motion that the planner finds from a state on; None if none."""
+    if planner.is_of_balls:
+        return BallHorizon(planner, is_receding, period)
+    is_rigid = planner.scenario.contact == "rigid" and planner.world.contacts
+    kind = RigidHorizon if is_rigid else CompliantHorizon
+    return kind(planner, is_receding, period, iterations)
 
 
-class BallCloser(Closer):
-    """Balls between rigid walls: what has to be known of a plan is its touches.
-
-    Each tick polishes the multi-phase problem of those that are still to come, from the last
-    plan's times. Which these are, a state does not tell for sure: a bounce may come sooner or later
-    than it was planned. So near a touch, or where one was just seen, the motion with it and that
-    without it are polished, the likelier first, and the other where that costs more than the last
-    plan did: to repeat a bounce that has been costs more, and so does to leave one out.
-    """
-
-    def __init__(self, planner: Planner, period: float) -> None:
-        """Compiles the planner's task, for ticks a period [s] apart."""
-        world, scenario = planner.world, planner.scenario
-        self._task = make_ball_task(world, scenario, planner.options).in_brief(_SEARCHED)
-        self.num_steps, self._period = scenario.num_steps, period
-        self.cost_scale = self._task.transcription.cost_scale()
-        self._bounced: int | None = None
-        self._kept: dict[tuple[float, ...], BallTask] = {}
-
-    def knowing(self, bounced: int | None, nearer: tuple[float, ...]) -> BallCloser:
-        """Returns the same where a contact was just seen to bounce, and walls stand nearer [m]."""
-        learned = copy.copy(self)
-        learned._bounced = bounced
-        if any(nearer):
-            if nearer not in self._kept:
-                if len(self._kept) >= _MOST_KEPT:
-                    del self._kept[next(iter(self._kept))]
-                # Its diagram, where walls are as they were, is not simulated.
-                moved = self._task.world.with_walls_nearer(np.array(nearer))
-                self._kept[nearer] = self._task.in_world(moved)
-            learned._task = self._kept[nearer]
-        return learned
-
-    def is_inside(self, x: Floats) -> bool:
-        """Returns whether a wall is touched: how fast a ball is there, no rigid wall tells."""
-        return bool(np.any(self._task.world.calc_clearance(np.split(x, 2)[0]) <= 0))
-
-    def lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
-        """Returns the best polished motion of the touches that may be left; None if none is."""
-        task, now = self._task.again(asked), float(left.times[0])
-        rates = task.world.calc_contact_rate(left.positions[0], left.velocities[0])
-        may_be_left = find_left(
-            last.touches, now, asked.duration, self._period, rates, self._bounced
-        )
-        sequences = [each for each in may_be_left if task.fits(each)]
-        path = left.times - now, left.positions
-        for most in _ITERATIONS:
-            tried = (_polish(task, path, touches, most) for touches in sequences)
-            if found := choose(tried, last.cost):
-                return found.later(now)
-        return None
-
-    def search(self, asked: Scenario, now: float, x: Floats) -> PlannedMotion | None:
-        """Returns the best motion that boxes, neighbors and polishes lead to; None if none."""
-        search = BallSearch(self._task.again(asked))
-        try:
-            search.run()
-            best = search.find_best()
-        except PlanningError:
-            return None
-        if search.is_interrupted:
-            raise KeyboardInterrupt
-        if not best.is_confirmed:
-            return None
-        touches = tuple(Touch(each.time, each.last_time, each.index) for each in best.contacts)
-        return PlannedMotion(best.trajectory, best.cost, touches).later(now)
-
-
-def _polish(
-    task: BallTask, path: Path, touches: TouchSequence, max_iterations: int
-) -> PlannedMotion | None:
-    """Returns the local optimum with these touches; None if no motion has them, or none is met."""
-    try:
-        solved = task.follow(path, touches, max_iterations)
-    except (OptionsError, TrajectoryError, UnsupportedTermError):
-        return None
-    if solved is None:
-        return None
-    phases, x = solved
-    return PlannedMotion(phases.trajectory(x), task.cost(phases, x), phases.contact_sequence(x))
-
-
-class _ShootingCloser(Closer):
+class _ShootingHorizon(Horizon):
     """Mechanisms, whose motions a descent leads from one tick to the next."""
 
-    def __init__(self, planner: Planner) -> None:
-        """Compiles the planner's task."""
-        self.world = planner.world
+    def __init__(self, planner: Planner, is_receding: bool, period: float) -> None:
+        """Compiles the planner's task, for ticks a period [s] apart."""
+        super().__init__(planner, is_receding, period)
         self._task = make_mechanism_task(planner.world, planner.scenario, planner.options)
         self.num_steps, self.cost_scale = self._task.search_steps, self._task.scales.cost
 
@@ -197,7 +90,7 @@ class _ShootingCloser(Closer):
         return search.motions[0].result if search.motions else None
 
 
-class CompliantCloser(_ShootingCloser):
+class CompliantHorizon(_ShootingHorizon):
     """A mechanism between compliant walls, or one that touches nothing.
 
     There a motion is all that has to be known of a plan, and a few iterations of the descent lead
@@ -206,11 +99,11 @@ class CompliantCloser(_ShootingCloser):
 
     is_rigid = False
 
-    def __init__(self, planner: Planner, iterations: int) -> None:
+    def __init__(self, planner: Planner, is_receding: bool, period: float, iterations: int) -> None:
         """Compiles the planner's task, for at most this many iterations in a tick."""
-        super().__init__(planner)
+        super().__init__(planner, is_receding, period)
         task = self._task.shooting(self.num_steps)
-        self._problem = dataclasses.replace(task, duration=planner.scenario.duration)
+        self._problem = dataclasses.replace(task, duration=self.scenario.duration)
         self._has_friction = task.mechanism.has_friction
         substeps, order = _SUBSTEPS, 2
         if self._has_friction:
@@ -222,14 +115,14 @@ class CompliantCloser(_ShootingCloser):
         """Returns False: compliant walls may be planned in."""
         return False
 
-    def lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
+    def _lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
         """Returns what a few iterations make of what is left of a motion."""
         states = np.hstack([left.positions, left.velocities])
         return self._descend(left.times, states, left.controls, self._options, last.cost)
 
-    def search(self, asked: Scenario, now: float, x: Floats) -> PlannedMotion | None:
+    def search(self, now: float, x: Floats) -> PlannedMotion | None:
         """Returns the best motion that boxes and renewals find from a state; None if none."""
-        found = self._search(asked)
+        found = self._search(self._ask(now, x))
         if found is None:
             return None
         states = np.vstack([x, found.states[1:]])
@@ -268,7 +161,7 @@ class CompliantCloser(_ShootingCloser):
         return PlannedMotion(motion, found.cost, tuple(touches))
 
 
-class RigidCloser(_ShootingCloser):
+class RigidHorizon(_ShootingHorizon):
     """A mechanism between rigid walls: a plan is its touches, and its motion.
 
     A few iterations of the descent, in the phases between the touches that are still to come, lead
@@ -280,13 +173,9 @@ class RigidCloser(_ShootingCloser):
 
     _task: RigidMechanismTask
 
-    def __init__(self, planner: Planner, iterations: int, period: float) -> None:
-        """Compiles the planner's task, for at most this many iterations of a descent in a tick.
-
-        The period is that between ticks [s].
-        """
-        super().__init__(planner)
-        self._period = period
+    def __init__(self, planner: Planner, is_receding: bool, period: float, iterations: int) -> None:
+        """Compiles the planner's task, for at most this many iterations in a tick."""
+        super().__init__(planner, is_receding, period)
         rungs = (Smoothing(0.0, iterations, _TOLERANCE),)
         self._options = dataclasses.replace(_MORE, rungs=rungs, multiplier_updates=_UPDATES)
 
@@ -318,7 +207,7 @@ class RigidCloser(_ShootingCloser):
         signs = np.where(is_still | ~has_friction, 0.0, np.sign(slips)).astype(int)
         return {int(i): int(signs[i]) for i in np.flatnonzero(self._lasts(x))}
 
-    def lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
+    def _lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
         """Returns what a few iterations make of what is left of a motion; None if that is none."""
         now, q, v = float(left.times[0]), left.positions[0], left.velocities[0]
         duration, rates = float(left.times[-1]) - now, self.world.calc_contact_rate(q, v)
@@ -343,9 +232,9 @@ class RigidCloser(_ShootingCloser):
             found.append(self._descend(left, touches, options))
             yield self._read(found[-1], float(left.times[0]))
 
-    def search(self, asked: Scenario, now: float, x: Floats) -> PlannedMotion | None:
+    def search(self, now: float, x: Floats) -> PlannedMotion | None:
         """Returns the best motion that boxes, renewals and neighbors lead to; None if none."""
-        found = self._search(asked)
+        found = self._search(self._ask(now, x))
         if found is None:
             return None
         assert isinstance(found, BouncingResult)
