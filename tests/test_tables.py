@@ -165,6 +165,19 @@ def test_a_failing_verdict_names_the_simulation(
     assert f" the control alone misses the plan's promise {where}\n" in text
 
 
+def test_where_doing_nothing_ends_is_left_out_once_it_is_far_away(plan: Plan, world: World) -> None:
+    assert plan.idle is not None
+    assert "and ends 0.27 m off the goal\n" in format_replays(plan, world)
+    gone = np.array([[1.0], [-15.0]])
+    replay = dataclasses.replace(
+        plan.idle.replay, times=np.ones(2), positions=gone, velocities=gone
+    )
+    idle = dataclasses.replace(plan.idle, replay=replay)
+    others = tuple(each for each in plan.candidates if not each.is_idle)
+    text = format_replays(dataclasses.replace(plan, candidates=(*others, idle)), world)
+    assert "and flies or falls far away, which no wall of the model stops\n" in text
+
+
 def test_what_is_not_known_is_left_out(plan: Plan, world: World) -> None:
     assert "ms late" in format_replays(plan, world)
     alone = dataclasses.replace(plan, replay=Replays(plan.replay.event_driven, None))
@@ -210,7 +223,9 @@ def test_no_line_of_a_plan_is_too_long(plan: Plan, world: World, transcription: 
     text = format_plan(with_replays(busy, **bounces), world)
     assert max(map(len, text.splitlines())) <= WIDTH
     assert "and 4 more" in text
-    assert "and 394 times more" in text
+    assert "s and 394 more" in text
+    # Touches without room beside their candidate are below it, none is cut off.
+    assert "…" not in text and text.count("s and 34 more\n") == 8
 
 
 @pytest.fixture(scope="module")

@@ -203,8 +203,10 @@ def end_at(q: Any, v: Any, scenario: Scenario) -> Replay:
         ({"angles": "chordal"}, "1.0 mm and 2.0 mrad"),
         (
             {"angles": "modulo", "goal_velocity_weight": [0.0, 1.0]},
-            "1.0 mm, 2.0 mrad, 0.25 m/s and 0.50 rad/s",
+            "1.0 mm, 2.0 mrad and 0.50 rad/s",
         ),
+        # Where coordinates without weight end, nobody asked.
+        ({"angles": "modulo", "goal_weight": [0.0, 1.0]}, "2.0 mrad"),
         (
             {"hard_goal": True, "goal_velocity": [0.25, -0.5]},
             "1.0 mm, 6.29 rad, 0 m/s and 0 rad/s",
@@ -291,7 +293,7 @@ def test_a_plan_of_a_mechanism_is_written() -> None:
 def test_a_report_of_a_mechanism_is_written() -> None:
     scenario = Scenario(**SWING, velocity_weight=[0.0, 1.0], angles="modulo", contact="compliant")
     written = report_plan(make_plan(scenario), cart_pole())
-    assert "Links at evenly spaced times" in written and "boxes can&#x27;t be had" in written
+    assert "Links at evenly spaced times" in written and "boxes can" not in written
     for part in ("R = 0.001; Q_v = [0, 1]; Q_T = [1, 2]", "λ = k x max(0, 1 + d ẋ)", "3 rad)"):
         assert part in written
 

@@ -6,7 +6,9 @@ from .box_playback import BoxRun as BoxRun
 from .box_playback import play_boxes as play_boxes
 from .box_playback import run_boxes as run_boxes
 from .facts import INTERRUPTED as INTERRUPTED
-from .facts import describe_difference as describe_difference
+from .facts import format_plan as format_plan
+from .facts import format_replays as format_replays
+from .facts import format_run as format_run
 from .figures import plot_boxes as plot_boxes
 from .figures import plot_controls as plot_controls
 from .figures import plot_motions as plot_motions
@@ -24,9 +26,6 @@ from .motion import simulation_label as simulation_label
 from .page import Page as Page
 from .page import embed_scenes as embed_scenes
 from .page import pack as pack
-from .plain_text import format_plan as format_plan
-from .plain_text import format_replays as format_replays
-from .plain_text import format_run as format_run
 from .plan_figures import gradient_motions as gradient_motions
 from .plan_figures import plot_contact_forces as plot_contact_forces
 from .plan_figures import plot_cost_history as plot_cost_history
@@ -60,6 +59,7 @@ from .table1 import report_table1 as report_table1
 from .text import WIDTH as WIDTH
 from .text import angle_text as angle_text
 from .text import cost_text as cost_text
+from .text import describe_difference as describe_difference
 from .text import length_text as length_text
 from .text import miss_text as miss_text
 from .text import run_texts as run_texts

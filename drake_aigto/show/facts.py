@@ -1,69 +1,124 @@
-"""Facts about plans and simulations of their control, in words.
+"""Facts about plans and runs in the loop, and both as text, at most 100 columns wide.
 
-A fact is a label and a text, the same on the terminal and in pages. Items of a text, which lines
-are not to break, have no-break spaces.
+A fact is a label and a text, the same on the terminal and in pages.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from string import ascii_lowercase
+import textwrap
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drake_aigto.arrays import interpolate
 from drake_aigto.contact import contact_delay, contact_delays
-from drake_aigto.planning import Candidate, Plan, Veto
+from drake_aigto.planning import Candidate, Plan, PlanOptions, Veto
 from drake_aigto.show.text import (
-    NO_COST,
+    WIDTH,
     contact_names,
+    contact_texts,
     cost_text,
+    describe_difference,
     energy_text,
-    friction_items,
-    law_items,
+    join_items,
     length_text,
+    letter,
+    list_fact,
+    list_some,
     miss_text,
-    task_items,
+    miss_texts,
+    name_simulator,
+    name_touch,
+    question_facts,
+    run_texts,
+    sequence_text,
     time_text,
     touch_names,
+    weight_text,
 )
-from drake_aigto.simulation import PlannedContact, Replay
+from drake_aigto.simulation import Replay
 from drake_aigto.transcription import UNITS
 from drake_aigto.world import Scenario, TaskCost, World
+
+if TYPE_CHECKING:
+    from drake_aigto.control import ClosedLoopRun
 
 Fact = tuple[str, str]
 
 INTERRUPTED = "the search was ended by Ctrl-C; this is the best of what it had found by then"
+CUT_SHORT = "Ctrl-C ended the simulation; this is what happened by then"
 
-_MOST_TOUCHES = 6
-_MOST_VETOES, _MOST_CONTACTS = 3, 12
+_LABEL = 12  # columns of the labels at the left
+_COLUMNS = (9, 8, 9, 8, 10, 10)  # Of the table of candidates, before their contacts.
+_MOST_CANDIDATES, _MOST_VETOES = 8, 3
 _OF_SCALES = "of the task's scales"
 _AT_END = 1e-6  # of a duration: as near as rounding to an end of its range
-_SAME_COST = 1e-4  # Costs that differ by this part or less are called the same.
+_FAR = 4.0  # Lengths of the task: a motion that ends farther off has left it.
+_METHODS = {
+    "tracking": "a plan is tracked (TrackingController)",
+    "replanning": "it plans again at every tick (ModelPredictiveController)",
+}
 
 
-def join_items(items: Iterable[str]) -> str:
-    """Returns items as the text of a fact."""
-    return ", ".join(item.replace(" ", "\u00a0") for item in items)
+def format_plan(plan: Plan, world: World | None = None) -> str:
+    """Returns a plan with its verdict, its replays and its rivals, as text.
+
+    Of several contacts, each has its letter.
+
+    Raises:
+        ModelError: the world has to be given (`Plan.find_world`).
+    """
+    world = plan.find_world(world)
+    lines = [format_replays(plan, world), *_format(_search_facts(plan))]
+    shown = plan.candidates[:_MOST_CANDIDATES]
+    table = [candidate_texts(candidate, plan.scenario, world) for candidate in shown]
+    header = ("cost", "defect", "in wall", "energy", "replayed", "off goal", "contacts")
+    others = [("seconds", join_items(f"{k} {s:.2f}" for k, s in plan.stats.seconds.items()))]
+    if (least := plan.stats.flight_left_out) is not None:
+        others.insert(0, ("", f"left out: free flight, which costs {least:.2e} at least"))
+    if (more := len(plan.candidates) - _MOST_CANDIDATES) > 0:
+        others.insert(0, ("", f"and {more} more"))
+    return "\n".join([*lines, *_table(header, *table), *_format(others)])
 
 
-def list_some(texts: Iterable[str], before_rest: str = "") -> str:
-    """Returns the first of some texts, and how many more there are."""
-    found = list(texts)
-    rest = [f"{before_rest}{len(found) - _MOST_TOUCHES} more"] if found[_MOST_TOUCHES:] else []
-    return ", ".join(found[:_MOST_TOUCHES] + rest)
+def format_replays(plan: Plan, world: World | None = None) -> str:
+    """Returns the part of `format_plan` that says what simulations of the plan's control do."""
+    world = plan.find_world(world)
+    question = question_facts(plan.scenario, world, float(plan.trajectory.times[-1]))
+    return "\n".join(_format([*verdict_facts(plan, world), *question, *answer_facts(plan, world)]))
 
 
-def list_facts(label: str, items: Iterable[str]) -> Iterator[Fact]:
-    """Yields a fact of items, if there are any."""
-    if text := join_items(items):
-        yield label, text
+def format_run(run: ClosedLoopRun) -> str:
+    """Returns what happened in the loop, as text."""
+    return "\n".join(_format(run_facts(run)))
+
+
+def _format(facts: Iterable[Fact]) -> Iterator[str]:
+    """Yields facts in lines of at most 100 columns, their labels at the left."""
+    for label, text in facts:
+        for line in textwrap.wrap(text, WIDTH - _LABEL, break_on_hyphens=False):
+            yield label.ljust(_LABEL) + line.replace("\u00a0", " ")
+            label = ""
+
+
+def _table(*rows: tuple[str, ...]) -> Iterator[str]:
+    """Yields lines, in columns as wide as they need; a last text without room is below its line."""
+    needed = (2 + max(map(len, column)) for column in list(zip(*rows, strict=True))[:-1])
+    sizes = list(map(max, _COLUMNS, needed))
+    room = WIDTH - _LABEL - sum(sizes) - 2
+    for *cells, last in rows:
+        columns = "".join(text.rjust(size) for text, size in zip(cells, sizes, strict=True))
+        fits = len(last) <= room
+        yield " " * _LABEL + columns + (f"  {last}" if fits else "")
+        for below in () if fits else textwrap.wrap(last, WIDTH - 2 * _LABEL):
+            yield " " * 2 * _LABEL + below
 
 
 def verdict_facts(plan: Plan, world: World) -> Iterator[Fact]:
     """Yields whether simulations confirm a plan, and what a reader has to know beside that."""
-    names, scale = contact_names(world), plan.best.scales.cost
-    yield "verdict", join_items(verdict_items(plan, names))
+    best, names, scale = plan.best, contact_names(world), plan.best.scales.cost
+    yield "verdict", join_items(verdict_items(plan, world))
     costs = (f"{name_simulator(r, names)} {cost_text(r.cost, 3, scale)}" for r in plan.replay)
     yield "", join_items([f"cost {cost_text(plan.cost, 3, scale)}", *costs])
     if plan.is_interrupted:
@@ -75,40 +130,23 @@ def verdict_facts(plan: Plan, world: World) -> Iterator[Fact]:
         yield "vetoed", f"{len(vetoes) - _MOST_VETOES} more candidates that promise less"
     if plan.idleness:
         yield "moving", join_items(_why_idle(plan, world))
-    if plan.best.is_idle:
+    if best.is_idle:
         yield "no control", "this is the plan: nothing that was found and holds costs less"
     elif plan.idle is not None:
         less = "doing nothing is better: " if plan.is_beaten else ""
         idle = plan.idle.replay
-        miss = miss_text(idle, plan.scenario, world)
-        yield "no control", f"{less}it costs {idle.cost:.3e} and ends {miss} off the goal"
+        miss = f"ends {miss_text(idle, plan.scenario, world)} off the goal"
+        ways = np.ptp(idle.positions, axis=0)[~world.is_hinge]
+        if np.max(ways, initial=0.0) > _FAR * best.scales.length:
+            miss = "flies or falls far away, which no wall of the model stops"
+        yield "no control", f"{less}it costs {idle.cost:.3e} and {miss}"
     if plan.bound is not None:
         yield "bound", _describe_bound(plan)
 
 
-def question_facts(
-    scenario: Scenario, world: World, duration: float | None = None
-) -> Iterator[Fact]:
-    """Yields what was asked; a free duration is the plan's."""
-    names = contact_names(world)
-    T = duration if duration and scenario.duration_range else scenario.duration
-    span = f"T = {T:.6g} s in {scenario.num_steps} steps"
-    mass = [] if scenario.mass is None else [f"mass {scenario.mass:g} kg"]
-    items = [*task_items(scenario, world), *mass, *law_items(scenario, world)]
-    yield "scenario", join_items([*items, span])
-    # Of several contacts, each has its letter, and its restitution if the model has one.
-    owns = (contact.restitution for contact in world.contacts)
-    pairs = (
-        f"{_letter(i)} {name}" + ("" if own is None else f" (restitution {own:g})")
-        for i, (name, own) in enumerate(zip(names, owns, strict=True))
-    )
-    yield from list_facts("pairs", pairs if len(names) > 1 else ())
-    yield from list_facts("friction", friction_items(scenario, world))
-
-
 def answer_facts(plan: Plan, world: World) -> Iterator[Fact]:
     """Yields a plan's numbers, and those of simulations of its control."""
-    best, scenario, names = plan.best, plan.scenario, contact_names(world)
+    best, scenario = plan.best, plan.scenario
     literal = [f"ε = {scenario.epsilon:g} J", f"δ = {scenario.delta:g} m"]
     items = [
         f"{plan.transcription} transcription",
@@ -132,18 +170,18 @@ def answer_facts(plan: Plan, world: World) -> Iterator[Fact]:
             text = f"{T:.4g} s, the most that it may be: with more, a plan may cost less"
         yield "duration", text
     limits = (name for name in best.replay.violations if name not in plan.additions)
-    yield from list_facts("limits", _misses(plan, limits))
-    yield from list_facts("added", _additions(plan))
+    yield from list_fact("limits", _misses(plan, limits))
+    yield from list_fact("added", _additions(plan))
     defects = (
         f"{name} {f'{size:.0e}' if size else 0} {UNITS.get(name, _OF_SCALES)}"
         for name, size in best.defects.items()
     )
-    yield from list_facts("defects", defects)
-    yield "contacts", join_items(_contacts(best, names, world))
+    yield from list_fact("defects", defects)
+    yield "contacts", join_items(contact_texts(best, world))
     if (unplanned := best.unplanned) and not best.is_idle:
         touches = (name_touch(each, touch_names(world)) for each in unplanned)
         where = name_simulator(best.replay, touch_names(world))
-        yield "unplanned", f"{where} it also touches {list_some(touches, 'and ')}"
+        yield "unplanned", f"{where} it also touches {list_some(touches)}"
     delay = _find_delay(plan, world)
     for replay in plan.replay:
         yield "simulated", join_items(_simulation(plan, replay, world, delay))
@@ -169,10 +207,11 @@ def _why_idle(plan: Plan, world: World) -> Iterator[str]:
         yield f"{vetoed} that promise less are contradicted by a simulation"
 
 
-def verdict_items(plan: Plan, names: Sequence[str]) -> Iterator[str]:
+def verdict_items(plan: Plan, world: World) -> Iterator[str]:
     """Yields whether simulations confirm a plan, and what is wrong with it."""
     if plan.idleness:
         yield plan.idleness
+    names = contact_names(world)
     against = [replay for replay in plan.replay if not plan.best.is_confirmed_by(replay)]
     where = " and ".join(name_simulator(replay, names) for replay in against or plan.replay)
     if against:
@@ -185,25 +224,15 @@ def verdict_items(plan: Plan, names: Sequence[str]) -> Iterator[str]:
         yield f"holds: the control alone keeps the plan's promise {where}"
 
 
-def name_simulator(replay: Replay, names: Sequence[str]) -> str:
-    """Returns where a control was simulated; contacts have names."""
-    if replay.simulator == "drake":
-        return "on Drake's plant"
-    if replay.simulator == "integrated" or not names:
-        return "by integration"
-    return "on a rigid wall" if len(names) == 1 else "on rigid walls"
-
-
 def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
     """Returns what a candidate promises, and what is wrong with it."""
     candidate, replay, names = veto.candidate, veto.replay, touch_names(world)
-    where = name_simulator(replay, names)
-    times = [f"{contact.time:.3f}" for contact in candidate.contacts[:_MOST_TOUCHES]]
-    more = ", …" if len(candidate.contacts) > _MOST_TOUCHES else ""
-    contacts = f"contacts at {', '.join(times)}{more} s" if times else "no contact"
+    times = list_some((f"{contact.time:.3f}" for contact in candidate.contacts), " s")
+    contacts = f"contacts at {times}" if candidate.contacts else "no contact"
     text = (
-        f"a candidate with {contacts} promises {candidate.cost:.2e}, but {where} costs "
-        f"{replay.cost:.2e} and ends {miss_text(replay, scenario, world)} off the goal"
+        f"a candidate with {contacts} promises {candidate.cost:.2e}, but "
+        f"{name_simulator(replay, names)} costs {replay.cost:.2e} and ends "
+        f"{miss_text(replay, scenario, world)} off the goal"
     )
     if replay.broken:
         return f"{text}, and breaks {', '.join(map(repr, replay.broken))}"
@@ -212,11 +241,6 @@ def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
         return f"{text}, though with the same contacts"
     instead = f" instead of {name_touch(planned, names)}" if planned else ""
     return f"{text}: it touches {name_touch(simulated, names)}{instead}"
-
-
-def name_touch(contact: tuple[float, int] | None, names: Sequence[str]) -> str:
-    """Returns what is touched when; contacts have names."""
-    return f"{names[contact[1]]} at {contact[0]:.3f} s" if contact else "nothing"
 
 
 def _describe_bound(plan: Plan) -> str:
@@ -235,8 +259,7 @@ def _simulation(plan: Plan, replay: Replay, world: World, delay: float | None) -
     """Yields what a simulation made of a plan's control."""
     names, confirms = contact_names(world), plan.best.is_confirmed_by(replay)
     cost = cost_text(replay.cost, 3, plan.best.scales.cost)
-    judged = "confirms" if confirms else "contradicts"
-    yield f"{name_simulator(replay, names)}: {judged} the plan"
+    yield f"{name_simulator(replay, names)}: {'confirms' if confirms else 'contradicts'} the plan"
     yield f"cost {cost}{describe_difference(plan.cost, replay)}"
     known = f" (its compliance explains {length_text(replay.compliance_error)})"
     known = known if replay.compliance_error else ""
@@ -247,29 +270,15 @@ def _simulation(plan: Plan, replay: Replay, world: World, delay: float | None) -
         return
     each = " a bounce" if len(replay.bounce_times) > 1 else ""
     yield f"energy ratio {energy_text(replay.energy_ratio)}{each}"
-    letters = [f"{_letter(i)} " if len(names) > 1 else "" for i in replay.bounce_contacts]
-    bounces = list(zip(letters, replay.bounce_times, strict=True))
-    times = ", ".join(f"{letter}{time:.4f}" for letter, time in bounces[:_MOST_TOUCHES])
-    more = len(bounces) - _MOST_TOUCHES
-    yield f"bounces at {times} s" + (f" and {more} times more" if more > 0 else "")
+    letters = [f"{letter(i)} " if len(names) > 1 else "" for i in replay.bounce_contacts]
+    bounces = zip(letters, replay.bounce_times, strict=True)
+    yield f"bounces at {list_some((f'{each}{time:.4f}' for each, time in bounces), ' s')}"
     if replay.matched_speeds:
-        speeds = ", ".join(f"{speed:.2f}" for speed in replay.matched_speeds[:_MOST_TOUCHES])
-        yield f"restitution matched for impacts at {speeds} m/s"
+        speeds = list_some((f"{speed:.2f}" for speed in replay.matched_speeds), " m/s")
+        yield f"restitution matched for impacts at {speeds}"
     if replay.simulator == "drake" and delay is not None:
         most = "up to " if len(names) > 1 else ""
         yield f"each {most}{time_text(delay)} late (π √(m / k))"
-
-
-def describe_difference(cost: float, replay: Replay) -> str:
-    """Returns by how much a simulation's cost differs from a plan's, and what explains it."""
-    off = replay.cost - cost
-    if abs(off) <= max(_SAME_COST * cost, NO_COST):
-        return ""
-    # Of plans that cost next to nothing, a percentage says nothing.
-    part = f", {100 * off / cost:+.2f} %" if cost > max(NO_COST, abs(off) / 10) else ""
-    # Walls that give a little delay what follows a contact.
-    why = f"; its compliance explains up to {replay.compliance_cost:.1e}"
-    return f" ({off:+.1e}{part}{why if replay.compliance_cost else ''})"
 
 
 def _additions(plan: Plan) -> Iterator[str]:
@@ -304,36 +313,85 @@ def _find_delay(plan: Plan, world: World) -> float | None:
     return max(contact_delays(world, q)[index] for q, index in touches)
 
 
-def _contacts(candidate: Candidate, names: Sequence[str], world: World) -> Iterator[str]:
-    if not candidate.contacts:
-        yield "none"
-        return
-    for contact in candidate.contacts[:_MOST_CONTACTS]:
-        where = f"{names[contact.index]} at " if len(names) > 1 else ""
-        change = f" (Δv {contact.velocity_change:.2f} m/s)"
-        yield f"{where}{_when(contact)} s{'' if world.is_hinge.any() else change}"
-    if (more := len(candidate.contacts) - _MOST_CONTACTS) > 0:
-        yield f"{more} more"
-    all_of_them = " in all" if len(candidate.contacts) > 1 else ""
-    yield f"kinetic energy after / before {energy_text(candidate.energy_ratio)}{all_of_them}"
+def _search_facts(plan: Plan) -> Iterator[Fact]:
+    """Yields how a plan was found."""
+    options = plan.options
+    boxes = [f"boxes of {plan.scenario.num_steps} steps"] if options else []
+    if isinstance(options, PlanOptions) and plan.transcription == "rigid":
+        boxes = [f"boxes of {options.aigo_steps} steps", f"relaxation {options.relaxation:g}"]
+    parts = [part.split(", ") for part in str(plan.best.origin).split("; ")]
+    for index, items in enumerate([boxes, *parts]):
+        if items:
+            yield "" if index else "found by", join_items(items)
+    iterations = f"{plan.stats.aigo_steps} iterations of AIGO"
+    yield "candidates", join_items([*count_candidates(plan).split(", "), iterations])
 
 
-def sequence_text(candidate: Candidate, world: World) -> str:
-    """Returns which contacts a candidate has when, in short."""
-    times = ", ".join(map(_when, candidate.contacts))
-    if len(world.contacts) > 1:
-        times = " at ".join(["".join(_letter(c.index) for c in candidate.contacts), times])
-    contacts = f"{times} s" if candidate.contacts else "none"
-    return f"no control: {contacts}" if candidate.is_idle else contacts
+def count_candidates(plan: Plan) -> str:
+    """Returns how many candidates there were."""
+    count, feasible = len(plan.candidates), sum(each.is_feasible for each in plan.candidates)
+    if count == 1:
+        return "1, the plan"
+    return f"{count}, of which {feasible} feasible; the first is the plan"
 
 
-def _letter(contact: int) -> str:
-    """Returns the letter of a contact, with a number after the alphabet is used up."""
-    again, index = divmod(contact, len(ascii_lowercase))
-    return f"{ascii_lowercase[index]}{again or ''}"
+def candidate_texts(candidate: Candidate, scenario: Scenario, world: World) -> tuple[str, ...]:
+    """Returns a candidate's numbers, those of its rigid simulation, and its contacts."""
+    cost, defect, *others = run_texts(candidate)
+    return (
+        cost,
+        f"{defect}{'' if candidate.is_feasible else '*'}",
+        *others,
+        cost_text(candidate.replay.cost, scale=candidate.scales.cost),
+        " ".join(miss_texts(candidate.replay, scenario, world)),
+        sequence_text(candidate, world),
+    )
 
 
-def _when(contact: PlannedContact) -> str:
-    """Returns the time of a bounce, or the times of a contact that lasts [s]."""
-    times = [f"{time:.3f}" for time in (contact.time, contact.last_time)]
-    return "–".join(dict.fromkeys(times))
+def run_facts(run: ClosedLoopRun) -> Iterator[Fact]:
+    """Yields what happened in the loop."""
+    replay, world = run.replay, run.world
+    walls = "soft walls" if run.scenario.contact == "compliant" else "stiff walls"
+    where = f"with {walls}" if world.contacts else "without walls"
+    yield "simulation", f"in Drake's Simulator, {where}; {_METHODS[run.method]}"
+    if run.is_interrupted:
+        yield "interrupted", CUT_SHORT
+    d = run.disturbance
+    disturbed = {
+        f"start off by {weight_text(d.start_offset)}": d.start_offset.any(),
+        f"masses times {d.mass_factor:g}": d.mass_factor != 1,
+        f"friction times {d.friction_factor:g}": d.friction_factor != 1,
+        f"walls {1e3 * d.wall_shift:g} mm nearer": d.wall_shift,
+        f"restitution times {d.restitution_factor:g}": d.restitution_factor != 1,
+        f"a kick of {weight_text(d.kick)} at {d.kick_time:g} s": d.kick.any(),
+        f"noise of {weight_text(d.noise)} (seed {d.seed})": d.noise.any(),
+    }
+    yield "disturbed", "; ".join(text for text, is_so in disturbed.items() if is_so) or "by nothing"
+    first = cost_text(run.promised, 3)
+    yield "cost", f"{cost_text(run.cost, 3)} along what happened; the first plan promises {first}"
+    miss = miss_text(replay, run.scenario, world)
+    yield "ends", f"at {run.duration:g} s, {miss} off the goal"
+    pairs = zip(replay.bounce_times, replay.bounce_contacts, strict=True)
+    touches = list_some(name_touch(pair, touch_names(world)) for pair in pairs)
+    touched = f"touches {touches}" if touches else "nothing is touched"
+    yield "walls", f"deepest penetration {length_text(replay.max_penetration)}; {touched}"
+    if broken := replay.broken:
+        yield "breaks", ", ".join(f"{name} by {replay.violations[name]:.1g}" for name in broken)
+    if run.ticks:
+        yield "ticks", describe_ticks(run)
+        times = ", ".join(f"{switch.time:.2f} s" for switch in run.switches)
+        taken = f"another plan was taken at {times}"
+        yield "switches", taken if times else "the first plan was improved only"
+        learned, known = run.ticks[-1].restitution, run.scenario.restitution
+        if learned not in (None, known):
+            yield "learned", f"walls return {learned:.3f} of a speed; the scenario says {known:g}"
+
+
+def describe_ticks(run: ClosedLoopRun) -> str:
+    """Returns how many ticks there were, and how long they took."""
+    seconds = 1e3 * np.array([tick.seconds for tick in run.ticks])
+    text = f"{len(seconds)}; the first took {seconds[0]:.0f} ms"
+    if len(seconds) == 1:
+        return text
+    middle, late = np.percentile(seconds[1:], [50, 99])
+    return f"{text}, others {middle:.1f} ms (median), {late:.1f} ms (99 %)"

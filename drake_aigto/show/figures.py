@@ -28,7 +28,7 @@ from drake_aigto.show.shapes import (
     solid_regions,
     wall_places,
 )
-from drake_aigto.show.text import touch_names, wall_names
+from drake_aigto.show.text import touch_names
 from drake_aigto.transcription import Transcription
 from drake_aigto.world import Scenario, World
 
@@ -322,7 +322,7 @@ def _shade_walls(axes: Axes, world: World, coordinate: int) -> None:
         axes.add_artist(wall)
         axes.update_datalim([(0, place - side * _WALL_SEEN * size)], updatex=False)
     axes.autoscale_view()
-    name = wall_names(world)[walls[0][0]] if len(walls) == 1 else "walls"
+    name = touch_names(world)[walls[0][0]] if len(walls) == 1 else "walls"
     axes.plot([], [], color=_WALL_COLOR, linewidth=6, alpha=0.5, label=name)
 
 

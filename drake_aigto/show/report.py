@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import platform
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import fields
 from importlib import metadata
 from typing import Any
@@ -21,15 +22,15 @@ from drake_aigto.show.box_playback import play_boxes, run_boxes
 from drake_aigto.show.facts import (
     Fact,
     answer_facts,
-    list_some,
-    name_touch,
-    question_facts,
+    candidate_texts,
+    count_candidates,
+    describe_ticks,
+    run_facts,
     verdict_facts,
     verdict_items,
 )
 from drake_aigto.show.motion import simulation_label
 from drake_aigto.show.page import Page
-from drake_aigto.show.plain_text import candidate_texts, describe_ticks, run_facts
 from drake_aigto.show.report_figures import (
     figures_of_plan,
     figures_of_run,
@@ -42,7 +43,9 @@ from drake_aigto.show.text import (
     cost_text,
     energy_text,
     length_text,
+    list_some,
     miss_text,
+    question_facts,
     task_items,
     touch_names,
     weight_text,
@@ -54,8 +57,12 @@ _ANY_PORT = 0
 _MOST_CANDIDATES, _MOST_TICKS, _MOST_MOTIONS = 10, 30, 4
 
 _NUMBERS = (
-    *("", "cost J", "dynamics defect", "off the goal", "deepest penetration", "energy ratio"),
-    "touches",
+    *("", "touches", "cost J", "dynamics defect", "off the goal", "deepest penetration"),
+    "energy ratio",
+)
+_CANDIDATE_HEADER = (
+    *("", "touches", "cost J", "dynamics defect", "deepest penetration", "energy ratio"),
+    *("J simulated", "off the goal there"),
 )
 
 PROBLEM = """\
@@ -93,11 +100,9 @@ def report_plan(
     say = progress or (lambda line: None)
     world = plan.find_world(world)
     say("running AIGO again, for its boxes")
-    run, no_boxes = None, ""
-    try:
+    run = None
+    with contextlib.suppress(OptionsError):  # Not every plan comes from boxes of a whole motion.
         run = run_boxes(plan, world)
-    except OptionsError as error:
-        no_boxes = str(error)
     start, _, goal, *_ = task_items(plan.scenario, world)
     page = Page(f"Plan: {start}, {goal}")
     add_verdict(page, plan, world)
@@ -116,8 +121,6 @@ def report_plan(
     page.heading("Figures")
     for figure, caption in figures_of_plan(plan, world, run):
         page.figure(figure, caption)
-    if run is None:
-        page.paragraph(f"{no_boxes[0].upper()}{no_boxes[1:]}")
     _add_candidates(page, plan, world)
     _add_reproduction(page, plan)
     return page.to_html()
@@ -126,7 +129,7 @@ def report_plan(
 def add_verdict(page: Page, plan: Plan, world: World) -> None:
     """Adds whether simulations confirm a plan, and what a reader has to know beside that."""
     _, *others = verdict_facts(plan, world)
-    verdict = ", ".join(verdict_items(plan, contact_names(world)))
+    verdict = ", ".join(verdict_items(plan, world))
     page.verdict(f"{verdict[0].upper()}{verdict[1:]}.", plan.holds)
     _add_facts(page, others)
 
@@ -159,32 +162,22 @@ def add_question(
 
 
 def add_answer(page: Page, plan: Plan, world: World) -> None:
-    """Adds a plan's contacts and numbers, and those of its simulations."""
+    """Adds a plan's numbers and contacts, and those of its simulations."""
     page.heading("The answer")
-    names, contacts = contact_names(world), plan.best.contacts
-    touches = "; ".join(name_touch((each.time, each.index), names) for each in contacts)
-    count = "once" if len(contacts) == 1 else f"{len(contacts)} times"
-    touched = f"touches {count}: {touches}" if contacts else "touches nothing"
-    page.paragraph(f"The plan {touched}.")
-    runs: list[tuple[str, Candidate | Replay, str, Sequence[float]]] = [
-        (
-            "plan (no simulation)",
-            plan.best,
-            f"{plan.best.max_defect:.0e}",
-            [c.time for c in contacts],
-        )
+    best = plan.best
+    runs: list[tuple[str, Candidate | Replay, str, Iterable[float]]] = [
+        ("plan (no simulation)", best, f"{best.max_defect:.0e}", (c.time for c in best.contacts)),
+        *((simulation_label(r, world), r, "obeys them", r.bounce_times) for r in plan.replay),
     ]
-    for replay in plan.replay:
-        runs.append((simulation_label(replay, world), replay, "obeys them", replay.bounce_times))
     rows = (
         (
             label,
-            cost_text(run.cost, 3, plan.best.scales.cost),
+            list_some((f"{time:.3f}" for time in times), " s") or "none",
+            cost_text(run.cost, 3, best.scales.cost),
             defect,
             miss_text(run, plan.scenario, world),
             length_text(run.max_penetration),
             energy_text(run.energy_ratio),
-            list_some(f"{time:.3f} s" for time in times) or "none",
         )
         for label, run, defect, times in runs
     )
@@ -196,28 +189,16 @@ def add_answer(page: Page, plan: Plan, world: World) -> None:
     _add_facts(page, answer_facts(plan, world))
 
 
-_CANDIDATE_HEADER = (
-    *("", "cost J", "dynamics defect", "deepest penetration", "energy ratio"),
-    *("J simulated", "off the goal there", "touches"),
-)
-
-
 def _add_candidates(page: Page, plan: Plan, world: World) -> None:
     page.heading("Candidates")
-    count, feasible = len(plan.candidates), sum(each.is_feasible for each in plan.candidates)
-    page.paragraph(
-        "There was one candidate, the plan."
-        if count == 1
-        else f"There were {count} candidates, of which {feasible} are feasible; the "
-        "first is the plan."
-    )
+    page.paragraph(f"Candidates: {count_candidates(plan)}.")
     if plan.stats.flight_left_out is not None:
         least = plan.stats.flight_left_out
         page.paragraph(f"A free flight was left out, as it costs {least:.2e} at least.")
-    rows = [
-        (str(number), *candidate_texts(each, plan.scenario, world))
-        for number, each in enumerate(plan.candidates[:_MOST_CANDIDATES], 1)
-    ]
+    rows = []
+    for number, candidate in enumerate(plan.candidates[:_MOST_CANDIDATES], 1):
+        *numbers, touches = candidate_texts(candidate, plan.scenario, world)
+        rows.append((str(number), touches, *numbers))
     page.table(_CANDIDATE_HEADER, rows)
 
 

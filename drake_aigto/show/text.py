@@ -1,8 +1,9 @@
-"""Words for quantities, shared by the tables and by plans as text."""
+"""Words for quantities, tasks and contacts, the same in tables, in text and in figures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from string import ascii_lowercase
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,14 @@ import numpy as np
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.contact import RigidLaw, contact_law
 from drake_aigto.planning import Candidate
-from drake_aigto.simulation import Replay
+from drake_aigto.simulation import PlannedContact, Replay
 from drake_aigto.world import Scenario, TaskCost, World
 
 WIDTH = 100
 # Below it, in the task's scale, a cost is 0 but for rounding; no percentage of it says anything.
 NO_COST = 1e-9
+_SAME_COST = 1e-4  # Costs that differ by this part or less are called the same.
+_MOST_TOUCHES, _MOST_CONTACTS = 6, 12
 _AGAINST = " against "
 # What a task asks for, shown beside its start and goal; weights are shown elsewhere.
 _SHOWN = (
@@ -57,19 +60,24 @@ def weight_text(weight: float | Floats) -> str:
 
 
 def miss_texts(run: Candidate | Replay, scenario: Scenario, world: World) -> list[str]:
-    """Returns how far a run ends off the goal: lengths, angles, and speeds if these are weighed."""
+    """Returns how far a run ends off the goal: lengths, angles, and speeds if these are weighed.
+
+    Coordinates count whose end matters (`TaskCost.is_asked`).
+    """
     if not world.is_hinge.any() and scenario.is_plain:
         return [length_text(run.goal_error)]
     cost = TaskCost.of(world, scenario)
     motion = run.trajectory if isinstance(run, Candidate) else run
-    errors = {"": cost.goal_errors(motion.positions[-1])}
-    if np.any(cost.QTv) or (scenario.hard_goal and scenario.goal_velocity is not None):
-        errors["/s"] = motion.velocities[-1] - cost.goal_velocity
+    errors = {"": (cost.goal_errors(motion.positions[-1]), cost.is_asked)}
+    is_weighed = np.any(cost.QTv, axis=0)
+    if scenario.hard_goal and scenario.goal_velocity is not None:
+        is_weighed = np.ones_like(is_weighed)
+    errors["/s"] = (motion.velocities[-1] - cost.goal_velocity, is_weighed)
     return [
-        f"{as_text(float(np.linalg.norm(error[which])))}{per}"
-        for per, error in errors.items()
+        f"{as_text(float(np.linalg.norm(error[which & counts])))}{per}"
+        for per, (error, counts) in errors.items()
         for which, as_text in ((~world.is_hinge, length_text), (world.is_hinge, angle_text))
-        if which.any()
+        if np.any(which & counts)
     ]
 
 
@@ -84,15 +92,74 @@ def contact_names(world: World) -> list[str]:
     return [contact.name.replace("_", " ").replace(",", "") for contact in world.contacts]
 
 
-def wall_names(world: World) -> list[str]:
-    """Returns what is touched, such as "left wall", for each contact."""
-    return [name.split(_AGAINST)[1] for name in contact_names(world)]
-
-
 def touch_names(world: World) -> list[str]:
     """Returns what is touched; and what by, if that is not always the same."""
     names = contact_names(world)
-    return wall_names(world) if len({name.split(_AGAINST)[0] for name in names}) == 1 else names
+    pairs = [name.split(_AGAINST) for name in names]
+    return [pair[1] for pair in pairs] if len({pair[0] for pair in pairs}) == 1 else names
+
+
+def name_touch(contact: tuple[float, int] | None, names: Sequence[str]) -> str:
+    """Returns what is touched when; contacts have names."""
+    return f"{names[contact[1]]} at {contact[0]:.3f} s" if contact else "nothing"
+
+
+def contact_texts(candidate: Candidate, world: World) -> Iterator[str]:
+    """Yields a candidate's contacts, and what they do to its kinetic energy."""
+    if not candidate.contacts:
+        yield "none"
+        return
+    names = contact_names(world)
+    for contact in candidate.contacts[:_MOST_CONTACTS]:
+        where = f"{names[contact.index]} at " if len(names) > 1 else ""
+        change = f" (Δv {contact.velocity_change:.2f} m/s)"
+        yield f"{where}{_when(contact)} s{'' if world.is_hinge.any() else change}"
+    if (more := len(candidate.contacts) - _MOST_CONTACTS) > 0:
+        yield f"{more} more"
+    all_of_them = " in all" if len(candidate.contacts) > 1 else ""
+    yield f"kinetic energy after / before {energy_text(candidate.energy_ratio)}{all_of_them}"
+
+
+def sequence_text(candidate: Candidate, world: World) -> str:
+    """Returns which contacts a candidate has when, in short."""
+    times = list_some(map(_when, candidate.contacts), " s")
+    if len(world.contacts) > 1:
+        times = " at ".join(["".join(letter(c.index) for c in candidate.contacts), times])
+    contacts = times if candidate.contacts else "none"
+    return f"no control: {contacts}" if candidate.is_idle else contacts
+
+
+def letter(contact: int) -> str:
+    """Returns the letter of a contact, with a number after the alphabet is used up."""
+    again, index = divmod(contact, len(ascii_lowercase))
+    return f"{ascii_lowercase[index]}{again or ''}"
+
+
+def _when(contact: PlannedContact) -> str:
+    """Returns the time of a bounce, or the times of a contact that lasts [s]."""
+    times = [f"{time:.3f}" for time in (contact.time, contact.last_time)]
+    return "–".join(dict.fromkeys(times))
+
+
+def name_simulator(replay: Replay, names: Sequence[str]) -> str:
+    """Returns where a control was simulated; contacts have names."""
+    if replay.simulator == "drake":
+        return "on Drake's plant"
+    if replay.simulator == "integrated" or not names:
+        return "by integration"
+    return "on a rigid wall" if len(names) == 1 else "on rigid walls"
+
+
+def join_items(items: Iterable[str]) -> str:
+    """Returns items as one text, with no-break spaces where lines are not to break."""
+    return ", ".join(item.replace(" ", "\u00a0") for item in items)
+
+
+def list_some(texts: Iterable[str], unit: str = "") -> str:
+    """Returns the first of some texts with their unit, and how many more there are."""
+    found = list(texts)
+    more = len(found) - _MOST_TOUCHES
+    return ", ".join(found[:_MOST_TOUCHES]) + unit * bool(found) + f" and {more} more" * (more > 0)
 
 
 def law_items(scenario: Scenario, world: World) -> list[str]:
@@ -127,9 +194,46 @@ def friction_items(scenario: Scenario, world: World) -> list[str]:
     return [*items, f"μ = {_range_text(acting[acting > 0]).strip()}"] if acting.any() else items
 
 
+def question_facts(
+    scenario: Scenario, world: World, duration: float | None = None
+) -> Iterator[tuple[str, str]]:
+    """Yields what was asked; a free duration is the plan's."""
+    T = duration if duration and scenario.duration_range else scenario.duration
+    span = f"T = {T:.6g} s in {scenario.num_steps} steps"
+    mass = [] if scenario.mass is None else [f"mass {scenario.mass:g} kg"]
+    items = [*task_items(scenario, world), *mass, *law_items(scenario, world)]
+    yield "scenario", join_items([*items, span])
+    # Of several contacts, each has its letter, and its restitution if the model has one.
+    owns = (contact.restitution for contact in world.contacts)
+    pairs = [
+        f"{letter(i)} {name}" + ("" if own is None else f" (restitution {own:g})")
+        for i, (name, own) in enumerate(zip(contact_names(world), owns, strict=True))
+    ]
+    yield from list_fact("pairs", pairs if len(pairs) > 1 else ())
+    yield from list_fact("friction", friction_items(scenario, world))
+
+
+def list_fact(label: str, items: Iterable[str]) -> Iterator[tuple[str, str]]:
+    """Yields a fact of items, if there are any."""
+    if text := join_items(items):
+        yield label, text
+
+
 def cost_text(cost: float, digits: int = 2, scale: float = 1.0) -> str:
     """Returns a cost, or 0 where nothing but rounding is left of it at a task's scale."""
     return f"{cost:.{digits}e}" if abs(cost) >= NO_COST * scale else "0"
+
+
+def describe_difference(cost: float, replay: Replay) -> str:
+    """Returns by how much a simulation's cost differs from a plan's, and what explains it."""
+    off = replay.cost - cost
+    if abs(off) <= max(_SAME_COST * cost, NO_COST):
+        return ""
+    # Of plans that cost next to nothing, a percentage says nothing.
+    part = f", {100 * off / cost:+.2f} %" if cost > max(NO_COST, abs(off) / 10) else ""
+    # Walls that give a little delay what follows a contact.
+    why = f"; its compliance explains up to {replay.compliance_cost:.1e}"
+    return f" ({off:+.1e}{part}{why if replay.compliance_cost else ''})"
 
 
 def length_text(meters: float) -> str:
