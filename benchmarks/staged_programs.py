@@ -141,7 +141,7 @@ def cost_of(program: AigoProgram, x: Floats) -> float:
 
 def random_point(program: AigoProgram, rng: np.random.Generator) -> Floats:
     """Returns x (n,) of the box."""
-    parsed = program.reduced.parsed
+    parsed = program.parsed
     return rng.uniform(np.maximum(parsed.lower, -_FARTHEST), np.minimum(parsed.upper, _FARTHEST))
 
 

@@ -26,6 +26,7 @@ from drake_aigto.solver import (
     AigoSolver,
     AigoStatus,
     ContradictionError,
+    presolve,
     read_program,
     tighten,
 )
@@ -38,7 +39,7 @@ def test_a_lifted_function_costs_what_it_does_without_lift_and_its_rows_hold(
     problem: Any, seed: int, random: Any
 ) -> None:
     prog = lift(problem, seed)
-    program = read_program(prog).presolved()
+    program = presolve(read_program(prog))
     assume(not program.nlp.num_rows)
     low, high = program.nlp.lower, program.nlp.upper
     z = np.array([random.uniform(a, b) for a, b in zip(low, high, strict=True)])
@@ -90,7 +91,7 @@ def test_controls_of_a_chain_vanish_their_bounds_stay_and_so_does_the_optimum(mo
 
 
 def test_a_long_chain_keeps_its_states_coupled_to_neighbors_only() -> None:
-    program = read_program(double_integrator(200, 20.0)).presolved()
+    program = presolve(read_program(double_integrator(200, 20.0)))
     terms = [block.terms for block in program.costs.blocks]
     assert max(len({f.variable for term in each for f in term.factors}) for each in terms) <= 5
 
@@ -101,7 +102,7 @@ def reduced(
     prog, x = make_program(3, cost, *rows)
     for i, low, high in bounds:
         prog.AddBoundingBoxConstraint(low, high, x[i])
-    return read_program(prog).presolved()
+    return presolve(read_program(prog))
 
 
 def test_waves_of_an_affine_definition_stay_closed() -> None:
@@ -115,17 +116,17 @@ def test_waves_of_an_affine_definition_stay_closed() -> None:
 def test_what_would_have_no_mean_is_not_substituted() -> None:
     program = reduced(lambda x: x[2] == x[0] ** 2 + x[1], cost=lambda x: sin(x[2]) + x[0] ** 4)
     # x₁ = x₂ − x₀² is fine, and x₂ in the sine is not.
-    assert [each.variable for each in program.reduced.definitions] == [1]
+    assert [each.variable for each in program.definitions] == [1]
     none = reduced(lambda x: x[2] == exp(x[1]) * x[0], cost=lambda x: sin(x[2]) + x[0] ** 2)
-    assert none.reduced.definitions == () and none.nlp.num_rows == 1
+    assert none.definitions == () and none.nlp.num_rows == 1
 
 
 def test_bounds_of_what_is_substituted_stay_unless_they_hold_anyway() -> None:
     square, box = (lambda x: x[2] == x[0] ** 2), [(0, -2.0, 2.0), (1, -1.0, 1.0)]
     for low, high, count in ((0.0, 4.0, 0), (-np.inf, 5.0, 0), (1.0, 4.0, 1), (0.0, 3.0, 1)):
         program = reduced(square, bounds=[*box, (2, low, high)])
-        assert [each.variable for each in program.reduced.definitions] == [2]
-        assert len(program.slacks) == program.nlp.num_rows == count
+        assert [each.variable for each in program.definitions] == [2]
+        assert len(program.slack_rows) == program.nlp.num_rows == count
 
 
 def test_a_definition_that_overflows_far_out_is_no_warning() -> None:

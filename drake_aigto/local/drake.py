@@ -14,18 +14,7 @@ from pydrake.solvers import IpoptSolver, MathematicalProgram, SnoptSolver, Solve
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.local.nlp import PolynomialNlp, check_bounds
-from drake_aigto.terms import (
-    ConstraintRow,
-    Term,
-    TermBlock,
-    affine_terms,
-    as_bound,
-    evaluator_name,
-    parse_costs,
-    parse_rows,
-    shared_evaluators,
-    term_blocks,
-)
+from drake_aigto.terms import ParsedRow, Term, TermBlock, parse_costs, parse_rows, shared_evaluators
 
 # Rows are multiplied by distances of 1e-4 m near the wall: asked this tight, the true defects end
 # below 1e-8.
@@ -62,32 +51,25 @@ def compile_nlp(prog: MathematicalProgram, order: ArrayLike | None = None) -> Po
     lower, upper = np.full(prog.num_vars(), -np.inf), np.full(prog.num_vars(), np.inf)
     rows: list[TermBlock] = []
     for label, evaluator, copies in shared_evaluators(prog, prog.GetAllConstraints()):
-        for row, variables in parse_rows(label, evaluator, copies):
-            if np.isneginf(row.lower) and np.isposinf(row.upper):
-                continue
-            bound = as_bound(row)
-            if bound is not None:
-                local, low, high = bound
-                np.maximum.at(lower, variables[:, local], low)
-                np.minimum.at(upper, variables[:, local], high)
-            else:
-                terms = _equality_terms(label, row)
-                rows.extend(term_blocks(evaluator_name(evaluator), terms, variables.tolist()))
+        for row in parse_rows(label, evaluator, copies):
+            if not row.is_free and not row.tighten(lower, upper):
+                rows.append(_equality(row))
     check_bounds(lower, upper, lambda i: str(prog.decision_variable(i)))
     return PolynomialNlp(prog.num_vars(), costs, tuple(rows), lower, upper, order)
 
 
-def _equality_terms(label: str, row: ConstraintRow) -> tuple[Term, ...]:
-    """Returns the terms of row − value = 0."""
-    if row.lower != row.upper:
+def _equality(row: ParsedRow) -> TermBlock:
+    """Returns row − value = 0."""
+    if not row.is_equality:
         raise UnsupportedTermError(
-            f"{label} can't be compiled",
+            f"{row.label} can't be compiled",
             got=f"an inequality of several variables, or not affine: {row.lower:g} ≤ {row} ≤ "
             f"{row.upper:g}",
             expected="equalities, and bounds on single variables",
             remedy="Give the expression a variable s of its own: expression == s, s ≥ 0.",
         )
-    return (*row.terms, *affine_terms((), -row.lower))
+    rest = (Term(-row.lower, ()),) if row.lower else ()
+    return TermBlock(row.block.name, (*row.block.terms, *rest), row.block.variables)
 
 
 def solve_with_drake(prog: MathematicalProgram, guess: Floats, solver: str) -> Floats:

@@ -2,17 +2,87 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal, get_args
 
+import numpy as np
+
+from drake_aigto.aigo import AigoResult, Algorithm, Alternating, Annealing, FullGradient
+from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.contact import contact_delay
-from drake_aigto.paper.options import LiteralOptions
-from drake_aigto.paper.problem import Knots, LiteralTask, make_literal_task
-from drake_aigto.planning import Candidate, Plan, Progress, SequenceSearch, Stopwatch
-from drake_aigto.transcription import Touch
+from drake_aigto.errors import OptionsError
+from drake_aigto.paper.literal import LiteralTranscription
+from drake_aigto.planning import (
+    Candidate,
+    Origin,
+    Plan,
+    ProgramTask,
+    Progress,
+    Rung,
+    SearchOptions,
+    SequenceSearch,
+    Stopwatch,
+)
+from drake_aigto.transcription import DYNAMICS, KINEMATICS, NONPENETRATION, Touch, Transcription
 from drake_aigto.world import Scenario, World
+
+Knots = tuple[int, ...]
+AlgorithmName = Literal["annealing", "full gradient", "alternating"]
 
 # Contacts this many knots apart are one proposal of AIGO's; moving them distinguishes them.
 _SAME = 2
+# A knot counts as a contact if it comes this much nearer to the wall than start and goal.
+_NEARER = 0.25
+# Those that need no temperature.
+_ALGORITHMS: Mapping[str, Algorithm] = {
+    "full gradient": FullGradient(),
+    "alternating": Alternating(),
+}
+
+
+def _literal_rung(temperature: float, kinematics: float, dynamics: float) -> Rung:
+    weights = {KINEMATICS: kinematics, DYNAMICS: dynamics, NONPENETRATION: 5e-4}
+    return Rung(temperature, weights)
+
+
+# Light dynamics rows keep the paper's contact alive while boxes are wide: a heavy (φ + δ)² (…)² is
+# least at φ ≈ 0 with no impulse, the collapse of AIGTO Fig. 1. Light kinematics rows let the mass
+# jump to the wall at once. The first rung alone finds the bounce of all of Table I by annealing; a
+# heavy and cold one ends in free flight; Algorithm 1 needs the lightest.
+LITERAL_LADDER = (
+    _literal_rung(1e-4, 1e3, 1e-2),
+    _literal_rung(1e-5, 1e2, 1e0),
+    _literal_rung(1e-4, 1e3, 1e-3),
+    _literal_rung(1e-5, 1e2, 1e-4),
+    _literal_rung(1e-4, 1e1, 1e-4),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiteralOptions(SearchOptions):
+    """Numerics of a plan in the paper's transcription (`LiteralTranscription`).
+
+    Attributes:
+        ladder: the starts of AIGO; candidates come out of each. Local_solver, finalists, threads
+            and confirm: see `SearchOptions`.
+        nonpenetration: whether φ(q_k) ≥ 0 is a constraint. The paper's figures need it off.
+        algorithm: "annealing"; or "full gradient", the paper's Algorithm 1, or "alternating", the
+            one before it.
+        knot_steps: numbers of knots by which contacts of finalists are moved, in turn.
+    """
+
+    ladder: tuple[Rung, ...] = field(default=LITERAL_LADDER, repr=False)
+    nonpenetration: bool = True
+    algorithm: AlgorithmName = "annealing"
+    knot_steps: tuple[int, ...] = (16, 8, 4, 2, 1)
+
+    def __post_init__(self) -> None:
+        """Checks the choices."""
+        super().__post_init__()
+        self._check_choice("algorithm", get_args(AlgorithmName))
+        if not self.ladder:
+            raise OptionsError("ladder", got="no rung", expected="at least one")
 
 
 def plan_literal(
@@ -92,3 +162,109 @@ class LiteralSearch(SequenceSearch):
                     origin = self.by_sequence[sequence].origin.changed("moved", (touch,))
                     self.add(origin, self.centers[sequence], (moved,))
                 yield (moved,)
+
+
+def make_literal_task(
+    world: World, scenario: Scenario, options: LiteralOptions | None = None
+) -> LiteralTask:
+    """Returns the scenario, literally transcribed and compiled."""
+    options = options or LiteralOptions()
+    return LiteralTask(LiteralTranscription(world, scenario, options.nonpenetration), options)
+
+
+class LiteralTask(ProgramTask):
+    """The literal transcription: a contact sequence is the knot at the wall, or ()."""
+
+    transcription: LiteralTranscription
+    options: LiteralOptions
+
+    transcription_name: ClassVar[str] = "literal"
+
+    def __init__(
+        self, transcription: LiteralTranscription, options: LiteralOptions | None = None
+    ) -> None:
+        """Compiles; the transcription decides whether φ ≥ 0 is a constraint."""
+        options = options or LiteralOptions()
+        super().__init__(transcription, options, options.ladder)
+
+    def make_algorithm(self, rung: Rung) -> Algorithm:
+        """Returns the options' algorithm."""
+        annealing = Annealing(initial_temperature=rung.temperature * self._cost_scale)
+        return _ALGORITHMS.get(self.options.algorithm, annealing)
+
+    @property
+    def algorithm_name(self) -> str:
+        """The options' algorithm."""
+        return self.options.algorithm
+
+    def find_sequences(self, result: AigoResult, rung: Rung) -> list[Knots]:
+        """Returns the contact sequences that AIGO proposes; () is a free flight.
+
+        One is read off the box center itself, another after pulling it towards the constraints.
+        """
+        center = result.box.center
+        return [contact_knots(self.transcription, x) for x in (center, self.pull(center, rung))]
+
+    def polish(self, center: Floats, sequence: Knots) -> tuple[LiteralTranscription, Floats]:
+        """Returns the transcription, and its local optimum next to a contact sequence.
+
+        The local solver starts from the ballistic guess: of AIGO's box center only the sequence is
+        kept, as its penalized rows are off by far.
+        """
+        guess = ballistic_guess(self.transcription, center, sequence)
+        return self.transcription, self.solve_locally(guess)
+
+
+def contact_knots(transcription: Transcription, x: Floats) -> Knots:
+    """Returns the contact sequence of decision variables: the knot that is deepest, or none.
+
+    The rows need not hold: AIGO's box centers are read before any polish. One contact is all that
+    the literal transcription needs, as one knot at the wall gives an impulse of any size; further
+    visits to the wall are slack of the penalties.
+    """
+    scenario, world = transcription.scenario, transcription.world
+    distances = np.min(transcription.signed_distances(x), axis=1)
+    ends = (scenario.initial_position, scenario.goal_position)
+    near = _NEARER * min(float(np.min(world.calc_signed_distance(q))) for q in ends)
+    deepest = int(np.argmin(distances[1:-1])) + 1
+    return (deepest,) if distances[deepest] < near else ()
+
+
+def ballistic_guess(transcription: Transcription, x: Floats, knots: Knots) -> Floats:
+    """Returns a guess that flies straight from the start over the contacts to the goal, u = 0.
+
+    Of x, AIGO's box center of shape (n,), it takes the positions of contacts along the wall, at
+    increasing knots.
+    """
+    scenario = transcription.scenario
+    positions, _, controls = transcription.split(x)
+    last = len(positions) - 1
+    stops = {0: scenario.initial_position, last: scenario.goal_position}
+    every = range(transcription.world.num_contacts)
+    stops |= {k: transcription.world.move_onto(positions[k], every) for k in knots}
+    path = interpolate(range(last + 1), sorted(stops), np.array([stops[k] for k in sorted(stops)]))
+    steps = np.diff(path, axis=0) / transcription.time_step()
+    velocities = np.vstack([steps, steps[-1:]])
+    return transcription.vector_of(path, velocities, np.zeros(controls.shape))
+
+
+def gradient_from_zero(problem: LiteralTask) -> Candidate:
+    """Returns the result of the problem's local solver from a guess of zeros."""
+    start = np.zeros(problem.transcription.prog().num_vars())
+    return _run(problem, "zero", start)
+
+
+def gradient_from_random(problem: LiteralTask, generator: np.random.Generator) -> Candidate:
+    """Returns the local solver's result from a guess, uniform over the first box of AIGO."""
+    return _run(problem, "random", random_guess(problem.transcription, generator))
+
+
+def random_guess(transcription: Transcription, generator: np.random.Generator) -> Floats:
+    """Returns all decision variables, uniform over the first box of AIGO."""
+    center, half_width = transcription.initial_box()
+    return generator.uniform(center - half_width, center + half_width)
+
+
+def _run(problem: LiteralTask, proposer: str, start: Floats) -> Candidate:
+    x = problem.solve_locally(start)
+    return problem.judge(Origin(proposer), start, problem.transcription, x)

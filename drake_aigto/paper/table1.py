@@ -16,13 +16,14 @@ import numpy as np
 
 from drake_aigto.contact import contact_delay
 from drake_aigto.jobs import open_jobs
-from drake_aigto.paper.options import AlgorithmName, LiteralOptions
-from drake_aigto.paper.planner import plan_literal
-from drake_aigto.paper.problem import (
+from drake_aigto.paper.planner import (
+    AlgorithmName,
+    LiteralOptions,
     LiteralTask,
     gradient_from_random,
     gradient_from_zero,
     make_literal_task,
+    plan_literal,
 )
 from drake_aigto.paper.rigid_optimum import RigidOptimum, rigid_optimum
 from drake_aigto.planning import (

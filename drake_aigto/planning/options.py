@@ -16,7 +16,7 @@ LocalSolverName = Literal["newton", "ipopt", "snopt"]
 # Transcription → its options, by name, as the paper's modules import this one.
 _KINDS = {
     "rigid": "drake_aigto.planning.options:PlanOptions",
-    "literal": "drake_aigto.paper.options:LiteralOptions",
+    "literal": "drake_aigto.paper.planner:LiteralOptions",
     "shooting": "drake_aigto.planning.options:PlanOptions",
 }
 # Options that count for one kind of task only.

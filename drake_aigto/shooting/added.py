@@ -210,6 +210,7 @@ def _read(
                     total[product] = total.get(product, 0.0) + coefficient
         yield row, total
         return
-    for each, (copy,) in parse_rows(label, addition.evaluator, [variables]):
+    for each in parse_rows(label, addition.evaluator, [variables]):
+        (copy,) = each.block.variables.tolist()
         bounded = row._replace(is_cost=False, lower=each.lower, upper=each.upper)
-        yield bounded, builder.collect(label, each.terms, copy.tolist())
+        yield bounded, builder.collect(label, each.block.terms, copy)

@@ -63,8 +63,7 @@ class Answers:
         self._options, self._observe = options, observe
         self.best: CheckedPoint | None = None
         self._best_cost: tuple[CheckedPoint, float] | None = None  # by the program's own formulas
-        reduced = program.reduced
-        is_unbounded = np.isinf(reduced.lower) | np.isinf(reduced.upper)
+        is_unbounded = np.isinf(program.given.lower) | np.isinf(program.given.upper)
         self.is_unbounded = is_unbounded[: program.source.num_vars()]
         self.polishes = 0
         self.kkt_storage: Storage | None = None
@@ -94,7 +93,7 @@ class Answers:
         """Keeps a point x (n,) if it is the best so far."""
         program = self.program
         padded = np.zeros(program.nlp.num_variables)
-        padded[: program.reduced.kept.size] = program.reduce(x)
+        padded[: program.kept.size] = program.reduce(x)
         cost = program.costs(padded)
         rounding = _ROUNDING * program.nlp.cost_magnitude(padded)
         if not np.isfinite(cost + rounding):
@@ -179,7 +178,7 @@ class Answers:
         whole = self.staged.program
         plain = InteriorPoint(max_iterations=_POLISH_STEPS)
         warm = InteriorPoint.warm(max_iterations=_POLISH_STEPS)
-        for local in (plain, warm) if self.program.reduced.definitions else (warm,):
+        for local in (plain, warm) if self.program.definitions else (warm,):
             if self.best is None:
                 return
             start = whole.with_slacks(whole.reduce(self.best.x))

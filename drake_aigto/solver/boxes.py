@@ -13,9 +13,8 @@ from drake_aigto.box import BoxPolynomial
 from drake_aigto.linear import Storage
 from drake_aigto.solver.answers import Answers
 from drake_aigto.solver.details import AigoOptions
-from drake_aigto.solver.parsed import Bounds, tighten
 from drake_aigto.solver.program import AigoProgram
-from drake_aigto.solver.ranges import sum_range
+from drake_aigto.solver.ranges import Bounds, tighten
 from drake_aigto.terms import FunctionKind, TermBlock
 
 _LARGEST_MEAN = 1e20  # of costs or squared rows: beyond it, they hide all else
@@ -97,10 +96,8 @@ def _box(program: AigoProgram, bounds: Bounds, start: Floats, reach: Floats) -> 
     lower, upper = program.nlp.lower, program.nlp.upper
     n = start.size
     low, high = np.maximum(bounds[0][:n], start - reach), np.minimum(bounds[1][:n], start + reach)
-    for number, slack in enumerate(program.slacks):
-        places = list(slack.variables)
-        least, most = sum_range(slack.terms, low[places], high[places])
-        first, last = lower[n + number], upper[n + number]
+    for number, (least, most) in enumerate(program.slack_ranges(low, high), n):
+        first, last = lower[number], upper[number]
         # Where no x of the box is feasible the slack still gets some room.
         room = max(1.0, abs(first) if np.isfinite(first) else abs(last))
         low = np.append(low, first if np.isfinite(first) else min(least, last - room))
@@ -192,7 +189,7 @@ class BoxStage:
         options, program = self._options, self._answers.program
         if not np.any(first.free):
             return
-        if not program.rows:
+        if not program.parsed.rows:
             search = BoxSearch(rounds=options.rounds, patience=options.patience, seed=options.seed)
             self._run(search, first, program.costs, "")
             return

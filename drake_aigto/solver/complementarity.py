@@ -130,11 +130,11 @@ class _ComplementaritySearch:
     """One run."""
 
     def __init__(self, program: AigoProgram) -> None:
-        parsed = program.reduced.parsed
+        parsed = program.parsed
         self._lower, self._upper = parsed.lower, parsed.upper
-        self._slacks = {slack.row: i for i, slack in enumerate(program.slacks, self._lower.size)}
+        self._slacks = {row: i for i, row in enumerate(program.slack_rows, self._lower.size)}
         self._rows = [
-            (from_terms(each.row.terms, copy), each.row.lower, each.row.upper)
+            (from_terms(each.block.terms, copy), each.lower, each.upper)
             for each in parsed.rows
             for copy in each.block.variables.tolist()
         ]

@@ -21,7 +21,7 @@ from pydrake.symbolic import Expression, ExpressionKind, Variable
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.solver.ranges import RowRange, Signs, interval
+from drake_aigto.solver.signs import RowRange, Signs, interval
 from drake_aigto.terms import (
     CONES,
     NORM_COSTS,

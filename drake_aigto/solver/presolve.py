@@ -7,17 +7,17 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.solver.parsed import ParsedProgram, ParsedRow
+from drake_aigto.solver.program import AigoProgram, Definition, ParsedProgram
 from drake_aigto.solver.ranges import sum_range
 from drake_aigto.terms import (
-    ConstraintRow,
     FunctionKind,
     NoClosedFormError,
+    ParsedRow,
     Part,
     Sum,
     TermBlock,
@@ -25,7 +25,6 @@ from drake_aigto.terms import (
     add,
     compose,
     constant,
-    evaluate,
     from_terms,
     with_own_variables,
 )
@@ -78,54 +77,7 @@ class BoundedSum:
         return max((sum(part.exponent for part in parts) for parts in self.total), default=0)
 
 
-class Definition(NamedTuple):
-    """x_j = Σ terms of other variables.
-
-    Attributes:
-        variable: j.
-        total: the terms over x.
-    """
-
-    variable: int
-    total: Sum
-
-
-@dataclass(frozen=True, eq=False)
-class Reduced:
-    """A program without the variables that its rows define.
-
-    Attributes:
-        parsed: the program that remains, over z.
-        kept: indices of z among x.
-        definitions: in the order of their making, each over variables that were there by then.
-        lower: bounds of x, shape (n,).
-        upper: shape (n,).
-    """
-
-    parsed: ParsedProgram
-    kept: Ints
-    definitions: tuple[Definition, ...]
-    lower: Floats
-    upper: Floats
-
-    def restore(self, z: Floats) -> Floats:
-        """Returns x (n,) within its bounds, with the variables that were left out."""
-        x = np.zeros(self.lower.size)
-        x[self.kept] = z
-        x = np.clip(x, self.lower, self.upper)
-        for j, total in reversed(self.definitions):
-            with np.errstate(over="ignore", invalid="ignore"):  # Far out a definition may overflow.
-                x[j] = np.clip(evaluate(total, x), self.lower[j], self.upper[j])
-        return x
-
-
-def keep_all(parsed: ParsedProgram) -> Reduced:
-    """Returns a program as it is."""
-    lower, upper = parsed.lower, parsed.upper
-    return Reduced(parsed, np.arange(lower.size), (), lower, upper)
-
-
-def substitute(parsed: ParsedProgram) -> Reduced:
+def presolve(program: AigoProgram) -> AigoProgram:
     """Returns a program without variables that equality rows define.
 
     A row a x_j + g = 0, where a is a number and g has no x_j, has −g/a stand wherever x_j stood: in
@@ -139,20 +91,19 @@ def substitute(parsed: ParsedProgram) -> Reduced:
     Raises:
         ContradictionError: a row that is left is one of constants, and does not hold.
     """
-    if not any(each.is_equality for each in parsed.rows):
-        return keep_all(parsed)
-    lower, upper = parsed.lower, parsed.upper
-    pieces, definitions = _Substitution(_split(parsed), lower, upper).run()
-    kept = np.delete(np.arange(lower.size), [each.variable for each in definitions])
-    reduced = _join(pieces, kept, lower, upper)
-    reduced.row_sizes = parsed.row_sizes
-    return Reduced(reduced, kept, definitions, lower, upper)
+    given = program.given
+    if not any(each.is_equality for each in given.rows):
+        return program
+    pieces, definitions = _Substitution(_split(given), given.lower, given.upper).run()
+    kept = np.delete(np.arange(given.lower.size), [variable for variable, _ in definitions])
+    parsed = _join(pieces, kept, given.lower, given.upper)
+    return AigoProgram(program.source, program.lifted, given, parsed, definitions)
 
 
 def _split(parsed: ParsedProgram) -> Iterator[BoundedSum]:
     """Yields every copy of all costs and rows."""
     costs = ((block.name, block, None) for block in parsed.costs)
-    rows = ((each.label, each.block, (each.row.lower, each.row.upper)) for each in parsed.rows)
+    rows = ((each.label, each.block, (each.lower, each.upper)) for each in parsed.rows)
     for label, block, bounds in (*costs, *rows):
         for copy in block.variables.tolist():
             yield BoundedSum(label, block.name, from_terms(block.terms, copy), bounds)
@@ -173,7 +124,7 @@ def _join(pieces: Iterable[BoundedSum], kept: Ints, lower: Floats, upper: Floats
         if bounds is None:
             parsed.costs += (block,)
         else:
-            parsed.add(ParsedRow(label, ConstraintRow(terms, *bounds), block))
+            parsed.add(ParsedRow(label, block, *bounds))
     return parsed
 
 

@@ -2,89 +2,171 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.solvers import Binding, EvaluatorBase, MathematicalProgram
+from pydrake.symbolic import Variable
 
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.local import PolynomialNlp
 from drake_aigto.solver.lift import Lifted, lift
-from drake_aigto.solver.parsed import ParsedProgram, ParsedRow, tighten
-from drake_aigto.solver.presolve import Reduced, keep_all, substitute
-from drake_aigto.solver.ranges import LARGEST
+from drake_aigto.solver.ranges import LARGEST, Range, largest_term, sum_range, tighten
 from drake_aigto.terms import (
     Factor,
     FunctionKind,
     NoClosedFormError,
+    ParsedRow,
+    Sum,
     Term,
     TermBlock,
     TooManyTermsError,
+    evaluate,
     evaluator_name,
     from_terms,
+    parse_costs,
+    parse_rows,
     power,
+    shared_evaluators,
     to_terms,
 )
 
-# Violations below it are far below the tolerance of an answer.
+# A row of constants may miss its bounds by this; violations below it are far below the tolerance of
+# an answer.
 _NOTICED = 1e-9
+# Rows whose terms are all below the first of these within the bounds are divided by the largest
+# one, down to the second, and equalities to the third: smaller terms are nothing but rounding, and
+# an equality that leaves next to nothing, as x² + y² = 0, is met the slower the closer.
+_SMALL, _LEAST, _LEAST_EQUALITY = 0.01, 1e-18, 5e-9
 
 
-@dataclass(frozen=True)
-class Slack:
-    """A variable s of its own for an inequality's g(z).
-
-    Attributes:
-        row: number of the row g(z) − s = 0.
-        terms: g, over its own variables.
-        variables: which of z these are.
-    """
-
-    row: int
-    terms: tuple[Term, ...]
-    variables: tuple[int, ...]
+class ContradictionError(Exception):
+    """Bounds or constants alone leave no feasible point."""
 
 
-@dataclass(frozen=True, eq=False)
-class PenalizedRow:
-    """Copies of an equality row r(y) = 0.
+class ParsedProgram:
+    """Minimize Σ costs subject to rows, lower ≤ x ≤ upper.
+
+    Rows that are affine in one variable are bounds. Those whose coefficients, or whose terms within
+    the bounds, are all below 1 are divided by the largest one: units of their own are no reason to
+    hold them less.
 
     Attributes:
-        source: the row that it came from.
-        name: of its square, unlike all costs'.
-        block: r, and the variables of each copy.
+        costs: f.
+        rows: all others.
+        row_sizes: divisors of the rows of each constraint, shape (m,) each.
+        lower: bounds of x, shape (n,).
+        upper: shape (n,).
     """
 
-    source: ParsedRow
-    name: str
-    block: TermBlock
+    def __init__(self, num_variables: int) -> None:
+        """Starts with nothing."""
+        self.costs: tuple[TermBlock, ...] = ()
+        self.rows: list[ParsedRow] = []
+        self.row_sizes: dict[EvaluatorBase, Floats] = {}
+        self.lower = np.full(num_variables, -np.inf)
+        self.upper = np.full(num_variables, np.inf)
 
-    def square(self) -> TermBlock:
-        """Returns r² of all copies.
+    @classmethod
+    def of(cls, prog: MathematicalProgram) -> ParsedProgram:
+        """Reads a program.
 
         Raises:
-            UnsupportedTermError: it has no mean in closed form; by name.
+            UnsupportedTermError: a cost or row without a mean in closed form, or variables that
+                are not continuous; by name.
+            ContradictionError: bounds or constants alone leave no feasible point.
         """
-        label, row = self.source.label, self.source.row
-        try:
-            terms = to_terms(power(from_terms(self.block.terms), 2))
-        except NoClosedFormError as error:
-            raise UnsupportedTermError(
-                f"{label} can't be penalized",
-                got=f"the row {row}, in whose square {error}",
-                expected="rows whose square has a mean in closed form",
-                remedy="Give one of the two functions a variable s of its own: s == exp(x).",
-            ) from None
-        except TooManyTermsError as error:
-            raise error.refusal(label, f"in the square of the row {row}") from None
-        return TermBlock(self.name, terms, self.block.variables)
+        for variable in prog.decision_variables():
+            if variable.get_type() != Variable.Type.CONTINUOUS:
+                raise UnsupportedTermError(
+                    f"the variable {variable} can't be solved for",
+                    got=f"one of type {variable.get_type().name}",
+                    expected="continuous variables",
+                    remedy="Relax it, or use a mixed-integer solver.",
+                )
+        parsed = cls(prog.num_vars())
+        for label, evaluator, copies in shared_evaluators(prog, prog.GetAllConstraints()):
+            parsed.rows += parse_rows(label, evaluator, copies)
+            parsed.row_sizes[evaluator] = np.ones(evaluator.num_constraints())
+        parsed._divide_rows(_row_size)
+        rows, parsed.rows = parsed.rows, []
+        for row in rows:
+            parsed.add(row)
+        parsed.costs = parse_costs(prog)
+        return parsed
+
+    def scale_rows(self, lower: Floats, upper: Floats) -> bool:
+        """Divides rows by their largest term within bounds of x (n,) that hold for feasible points.
+
+        Returns:
+            Whether a row was divided.
+        """
+
+        def measure(row: ParsedRow) -> float:
+            copies, terms = row.block.variables, row.block.terms
+            largest = max(largest_term(terms, lower[copy], upper[copy]) for copy in copies)
+            return largest if largest >= (_LEAST_EQUALITY if row.is_equality else _LEAST) else 1.0
+
+        return self._divide_rows(measure, _SMALL)
+
+    def _divide_rows(self, measure: Callable[[ParsedRow], float], least: float = 1.0) -> bool:
+        """Divides rows by their sizes that are below the least; copies by the largest of theirs."""
+        sizes: dict[Any, float] = {}
+        for row in self.rows:
+            sizes[row.origin] = max(measure(row), sizes.get(row.origin, 0.0))
+        small = {origin: size for origin, size in sizes.items() if size < least}
+        for (evaluator, number), size in small.items():
+            self.row_sizes[evaluator][number] *= size
+        self.rows = [row.divided(small.get(row.origin, 1.0)) for row in self.rows]
+        return bool(small)
+
+    def add(self, row: ParsedRow) -> None:
+        """Adds the copies of a row.
+
+        Raises:
+            ContradictionError: it leaves no feasible point.
+        """
+        if row.lower > row.upper or np.isposinf(row.lower) or np.isneginf(row.upper):
+            raise ContradictionError
+        if row.is_free:
+            return
+        if row.tighten(self.lower, self.upper):
+            ends = [side[row.block.variables] for side in (self.lower, self.upper)]
+            if not np.all(ends[0] <= ends[1]) or np.any(
+                np.isposinf(ends[0]) | np.isneginf(ends[1])
+            ):
+                raise ContradictionError
+        elif any(term.factors for term in row.block.terms):
+            self.rows.append(row)
+        else:
+            value = sum(term.coefficient for term in row.block.terms)
+            if not row.lower - _NOTICED <= value <= row.upper + _NOTICED:
+                raise ContradictionError
 
 
-@dataclass(frozen=True, eq=False)
+def _row_size(row: ParsedRow) -> float:
+    """Returns the largest coefficient of a row."""
+    sizes = (abs(term.coefficient) for term in row.block.terms if term.factors)
+    return max(sizes, default=1.0) or 1.0
+
+
+class Definition(NamedTuple):
+    """x_j = Σ terms of other variables.
+
+    Attributes:
+        variable: j.
+        total: the terms over x.
+    """
+
+    variable: int
+    total: Sum
+
+
 class AigoProgram:
     """Minimize f(x) subject to r(y) = 0, lower ≤ y ≤ upper, over y = (z, s).
 
@@ -96,20 +178,51 @@ class AigoProgram:
     Attributes:
         source: the program as it was given, over x.
         lifted: the same with variables of their own for functions that have no mean.
-        reduced: the same after presolve.
+        given: the same as data.
+        parsed: the same after presolve.
+        definitions: of variables that presolve left out, in the order of their making, each over
+            variables that were there by then.
+        kept: indices of z among those of `given`.
         nlp: f, r and bounds over y, for a local solver.
-        costs: f over y.
-        rows: r over y.
-        slacks: the function that each s_i stands for.
+        slack_rows: row of each s_i.
     """
 
-    source: MathematicalProgram
-    lifted: Lifted
-    reduced: Reduced
-    nlp: PolynomialNlp
-    costs: BoxPolynomial
-    rows: tuple[PenalizedRow, ...]
-    slacks: tuple[Slack, ...]
+    def __init__(
+        self,
+        source: MathematicalProgram,
+        lifted: Lifted,
+        given: ParsedProgram,
+        parsed: ParsedProgram | None = None,
+        definitions: tuple[Definition, ...] = (),
+    ) -> None:
+        """Adds slacks; nothing was presolved if there is nothing parsed but what was given."""
+        self.source, self.lifted, self.given = source, lifted, given
+        self.parsed, self.definitions = parsed or given, definitions
+        self.kept = np.delete(np.arange(given.lower.size), [j for j, _ in definitions])
+        parsed = self.parsed
+        blocks: list[TermBlock] = []
+        self.slack_rows: list[int] = []
+        lower, upper = [parsed.lower], [parsed.upper]
+        prefix, size, number = _row_prefix(source), parsed.lower.size, 0
+        for row in parsed.rows:
+            rest, variables = Term(-row.lower, ()), row.block.variables
+            count = len(variables)
+            if not row.is_equality:
+                rest = Term(-1.0, (Factor(variables.shape[1], FunctionKind.POWER),))
+                variables = np.column_stack([variables, np.arange(size, size + count)])
+                self.slack_rows += range(number, number + count)
+                size += count
+                lower.append(np.full(count, row.lower))
+                upper.append(np.full(count, row.upper))
+            blocks.append(TermBlock(f"{prefix}{number}", (*row.block.terms, rest), variables))
+            number += count
+        bounds = np.concatenate(lower), np.concatenate(upper)
+        self.nlp = PolynomialNlp(size, parsed.costs, tuple(blocks), *bounds)
+
+    @cached_property
+    def costs(self) -> BoxPolynomial:
+        """The costs f over y."""
+        return BoxPolynomial(self.nlp.num_variables, self.parsed.costs)
 
     @cached_property
     def penalties(self) -> BoxPolynomial:
@@ -118,24 +231,20 @@ class AigoProgram:
         Raises:
             UnsupportedTermError: a row's square has no mean in closed form; by name.
         """
-        return BoxPolynomial(self.nlp.num_variables, tuple(row.square() for row in self.rows))
+        squares = map(_square, self.parsed.rows, self.nlp.blocks[len(self.nlp.costs) :])
+        return BoxPolynomial(self.nlp.num_variables, tuple(squares))
 
     @cached_property
     def largest_coefficient(self) -> float:
         """The largest one of all rows, in absolute value; 0 without rows."""
-        terms = (term for row in self.rows for term in row.source.row.terms)
+        terms = (term for row in self.parsed.rows for term in row.block.terms)
         return max((abs(term.coefficient) for term in terms), default=0.0)
 
-    def presolved(self) -> AigoProgram:
-        """Returns the program without variables that rows define.
-
-        Raises:
-            ContradictionError: constants alone leave no feasible point.
-        """
-        reduced = substitute(self.reduced.parsed)
-        if reduced.parsed is self.reduced.parsed:
-            return self
-        return _assemble(self.source, self.lifted, reduced)
+    def slack_ranges(self, low: Floats, high: Floats) -> Iterator[Range]:
+        """Yields bounds of the g that each s_i stands for, over low ≤ z ≤ high (n,)."""
+        for row in self.parsed.rows:
+            for copy in () if row.is_equality else row.block.variables:
+                yield sum_range(row.block.terms, low[copy], high[copy])
 
     def cost(self, x: Floats) -> float:
         """Returns f at x (n,); infinite where a formula has no value."""
@@ -156,7 +265,7 @@ class AigoProgram:
         without the change of a row that rounding of x alone may lead to.
         """
         worst = 0.0
-        sizes = self.reduced.parsed.row_sizes
+        sizes = self.given.row_sizes
         for binding, rows in zip(self.source.GetAllConstraints(), self.lifted.rows, strict=True):
             evaluator = binding.evaluator()
             value = self._value(binding, x)
@@ -172,19 +281,26 @@ class AigoProgram:
 
     def reduce(self, x: Floats) -> Floats:
         """Returns z of x (n,)."""
-        return self.lifted.extend(x)[self.reduced.kept]
+        return self.lifted.extend(x)[self.kept]
 
     def answer(self, y: Floats) -> Floats:
-        """Returns x (n,) of z or y, within its bounds."""
-        return self.reduced.restore(y[: self.reduced.kept.size])[: self.source.num_vars()]
+        """Returns x (n,) of z or y, within its bounds, with the variables that were left out."""
+        lower, upper = self.given.lower, self.given.upper
+        x = np.zeros(lower.size)
+        x[self.kept] = y[: self.kept.size]
+        x = np.clip(x, lower, upper)
+        for j, total in reversed(self.definitions):
+            with np.errstate(over="ignore", invalid="ignore"):  # Far out a definition may overflow.
+                x[j] = np.clip(evaluate(total, x), lower[j], upper[j])
+        return x[: self.source.num_vars()]
 
     def with_slacks(self, z: Floats) -> Floats:
         """Returns y = (z, s) with s = g(z), moved within the bounds; z may be a y already."""
-        z = z[: self.reduced.kept.size]
-        y = np.concatenate([z, np.zeros(len(self.slacks))])
-        if self.slacks:
-            values = self.nlp.evaluate(y)[1][[slack.row for slack in self.slacks]]
-            y[z.size :] = np.nan_to_num(values, posinf=LARGEST, neginf=-LARGEST)
+        y = np.zeros(self.nlp.num_variables)
+        y[: self.kept.size] = z[: self.kept.size]
+        if self.slack_rows:
+            values = self.nlp.evaluate(y)[1][self.slack_rows]
+            y[self.kept.size :] = np.nan_to_num(values, posinf=LARGEST, neginf=-LARGEST)
         return np.clip(y, self.nlp.lower, self.nlp.upper)
 
 
@@ -202,11 +318,11 @@ def read_program(prog: MathematicalProgram) -> AigoProgram:
     except UnsupportedTermError:
         lifted = lift(prog)
         parsed = ParsedProgram.of(lifted.prog)
-    program = _assemble(prog, lifted, keep_all(parsed))
-    if program.rows:
+    program = AigoProgram(prog, lifted, parsed)
+    if parsed.rows:
         bounds = (side[: parsed.lower.size] for side in tighten(program.nlp))
         if parsed.scale_rows(*bounds):
-            return _assemble(prog, lifted, keep_all(parsed))
+            return AigoProgram(prog, lifted, parsed)
     return program
 
 
@@ -221,38 +337,20 @@ def _rounding(evaluator: EvaluatorBase, x: Floats) -> Floats:
     return np.where(np.isfinite(changes), changes, 0.0)
 
 
-def _assemble(source: MathematicalProgram, lifted: Lifted, reduced: Reduced) -> AigoProgram:
-    """Returns the program with equality rows, and slacks for inequalities."""
-    parsed = reduced.parsed
-    rows: list[PenalizedRow] = []
-    slacks: list[Slack] = []
-    lower, upper = [parsed.lower], [parsed.upper]
-    prefix, size, number = _row_prefix(source), parsed.lower.size, 0
-    for each in parsed.rows:
-        row, variables, count = each.row, each.block.variables, len(each.block.variables)
-        rest = Term(-row.lower, ())
-        if not each.is_equality:
-            rest = Term(-1.0, (Factor(variables.shape[1], FunctionKind.POWER),))
-            copies = enumerate(variables.tolist(), number)
-            slacks += [Slack(place, row.terms, tuple(copy)) for place, copy in copies]
-            variables = np.column_stack([variables, np.arange(size, size + count)])
-            size += count
-            lower.append(np.full(count, row.lower))
-            upper.append(np.full(count, row.upper))
-        block = TermBlock(each.block.name, (*row.terms, rest), variables)
-        rows.append(PenalizedRow(each, f"{prefix}{number}", block))
-        number += count
-    bounds = np.concatenate(lower), np.concatenate(upper)
-    blocks = tuple(row.block for row in rows)
-    return AigoProgram(
-        source=source,
-        lifted=lifted,
-        reduced=reduced,
-        nlp=PolynomialNlp(size, parsed.costs, blocks, *bounds),
-        costs=BoxPolynomial(size, parsed.costs),
-        rows=tuple(rows),
-        slacks=tuple(slacks),
-    )
+def _square(row: ParsedRow, block: TermBlock) -> TermBlock:
+    """Returns r² of all copies of an equality r(y) = 0, which stands for a row."""
+    try:
+        terms = to_terms(power(from_terms(block.terms), 2))
+    except NoClosedFormError as error:
+        raise UnsupportedTermError(
+            f"{row.label} can't be penalized",
+            got=f"the row {row}, in whose square {error}",
+            expected="rows whose square has a mean in closed form",
+            remedy="Give one of the two functions a variable s of its own: s == exp(x).",
+        ) from None
+    except TooManyTermsError as error:
+        raise error.refusal(row.label, f"in the square of the row {row}") from None
+    return TermBlock(block.name, terms, block.variables)
 
 
 def _row_prefix(source: MathematicalProgram) -> str:

@@ -1,33 +1,36 @@
-"""Ranges of sums and of Drake's expressions over boxes, by interval arithmetic without rounding."""
+"""Ranges of sums over boxes, and the bounds that rows leave, by interval arithmetic.
+
+Rounding is ignored: bounds that hold whatever is rounded are those of `certify`.
+"""
 
 from __future__ import annotations
 
-import heapq
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Sequence
+from typing import Any
 
-from pydrake.symbolic import Expression, ExpressionKind
+import numpy as np
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.kernels import kernel
-from drake_aigto.terms import Factor, FunctionKind, Term, operands
+from drake_aigto.local import PolynomialNlp
+from drake_aigto.terms import FunctionKind, StackedTerms, Term, stack_terms
 
 # Exponentials of wide boxes overflow: their range ends here.
 LARGEST = 1e15
 
-_ALL = (-math.inf, math.inf)
-_MOST_SPLITS = 500
+_POWER, _EXPONENTIAL = int(FunctionKind.POWER), int(FunctionKind.EXPONENTIAL)
+_SINE, _COSINE = int(FunctionKind.SINE), int(FunctionKind.COSINE)
+_SWEEPS = 10
+_LEAST_CUT = 1e-2  # a sweep that cuts no range by this part of it is the last
+_DISTANCE = 1e-9  # of new bounds from those that rows leave, relative to their size
 
+Bounds = tuple[Floats, Floats]
 Range = tuple[float, float]
-# By a variable's id.
-Ranges = Mapping[int, Range]
-# A row g, and its lower and upper bound.
-RowRange = tuple[Expression, float, float]
 
 
 @kernel
-def affine(scale: float, offset: float, low: float, high: float) -> Range:
+def _affine(scale: float, offset: float, low: float, high: float) -> Range:
     """Returns the range of scale · x + offset over x in [low, high]."""
     a, b = scale * low + offset, scale * high + offset
     return min(a, b), max(a, b)
@@ -54,18 +57,52 @@ def power_range(low: float, high: float, exponent: int) -> Range:
     return (0.0 if low <= 0.0 <= high else min(a, b)), max(a, b)
 
 
-def _cosine_range(first: float, last: float) -> Range:
+@kernel
+def cosine_range(first: float, last: float) -> Range:
     """Returns the least and largest cosine between two angles."""
     if not last - first < 2 * math.pi:
         return -1.0, 1.0
-    ends = math.cos(first), math.cos(last)
+    a, b = math.cos(first), math.cos(last)
     has_top = math.floor(last / (2 * math.pi)) >= math.ceil(first / (2 * math.pi))
     has_bottom = math.floor(last / (2 * math.pi) - 0.5) >= math.ceil(first / (2 * math.pi) - 0.5)
-    return (-1.0 if has_bottom else min(ends)), (1.0 if has_top else max(ends))
+    return (-1.0 if has_bottom else min(a, b)), (1.0 if has_top else max(a, b))
 
 
-def _sine_range(first: float, last: float) -> Range:
-    return _cosine_range(first - math.pi / 2, last - math.pi / 2)
+@kernel
+def factor_range(
+    kind: int, exponent: int, scale: float, offset: float, low: float, high: float, is_tight: bool
+) -> Range:
+    """Returns bounds of a `Factor` over x in [low, high]; all numbers of other kinds.
+
+    Those of a sine or cosine are of its full swing, unless they are to be tight.
+    """
+    y_low, y_high = _affine(scale, offset, low, high)
+    if kind == _POWER:
+        return power_range(y_low, y_high, exponent)
+    if kind == _EXPONENTIAL:
+        wave = math.exp(y_low), math.exp(y_high)
+    elif kind != _SINE and kind != _COSINE:
+        return -np.inf, np.inf
+    elif is_tight:
+        turn = 0.5 * math.pi if kind == _SINE else 0.0
+        wave = cosine_range(y_low - turn, y_high - turn)
+    else:
+        wave = -1.0, 1.0
+    a, b = power_range(low, high, exponent)
+    return product(a, b, wave[0], wave[1])
+
+
+def _term_range(term: Term, low: Floats, high: Floats, is_tight: bool) -> Range:
+    ends = term.coefficient, term.coefficient
+    for f in term.factors:
+        x = float(low[f.variable]), float(high[f.variable])
+        factor = factor_range(int(f.kind), f.exponent, f.scale, f.offset, *x, is_tight)
+        ends = _clamped(product(*ends, *_clamped(factor)))
+    return ends
+
+
+def _clamped(ends: Range) -> Range:
+    return max(ends[0], -LARGEST), min(ends[1], LARGEST)
 
 
 def sum_range(terms: Sequence[Term], low: Floats, high: Floats) -> Range:
@@ -76,191 +113,152 @@ def sum_range(terms: Sequence[Term], low: Floats, high: Floats) -> Range:
         low: lower end of each local variable (L,).
         high: upper end (L,).
     """
-    least = most = 0.0
-    for term in terms:
-        ends = term.coefficient, term.coefficient
-        for factor in term.factors:
-            interval = float(low[factor.variable]), float(high[factor.variable])
-            ends = _clamped(product(*ends, *_factor_range(factor, interval)))
-        least, most = least + min(ends), most + max(ends)
-    return _clamped((least, most))
+    ranges = [_term_range(term, low, high, True) for term in terms]
+    return _clamped((sum(a for a, _ in ranges), sum(b for _, b in ranges)))
 
 
-def _clamped(ends: Range) -> Range:
-    return max(ends[0], -LARGEST), min(ends[1], LARGEST)
+def largest_term(terms: Sequence[Term], low: Floats, high: Floats) -> float:
+    """Returns the largest size of a term with factors over low ≤ x ≤ high (L,); waves swing fully.
 
-
-def _factor_range(factor: Factor, x: Range) -> Range:
-    y = affine(factor.scale, factor.offset, *x)
-    if factor.kind == FunctionKind.POWER:
-        return _clamped(power_range(*y, factor.exponent))
-    if factor.kind == FunctionKind.EXPONENTIAL:
-        most = math.log(LARGEST)
-        wave = math.exp(min(y[0], most)), math.exp(min(y[1], most))
-    else:
-        wave = _sine_range(*y) if factor.kind == FunctionKind.SINE else _cosine_range(*y)
-    return _clamped(product(*_clamped(power_range(*x, factor.exponent)), *wave))
-
-
-def interval(e: Expression, ranges: Ranges) -> Range:
-    """Returns bounds of an expression, term by term; all numbers where it may be undefined.
-
-    Args:
-        e: of sums, products, quotients, powers, roots, and functions of one argument.
-        ranges: of its variables; those that are missing may be anything.
+    Where a wave is near its zero, the row is no smaller for it.
     """
-    kind = e.get_kind()
-    if kind == ExpressionKind.Constant:
-        return e.Evaluate(), e.Evaluate()
-    if kind == ExpressionKind.Var:
-        (variable,) = e.GetVariables()
-        return ranges.get(variable.get_id(), _ALL)
-    if kind not in _RULES:
-        return _ALL
-    low, high = _RULES[kind](*(interval(each, ranges) for each in operands(e)))
-    return _ALL if math.isnan(low) or math.isnan(high) else (low, high)
+    ranges = [_term_range(term, low, high, False) for term in terms if term.factors]
+    return max((abs(end) for ends in ranges for end in ends), default=0.0)
 
 
-def is_above(e: Expression, bound: float, ranges: Ranges, is_strict: bool) -> bool:
-    """Returns whether an expression is shown to be above a bound, halving its widest variables.
+def tighten(nlp: PolynomialNlp) -> Bounds:
+    """Returns lower and upper bounds (n,) that hold for every feasible point.
 
-    Args:
-        e: the expression.
-        bound: the least value.
-        ranges: of its variables; one without two ends is not halved.
-        is_strict: whether the bound itself is too low.
+    In a row Σ_m T_m = 0 with T_m = a_m ∏_i g_i(x_i), a term lies in minus the sum of the others'
+    ranges, and a power of it in that over the range of its other factors. Sweeps over the rows go
+    on while they cut (feasibility-based bounds tightening: Belotti, Lee, Liberti, Margot & Wächter
+    2009, "Branching and bounds tightening techniques for non-convex MINLP", Optim. Methods Softw.
+    24:597-634). Where rows leave no point at all, the bounds are those of the program.
     """
-    box = {v.get_id(): ranges.get(v.get_id(), _ALL) for v in e.GetVariables()}
-    queue = [(interval(e, box)[0], 0, box)]
-    for number in range(1, 2 * _MOST_SPLITS, 2):
-        low, _, box = heapq.heappop(queue)
-        if low > bound or (low == bound and not is_strict):
-            return True
-        widths = {i: b - a for i, (a, b) in box.items() if math.isfinite(b - a) and b > a}
-        if not widths:
-            return False
-        widest = max(widths, key=widths.__getitem__)
-        a, b = box[widest]
-        for half, part in enumerate(((a, (a + b) / 2), ((a + b) / 2, b))):
-            smaller = {**box, widest: part}
-            heapq.heappush(queue, (interval(e, smaller)[0], number + half, smaller))
-    return False
+    return _sweep_rows(nlp) or (np.array(nlp.lower), np.array(nlp.upper))
 
 
-class Signs:
-    """Signs that expressions keep, by ranges of their variables and by rows.
+def may_be_feasible(nlp: PolynomialNlp) -> bool:
+    """Returns False if interval arithmetic, as in `tighten`, shows that no point meets all rows."""
+    return _sweep_rows(nlp) is not None
 
-    Args:
-        rows: formulas and their bounds.
-        ranges: of the variables; those that are added later count too.
+
+def _sweep_rows(nlp: PolynomialNlp) -> Bounds | None:
+    """Returns tightened bounds; None if they leave no point."""
+    lower, upper = np.array(nlp.lower), np.array(nlp.upper)
+    rows = nlp.blocks[len(nlp.costs) :]
+    terms = stack_terms(rows)
+    for _ in range(_SWEEPS if rows else 0):
+        cut = _sweep(terms, lower, upper)
+        if cut < 0.0:
+            return None
+        if cut < _LEAST_CUT:
+            break
+    return lower, upper
+
+
+@kernel
+def _sweep(stacked: StackedTerms, lower: Floats, upper: Floats) -> float:
+    """Tightens the bounds by each row once, in place.
+
+    Returns the largest part that was cut off a range; below 0 if a row leaves no point.
     """
-
-    def __init__(self, rows: Iterable[RowRange], ranges: Ranges) -> None:
-        """Keeps them."""
-        self._rows, self._ranges = rows, ranges
-
-    def find(self, e: Expression, is_strict: bool = True) -> int:
-        """Returns the sign, 1 or −1, that an expression keeps; 0 if none is known.
-
-        It is known from ranges, from a row, or from the signs of all factors. Unless it is strict,
-        the expression may also be 0.
-        """
-        for sign in (1, -1):
-            own = e if sign > 0 else -e
-            if is_above(own, 0.0, self._ranges, is_strict) or self._is_row_above(own, is_strict):
-                return sign
-        kind = e.get_kind()
-        if kind == ExpressionKind.Div:
-            above, below = operands(e)
-            sign = self.find(below)
-            return sign and self.find(above, is_strict) * sign
-        if kind == ExpressionKind.Mul:
-            return math.prod(self.find(each, is_strict) for each in operands(e))
-        return 0
-
-    def _is_row_above(self, e: Expression, is_strict: bool) -> bool:
-        """Returns whether a row says that e is above 0."""
-        own = e.Expand()
-        return any(
-            not (rest := own - side).GetVariables()
-            and ((least := bound + rest.Evaluate()) > 0.0 or (least == 0.0 and not is_strict))
-            for side, bound in self._sides
-        )
-
-    @cached_property
-    def _sides(self) -> list[tuple[Expression, float]]:
-        """Formulas, and their lower bounds."""
-        return [
-            (side.Expand(), bound)
-            for formula, low, high in self._rows
-            for side, bound in ((formula, low), (-formula, -high))
-            if math.isfinite(bound)
-        ]
+    copies, copy_variables, sums, factors, terms, members = stacked
+    low, high = np.empty(terms.size), np.empty(terms.size)
+    behind_low, behind_high = np.empty(terms.size), np.empty(terms.size)
+    most = 0.0
+    for copy in range(copies.size):
+        first = sums[copies[copy].sum_index].first_term
+        last = sums[copies[copy].sum_index + 1].first_term
+        table = factors[sums[copies[copy].sum_index].first_factor :]
+        places = copy_variables[copies[copy].first_variable :]
+        for m in range(first, last):
+            low[m] = high[m] = terms[m].coefficient
+            for member in members[terms[m].first_member : terms[m + 1].first_member]:
+                i = places[table[member].variable]
+                a, b = _range_of(table[member], lower[i], upper[i])
+                low[m], high[m] = product(low[m], high[m], a, b)
+        behind_low[last - 1] = behind_high[last - 1] = 0.0
+        for m in range(last - 1, first, -1):
+            behind_low[m - 1] = behind_low[m] + low[m]
+            behind_high[m - 1] = behind_high[m] + high[m]
+        before_low = before_high = 0.0
+        for m in range(first, last):
+            # Minus the others' sum; the total less T_m would be NaN where that is infinite.
+            ends = -(before_high + behind_high[m]), -(before_low + behind_low[m])
+            before_low, before_high = before_low + low[m], before_high + high[m]
+            cut = _tighten_factors(
+                *(terms[m].coefficient, ends, table, places, lower, upper),
+                members[terms[m].first_member : terms[m + 1].first_member],
+            )
+            if cut < 0.0:
+                return -1.0
+            most = max(most, cut)
+    return most
 
 
-def _multiply(*parts: Range) -> Range:
-    found = 1.0, 1.0
-    for part in parts:
-        found = product(*found, *part)
-    return found
+@kernel
+def _tighten_factors(
+    coefficient: float,
+    ends: Range,
+    table: Any,
+    places: Ints,
+    lower: Floats,
+    upper: Floats,
+    members: Ints,
+) -> float:
+    """Tightens the bounds of a term's variables in place, whose ends are given."""
+    most = 0.0
+    for k, member in enumerate(members):
+        factor = table[member]
+        if factor.kind != _POWER:
+            continue
+        a = b = coefficient
+        for j, other in enumerate(members):
+            if j != k:
+                v = places[table[other].variable]
+                p, q = _range_of(table[other], lower[v], upper[v])
+                a, b = product(a, b, p, q)
+        if a <= 0.0 <= b:
+            continue
+        i = places[factor.variable]
+        a, b = product(ends[0], ends[1], 1.0 / b, 1.0 / a)
+        y_low, y_high = _affine(factor.scale, factor.offset, lower[i], upper[i])
+        a, b = _root_range(a, b, factor.exponent, y_low, y_high)
+        if not a <= b:
+            return -1.0
+        a, b = (a - factor.offset) / factor.scale, (b - factor.offset) / factor.scale
+        a, b = min(a, b), max(a, b)
+        if a > LARGEST or b < -LARGEST:
+            continue  # An exponential overflows, which is no proof.
+        a -= _DISTANCE * max(1.0, abs(a))
+        b += _DISTANCE * max(1.0, abs(b))
+        if a > upper[i] or b < lower[i]:
+            return -1.0
+        before = upper[i] - lower[i]
+        lower[i], upper[i] = max(a, lower[i]), min(b, upper[i])
+        after = upper[i] - lower[i]
+        if after < before:
+            most = max(most, 1.0 - after / before if math.isfinite(before) else 1.0)
+    return most
 
 
-def _divide(a: Range, b: Range) -> Range:
-    return _ALL if b[0] <= 0.0 <= b[1] else product(*a, 1.0 / b[1], 1.0 / b[0])
+@kernel
+def _range_of(factor: Any, low: float, high: float) -> Range:
+    """Returns bounds of a factor of `StackedTerms`."""
+    f = factor
+    return factor_range(f.kind, f.exponent, f.scale, f.offset, low, high, False)
 
 
-def _raise(base: Range, exponent: Range) -> Range:
-    low, high = base
-    p = exponent[0]
-    if exponent[0] != exponent[1]:
-        return _ALL
-    if p == int(p):
-        if p >= 0:
-            return power_range(low, high, int(p))
-        return _divide((1.0, 1.0), _raise(base, (-p, -p)))
-    if low < 0.0 or (p < 0.0 and low == 0.0):
-        return _ALL
-    return _monotone(lambda y: _power(y, p))(base)
-
-
-def _power(base: float, exponent: float) -> float:
-    try:
-        return math.pow(base, exponent)
-    except OverflowError:
-        return math.inf
-
-
-def _monotone(function: Callable[[float], float]) -> Callable[[Range], Range]:
-    """Returns the rule of a function that rises or falls everywhere."""
-    return lambda y: (min(map(function, y)), max(map(function, y)))
-
-
-def _abs(y: Range) -> Range:
-    low, high = y
-    least = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))
-    return least, max(abs(low), abs(high))
-
-
-def _log(y: float) -> float:
-    return math.log(y) if y > 0.0 else -math.inf
-
-
-_RULES: Mapping[ExpressionKind, Callable[..., Range]] = {
-    ExpressionKind.Add: lambda *y: (math.fsum(a for a, _ in y), math.fsum(b for _, b in y)),
-    ExpressionKind.Mul: _multiply,
-    ExpressionKind.Div: _divide,
-    ExpressionKind.Pow: _raise,
-    ExpressionKind.Exp: _monotone(lambda y: math.exp(y) if y < 700.0 else math.inf),
-    ExpressionKind.Log: lambda y: _ALL if y[0] < 0.0 else _monotone(_log)(y),
-    ExpressionKind.Sqrt: lambda y: _raise(y, (0.5, 0.5)),
-    ExpressionKind.Abs: _abs,
-    ExpressionKind.Cos: lambda y: _cosine_range(*y),
-    ExpressionKind.Sin: lambda y: _sine_range(*y),
-    ExpressionKind.Tan: lambda y: _divide(_sine_range(*y), _cosine_range(*y)),
-    ExpressionKind.Max: lambda a, b: (max(a[0], b[0]), max(a[1], b[1])),
-    ExpressionKind.Min: lambda a, b: (min(a[0], b[0]), min(a[1], b[1])),
-    ExpressionKind.Tanh: _monotone(math.tanh),
-    ExpressionKind.Atan: _monotone(math.atan),
-    ExpressionKind.Asin: _monotone(lambda y: math.asin(min(1.0, max(-1.0, y)))),
-    ExpressionKind.Acos: _monotone(lambda y: math.acos(min(1.0, max(-1.0, y)))),
-}
+@kernel
+def _root_range(a: float, b: float, exponent: int, low: float, high: float) -> Range:
+    """Returns bounds of the y in [low, high] with y^p in [a, b]; upside down if there is none."""
+    if exponent == 0:
+        return -np.inf, np.inf
+    root_a, root_b = abs(a) ** (1.0 / exponent), abs(b) ** (1.0 / exponent)
+    if exponent % 2 == 1:
+        return math.copysign(root_a, a), math.copysign(root_b, b)
+    if b < 0.0:
+        return 1.0, -1.0
+    inner = root_a if a > 0.0 else 0.0
+    return (inner if low > -inner else -root_b), (-inner if high < inner else root_b)

@@ -14,9 +14,9 @@ from drake_aigto.certify import Certificate, Certifier, relative_gap
 from drake_aigto.solver.answers import FAR, Answers, CheckedPoint, Observer
 from drake_aigto.solver.boxes import BoxStage, make_first_box
 from drake_aigto.solver.details import AigoDetails, AigoOptions, AigoStatus
-from drake_aigto.solver.parsed import Bounds, ContradictionError, may_be_feasible, tighten
-from drake_aigto.solver.program import AigoProgram
-from drake_aigto.solver.ranges import LARGEST
+from drake_aigto.solver.presolve import presolve
+from drake_aigto.solver.program import AigoProgram, ContradictionError
+from drake_aigto.solver.ranges import LARGEST, Bounds, may_be_feasible, tighten
 from drake_aigto.solver.staged import StagedProgram, StagedSearch
 
 # A local minimum of these is the global one, wherever it is.
@@ -134,7 +134,7 @@ class Solve:
 
     def _begin(self, first: Box) -> None:
         """Sets the first box, and the part outside of it."""
-        count = self._program.reduced.kept.size
+        count = self._program.kept.size
         own = Box(first.center[:count], first.half_width[:count])
         lower, upper = (side[:count] for side in tighten(self._program.nlp))
         is_bounded = not np.any(self._answers.is_unbounded)
@@ -194,7 +194,7 @@ class Solve:
         assert self._certificate is not None
         box, (low, high) = self._first, self._certificate.hull
         ends = np.array([box.center - box.half_width, box.center + box.half_width])
-        for k, i in enumerate(self._program.reduced.kept.tolist()):
+        for k, i in enumerate(self._program.kept.tolist()):
             if i < low.size and box.half_width[k] > 0.0:
                 a, b = max(ends[0, k], low[i]), min(ends[1, k], high[i])
                 if a <= b:
@@ -213,7 +213,7 @@ class Solve:
     def _search_boxes(self) -> None:
         if self._staged.is_beyond_boxes:
             if self._options.presolve:
-                self._program = self._answers.program = self._program.presolved()
+                self._program = self._answers.program = presolve(self._program)
                 self._guess = self._program.reduce(self._asked)
             self._begin(make_first_box(self._program, self._guess, self._options))
         self._answers.offer(self._first.center, "the middle of the first box")
@@ -235,9 +235,9 @@ class Solve:
     def _polish_spread(self) -> None:
         """Polishes points spread over the first box: a box's mean shows nothing that is narrow."""
         first, program, starts = self._first, self._program, self._options.starts
-        count = program.reduced.kept.size
+        count = program.kept.size
         # In one variable alone, boxes find the global minimum (Labbe & Del Prete 2025).
-        is_alone = count == 1 and not program.rows
+        is_alone = count == 1 and not program.parsed.rows
         if self._options.polish == "none" or is_alone or count > _FEW:
             return
         rng = np.random.default_rng(self._options.seed)
@@ -261,7 +261,12 @@ class Solve:
         """Whether bounds and rows make corners, and a feasible point is known."""
         is_closed = not np.any(self._outside.is_open)
         is_regular = self._staged.program.largest_coefficient < _SINGULAR
-        return self._answers.is_feasible and is_closed and is_regular and bool(self._program.rows)
+        return (
+            self._answers.is_feasible
+            and is_closed
+            and is_regular
+            and (self._program.nlp.num_rows > 0)
+        )
 
     def _renew_parts(self) -> None:
         """Moves parts of the best point and solves from there, as long as that pays.
@@ -270,7 +275,7 @@ class Solve:
         An active-set method keeps to the corner that it starts near to.
         """
         answers, options, first = self._answers, self._options, self._first
-        count = self._program.reduced.kept.size
+        count = self._program.kept.size
         if options.polish == "none" or count > _FEW or not self._may_be_at_corners():
             return
         rng = np.random.default_rng(options.seed)
@@ -348,12 +353,12 @@ class Solve:
         return AigoStatus.SOLVED if is_whole else AigoStatus.SOLVED_IN_PART
 
     def _details(self, best: CheckedPoint, status: AigoStatus) -> AigoDetails:
-        first, reduced, boxes = self._outside.box, self._program.reduced, self._boxes
-        n = best.x.size
-        half_width = np.full(reduced.lower.size, np.nan)
-        half_width[reduced.kept] = first.half_width
-        searched = np.tile([[-np.inf], [np.inf]], reduced.lower.size)
-        searched[:, reduced.kept] = self._outside.within(self._decades)
+        first, program, boxes = self._outside.box, self._program, self._boxes
+        n, size = best.x.size, program.given.lower.size
+        half_width = np.full(size, np.nan)
+        half_width[program.kept] = first.half_width
+        searched = np.tile([[-np.inf], [np.inf]], size)
+        searched[:, program.kept] = self._outside.within(self._decades)
         return AigoDetails(
             status=status,
             violation=best.violation,
@@ -361,17 +366,17 @@ class Solve:
             iterations=boxes.iterations,
             polishes=self._answers.polishes,
             origin=best.origin,
-            substituted=tuple(each.variable for each in reduced.definitions if each.variable < n),
-            lifted=tuple(map(str, self._program.lifted.formulas)),
+            substituted=tuple(each.variable for each in program.definitions if each.variable < n),
+            lifted=tuple(map(str, program.lifted.formulas)),
             complementarities=len(self._staged.complementarities),
             ladders=self._ladders.climbs if self._ladders else 0,
             repeats=self._ladders.repeats if self._ladders else 0,
-            first_center=self._program.answer(first.center),
+            first_center=program.answer(first.center),
             first_half_width=half_width[:n],
             searched=tuple(searched[:, :n]),
             widths=tuple(boxes.widths),
             box_storage=boxes.storage,
             kkt_storage=self._answers.kkt_storage,
-            cost=self._program.cost(best.x),
+            cost=program.cost(best.x),
             certificate=self._certificate,
         )

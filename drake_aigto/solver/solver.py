@@ -25,8 +25,8 @@ from drake_aigto.solver.details import (
     AigoStatus,
     fill_result,
 )
-from drake_aigto.solver.parsed import ContradictionError
-from drake_aigto.solver.program import read_program
+from drake_aigto.solver.presolve import presolve
+from drake_aigto.solver.program import ContradictionError, read_program
 from drake_aigto.solver.solve import Solve
 from drake_aigto.solver.staged import StagedProgram
 
@@ -157,7 +157,7 @@ class AigoSolver(SolverInterface):
             program = read_program(prog)
             staged = StagedProgram(program, options.feasibility)
             if options.presolve and not staged.is_beyond_boxes:
-                program = program.presolved()
+                program = presolve(program)
             x, cost, details = Solve(program, staged, options, guess, observe).run()
         except ContradictionError:
             x, cost = np.where(np.isfinite(guess), guess, 0.0), np.inf

@@ -76,7 +76,7 @@ class StagedProgram:
             feasibility: largest violation of a row in an answer.
         """
         self.program = program
-        self.complementarities = find_complementarities(program) if program.rows else ()
+        self.complementarities = find_complementarities(program) if program.parsed.rows else ()
         self._least = _PART_OF_FEASIBILITY * feasibility
         rows = [
             each.product_row(constant(-max(self._least, each.allowed)))
@@ -119,14 +119,14 @@ class StagedProgram:
     @cached_property
     def _is_chain(self) -> bool:
         """Whether this is a chain of stages: its band is narrow beside its length."""
-        if self.nlp.num_variables < _FEW or not self.program.rows:
+        if self.nlp.num_variables < _FEW or not self.program.parsed.rows:
             return False
         return bool(self.tables.size >= max(_FEW, _LEAST_LENGTH * self.tables.bandwidth))
 
     @cached_property
     def is_worth_ladders(self) -> bool:
         """Whether there are complementarities, or a chain linked by rows, and steps are quick."""
-        num_equalities = self.nlp.num_rows - len(self.program.slacks)
+        num_equalities = self.nlp.num_rows - len(self.program.slack_rows)
         if not self.complementarities and not (
             self._is_chain and num_equalities >= _LEAST_EQUALITIES * self.tables.size
         ):

@@ -21,9 +21,7 @@ from .products import to_terms as to_terms
 from .products import with_own_variables as with_own_variables
 from .programs import CONES as CONES
 from .programs import NORM_COSTS as NORM_COSTS
-from .programs import ConstraintRow as ConstraintRow
-from .programs import affine_terms as affine_terms
-from .programs import as_bound as as_bound
+from .programs import ParsedRow as ParsedRow
 from .programs import evaluator_kind as evaluator_kind
 from .programs import evaluator_label as evaluator_label
 from .programs import evaluator_name as evaluator_name
@@ -31,7 +29,6 @@ from .programs import parse_costs as parse_costs
 from .programs import parse_rows as parse_rows
 from .programs import read_bounds as read_bounds
 from .programs import shared_evaluators as shared_evaluators
-from .programs import term_blocks as term_blocks
 from .sums import FACTOR as FACTOR
 from .sums import SUM as SUM
 from .sums import WAVES as WAVES

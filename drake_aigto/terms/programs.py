@@ -30,7 +30,7 @@ from pydrake.solvers import (
 )
 from pydrake.symbolic import Expression
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.terms.expressions import expression_terms, shown
 from drake_aigto.terms.hidden_polynomials import HiddenError, is_hidden_polynomial, read_polynomial
@@ -173,9 +173,9 @@ def evaluator_label(binding: Binding) -> str:
 def _parse_cost(label: str, cost: EvaluatorBase) -> tuple[Term, ...]:
     """Returns the terms of one cost over its own variables 0 … L−1."""
     if isinstance(cost, LinearCost):
-        return affine_terms(cost.a(), cost.b())
+        return _affine_terms(cost.a(), cost.b())
     if isinstance(cost, QuadraticCost):
-        return quadratic_terms(np.asarray(cost.Q()), cost.b(), cost.c())
+        return _quadratic_terms(np.asarray(cost.Q()), cost.b(), cost.c())
     if isinstance(cost, ExpressionCost):
         return expression_terms(label, cost.expression(), cost.vars())
     expected, got = "a LinearCost, a QuadraticCost or an ExpressionCost", evaluator_kind(cost)
@@ -192,14 +192,14 @@ def _parse_cost(label: str, cost: EvaluatorBase) -> tuple[Term, ...]:
     )
 
 
-def affine_terms(a: ArrayLike, b: float) -> tuple[Term, ...]:
+def _affine_terms(a: ArrayLike, b: float) -> tuple[Term, ...]:
     """Returns the terms of aᵀx + b."""
     a = np.asarray(a, dtype=float)
     linear = (Term(float(a[i]), (_power(i, 1),)) for i in np.flatnonzero(a).tolist())
     return (*linear, *((Term(float(b), ()),) if b else ()))
 
 
-def quadratic_terms(q: Floats, b: ArrayLike, c: float) -> tuple[Term, ...]:
+def _quadratic_terms(q: Floats, b: ArrayLike, c: float) -> tuple[Term, ...]:
     """Returns the terms of ½ xᵀQx + bᵀx + c."""
     terms = []
     for i, j in np.argwhere(q).tolist():
@@ -207,47 +207,80 @@ def quadratic_terms(q: Floats, b: ArrayLike, c: float) -> tuple[Term, ...]:
             terms.append(Term(0.5 * float(q[i, i]), (_power(i, 2),)))
         elif i < j:  # Drake keeps Q symmetric
             terms.append(Term(float(q[i, j]), (_power(i, 1), _power(j, 1))))
-    return (*terms, *affine_terms(b, c))
+    return (*terms, *_affine_terms(b, c))
 
 
 def _power(variable: int, exponent: int) -> Factor:
     return Factor(variable, FunctionKind.POWER, exponent)
 
 
-@dataclass(frozen=True)
-class ConstraintRow:
-    """lower ≤ Σ terms ≤ upper, over the variables that the row reads.
+@dataclass(frozen=True, eq=False)
+class ParsedRow:
+    """Copies of a row lower ≤ Σ terms ≤ upper of a constraint.
 
     Attributes:
-        terms: The sum's terms.
-        lower: Its lower bound.
-        upper: Its upper bound.
+        label: How messages call the constraint.
+        block: The terms over the variables that they read, and the program's of each copy.
+        lower: Lower bound.
+        upper: Upper bound.
         formula: The formula whose expansion the terms are, for messages.
+        origin: The constraint, and the row's number there; None where rows were combined.
     """
 
-    terms: tuple[Term, ...]
+    label: str
+    block: TermBlock
     lower: float
     upper: float
     formula: Expression | None = None
+    origin: tuple[EvaluatorBase, int] | None = None
 
     def __str__(self) -> str:
         """Returns the formula, or the beginning of a long one."""
-        return shown(" + ".join(map(str, self.terms)) if self.formula is None else self.formula)
+        return _formula(self.block.terms, self.formula)
+
+    @property
+    def is_free(self) -> bool:
+        """Whether it has no bound."""
+        return bool(np.isneginf(self.lower) and np.isposinf(self.upper))
+
+    @property
+    def is_equality(self) -> bool:
+        """Whether both bounds are one."""
+        return self.lower == self.upper
+
+    def divided(self, size: float) -> ParsedRow:
+        """Returns the row with all its numbers divided by a size."""
+        if size == 1.0:
+            return self
+        block = self.block.with_coefficients([a.coefficient / size for a in self.block.terms])
+        return replace(self, block=block, lower=self.lower / size, upper=self.upper / size)
+
+    def tighten(self, lower: Floats, upper: Floats) -> bool:
+        """Tightens bounds (n,) in place if the row is scale · x + offset; returns whether it is."""
+        constant = sum(term.coefficient for term in self.block.terms if not term.factors)
+        linear = [term for term in self.block.terms if term.factors]
+        if len(linear) != 1 or len(linear[0].factors) != 1:
+            return False
+        (factor,), scale = linear[0].factors, linear[0].coefficient
+        if factor.kind != FunctionKind.POWER or factor.exponent != 1 or scale == 0.0:
+            return False
+        low, high = sorted(((self.lower - constant) / scale, (self.upper - constant) / scale))
+        index = self.block.variables[:, factor.variable]
+        np.maximum.at(lower, index, low)
+        np.minimum.at(upper, index, high)
+        return True
 
 
 def parse_rows(
     label: str, constraint: EvaluatorBase, copies: Sequence[Sequence[int]]
-) -> Iterator[tuple[ConstraintRow, Ints]]:
-    """Yields the rows of one constraint, each over the variables 0 … L−1 that it reads.
+) -> Iterator[ParsedRow]:
+    """Yields the rows of one constraint, those apart whose copies are bound to a variable twice.
 
     Args:
         label: How messages call it.
         constraint: Linear, quadratic, or an `ExpressionConstraint` of sums of products of powers,
             sin, cos and exp of affine functions.
         copies: Which variables of the program it is bound to, K times.
-
-    Yields:
-        A row, and the program's variables that each copy of it reads, shape (K, L).
 
     Raises:
         UnsupportedTermError: It is another one, or a number is NaN.
@@ -256,19 +289,25 @@ def parse_rows(
     bound_to = np.array(copies, dtype=np.int64)
     is_symbolic = isinstance(constraint, ExpressionConstraint)
     formulas = constraint.expressions() if is_symbolic else [None] * len(sums)
-    bounds = constraint.lower_bound(), constraint.upper_bound()
-    for terms, lower, upper, formula in zip(sums, *bounds, formulas, strict=True):
-        row = ConstraintRow(terms, float(lower), float(upper), formula)
+    bounds = (side.tolist() for side in (constraint.lower_bound(), constraint.upper_bound()))
+    rows = zip(sums, *bounds, formulas, strict=True)
+    for number, (terms, lower, upper, formula) in enumerate(rows):
         numbers = [term.coefficient for term in terms]
         if not np.all(np.isfinite(numbers)) or np.any(np.isnan([lower, upper])):
+            row = f"{lower:g} ≤ {_formula(terms, formula)} ≤ {upper:g}"
             raise UnsupportedTermError(
                 f"{label} can't be compiled",
-                got=f"a number that is NaN or infinite in {lower:g} ≤ {row} ≤ {upper:g}",
+                got=f"a number that is NaN or infinite in {row}",
                 expected="finite coefficients",
                 remedy="Look for a parameter that was not set.",
             )
         own, read = with_own_numbers(terms)
-        yield replace(row, terms=own), bound_to[:, read]
+        for block in term_blocks(evaluator_name(constraint), own, bound_to[:, read].tolist()):
+            yield ParsedRow(label, block, lower, upper, formula, (constraint, number))
+
+
+def _formula(terms: Sequence[Term], formula: Expression | None) -> str:
+    return shown(" + ".join(map(str, terms)) if formula is None else formula)
 
 
 def _row_sums(label: str, constraint: EvaluatorBase) -> list[tuple[Term, ...]]:
@@ -276,9 +315,9 @@ def _row_sums(label: str, constraint: EvaluatorBase) -> list[tuple[Term, ...]]:
     if isinstance(constraint, BoundingBoxConstraint):
         return [(Term(1.0, (_power(i, 1),)),) for i in range(constraint.num_vars())]
     if isinstance(constraint, LinearConstraint):  # equalities among them
-        return [affine_terms(a, 0.0) for a in constraint.GetDenseA()]
+        return [_affine_terms(a, 0.0) for a in constraint.GetDenseA()]
     if isinstance(constraint, QuadraticConstraint):
-        return [quadratic_terms(np.asarray(constraint.Q()), constraint.b(), 0.0)]
+        return [_quadratic_terms(np.asarray(constraint.Q()), constraint.b(), 0.0)]
     if isinstance(constraint, ExpressionConstraint):
         variables, formulas = constraint.vars(), constraint.expressions()
         return [expression_terms(label, each, variables, is_row=True) for each in formulas]
@@ -288,19 +327,6 @@ def _row_sums(label: str, constraint: EvaluatorBase) -> list[tuple[Term, ...]]:
         expected="bounds, or a linear, quadratic or expression constraint",
         remedy="Write it symbolically: prog.AddConstraint(expression == 0).",
     )
-
-
-def as_bound(row: ConstraintRow) -> tuple[int, float, float] | None:
-    """Returns the local variable and its bounds, if the row is scale · x + offset."""
-    constant = sum(term.coefficient for term in row.terms if not term.factors)
-    linear = [term for term in row.terms if term.factors]
-    if len(linear) != 1 or len(linear[0].factors) != 1:
-        return None
-    factor, scale = linear[0].factors[0], linear[0].coefficient
-    if factor.kind != FunctionKind.POWER or factor.exponent != 1 or scale == 0.0:
-        return None
-    low, high = sorted(((row.lower - constant) / scale, (row.upper - constant) / scale))
-    return factor.variable, low, high
 
 
 def read_bounds(prog: MathematicalProgram) -> tuple[Floats, Floats]:
