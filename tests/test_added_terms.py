@@ -153,7 +153,7 @@ def test_costs_of_every_knot_stretch_with_free_durations() -> None:
         peer.prog.AddCost(peer.h * peer.at(running, k))
     cost, _, duration = peer.solve()
     assert result.cost == pytest.approx(cost, rel=1e-6)
-    np.testing.assert_allclose(result.durations, duration, rtol=1e-3)
+    np.testing.assert_allclose(result.phases.durations, duration, rtol=1e-3)
 
 
 @pytest.mark.parametrize("has_phases", [False, True])

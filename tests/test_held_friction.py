@@ -16,7 +16,6 @@ from drake_aigto.contact import Closed, Mode, RigidLaw
 from drake_aigto.planning import (
     COASTING,
     MECHANISM_LADDER,
-    BouncingResult,
     Origin,
     RigidMechanismTask,
     drop,
@@ -24,7 +23,7 @@ from drake_aigto.planning import (
     is_closed,
     lay_out,
     lead_over_edges,
-    list_hold_changes,
+    list_mode_changes,
     make_mechanism_task,
 )
 from drake_aigto.shooting import (
@@ -32,6 +31,7 @@ from drake_aigto.shooting import (
     Phases,
     ShootingOptions,
     ShootingProblem,
+    ShootingResult,
     Smoothing,
 )
 from drake_aigto.simulation import replay_event_driven
@@ -147,7 +147,7 @@ def test_a_ball_in_phases_of_slip_and_stick_rolls_once_two_sevenths_of_its_slip_
     found = problem.solve(np.zeros((2, 1)), options=dataclasses.replace(options, feasibility=1e-10))
     rolling = 1.5 - 2 / 7 * slip
     assert found.violation < 1e-9
-    assert found.durations[0] == pytest.approx(abs(slip) / (3.5 * MU * G), abs=1e-8)
+    assert found.phases.durations[0] == pytest.approx(abs(slip) / (3.5 * MU * G), abs=1e-8)
     assert found.states[-1][3:] == pytest.approx([rolling, 0.0, rolling / RADIUS], abs=1e-8)
 
 
@@ -170,7 +170,7 @@ def test_a_block_that_lands_and_slides_to_rest_is_the_one_of_a_simulation() -> N
     )
     replay = replay_event_driven(world, scenario, found.times, found.controls)
     slips, sticks = replay.contact_phases
-    ends = [touch.end for touch in BouncingResult.of(found, phases).touches]
+    ends = [touch.end for touch in found.touches]
     assert [slips.end, sticks.end] == pytest.approx(ends, abs=1e-8)
     end = np.hstack(replay.states_at(found.times[-1:]))[0]
     np.testing.assert_allclose(end, found.states[-1], atol=1e-9)
@@ -203,10 +203,10 @@ def test_a_touch_that_is_dropped_leaves_its_time_to_the_one_that_it_went_on_from
     assert drop(apart, 0) == apart[1:]
     assert in_order(apart[::-1]) == apart
     law = RigidLaw(np.zeros(1), np.full(1, MU))
-    changes = list(list_hold_changes(law, (Touch(0.0, 1.0, 0, 1),)))
+    changes = list(list_mode_changes(law, (Touch(0.0, 1.0, 0, 1),)))
     assert (Touch(0.0, 0.5, 0, 1), Touch(0.5, 1.0, 0, 0)) in changes
-    assert len(set(changes)) == 4
-    assert not list(list_hold_changes(RigidLaw(np.zeros(1)), (Touch(0.0, 1.0, 0),)))
+    assert len(set(changes)) == 6
+    assert not list(list_mode_changes(RigidLaw(np.zeros(1)), (Touch(0.0, 1.0, 0),)))
 
 
 def test_what_leaves_or_is_apart_is_not_closed() -> None:
@@ -220,11 +220,11 @@ def test_what_sticks_with_all_friction_is_led_to_slip_and_what_hardly_slips_to_s
     world, N = build(turns=False), 8
     law = RigidLaw(np.zeros(1), np.full(1, MU))
 
-    def drive(speed: float, mode: int, controls: list[float]) -> BouncingResult:
+    def drive(speed: float, mode: int, controls: list[float]) -> ShootingResult:
         phases = hold([mode], 1.0)
         problem = pose(world, [0.0, RADIUS, speed, 0.0], phases, N)
         driven = dataclasses.replace(problem, control_bounds=np.array([[-9.0], [9.0]]))
-        return BouncingResult.of(driven.simulate(np.array(controls)[:, None], 1), phases)
+        return driven.simulate(np.array(controls)[:, None], 1)
 
     edge = MU * G
     pulled = drive(0.0, 0, [0.0] * 4 + [edge] * 4)

@@ -11,7 +11,7 @@ import pytest
 from drake_aigto import ModelPredictiveController, Planner, PlanOptions, Scenario, World
 from drake_aigto.arrays import Floats
 from drake_aigto.control import Disturbance, Horizon, PlannedMotion, make_horizon, run_in_loop
-from drake_aigto.planning import MECHANISM_LADDER, RigidMechanismTask
+from drake_aigto.planning import MECHANISM_LADDER, RigidMechanismTask, make_trajectory
 from drake_aigto.simulation import EVENT_DRIVEN, HeldControl, replay_event_driven
 from drake_aigto.transcription import Touch
 
@@ -26,7 +26,7 @@ def find_plan() -> PlannedMotion:
     problem = RigidMechanismTask(find_world(), BLOCK, PlanOptions())
     slides, lies = Touch(0.0, 1.0, 0, -1), Touch(1.0, 2.0, 0, 0)
     found = problem.polish(problem.bounce((slides, lies), problem.idle_motion))
-    return PlannedMotion(found.as_trajectory(find_world()), found.cost, found.touches)
+    return PlannedMotion(make_trajectory(find_world(), found), found.cost, found.touches)
 
 
 @cache

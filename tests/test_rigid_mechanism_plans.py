@@ -11,9 +11,9 @@ import pytest
 from drake_aigto import Plan, Planner, Scenario
 from drake_aigto.planning import (
     MECHANISM_LADDER,
+    MechanismSearch,
     PlanOptions,
     Progress,
-    RigidMechanismSearch,
     RigidMechanismTask,
     lay_out,
 )
@@ -131,19 +131,21 @@ def test_who_starts_fast_towards_a_wall_hits_it_instead_of_braking() -> None:
 
 
 def test_what_costs_more_than_a_finalist_that_holds_is_left_before_it_meets_its_walls() -> None:
-    class Search(RigidMechanismSearch):
+    class Task(RigidMechanismTask):
         polish_ratio = np.inf
 
-    class ThoroughSearch(Search):
+    class ThoroughTask(Task):
         simulate_ratio = np.inf
 
+    class ThoroughSearch(MechanismSearch):
         def explore(self, progress: Progress | None = None) -> None:
             self.motions = search.motions
 
     planner, few = Planner(Scenario.named("paddle/bat")), MECHANISM_LADDER[2:4]
     options = PlanOptions(renewals=0, ladder=few)
-    problem = RigidMechanismTask(planner.world, planner.scenario, options)
-    search, thorough = Search(problem), ThoroughSearch(problem)
+    problem = Task(planner.world, planner.scenario, options)
+    search = MechanismSearch(problem)
+    thorough = ThoroughSearch(ThoroughTask(planner.world, planner.scenario, options))
     search.run()
     thorough.run()
     best, other = thorough.candidates

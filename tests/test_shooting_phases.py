@@ -88,7 +88,7 @@ def test_a_ball_hits_the_wall_when_and_as_calculus_says() -> None:
     assert result.violation < 1e-4
     # Held controls cost more, by the square of their steps: 1/20 of a phase.
     assert expected.fun * (1 - 1e-4) < result.cost < expected.fun * 1.005
-    np.testing.assert_allclose(result.durations[0], expected.x[0], atol=0.01)
+    np.testing.assert_allclose(result.phases.durations[0], expected.x[0], atol=0.01)
     assert result.states[20, 1] == pytest.approx(RESTITUTION * expected.x[1], abs=0.02)
     assert result.times[-1] == pytest.approx(TOTAL, abs=1e-3)
 
@@ -132,7 +132,7 @@ def test_a_pendulum_meets_its_wall_at_a_knot_and_stays_in_front_of_it() -> None:
     assert result.violation < 1e-4
     assert phi[8, 0] == pytest.approx(0, abs=1e-4)
     assert np.all(phi > -1e-4)
-    assert result.durations.sum() == pytest.approx(TOTAL, abs=1e-3)
+    assert result.phases.durations.sum() == pytest.approx(TOTAL, abs=1e-3)
     again = problem.starting_from(result).simulate(result.controls, 1)
     np.testing.assert_array_equal(again.states, result.states)
 

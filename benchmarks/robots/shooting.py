@@ -70,19 +70,16 @@ def _mechanism(name: str, restitution: float) -> Mechanism:
 def pose(question: Question, phases: Phases | None = None) -> ShootingProblem:
     """Returns the question as shooting takes it."""
     scenario, world = scenario_of(question), world_of(question.world)
-    bounds, n = world.bounds(scenario), world.num_positions
-    hard_goal = np.full(2 * n, np.nan)
-    if scenario.hard_goal:
-        hard_goal[:n] = scenario.goal_position
+    bounds, cost = world.bounds(scenario), TaskCost.of(world, scenario)
     return ShootingProblem(
         mechanism=_mechanism(question.world, scenario.restitution),
-        cost=TaskCost.of(world, scenario),
+        cost=cost,
         times=np.linspace(0.0, scenario.duration, scenario.num_steps + 1),
         start=np.concatenate([scenario.initial_position, scenario.initial_velocity]),
         scales=state_scales(world, scenario),
         state_bounds=np.hstack([bounds.position, bounds.velocity]),
         control_bounds=bounds.control,
-        hard_goal=hard_goal,
+        hard_goal=cost.hard_goal(scenario),
         control_norm=scenario.control_norm or np.inf,
         length=Scales.of(world, scenario).length,
         phases=phases,

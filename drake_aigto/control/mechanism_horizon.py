@@ -11,13 +11,13 @@ from drake_aigto.arrays import Bools, Floats, interpolate
 from drake_aigto.control.horizon import BallHorizon, Horizon
 from drake_aigto.control.touches import PlannedMotion, choose, find_left, keep_apart
 from drake_aigto.planning import (
-    BouncingResult,
     MechanismSearch,
     Planner,
     RigidMechanismTask,
     find_deepest,
     lay_onto,
     make_mechanism_task,
+    make_trajectory,
     start_search,
 )
 from drake_aigto.shooting import ShootingOptions, ShootingResult, Smoothing
@@ -213,7 +213,7 @@ class RigidHorizon(_ShootingHorizon):
         duration, rates = float(left.times[-1]) - now, self.world.calc_contact_rate(q, v)
         touches, slips = _go_on(last), self._read_slips(np.concatenate([q, v]))
         sequences = find_left(touches, now, duration, self._period, rates, None, slips)
-        missed = list[BouncingResult]()
+        missed = list[ShootingResult]()
         for options in (self._options, _MORE):
             missed.clear()
             if found := choose(self._close(left, sequences, options, missed), last.cost):
@@ -225,7 +225,7 @@ class RigidHorizon(_ShootingHorizon):
         left: Trajectory,
         sequences: Iterable[TouchSequence],
         options: ShootingOptions,
-        found: list[BouncingResult],
+        found: list[ShootingResult],
     ) -> Iterator[PlannedMotion | None]:
         """Yields the motions of descents, and appends what they led to, which may be none."""
         for touches in sequences:
@@ -237,8 +237,7 @@ class RigidHorizon(_ShootingHorizon):
         found = self._search(self._ask(now, x))
         if found is None:
             return None
-        assert isinstance(found, BouncingResult)
-        motion = found.as_trajectory(self.world).later(now)
+        motion = make_trajectory(self.world, found).later(now)
         q, v = np.split(x, 2)
         left = dataclasses.replace(
             motion,
@@ -248,18 +247,18 @@ class RigidHorizon(_ShootingHorizon):
         )
         return self._read(self._descend(left, found.touches, _MORE), now)
 
-    def _with_bounce(self, missed: BouncingResult, now: float) -> PlannedMotion | None:
+    def _with_bounce(self, missed: ShootingResult, now: float) -> PlannedMotion | None:
         """Returns the best motion near one that misses walls, with a bounce where it is deepest."""
         dip = find_deepest(self.world, missed) if np.isfinite(missed.cost) else None
         if dip is None:
             return None
-        motion = missed.as_trajectory(self.world)
+        motion = make_trajectory(self.world, missed)
         apart = keep_apart(self._task.with_dip(missed, dip), 0.0, float(motion.times[-1]))
         return self._read(self._descend(motion.later(now), apart, _MORE), now)
 
     def _descend(
         self, left: Trajectory, touches: TouchSequence, options: ShootingOptions
-    ) -> BouncingResult:
+    ) -> ShootingResult:
         """Returns the best motion near a trajectory, with touches as times after its start."""
         q, elapsed = left.positions, left.times - left.times[0]
         times, phases = lay_onto(touches, elapsed, self.world.num_contacts)
@@ -267,15 +266,14 @@ class RigidHorizon(_ShootingHorizon):
         middles = (times[1:] + times[:-1]) / 2
         problem = dataclasses.replace(self._task.pose_phases(times, phases), start=after[0])
         controls = left.controls[np.searchsorted(elapsed, middles) - 1]
-        found = problem.solve(controls, interpolate(times, elapsed, after), options)
-        return BouncingResult.of(found, phases)
+        return problem.solve(controls, interpolate(times, elapsed, after), options)
 
-    def _read(self, found: BouncingResult, now: float) -> PlannedMotion | None:
+    def _read(self, found: ShootingResult, now: float) -> PlannedMotion | None:
         """Returns a result as a motion from now on; None if it leads nowhere, or misses walls."""
         is_finite = np.isfinite(found.cost) and np.all(np.isfinite(found.states))
         if not is_finite or found.violation > _MUCH:
             return None
-        motion = found.as_trajectory(self.world)
+        motion = make_trajectory(self.world, found)
         return PlannedMotion(motion, self._task.price(found), found.touches).later(now)
 
 

@@ -16,13 +16,18 @@ from drake_aigto.planning.candidate import (
 )
 from drake_aigto.planning.mechanisms.boxes import Center, MechanismBoxes, StartedBoxes
 from drake_aigto.planning.mechanisms.closing import COARSE, Aim, Launch, find_tight, steady
-from drake_aigto.planning.mechanisms.mode_edges import lead_over_edges
-from drake_aigto.planning.mechanisms.modes import drop, in_order, is_closed, list_hold_changes
-from drake_aigto.planning.mechanisms.phases import BouncingResult, find_deepest, lay_onto, lay_out
-from drake_aigto.planning.mechanisms.rigid_search import RigidMechanismSearch
+from drake_aigto.planning.mechanisms.phases import (
+    find_deepest,
+    in_order,
+    is_closed,
+    lay_onto,
+    lay_out,
+    make_trajectory,
+)
 from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask, make_mechanism_task
 from drake_aigto.planning.mechanisms.search import MechanismSearch
 from drake_aigto.planning.mechanisms.task import MechanismTask
+from drake_aigto.planning.mechanisms.touches import drop, lead_over_edges, list_mode_changes
 from drake_aigto.planning.mechanisms.traces import (
     add_impulses,
     find_rates,
@@ -63,7 +68,6 @@ __all__ = [
     "Arcs",
     "BallSearch",
     "BallTask",
-    "BouncingResult",
     "Candidate",
     "Center",
     "Launch",
@@ -84,7 +88,6 @@ __all__ = [
     "Proposal",
     "Renewal",
     "Replays",
-    "RigidMechanismSearch",
     "RigidMechanismTask",
     "Rung",
     "Search",
@@ -109,9 +112,10 @@ __all__ = [
     "lay_onto",
     "lay_out",
     "lead_over_edges",
-    "list_hold_changes",
+    "list_mode_changes",
     "make_ball_task",
     "make_mechanism_task",
+    "make_trajectory",
     "needs_shooting",
     "neighbors",
     "plan",

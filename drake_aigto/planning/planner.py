@@ -16,8 +16,7 @@ from drake_aigto.planning.balls.phases import transcribe
 from drake_aigto.planning.balls.search import BallSearch
 from drake_aigto.planning.balls.task import BallTask
 from drake_aigto.planning.candidate import Candidate
-from drake_aigto.planning.mechanisms.rigid_search import RigidMechanismSearch
-from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask, make_mechanism_task
+from drake_aigto.planning.mechanisms.rigid_task import make_mechanism_task
 from drake_aigto.planning.mechanisms.search import MechanismSearch
 from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.options import PlanOptions
@@ -198,11 +197,7 @@ def needs_shooting(world: World, scenario: Scenario) -> bool:
 
 def start_search(task: BallTask | MechanismTask, clock: Stopwatch | None = None) -> Search:
     """Returns the search of a task, which has not begun."""
-    if isinstance(task, BallTask):
-        return BallSearch(task, clock)
-    if isinstance(task, RigidMechanismTask):
-        return RigidMechanismSearch(task, clock)
-    return MechanismSearch(task, clock)
+    return BallSearch(task, clock) if isinstance(task, BallTask) else MechanismSearch(task, clock)
 
 
 def _check_friction(world: World, scenario: Scenario) -> None:

@@ -89,6 +89,13 @@ class Phases(ArrayRecord):
         none = np.zeros(0, dtype=np.int64)
         return cls(none, none, np.array([duration]), total)
 
+    def goes_on(self, phase: int, contact: int) -> bool:
+        """Returns whether a contact is held as in the phase before, not hit, and in its mode."""
+        both = slice(phase - 1, phase + 1)
+        is_same = self.modes[phase - 1, contact] == self.modes[phase, contact]
+        is_hit = self.contacts[phase - 1] == contact
+        return bool(np.all(self.held[both, contact]) and is_same and not is_hit)
+
 
 @dataclass(frozen=True, eq=False)
 class StageLayout:

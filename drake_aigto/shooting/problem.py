@@ -127,7 +127,7 @@ class ShootingProblem(OptimalControlProblem):
 
     def starting_from(self, result: ShootingResult) -> ShootingProblem:
         """Returns the same problem with guessed durations of phases from a result."""
-        return self if self.phases is None else self._with_durations(result.durations)
+        return self if self.phases is None else self._with_durations(result.phases.durations)
 
     def _with_durations(self, durations: Floats) -> ShootingProblem:
         assert self.phases is not None

@@ -8,12 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import ArrayRecord, Floats, read_only
+from drake_aigto.arrays import ArrayRecord, Floats, Ints, read_only
 from drake_aigto.errors import OptionsError, ProgramError, check_counts, check_positive
 from drake_aigto.shooting.descent import descend
-from drake_aigto.shooting.optimal_control import OptimalControlProblem
+from drake_aigto.shooting.optimal_control import OptimalControlProblem, Phases
 from drake_aigto.shooting.tables import FLOW, Outcome, Pass, Program, make_memory
 from drake_aigto.simulation import Replay
+from drake_aigto.transcription import Touch, TouchSequence
 
 # Of 69 boxes around arms of three links, 5 are closed to motions better than no control if steps
 # may raise the cost by much, 14 if they may not, and 24 with Runge-Kutta steps shorter by this
@@ -116,7 +117,7 @@ class ShootingResult(ArrayRecord):
         smoothing: ε at the end [m].
         substeps: Runge-Kutta steps between knots.
         order: of their error.
-        durations: of phases, shape (P,) [s]; none without phases.
+        phases: with their durations; one if the problem has none.
         prices: of bounds at knots: ρ, then all multipliers.
         is_left: whether it was left unfinished (`ShootingOptions.most_promised`).
         replay: of the controls, if they were simulated to get this; else None.
@@ -133,15 +134,43 @@ class ShootingResult(ArrayRecord):
     smoothing: float
     substeps: int
     order: int
-    durations: Floats
+    phases: Phases
     prices: Floats
     is_left: bool = field(default=False, kw_only=True)
     replay: Replay | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         """Makes the arrays read-only."""
-        for name in ("times", "states", "controls", "durations", "prices"):
+        for name in ("times", "states", "controls", "prices"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @property
+    def hits(self) -> Ints:
+        """The knots of impacts."""
+        return self.phases.knots[self.phases.contacts >= 0]
+
+    @property
+    def touches(self) -> TouchSequence:
+        """The touches of rigid walls, by time."""
+        return tuple(touch for touch, _ in self.starts)
+
+    @property
+    def starts(self) -> list[tuple[Touch, int | None]]:
+        """The touches by time, and the knots of their impacts; None for those without one."""
+        phases, times = self.phases, self.times[[0, *self.phases.knots, -1]].tolist()
+        found: list[tuple[Touch, int | None]] = []
+        for phase, held in enumerate(phases.held):
+            hit = int(phases.contacts[phase - 1]) if phase else -1
+            for contact in sorted({*np.flatnonzero(held).tolist(), hit} - {-1}):
+                if contact != hit and phase and phases.goes_on(phase, contact):
+                    continue
+                end = phase + 1 if held[contact] else phase
+                while end < len(phases.held) and phases.goes_on(end, contact):
+                    end += 1
+                mode = int(phases.modes[phase, contact])
+                knot = int(phases.knots[phase - 1]) if contact == hit else None
+                found.append((Touch(times[phase], times[end], contact, mode), knot))
+        return sorted(found, key=lambda each: (each[0].start, each[1] is not None))
 
 
 class ShootingRun:
@@ -272,7 +301,10 @@ class ShootingRun:
         if last.smoothing:
             exact = self._descend(last._replace(smoothing=0.0), self._states.copy(), False).cost
         problem, layout, nx = self._problem, self._layout, len(self._problem.start)
-        at_knots = self._states[[*layout.flights, -1]]
+        at_knots, T = self._states[[*layout.flights, -1]], float(np.ptp(problem.times))
+        phases = Phases.free(T, (T, T))
+        if problem.phases is not None:
+            phases = replace(problem.phases, durations=self._controls[layout.starts, 0])
         return ShootingResult(
             times=problem.times if problem.phases is None else at_knots[:, nx + 1],
             states=at_knots[:, :nx],
@@ -285,7 +317,7 @@ class ShootingRun:
             smoothing=last.smoothing * self._problem.length,
             substeps=self._options.substeps,
             order=self._options.order,
-            durations=self._controls[layout.starts, 0],
+            phases=phases,
             prices=np.concatenate([[self._penalty], self._program.bounds.multipliers.ravel()]),
             is_left=found.is_left,
         )

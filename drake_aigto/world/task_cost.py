@@ -128,6 +128,12 @@ class TaskCost(ArrayRecord):
         error = _turn(np.subtract(q, about), self.is_modulo)
         return np.where(self.is_chordal, 2.0 * np.sin(error / 2.0), error)
 
+    def hard_goal(self, scenario: Scenario) -> Floats:
+        """Returns q and v that a scenario prescribes at T, shape (2n,); NaN where free."""
+        is_hard = scenario.hard_goal, scenario.hard_goal and scenario.goal_velocity is not None
+        ends = zip(is_hard, (self.goal, self.goal_velocity), strict=True)
+        return np.concatenate([np.where(hard, end, np.nan) for hard, end in ends])
+
     def goal_errors(self, q: ArrayLike) -> Floats:
         """Returns how far positions are from the goal, signed, (…, n) [m, rad].
 

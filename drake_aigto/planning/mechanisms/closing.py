@@ -61,6 +61,14 @@ _LONGEST_STEP, _RESOLVING_STEP = 1.5, 0.75
 _FROM_AFAR = tuple(Smoothing(each, 15, 1e-2) for each in (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3))
 
 
+# Runge-Kutta steps of a finalist are halved until cost and end change by this part of their scales.
+_EXACT, _MOST_SUBSTEPS = 1e-3, 64
+# A motion that halved steps change by less is steady: its controls reproduce it closely.
+_STEADY = 0.1
+# A motion that violates its bounds by more (relative to the scales) won't become a plan.
+HOPELESS = 0.05
+
+
 class Aim(NamedTuple):
     """Limits of the effort to close box centers.
 
@@ -231,3 +239,32 @@ def steady(
     return dataclasses.replace(
         motion, controls=controller.controls, replay=found if is_whole else None
     )
+
+
+def halve_steps(problem: ShootingProblem, motion: ShootingResult) -> ShootingResult:
+    """Returns the local optimum near a motion, its Runge-Kutta steps halved until they agree.
+
+    A motion whose bounds are violated by much is returned as it is found.
+
+    Args:
+        problem: in the motion's time steps.
+        motion: whose states are kept, and gaps between them closed, where steps change it.
+    """
+    has_friction, options = problem.mechanism.has_friction, POLISH
+    error = problem.estimate_error(motion) if has_friction else 0.0
+    if has_friction and motion.substeps > POLISH.substeps:  # Else it diverges.
+        options = dataclasses.replace(WITH_FRICTION, substeps=motion.substeps)
+    while True:
+        states, problem = motion.states if error > _STEADY else None, problem.starting_from(motion)
+        motion = problem.solve(motion.controls, states, options, motion.prices)
+        if motion.violation > HOPELESS or motion.substeps >= _MOST_SUBSTEPS:
+            return motion
+        error = problem.estimate_error(motion)
+        if error <= _EXACT:
+            return motion
+        # Where contact begins and ends, steps are of second order. Contacts that stick in long
+        # steps slip in short ones.
+        halvings = np.ceil(np.log2(min(error / _EXACT, _MOST_SUBSTEPS)) / 2)
+        substeps = motion.substeps * 2 ** (1 if has_friction else int(halvings))
+        rungs = (WITH_FRICTION if has_friction else POLISH).rungs[-1:]
+        options = dataclasses.replace(POLISH, rungs=rungs, substeps=min(substeps, _MOST_SUBSTEPS))

@@ -1,16 +1,15 @@
-"""Motions that bounce off rigid walls: their touches, and their knots in phases."""
+"""Motions between rigid walls: their touches, the modes of these, and their knots in phases."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Bools, Floats, Ints, read_only
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.contact import RigidLaw, read_mode
-from drake_aigto.planning.mechanisms.modes import is_closed, read_hold
 from drake_aigto.shooting import Phases, ShootingResult
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence
@@ -20,100 +19,14 @@ from drake_aigto.world import World
 _SHORTEST = 1e-2
 # Knots closer than this part of the duration count as the same.
 _SAME = 1e-6
+# Slip below this part of the fastest slip counts as stick: on springs sticking contacts creep.
+CREEP = 0.05
+# A stretch shorter than this part of a sustained touch is joined to the one before.
+_SHORT = 0.1
+# Distances and speeds below this part of the largest coordinate, or 1, count as zero.
+_STILL = 1e-9
 # Times between two knots at which distances of walls are checked, as parts of a step.
 _LOOKS = np.linspace(0.0, 1.0, 9)[1:-1]
-
-
-@dataclass(frozen=True, eq=False)
-class BouncingResult(ShootingResult):
-    """A motion in phases, and where they meet.
-
-    Attributes:
-        contacts: the contact that is hit at the end of each phase but the last, −1 at a release,
-            shape (P − 1,).
-        knots: where that is, shape (P − 1,).
-        held: which contacts are held in each phase, shape (P, m).
-        modes: in which mode they are, or are hit where it starts (`Phases`), shape (P, m).
-    """
-
-    contacts: Ints
-    knots: Ints
-    held: Bools
-    modes: Ints
-
-    def __post_init__(self) -> None:
-        """Makes the arrays read-only."""
-        super().__post_init__()
-        for name in ("contacts", "knots", "modes"):
-            object.__setattr__(self, name, read_only(getattr(self, name), np.int64))
-        object.__setattr__(self, "held", read_only(self.held, np.bool_))
-
-    @classmethod
-    def of(cls, found: ShootingResult, phases: Phases) -> BouncingResult:
-        """Returns a result of shooting in phases."""
-        names = (field.name for field in fields(ShootingResult))
-        values = {name: getattr(found, name) for name in names}
-        places = {name: getattr(phases, name) for name in ("contacts", "knots", "held", "modes")}
-        return cls(**values, **places)
-
-    @property
-    def touches(self) -> TouchSequence:
-        """The touches, by time."""
-        return tuple(touch for touch, _ in self.starts)
-
-    @property
-    def starts(self) -> list[tuple[Touch, int | None]]:
-        """The touches by time, and the knots of their impacts; None for those without one."""
-        times, P = self.times[[0, *self.knots, -1]].tolist(), len(self.held)
-        found: list[tuple[Touch, int | None]] = []
-        for phase, held in enumerate(self.held):
-            hit = int(self.contacts[phase - 1]) if phase else -1
-            for contact in sorted({*np.flatnonzero(held).tolist(), hit} - {-1}):
-                if contact != hit and phase and self._goes_on(phase, contact):
-                    continue
-                end = phase + 1 if held[contact] else phase
-                while end < P and self.held[end, contact] and self._goes_on(end, contact):
-                    end += 1
-                mode = int(self.modes[phase, contact])
-                knot = int(self.knots[phase - 1]) if contact == hit else None
-                found.append((Touch(times[phase], times[end], contact, mode), knot))
-        return sorted(found, key=lambda each: (each[0].start, each[1] is not None))
-
-    def _goes_on(self, phase: int, contact: int) -> bool:
-        """Returns whether a contact was held in the phase before, in the same mode."""
-        is_hit = self.contacts[phase - 1] == contact
-        same = self.modes[phase - 1, contact] == self.modes[phase, contact]
-        return bool(self.held[phase - 1, contact] and same and not is_hit)
-
-    def phases(self, total: tuple[float, float]) -> Phases:
-        """Returns its phases; their durations sum up to within the limits of a total [s]."""
-        return Phases(
-            self.contacts, self.knots, self.durations, total, held=self.held, modes=self.modes
-        )
-
-    @property
-    def hits(self) -> Ints:
-        """The knots of impacts."""
-        return self.knots[self.contacts >= 0]
-
-    def as_trajectory(self, world: World) -> Trajectory:
-        """Returns the motion with velocities before impacts, and their impulses.
-
-        The velocity before an impact is the slope of a parabola, corrected along the impulse.
-        """
-        n, m = world.num_positions, world.num_contacts
-        q, v = np.split(self.states, [n], axis=1)
-        v, impulses = v.copy(), np.zeros((len(q), m))
-        _, slopes = find_slopes(world, self)
-        for knot, i in zip(self.hits, self.contacts[self.contacts >= 0], strict=True):
-            kick, J = (
-                world.calc_velocity_change(q[knot], np.eye(m)[i]),
-                world.calc_contact_jacobian(q[knot])[i],
-            )
-            impulses[knot, i] = J @ (v[knot] - slopes[knot - 1]) / (J @ kick)
-            v[knot] -= impulses[knot, i] * kick
-        forces = np.zeros((len(self.controls), m))
-        return Trajectory(self.times, q, v, self.controls, impulses, forces)
 
 
 class Dip(NamedTuple):
@@ -285,7 +198,7 @@ def read_touches(
     return tuple(sorted(touches, key=lambda touch: touch.start))
 
 
-def find_deepest(world: World, motion: BouncingResult) -> Dip | None:
+def find_deepest(world: World, motion: ShootingResult) -> Dip | None:
     """Returns the deepest penetration of a motion in phases between its knots, if any."""
     times, positions = _look_between(world, motion)
     flat = positions.reshape(-1, positions.shape[-1])
@@ -293,7 +206,7 @@ def find_deepest(world: World, motion: BouncingResult) -> Dip | None:
     return max(dips, key=lambda dip: dip.depth, default=None)
 
 
-def find_grazes(world: World, motion: BouncingResult, speed: float) -> list[int]:
+def find_grazes(world: World, motion: ShootingResult, speed: float) -> list[int]:
     """Returns which bounces among the touches of a motion are slower than a speed [m/s]."""
     n, (_, before) = world.num_positions, find_slopes(world, motion)
     found = []
@@ -305,7 +218,7 @@ def find_grazes(world: World, motion: BouncingResult, speed: float) -> list[int]
     return found
 
 
-def find_lacks(world: World, motion: BouncingResult, margin: float) -> Floats:
+def find_lacks(world: World, motion: ShootingResult, margin: float) -> Floats:
     """Returns by how much φ should be larger at knots not to fall below a margin between them.
 
     For solids, that is for the face which the sphere is in front of. It is zero next to a bounce
@@ -324,10 +237,10 @@ def find_lacks(world: World, motion: BouncingResult, margin: float) -> Floats:
         there = of_solid[np.arange(N), lowest]
         foremost = there.argmax(axis=1)
         lacks[np.arange(N), np.array(faces)[foremost]] = margin - there.max(axis=1)
-        touched = motion.knots[np.isin(motion.contacts, faces)]
+        touched = motion.phases.knots[np.isin(motion.phases.contacts, faces)]
         is_touched[touched[:, np.newaxis], faces] = True
-        along = np.flatnonzero(motion.held[:, faces].any(axis=1))
-        ends = [0, *motion.knots.tolist(), N]
+        along = np.flatnonzero(motion.phases.held[:, faces].any(axis=1))
+        ends = [0, *motion.phases.knots.tolist(), N]
         for phase in along.tolist():
             is_touched[ends[phase] : ends[phase + 1] + 1, faces] = True
     lacks[is_touched[1:] | is_touched[:-1]] = 0.0
@@ -364,7 +277,7 @@ def sample(world: World, motion: ShootingResult, times: Floats) -> Floats:
     return np.hstack([q + s * (start + s * (bend + s * twist)), slopes / h[rows]])
 
 
-def _look_between(world: World, motion: BouncingResult) -> tuple[Floats, Floats]:
+def _look_between(world: World, motion: ShootingResult) -> tuple[Floats, Floats]:
     """Returns times (N, K) and positions (N, K, n) between knots."""
     q, start, bend, twist = (each[:, np.newaxis] for each in _find_cubics(world, motion))
     s, h = _LOOKS[:, np.newaxis], np.diff(motion.times)[:, np.newaxis]
@@ -389,7 +302,95 @@ def find_slopes(world: World, motion: ShootingResult) -> tuple[Floats, Floats]:
     n, h = world.num_positions, np.diff(motion.times)[:, np.newaxis]
     q, v = motion.states[:, :n], motion.states[:, n:]
     end = v[1:].copy()
-    if isinstance(motion, BouncingResult):
-        bounces = motion.hits - 1
-        end[bounces] = 2 * (np.diff(q, axis=0) / h)[bounces] - v[:-1][bounces]
+    bounces = motion.hits - 1
+    end[bounces] = 2 * (np.diff(q, axis=0) / h)[bounces] - v[:-1][bounces]
     return v[:-1], end
+
+
+def make_trajectory(world: World, motion: ShootingResult) -> Trajectory:
+    """Returns a motion with velocities before impacts, and their impulses.
+
+    The velocity before an impact is the slope of a parabola, corrected along the impulse.
+    """
+    n, m, contacts = world.num_positions, world.num_contacts, motion.phases.contacts
+    q, v = np.split(motion.states, [n], axis=1)
+    v, impulses = v.copy(), np.zeros((len(q), m))
+    _, slopes = find_slopes(world, motion)
+    for knot, i in zip(motion.hits, contacts[contacts >= 0], strict=True):
+        kick = world.calc_velocity_change(q[knot], np.eye(m)[i])
+        J = world.calc_contact_jacobian(q[knot])[i]
+        impulses[knot, i] = J @ (v[knot] - slopes[knot - 1]) / (J @ kick)
+        v[knot] -= impulses[knot, i] * kick
+    forces = np.zeros((len(motion.controls), m))
+    return Trajectory(motion.times, q, v, motion.controls, impulses, forces)
+
+
+def is_closed(world: World, q: Floats, v: Floats) -> Bools:
+    """Returns which contacts touch and are neither approached nor left, shape (m,)."""
+    still = _STILL * (1 + max(np.max(np.abs(q)), np.max(np.abs(v))))
+    distances, rates = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
+    return np.asarray((np.abs(distances) <= still) & (np.abs(rates) <= still))
+
+
+def read_hold(
+    world: World,
+    law: RigidLaw,
+    motion: ShootingResult,
+    contact: int,
+    ends: tuple[float, float],
+    knots: Ints,
+) -> Iterator[Touch]:
+    """Yields the touches of a sustained contact, one for each mode of a motion.
+
+    Args:
+        world: the mechanism.
+        law: of the walls.
+        motion: between rigid or compliant walls.
+        contact: its index.
+        ends: from when to when [s].
+        knots: those between.
+    """
+    if not law.friction[contact]:
+        yield Touch(*ends, contact)
+        return
+    n, (start, end) = world.num_positions, ends
+    q, v = np.split(motion.states, [n], axis=1)
+    slips = world.rubbing.calc_slips(q, v)[:, contact]
+    modes = np.where(np.abs(slips) <= CREEP * np.max(np.abs(slips)), 0, np.sign(slips))[knots]
+    yield from split_hold(Touch(start, end, contact), motion.times[knots], modes.astype(np.int64))
+
+
+def split_hold(touch: Touch, times: Floats, modes: Ints) -> list[Touch]:
+    """Returns a sustained touch as one per mode; short ones are joined to the one before.
+
+    Args:
+        touch: in any mode.
+        times: of knots in it, shape (K,) [s].
+        modes: from these on, shape (K,).
+    """
+    begins = np.flatnonzero(np.diff(modes, prepend=np.iinfo(np.int64).max))
+    ends = np.append(times[begins], touch.end)
+    ends[0] = touch.start
+    found: list[Touch] = []
+    for first, begin, until in zip(begins, ends, ends[1:], strict=False):
+        mode, is_short = int(modes[first]), until - begin < _SHORT * (touch.end - touch.start)
+        if found and (is_short or found[-1].mode == mode):
+            found[-1] = replace(found[-1], end=float(until))
+        else:
+            found.append(Touch(float(begin), float(until), touch.contact, mode))
+    return found
+
+
+def in_order(touches: Sequence[Touch]) -> TouchSequence:
+    """Returns touches by their starts; those of one contact that adjoin in one mode are joined."""
+    found: list[Touch] = []
+    for touch in sorted(touches, key=lambda each: each.start):
+        known = (i for i, each in enumerate(found) if each.contact == touch.contact)
+        last = max(known, default=None)
+        if last is not None and touch.lasts and found[last].lasts:
+            before = found[last]
+            if before.end == touch.start and before.mode == touch.mode:
+                found[last] = replace(before, end=touch.end)
+                continue
+        found.append(touch)
+    return tuple(found)

@@ -6,30 +6,34 @@ import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from drake_aigto.arrays import interpolate
 from drake_aigto.errors import TrajectoryError
-from drake_aigto.planning.candidate import Candidate, Origin
+from drake_aigto.planning.candidate import COASTING, Candidate, Origin
 from drake_aigto.planning.mechanisms.boxes import Center
 from drake_aigto.planning.mechanisms.closing import Aim
+from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask
 from drake_aigto.planning.mechanisms.task import MechanismTask
+from drake_aigto.planning.mechanisms.touches import NEAR
 from drake_aigto.planning.rungs import MechanismRung, Renewal
 from drake_aigto.planning.search import Proposal, Search, Stopwatch, scaled
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.simulation import BOUNDS
+from drake_aigto.transcription import TouchSequence
 
 _LOG = logging.getLogger(__name__)
 
 # Newton steps of a box, and the motion that it led to.
 Closed: TypeAlias = tuple[int, ShootingResult]
-
+# Which contacts are touched, how the impacts end, and roughly when and for how long.
+_Key: TypeAlias = tuple[tuple[int, int, int, int], ...]
 
 _ANNEALING = "annealing"
 # Motions that are kept, at most, no two near each other; and the least difference of their costs.
-_MOST_KEPT, SAME = 8, 1e-3
+_MOST_KEPT, _SAME = 8, 1e-3
 # Motions whose positions differ by no more than this, relative to their scales, have one optimum.
 _NEAR = 0.05
 # Renewals per wave: they are drawn from the motions that are kept, and closed together.
@@ -40,12 +44,13 @@ _NOTHING = 1e-12
 _MOST_NARROWED = 2
 # The polish of a motion diverged if it costs more than this times the best that holds.
 _DIVERGED = 2.0
-# Motions that promise to cost more than this times the worst kept one are left unfinished. In 3,072
-# boxes around cart-poles between soft walls that saves 31 % of all iterations and loses 10 of 346
-# motions that would have been the best so far; 1.0 saves 37 % and loses 13, and 1.5 22 % and 8.
-_WORTH = 1.2
 # Every second renewal is of the best motion, the others are of one of this many.
 _MOST_RENEWED = 4
+# Neighbors are tried of at most 3 of the best motions, which cost at most 1.5 times the best, and
+# of at most 6 per wave of proposals: along a wall the number of sequences has no bound.
+_MOST_BRANCHED, _PROMISING, _MOST_BRANCHES = 3, 1.5, 6
+# How many of the first touches of the uncontrolled motion are tried.
+_MOST_UNCONTROLLED = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,17 +76,17 @@ class KeptMotion:
 class MechanismSearch(Search):
     """Rungs of boxes, each closed by shooting; then renewals of stretches of the best motions.
 
-    Work is cut off by counts, and what is drawn depends on the seed alone, not on threads.
+    Between rigid walls, a touch of the best motions is dropped, added, swapped with the next, or,
+    with friction, changed to another mode or divided into two after each wave of proposals, until
+    no change improves a motion. Most time of a polish is spent there on meeting walls to rounding,
+    which lowers the cost by less than half a percent: motions that cost more are not polished so
+    far. Work is cut off by counts, and what is drawn depends on the seed alone, not on threads.
 
     Attributes:
         motions: the best so far.
-        polish_ratio: motions that cost more than this times the best finalist are not polished.
-        simulate_ratio: those that do after their polish are not simulated, but are finalists.
     """
 
     task: MechanismTask
-    polish_ratio: ClassVar[float] = 1.0
-    simulate_ratio: ClassVar[float] = _DIVERGED
 
     def __init__(self, task: MechanismTask, clock: Stopwatch | None = None) -> None:
         """Starts with no motion."""
@@ -93,6 +98,9 @@ class MechanismSearch(Search):
         self._not_simulated: list[tuple[KeptMotion, ShootingResult]] = []  # But polished.
         self._aim = Aim()
         self._num_closed = self._num_of_use = 0
+        self._rigid = task if isinstance(task, RigidMechanismTask) else None
+        self._tried: set[_Key] = set()
+        self._branched: list[KeptMotion] = []
 
     @property
     def candidates(self) -> Sequence[Candidate]:
@@ -104,9 +112,15 @@ class MechanismSearch(Search):
         return self.motions
 
     def propose(self) -> Iterator[Sequence[Proposal]]:
-        """Yields the centers of all rungs' boxes."""
+        """Yields centers of all rungs' boxes, and motions with the first touches without control.
+
+        A fast start touches a wall at once, where boxes and springs are too coarse to tell how.
+        """
         self.tell(f"AIGO from {len(self.task.ladder)} starts")
         yield [self._start(rung) for rung in self.task.ladder]
+        first = self._rigid.coasting[:_MOST_UNCONTROLLED] if self._rigid else ()
+        sequences = [first[: count + 1] for count in range(len(first))]
+        yield [self._touch(Origin(COASTING), each, self.task.idle_motion) for each in sequences]
 
     def vary(self) -> Iterator[Sequence[Proposal]]:
         """Yields renewals of stretches of the best motions, and new starts in turn."""
@@ -114,7 +128,7 @@ class MechanismSearch(Search):
         best, idle = (True, np.inf), 0
         for first in range(0, options.renewals if self.motions else 0, _WAVE):
             misses, cost = rank = self.motions[0].rank
-            is_better = misses < best[0] or not cost + SAME * abs(cost) >= best[1]
+            is_better = misses < best[0] or not cost + _SAME * abs(cost) >= best[1]
             best, idle = (rank, 0) if is_better else (best, idle + _WAVE)
             is_free = not self.task.additions and cost <= _NOTHING * self.task.scales.cost
             if idle >= self.task.patience or is_free:
@@ -146,22 +160,68 @@ class MechanismSearch(Search):
         center = propose()
         return center.iterations, self.task.close(center, self._aim)
 
+    def _touch(self, origin: Origin, touches: TouchSequence, guess: ShootingResult) -> Proposal:
+        assert self._rigid is not None
+        bounce = self._rigid.bounce
+        return Proposal(origin, lambda: (0, bounce(touches, guess, self._aim.most)))
+
     def _find_aim(self) -> Aim:
         """Returns the aim that leaves motions unfinished that would not be kept.
 
+        Between rigid walls, that is those that cost far more than the best.
         Where half of the motions are better than no control, others are not closed with more care:
         of 3,072 around cart-poles between soft walls 403 were, and two of these were kept. Where a
         hinge turns fast at the start, costs fall late, and no motion is left unfinished.
         """
         is_full = len(self.motions) == _MOST_KEPT and not self.task.is_fast
-        misses, cost = self.motions[-1].rank if is_full else (True, np.inf)
-        most = np.inf if misses else scaled(_WORTH, cost)
+        limits = self.motions[:1] if self._rigid else self.motions[-1:] if is_full else []
+        misses, cost = limits[0].rank if limits else (True, np.inf)
+        most = np.inf if misses else scaled(self.task.close_ratio, cost)
         return Aim(most, is_patient=2 * self._num_of_use <= self._num_closed)
 
     def close(self, wave: Sequence[Proposal]) -> None:
+        """Closes motions, and neighbors of the best until none of these leads to a better one."""
+        self._close_wave(wave)
+        for _ in range(_MOST_BRANCHES if self._rigid else 0):
+            motion = self._find_unbranched()
+            if motion is None:
+                return
+            self._branched.append(motion)
+            if neighbors := list(self._list_neighbors(motion)):
+                self._close_wave(neighbors)
+
+    def _close_wave(self, wave: Sequence[Proposal]) -> None:
         """Closes motions under the current aim, and keeps the best of them."""
         self._aim = self._find_aim()
         super().close(wave)
+
+    def _find_unbranched(self) -> KeptMotion | None:
+        """Returns one of the best motions with neighbors that were not tried yet."""
+        best = self.motions[:_MOST_BRANCHED]
+        for motion in best:
+            is_promising = motion.cost <= scaled(_PROMISING, best[0].cost)
+            known = (each for each in self._branched if self._are_same(each, motion))
+            if is_promising and all(self._is_better(motion, each) for each in known):
+                return motion
+        return None
+
+    def _list_neighbors(self, motion: KeptMotion) -> Iterator[Proposal]:
+        """Yields the neighbors of a motion that were not tried yet."""
+        assert self._rigid is not None
+        near, found = NEAR * self.task.scenario.duration, motion.result
+        for change, touches in self._rigid.find_neighbors(found):
+            key = tuple(
+                (
+                    each.contact,
+                    each.mode,
+                    round(each.start / near),
+                    round((each.end - each.start) / near),
+                )
+                for each in touches
+            )
+            if key not in self._tried:
+                self._tried.add(key)
+                yield self._touch(motion.origin.changed(change, found.touches), touches, found)
 
     def keep(self, origin: Origin, found: Closed) -> None:
         """Keeps a motion if it is among the best, and no better one is near."""
@@ -176,12 +236,20 @@ class MechanismSearch(Search):
             self.motions = sorted([*others, motion], key=lambda each: each.rank)[:_MOST_KEPT]
 
     def _is_better(self, motion: KeptMotion, known: KeptMotion) -> bool:
-        """Returns whether a motion takes the place of one that leads to the same optimum."""
+        """Returns whether a motion costs less, or as much with fewer touches.
+
+        One optimum has many sequences, with touches that hardly push. Each touch makes it more
+        likely that a simulation deviates.
+        """
+        costs_same = abs(motion.cost - known.cost) <= _SAME * abs(known.cost)
+        fewer = len(motion.result.touches) - len(known.result.touches)
+        if motion.rank[0] == known.rank[0] and costs_same and fewer:
+            return fewer < 0
         return motion.rank < known.rank
 
     def _are_same(self, one: KeptMotion, other: KeptMotion) -> bool:
         """Returns whether two motions lead to one optimum, by cost or by path."""
-        costs_same = abs(one.cost - other.cost) <= SAME * abs(one.cost)
+        costs_same = abs(one.cost - other.cost) <= _SAME * abs(one.cost)
         return costs_same or self._are_near(one.result, other.result)
 
     def _are_near(self, one: ShootingResult, other: ShootingResult) -> bool:
@@ -224,7 +292,7 @@ class MechanismSearch(Search):
 
     def _is_hopeless(self, motion: KeptMotion) -> bool:
         """Returns whether a motion costs more than its polish may save."""
-        return motion.cost > self._scale_best(self.polish_ratio)
+        return motion.cost > self._scale_best(self.task.polish_ratio)
 
     @property
     def _holding(self) -> list[float]:
@@ -245,10 +313,6 @@ class MechanismSearch(Search):
         most = self._scale_best(_DIVERGED)
         return most < np.inf and (misses or not cost <= most)
 
-    def _improve(self, problem: MechanismTask, motion: ShootingResult) -> ShootingResult:
-        """Returns the optimum near a motion."""
-        return problem.polish(motion)
-
     def _polish(self, motion: KeptMotion) -> ShootingResult:
         """Adds the candidate of a motion, and returns the polished motion.
 
@@ -263,11 +327,12 @@ class MechanismSearch(Search):
                     self.clock("polish"),
                     self.ended_by_ctrl_c(lambda: [] if self._candidates else [start]),
                 ):
-                    polished = self._improve(problem, polished)
+                    most = self._scale_best(self.task.simulate_ratio)
+                    polished = problem.polish(polished, most)
                 if self._has_diverged(polished):
                     _LOG.info("  diverged: cost %.6g", polished.cost)
                     return polished
-                if self.task.price(polished) > self._scale_best(self.simulate_ratio):
+                if self.task.price(polished) > self._scale_best(self.task.simulate_ratio):
                     _LOG.info("  not simulated: cost %.6g", polished.cost)
                     self._not_simulated.append((motion, polished))
                     return polished
