@@ -15,9 +15,15 @@ from typing import Any, TypeVar, cast
 
 import llvmlite
 import numba
+from numba import _dynfunc  # type: ignore[attr-defined]
 from numba.core import types
 from numba.core.caching import FunctionCache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import register_pass
+from numba.core.environment import lookup_environment
 from numba.core.event import Event, Listener, install_listener
+from numba.core.typed_passes import NativeLowering
 from numba.extending import intrinsic
 
 from drake_aigto.progress import Notice
@@ -30,6 +36,10 @@ _COMPILES = "compiling machine code, up to a minute or so (Ctrl-C waits for that
 _KEPT = "it is kept for next time"
 _LOST = "it can be kept nowhere: NUMBA_CACHE_DIR may name a folder"
 
+# Instructions of a function, before it is optimized, above which it stays a call: with none inlined
+# above this, kernels are as fast, and compile sooner (`python -m benchmarks.start_time`).
+_LARGE = 200
+
 _PACKAGE = __name__.partition(".")[0]
 _IMPORT = re.compile(
     r"^[ \t]*(?:from|import)[ \t]+(\.*)([\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|.*))?", re.M
@@ -39,6 +49,11 @@ _IMPORT = re.compile(
 def njit(**options: Any) -> Callable[[_Function], _Function]:
     """Returns `numba.njit` with these options and a cache, as a decorator.
 
+    A function without an entry for Python (``no_cpython_wrapper``) is compiled no further than to
+    LLVM's intermediate code, unoptimized; kernels that call it, also by way of others, are
+    optimized and emitted with it as a whole. Numba on its own optimizes and emits each function
+    with all that it calls, and then once more for each function above, which doubles the time.
+
     Numba keeps machine code beside the source, else in ``NUMBA_CACHE_DIR`` or the user's cache
     folder. Where it can write to none of them, as in a package that root installed, run by a user
     without a home, each process compiles for itself.
@@ -46,11 +61,15 @@ def njit(**options: Any) -> Callable[[_Function], _Function]:
     No function gets a C entry, which nothing here calls and which takes time to compile.
     """
     options["no_cfunc_wrapper"] = True
+    is_inner = options.get("no_cpython_wrapper", False)
+    pipeline = _InnerPipeline if is_inner else _KernelPipeline
 
     def compile_later(function: _Function) -> _Function:
-        compiled = numba.njit(**options)(function)
+        compiled = numba.njit(pipeline_class=pipeline, **options)(function)
         _forget_literals(compiled)
         compiled.compile = _undisturbed()(compiled.compile)
+        if is_inner:  # Kernels keep it within their own code.
+            return compiled
         try:
             compiled._cache = _SourceCache(function)  # As njit(cache=True) does with its own.
         except RuntimeError as error:
@@ -93,6 +112,95 @@ def _undisturbed() -> Iterator[None]:
         signal.signal(signal.SIGINT, handle)
         if caught:
             handle(*caught[0])
+
+
+class _InnerLibrary(JITCodeLibrary):
+    """Function for others to call: intermediate code, which is neither optimized nor emitted."""
+
+    def finalize(self) -> None:
+        """Lets nothing be added any more."""
+        self._raise_if_finalized()  # type: ignore[no-untyped-call]
+        self._finalized = True
+
+
+class _KernelLibrary(JITCodeLibrary):
+    """Function that Python calls, with all inner functions that it needs."""
+
+    def finalize(self) -> None:
+        """Links, optimizes and emits them as a whole."""
+        for library in self._linking_libraries:  # It grows meanwhile.
+            if isinstance(library, _InnerLibrary):
+                below = library._linking_libraries
+                self._linking_libraries += [b for b in below if b not in self._linking_libraries]
+        super().finalize()  # type: ignore[no-untyped-call]
+
+    def _optimize_final_module(self) -> None:
+        """Optimizes; large functions stay calls, as inlining them gains nothing but work."""
+        for function in self._final_module.functions:
+            if not function.is_declaration and _count_instructions(function) > _LARGE:
+                function.add_function_attribute("noinline")
+        super()._optimize_final_module()  # type: ignore[no-untyped-call]
+
+
+def _count_instructions(function: Any) -> int:
+    return sum(sum(1 for _ in block.instructions) for block in function.blocks)
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)  # type: ignore[no-untyped-call]
+class _InnerLowering(NativeLowering):
+    """Lowering to an `_InnerLibrary`, with an object in place of an entry for Python."""
+
+    _name = "inner_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        """Lowers the function, and tells Numba by what others call it."""
+        state.library = _InnerLibrary(state.targetctx.codegen(), state.func_id.func_qualname)  # type: ignore[no-untyped-call]
+        state.flags.no_compile = True
+        super().run_pass(state)  # type: ignore[no-untyped-call]
+        name, lowered = state.func_id.func_name, state["cr"]
+        module = lowered.fndesc.lookup_module()
+        entry = _dynfunc.make_function(module, name, "inner", 0, lowered.env, (state.library,))
+        state.targetctx.insert_user_function(entry, lowered.fndesc, [state.library])
+        state["cr"] = lowered._replace(cfunc=entry)
+        return True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)  # type: ignore[no-untyped-call]
+class _KernelLowering(NativeLowering):
+    """Lowering to a `_KernelLibrary`, whose inner functions get their environments."""
+
+    _name = "kernel_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        """Lowers, optimizes and emits the function."""
+        state.library = _KernelLibrary(state.targetctx.codegen(), state.func_id.func_qualname)  # type: ignore[no-untyped-call]
+        state.library.enable_object_caching()
+        super().run_pass(state)  # type: ignore[no-untyped-call]
+        for variable in state.library._final_module.global_variables:
+            if (environment := lookup_environment(variable.name)) is not None:  # type: ignore[no-untyped-call]
+                state.library.codegen.set_env(variable.name, environment)
+        return True
+
+
+class _Pipeline(CompilerBase):
+    """Numba's pipeline with a lowering of ours."""
+
+    lowering: type[NativeLowering]
+
+    def define_pipelines(self) -> list[Any]:
+        """Returns Numba's passes, the lowering replaced."""
+        manager = DefaultPassBuilder.define_nopython_pipeline(self.state)  # type: ignore[no-untyped-call]
+        passes = [(self.lowering if p is NativeLowering else p, text) for p, text in manager.passes]
+        manager.passes[:] = passes
+        return [manager]
+
+
+class _InnerPipeline(_Pipeline):
+    lowering = _InnerLowering
+
+
+class _KernelPipeline(_Pipeline):
+    lowering = _KernelLowering
 
 
 # For functions that Python calls.
