@@ -101,6 +101,15 @@ def test_small_negative_numbers_are_no_flags() -> None:
 
 def test_every_field_of_a_scenario_has_a_flag_that_changes_it() -> None:
     given: dict[str, Any] = {
+        "packages": {"robots": "/opt/robots"},
+        "weld": {"base": [0.0, 0.0, 1.0]},
+        "fixed_joints": ["wrist_*"],
+        "actuators": ["elbow"],
+        "effort_limits": {"elbow": 2.0},
+        "limits": "ignore",
+        "collisions": "none",
+        "material": {"*": {"stiffness": 1e6}},
+        "allow_ignored": ["fluid"],
         "model": "other.sdf",
         "initial_position": [1.0, 2.0],
         "initial_velocity": [0.0, -3.0],

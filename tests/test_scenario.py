@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from drake_aigto import Scenario, scenario_names
 from drake_aigto.errors import AigtoError, OutputFileError, ScenarioError
 from drake_aigto.output import write_text
+from drake_aigto.world import ModelFields
 
 ENDS: dict[str, Any] = {"initial_position": 1.0, "initial_velocity": -2.0, "goal_position": 0.73}
 
@@ -55,6 +56,8 @@ numbers = st.floats(-1e6, 1e6)
 weights = st.floats(0.0, 1e6)
 pairs = st.lists(numbers, min_size=2, max_size=2)
 some = weights.filter(bool) | st.just([0.0, 2.0])
+
+MODEL_FIELDS = [field.name for field in dataclasses.fields(ModelFields)]
 
 
 @st.composite
@@ -134,6 +137,15 @@ def test_scenarios_that_differ_in_one_field_are_not_equal(field: str) -> None:
         "reference_times": [0.0, 2.0],
         "reference_positions": [0.5, 1.0],
         "reference_velocities": [0.5, 1.0],
+        "packages": {"robots": "/opt/robots"},
+        "weld": {"base": [0.0, 0.0, 1.0]},
+        "fixed_joints": ["wrist_*"],
+        "actuators": ["elbow"],
+        "effort_limits": {"elbow": 2.0},
+        "limits": "ignore",
+        "collisions": "none",
+        "material": {"*": {"stiffness": 1e6}},
+        "allow_ignored": ["fluid"],
     }
     weighed: dict[str, Any] = {
         "goal_velocity_weight": 1.0,
@@ -226,6 +238,7 @@ def test_an_unknown_name_lists_the_known_ones() -> None:
         field.name
         for field in dataclasses.fields(Scenario)
         if field.name not in ("model", "hard_goal", "angles", "contact", "ignored_shapes")
+        and field.name not in MODEL_FIELDS
         and not field.name.endswith(("_lower", "_upper"))
     ],
 )
@@ -316,8 +329,8 @@ GOOD = "initial_position: 1.0\ninitial_velocity: [-2.0]\ngoal_position: 0.73\n"
     [
         (
             GOOD + "goal_wieght: 1\n",
-            "unknown key 'goal_wieght': expected one of model, initial_position, .*, ignored_"
-            "shapes. Did you mean 'goal_weight'?",
+            "unknown key 'goal_wieght': expected one of packages, .*, model, initial_position, .*, "
+            "ignored_shapes. Did you mean 'goal_weight'?",
         ),
         (GOOD + "zzz: 1\n", r"unknown key 'zzz': expected one of .*, ignored_shapes\.$"),
         (

@@ -7,11 +7,22 @@ import dataclasses
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
+import yaml
+
 from drake_aigto.world import Scenario, scenario_names
 
 # Field → what it is. Of the kinds of flags below, those of no other take one number.
 _FIELDS = {
-    "model": "the world: package://… or a path to an SDF or URDF",
+    "packages": "of package:// in the model, {name: folder}",
+    "weld": "links that the world holds, {link: [x, y, z, roll, pitch, yaw]} [m, rad]",
+    "fixed_joints": "joints that stand still, by name or glob",
+    "actuators": "joints to drive where the model has no actuator, by name or glob",
+    "effort_limits": "of actuators, in place of the model's, {actuator or joint: limit} [N, N m]",
+    "limits": "whether the model's limits of positions and velocities count",
+    "collisions": "shapes that may touch, all, none, or by name or glob",
+    "material": "of shapes, {shape or glob: {stiffness: 1e6, friction: 0.5, …}}",
+    "allow_ignored": "what may be left out that is not planned for, by the words of its error",
+    "model": "the world: package://… or a path to an SDF, URDF or MJCF",
     "initial_position": "q(0), one number a coordinate [m, rad]",
     "initial_velocity": "v(0) [m/s, rad/s]",
     "goal_position": "where q(T) should be [m, rad]",
@@ -46,7 +57,11 @@ _FIELDS = {
     "stiction_speed": "below which what rubs sticks [m/s, rad/s]",
     "ignored_shapes": "collision shapes that touch nothing, by name",
 }
-_CHOICES = {name: get_args(get_type_hints(Scenario)[name]) for name in ("angles", "contact")}
+_CHOICES = {
+    name: get_args(get_type_hints(Scenario)[name]) for name in ("angles", "contact", "limits")
+}
+_NAMES = ("fixed_joints", "actuators", "collisions", "allow_ignored", "ignored_shapes")
+_MAPPINGS = ("packages", "weld", "effort_limits", "material")
 _SWITCHES = ("hard_goal",)
 _PAIRS = ("duration_range",)
 _VECTORS = (
@@ -74,8 +89,10 @@ def _look(name: str) -> dict[str, Any]:
     """Returns how argparse reads a field."""
     if name == "model":
         return {"metavar": "URI"}
-    if name == "ignored_shapes":
+    if name in _NAMES:
         return {"metavar": "NAME", "nargs": "+"}
+    if name in _MAPPINGS:
+        return {"type": yaml.safe_load, "metavar": "{NAME: …}"}
     if name in _CHOICES:
         return {"choices": _CHOICES[name]}
     if name in _SWITCHES:
@@ -95,6 +112,9 @@ def load_scenario(options: argparse.Namespace) -> Scenario:
     """Returns the named or loaded scenario with the fields that flags change."""
     scenario = read_scenario(options.scenario)
     changes = {f: getattr(options, f) for f in _FIELDS if getattr(options, f) is not None}
+    for name in _NAMES:  # All and none are no names.
+        if changes.get(name) in (["all"], ["none"]):
+            changes[name] = changes[name][0]
     return dataclasses.replace(scenario, **changes) if changes else scenario
 
 

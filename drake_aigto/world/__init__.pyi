@@ -1,5 +1,3 @@
-from .diagram import add_dry_friction as add_dry_friction
-from .diagram import build_diagram as build_diagram
 from .diagram import find_anywhere as find_anywhere
 from .files import find_model as find_model
 from .files import models_directory as models_directory
@@ -12,6 +10,10 @@ from .material import STIFFNESS as STIFFNESS
 from .material import read_given as read_given
 from .material import read_material as read_material
 from .material import set_material as set_material
+from .model_fields import Material as Material
+from .model_fields import ModelFields as ModelFields
+from .model_reader import add_dry_friction as add_dry_friction
+from .model_reader import build_diagram as build_diagram
 from .scenario import Scenario as Scenario
 from .task_cost import Scales as Scales
 from .task_cost import TaskCost as TaskCost

@@ -1,4 +1,4 @@
-"""From a model to a diagram, and from a diagram to its one plant, if it is a supported one."""
+"""From a diagram to its one plant, if it is a supported one."""
 
 from __future__ import annotations
 
@@ -16,23 +16,13 @@ from pydrake.geometry import (
     SceneGraph,
 )
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint
-from pydrake.symbolic import Expression, MakeVectorVariable
-from pydrake.symbolic import max as largest
-from pydrake.symbolic import min as least
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder
-from pydrake.systems.primitives import SymbolicVectorSystem
+from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Floats
-from drake_aigto.dynamics import STICTION_SPEED, smooth_sign
 from drake_aigto.errors import ModelError
-from drake_aigto.world.fields import check_size
-from drake_aigto.world.files import find_model, package_map
 
-# What Drake says of joints that form a loop.
-_LOOP = "loops in the system graph"
 # By how much positions differ from their defaults where nothing cancels by chance.
 _ANYWHERE = 0.37
 
@@ -43,77 +33,6 @@ _HINGES = {
     "planar": [False, False, True],
     "universal": [True, True],
 }
-
-
-def build_diagram(
-    model: str,
-    dry_friction: Floats | None = None,
-    stiction_speed: float = STICTION_SPEED,
-) -> Diagram:
-    """Returns a diagram of a model's continuous plant and its scene graph.
-
-    The model is a ``package://`` URI, or a path to a file that Drake parses. Ports: ``actuation``
-    in; ``state``, ``contact_results`` and ``query`` (for a visualizer) out. Friction in joints, of
-    shape (nv,) [N, N m], is a system besides. The stiction speed is that of all friction.
-
-    Raises:
-        ModelError: there is no such file, Drake can't parse it, or its joints form a loop.
-        ScenarioError: dry friction of another size.
-    """
-    path = find_model(model)
-    builder = DiagramBuilder()
-    # Continuous, since every discrete contact model loses energy.
-    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-    parser = Parser(plant)
-    parser.package_map().AddMap(package_map())
-    try:
-        parser.AddModels(path)
-        plant.Finalize()
-        plant.set_stiction_tolerance(stiction_speed)
-    except RuntimeError as error:
-        if _LOOP in str(error):
-            raise _refuse_loop(f"a loop of joints in {path}") from error
-        raise ModelError(f"Drake can't parse the model {path}", got=error) from error
-    if dry_friction is not None:
-        check_size("dry_friction", dry_friction, plant.num_velocities())
-        add_dry_friction(builder, plant, dry_friction, stiction_speed)
-    builder.ExportInput(plant.get_actuation_input_port(), "actuation")
-    builder.ExportOutput(plant.get_state_output_port(), "state")
-    builder.ExportOutput(plant.get_contact_results_output_port(), "contact_results")
-    builder.ExportOutput(scene_graph.get_query_output_port(), "query")
-    return builder.Build()
-
-
-def add_dry_friction(
-    builder: DiagramBuilder,
-    plant: MultibodyPlant,
-    dry_friction: Floats,
-    stiction_speed: float = STICTION_SPEED,
-) -> SymbolicVectorSystem:
-    """Adds −F σ(v / v_s) to the forces on a plant's joints, and returns the system that does.
-
-    Args:
-        builder: of the plant's diagram.
-        plant: finalized, with q̇ = v.
-        dry_friction: F of each coordinate, shape (nv,) [N, N m].
-        stiction_speed: v_s [m/s, rad/s].
-    """
-    n = plant.num_velocities()
-    state = MakeVectorVariable(2 * n, "x")
-    forces = []
-    for F, v in zip(dry_friction, state[n:], strict=True):  # As `calc_friction_share` has it.
-        x = largest(-1.0, least(1.0, v / stiction_speed))
-        forces.append(-F * smooth_sign(x))
-    # A state that stays where it is: without any, Drake 1.51 aborts when it asks for derivatives.
-    still = MakeVectorVariable(1, "still")
-    system = builder.AddSystem(
-        SymbolicVectorSystem(
-            state=still, input=state, dynamics=np.array([Expression(0.0)]), output=np.array(forces)
-        )
-    )
-    builder.Connect(plant.get_state_output_port(), system.get_input_port())
-    builder.Connect(system.get_output_port(), plant.get_applied_generalized_force_input_port())
-    return system
 
 
 def check_friction_acts(plant: MultibodyPlant, diagram: Diagram) -> None:
@@ -174,7 +93,7 @@ def check_plant(plant: MultibodyPlant) -> None:
     _check_velocities(plant)
     find_hinges(plant)
     if count := plant.num_constraints():
-        raise _refuse_loop(f"{count} constraint{'s' if count > 1 else ''} beside joints")
+        raise refuse_loop(f"{count} constraint{'s' if count > 1 else ''} beside joints")
     _check_actuators(plant)
 
 
@@ -314,7 +233,7 @@ def _check_velocities(plant: MultibodyPlant) -> None:
         )
 
 
-def _refuse_loop(got: str) -> ModelError:
+def refuse_loop(got: str) -> ModelError:
     """Returns the error of links that do not hang on joints as on a tree."""
     return ModelError(
         "the links of the model",

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import difflib
 import os
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
+from xml.etree import ElementTree
 
 import yaml
 from pydrake.common.yaml import yaml_load_data
@@ -15,7 +17,10 @@ from drake_aigto.errors import ModelError, ScenarioError
 
 _URI_SCHEME = "package://"
 # Fields of a scenario that are texts; all others are made of numbers.
-_TEXTS = ("model", "angles", "contact", "ignored_shapes")
+_TEXTS = (
+    *("model", "angles", "contact", "ignored_shapes", "packages", "fixed_joints", "actuators"),
+    *("limits", "collisions", "allow_ignored"),
+)
 
 
 def models_directory() -> Path:
@@ -48,6 +53,29 @@ def package_map() -> PackageMap:
     return packages
 
 
+def find_packages(model: Path, given: Mapping[str, str]) -> PackageMap:
+    """Returns the packages of a model: all that are known, given ones, and those above its file.
+
+    Raises:
+        ModelError: the folder of a given package is missing.
+    """
+    packages = package_map()
+    for name, folder in given.items():
+        path = Path(folder).expanduser()
+        if not path.is_dir():
+            raise ModelError(f"package {name!r}", got=f"no folder {path}", expected="its folder")
+        if packages.Contains(name):
+            packages.Remove(name)
+        packages.Add(name, str(path.resolve()))
+    for parent in model.resolve().parents:
+        if (parent / "package.xml").is_file() and parent != models_directory():
+            name = ElementTree.parse(parent / "package.xml").findtext("name", parent.name).strip()
+            for known_as in {name, parent.name}:  # ROS 1 goes by the name, others by the folder.
+                if not packages.Contains(known_as):
+                    packages.Add(known_as, str(parent))
+    return packages
+
+
 def find_model(model: str) -> Path:
     """Returns the file of a model: a ``package://`` URI, or a path to what Drake parses.
 
@@ -71,7 +99,7 @@ def find_model(model: str) -> Path:
         raise ModelError(
             f"model {model}",
             got=f"no file {path}",
-            expected="an SDF or URDF file",
+            expected="an SDF, URDF or MJCF file",
             remedy=f"The shipped ones lie in {models_directory()}.",
         )
     return path
@@ -109,6 +137,8 @@ def _parse_numbers(value: object) -> object:
     """Reads numbers that YAML 1.1 takes for text, such as 1e-3; leaves anything else alone."""
     if isinstance(value, list):
         return [_parse_numbers(item) for item in value]
+    if isinstance(value, dict):
+        return {key: _parse_numbers(item) for key, item in value.items()}
     if isinstance(value, str):
         try:
             return float(value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -11,6 +12,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from drake_aigto.arrays import Bools, Floats, locked, read_only
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.fields import check_size
+from drake_aigto.world.model_fields import Limited
 from drake_aigto.world.scenario import Scenario
 
 _TURN = 2.0 * np.pi
@@ -31,13 +33,29 @@ class Limits:
     control: Floats
 
     @classmethod
-    def of(cls, plant: MultibodyPlant) -> Limits:
-        """Returns those of a plant's joints and actuators."""
-        return cls(
-            read_only([plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()]),
-            read_only([plant.GetVelocityLowerLimits(), plant.GetVelocityUpperLimits()]),
-            read_only([plant.GetEffortLowerLimits(), plant.GetEffortUpperLimits()]),
-        )
+    def of(
+        cls,
+        plant: MultibodyPlant,
+        efforts: Mapping[str, tuple[float, float]],
+        joints: Limited = "model",
+    ) -> Limits:
+        """Returns those of a plant's joints and actuators.
+
+        Args:
+            plant: finalized.
+            efforts: least and largest u by actuator, which may be narrower than the plant's, whose
+                limits are the same both ways.
+            joints: "ignore": those of joints count for nothing.
+        """
+        position = np.array([plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()])
+        velocity = np.array([plant.GetVelocityLowerLimits(), plant.GetVelocityUpperLimits()])
+        if joints == "ignore":
+            for each in (position, velocity):
+                each[:] = [[-np.inf], [np.inf]]
+        control = np.array([plant.GetEffortLowerLimits(), plant.GetEffortUpperLimits()])
+        for name, bounds in efforts.items():
+            control[:, plant.GetJointActuatorByName(name).input_start()] = bounds
+        return cls(read_only(position), read_only(velocity), read_only(control))
 
     def narrowed(self, scenario: Scenario) -> Limits:
         """Returns these bounds and a scenario's, whichever is narrower.
@@ -48,6 +66,22 @@ class Limits:
         mine = {field.name: getattr(self, field.name) for field in fields(self)}
         found = {name: _narrow(scenario, name, bounds) for name, bounds in mine.items()}
         return self if all(found[name] is mine[name] for name in mine) else Limits(**found)
+
+    def control_items(self, plant: MultibodyPlant, scenario: Scenario) -> list[str]:
+        """Returns what bounds the control of each actuator that is bounded, and who says so."""
+        items = []
+        bounds = self.narrowed(scenario).control
+        for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
+            i = actuator.input_start()
+            if not np.isfinite(bounds[:, i]).any():
+                continue
+            ends = [
+                f"{bound:g} ({'model' if bound == own else 'scenario'})"
+                for bound, own in zip(bounds[:, i], self.control[:, i], strict=True)
+            ]
+            unit = "N" if actuator.joint().type_name() == "prismatic" else "N m"
+            items.append(f"{plant.GetActuatorNames()[i]} from {' to '.join(ends)} {unit}")
+        return items
 
     def check_task(self, scenario: Scenario, is_hinge: Bools) -> None:
         """Refuses a start or a goal that is out of these bounds.

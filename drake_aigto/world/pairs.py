@@ -7,7 +7,7 @@ face.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -100,27 +100,6 @@ class ReachableFace(NamedTuple):
     lateral: NDArray[Any]
     contact: Contact
     reach: float = 0.0
-
-
-def find_shapes(scene_graph: SceneGraph, names: Iterable[str]) -> frozenset[GeometryId]:
-    """Returns the collision shapes of these names, "shape" or "model::shape".
-
-    Raises:
-        ModelError: there is none of a name.
-    """
-    inspector: Any = scene_graph.model_inspector()
-    known = {each: inspector.GetName(each) for each in inspector.GetAllGeometryIds(Role.kProximity)}
-    found = set[GeometryId]()
-    for name in names:
-        of_name = [each for each, full in known.items() if f"::{full}".endswith(f"::{name}")]
-        if not of_name:
-            raise ModelError(
-                "ignored_shapes",
-                got=repr(name),
-                expected=f"of the collision shapes {', '.join(sorted(known.values())) or '(none)'}",
-            )
-        found.update(of_name)
-    return frozenset(found)
 
 
 def find_reach(

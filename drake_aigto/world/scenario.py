@@ -12,14 +12,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 import yaml
 
-from drake_aigto.arrays import ArrayRecord, Floats
+from drake_aigto.arrays import Floats
 from drake_aigto.dynamics import STICTION_SPEED
 from drake_aigto.errors import ScenarioError
 from drake_aigto.output import write_text
 from drake_aigto.world.fields import (
     ArrayField,
     as_bound,
-    as_names,
     as_number,
     as_range,
     as_table,
@@ -31,6 +30,7 @@ from drake_aigto.world.fields import (
     check_reference,
 )
 from drake_aigto.world.files import models_directory, read_scenario, scenario_names, suggest
+from drake_aigto.world.model_fields import Material, ModelFields, as_globs
 
 DEFAULT_MODEL = "package://drake_aigto_models/point_mass_and_wall.sdf"
 
@@ -76,7 +76,7 @@ _price = partial(as_weight, above=0.0)  # At zero no optimum is unique.
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Scenario(ArrayRecord):
+class Scenario(ModelFields):
     """A contact problem: physics and task, no numerics.
 
     Bring the system from its start to the goal with little control:
@@ -99,8 +99,8 @@ class Scenario(ArrayRecord):
     `dataclasses.replace` makes a changed copy.
 
     Attributes:
-        model: the world, a ``package://`` URI or a path to an SDF or URDF. A relative path starts
-            at the working directory.
+        model: the world, a ``package://`` URI or a path to an SDF, URDF or MJCF. A relative path
+            starts at the working directory; how it is read, say the `ModelFields`.
         initial_position: q(0), shape (nq,).
         initial_velocity: v(0), shape (nv,).
         goal_position: where q(T) should be, shape (nq,).
@@ -141,10 +141,11 @@ class Scenario(ArrayRecord):
         friction: μ of every pair that can slide, in place of the model's; 0 leaves friction out,
             None keeps the model's (`World.friction_coefficients`).
         dry_friction: F ≥ 0 of each coordinate, shape (nv,) [N, N m]: joints have friction
-            −F σ(v / v_s), see `calc_friction_share`, which belongs to h(q, v) above; None: none.
+            −F σ(v / v_s), see `calc_friction_share`, which belongs to h(q, v) above; None: the
+            model's, if it has any.
         stiction_speed: v_s > 0 of all friction, Drake's stiction tolerance [m/s, rad/s].
         ignored_shapes: collision shapes that touch nothing, neither in plans nor in simulations,
-            such as meshes, which can't be planned for: "shape" or "model::shape".
+            such as meshes, which can't be planned for: "shape", "link::shape", globs, or all.
 
     Raises:
         ScenarioError: a value that is no number, not finite, or out of range, or one that
@@ -188,10 +189,11 @@ class Scenario(ArrayRecord):
         partial(as_vector, at_least=0.0), None
     )  # [N, N m]
     stiction_speed: float = STICTION_SPEED  # [m/s, rad/s]
-    ignored_shapes: ArrayField[tuple[str, ...]] = ArrayField(as_names, ())
+    ignored_shapes: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ())
 
     def __post_init__(self) -> None:
         """Checks everything that can be checked without the model."""
+        super().__post_init__()
         if not isinstance(self.model, str | os.PathLike) or not str(self.model):
             raise ScenarioError(
                 "model", got=repr(self.model), expected="a package:// URI or a path to a file"
@@ -324,9 +326,11 @@ class Scenario(ArrayRecord):
     def to_plain(self) -> dict[str, Any]:
         """Returns the fields as plain numbers, strings and lists, in order.
 
-        Those that ask for more than a plain task does are left out where they do not.
+        Those that ask for more than a plain task does, and those of how the model is read, are left
+        out where they do not.
         """
         left_out = set(_EXTRAS) - set(self.extras)
+        left_out |= {name for name in _MODEL_FIELDS if getattr(self, name) == _DEFAULTS[name]}
         names = [field.name for field in dataclasses.fields(self) if field.name not in left_out]
         return {name: _as_plain(getattr(self, name)) for name in names}
 
@@ -388,10 +392,15 @@ class Scenario(ArrayRecord):
         write_text(path, yaml.safe_dump(self.to_plain(), sort_keys=False, default_flow_style=None))
 
 
+_MODEL_FIELDS = [field.name for field in dataclasses.fields(ModelFields)]
 _DEFAULTS = {field.name: field.default for field in dataclasses.fields(Scenario)}
 
 
 def _as_plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist()
+    if isinstance(value, Material):
+        return {name: item for name, item in value._asdict().items() if item is not None}
+    if isinstance(value, dict):
+        return {name: _as_plain(item) for name, item in value.items()}
     return list(value) if isinstance(value, tuple) else value

@@ -17,7 +17,6 @@ from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.dynamics import STICTION_SPEED, EquationsOfMotion, SumMap
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.diagram import (
-    build_diagram,
     check_friction_acts,
     check_plant,
     exclude_shapes,
@@ -30,11 +29,12 @@ from drake_aigto.world.fields import as_number
 from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.limits import Limits, check_sizes
 from drake_aigto.world.material import SpringMaterial, read_materials, read_springs, read_stiffness
+from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
+from drake_aigto.world.model_reader import name_shapes, pick_shapes, read_model
 from drake_aigto.world.pairs import (
     ReachableFace,
     SphereAndFace,
     find_reach,
-    find_shapes,
     find_sphere_body,
     refuse_beside,
     refuse_inside,
@@ -67,6 +67,9 @@ class World(EquationsOfMotion):
         ignored_shapes: names of the collision shapes that touch nothing, neither here nor in
             contexts that are made by `create_context`.
         model: what it was built from; None: a diagram of one's own.
+        model_fields: how the model was read.
+        ignored: what the model says and is left out, as the scenario allowed it.
+        notes: what else differs from the model's file.
     """
 
     diagram: Diagram
@@ -78,6 +81,9 @@ class World(EquationsOfMotion):
     _stuck: tuple[SphereAndFace, ...] = field(repr=False)
     model: str | None = None
     ignored_shapes: tuple[str, ...] = ()
+    model_fields: ModelFields = ModelFields()  # noqa: RUF009
+    ignored: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> World:
@@ -89,14 +95,22 @@ class World(EquationsOfMotion):
             ModelError: the model can't be found, parsed, or planned for.
             ScenarioError: the scenario does not fit the model (`check`).
         """
-        diagram = build_diagram(scenario.model, scenario.dry_friction, scenario.stiction_speed)
-        plant, _ = find_plant(diagram)
+        friction = scenario.dry_friction, scenario.stiction_speed
+        found = read_model(scenario.model, *friction, scenario.model_fields)
+        plant, _ = find_plant(found.diagram)
         check_plant(plant)
         check_sizes(plant, scenario)
         plant.SetDefaultPositions(scenario.initial_position)
-        friction = scenario.dry_friction, scenario.stiction_speed
-        world = cls.from_diagram(diagram, scenario.mass, scenario.ignored_shapes, *friction)
-        world = dataclasses.replace(world, model=scenario.model)
+        friction = found.dry_friction, scenario.stiction_speed
+        world = cls.from_diagram(found.diagram, scenario.mass, scenario.ignored_shapes, *friction)
+        world = dataclasses.replace(
+            world,
+            model=scenario.model,
+            model_fields=scenario.model_fields,
+            limits=Limits.of(plant, found.efforts, scenario.limits),
+            ignored=found.ignored,
+            notes=found.notes,
+        )
         world.check(scenario)
         return world
 
@@ -105,9 +119,10 @@ class World(EquationsOfMotion):
         cls,
         diagram: Diagram,
         mass: float | None = None,
-        ignored_shapes: Iterable[str] = (),
+        ignored_shapes: Iterable[str] | str = (),
         dry_friction: Floats | None = None,
         stiction_speed: float = STICTION_SPEED,
+        limits: Limited = "model",
     ) -> World:
         """Reads a diagram of your own, which holds one continuous plant and its scene graph.
 
@@ -118,11 +133,12 @@ class World(EquationsOfMotion):
             diagram: of one continuous MultibodyPlant and its SceneGraph, at any depth.
             mass: replaces that of the only body with spheres that touch [kg]; None: the model's.
             ignored_shapes: collision shapes that touch nothing, such as meshes, which can't be
-                planned for: "shape" or "model::shape".
+                planned for: "shape", "link::shape", globs, or all.
             dry_friction: of each coordinate, shape (nv,) [N, N m], which a system of the diagram
                 makes act on its plant (`add_dry_friction`); None: no joint has any.
             stiction_speed: v_s of friction in the plant, Drake's stiction tolerance, which can't be
                 read off it [m/s, rad/s].
+            limits: "model", or "ignore": limits of positions and velocities count for nothing.
 
         Raises:
             ModelError: the plant is discrete, lacks a joint or an actuator, has shapes or joints
@@ -135,7 +151,8 @@ class World(EquationsOfMotion):
         if dry_friction is not None:
             check_friction_acts(plant, diagram)
         reader = PlantReader(plant)
-        ignored = find_shapes(scene_graph, ignored_shapes := tuple(ignored_shapes))
+        ignored_shapes = as_globs("ignored_shapes", ignored_shapes)
+        ignored = pick_shapes("ignored_shapes", ignored_shapes, name_shapes(plant, scene_graph))
         reachable, stuck = find_reach(plant, scene_graph, reader, ignored)
         if mass is not None:
             mass = as_number("mass", mass, above=0.0, unit="kg")
@@ -154,12 +171,13 @@ class World(EquationsOfMotion):
             bias=reader.calc_bias(mass_matrix),
             actuation=read_only(plant.MakeActuationMatrix()),
             contacts=tuple(each.contact for each in reachable),
-            limits=Limits.of(plant),
+            limits=Limits.of(plant, {}, limits),
             _reachable=reachable,
             _stuck=stuck,
             ignored_shapes=ignored_shapes,
             dry_friction=dry_friction,
             stiction_speed=stiction_speed,
+            model_fields=ModelFields(limits=limits),
         )
 
     def of_diagram(self, diagram: Diagram) -> World:
@@ -169,7 +187,11 @@ class World(EquationsOfMotion):
             ModelError: the plant there can't be planned for.
         """
         friction = self.dry_friction, self.stiction_speed
-        return World.from_diagram(diagram, self.mass, self.ignored_shapes, *friction)
+        other = World.from_diagram(diagram, self.mass, self.ignored_shapes, *friction)
+        mine = {
+            name: getattr(self, name) for name in ("limits", "model_fields", "ignored", "notes")
+        }
+        return dataclasses.replace(other, **mine)
 
     @property
     def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
@@ -254,7 +276,8 @@ class World(EquationsOfMotion):
             context = self.plant.GetMyMutableContextFromRoot(root)
             find_sphere_body(self.plant, self._reachable).SetMass(context, self.mass)
         if self.ignored_shapes:
-            shapes = find_shapes(self.scene_graph, self.ignored_shapes)
+            names = name_shapes(self.plant, self.scene_graph)
+            shapes = pick_shapes("ignored_shapes", self.ignored_shapes, names)
             exclude_shapes(self.scene_graph, root, shapes)
         return root
 
@@ -348,6 +371,10 @@ class World(EquationsOfMotion):
             ("ignored_shapes", scenario.ignored_shapes and is_other_shape, shapes),
             ("dry_friction", given is not None and not np.array_equal(given, own), frictions),
             ("stiction_speed", scenario.stiction_speed != self.stiction_speed, speeds),
+            *(
+                (name, value != getattr(self.model_fields, name), (value, "other ones"))
+                for name, value in vars(scenario.model_fields).items()
+            ),
         ):
             if is_other:
                 remedy = "The world was made with that; make it of this scenario."

@@ -1,0 +1,172 @@
+"""How a model is read: fields of a scenario that stand in place of an edited file."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, TypeVar, get_args
+
+import numpy as np
+from pydrake.math import RigidTransform, RollPitchYaw
+
+from drake_aigto.arrays import ArrayRecord
+from drake_aigto.errors import ScenarioError
+from drake_aigto.world.fields import ArrayField, as_names, as_number, as_vector
+
+Limited = Literal["model", "ignore"]
+
+# Largest entry of R Rᵀ − 1 by rounding: numbers in files have some seven digits.
+_ROUNDING = 1e-6
+
+
+class Material(NamedTuple):
+    """What a collision shape is made of; None: as the model has it."""
+
+    stiffness: float | None = None  # k [N/m]
+    dissipation: float | None = None  # d [s/m]
+    friction: float | None = None  # μ
+    restitution: float | None = None  # e
+
+
+_Item = TypeVar("_Item")
+
+
+class Named(dict[str, _Item]):
+    """A mapping of names that nobody changes, equal and hashed by value."""
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        """Hashes all items."""
+        return hash(frozenset(self.items()))
+
+
+_BOUNDS: dict[str, dict[str, Any]] = {
+    "stiffness": {"above": 0.0},
+    "dissipation": {"at_least": 0.0},
+    "friction": {"at_least": 0.0},
+    "restitution": {"at_least": 0.0, "at_most": 1.0},
+}
+
+
+def as_pose(name: str, value: Any) -> tuple[float, ...]:
+    """Returns a pose as the rows of a matrix (4, 4), 16 numbers.
+
+    Args:
+        name: of the field in errors.
+        value: x, y, z [m]; these and roll, pitch, yaw [rad]; or a matrix (4, 4).
+
+    Raises:
+        ScenarioError: something else, or a matrix without a rotation in it.
+    """
+    numbers = as_vector(name, np.ravel(np.array(value, dtype=object)))
+    if numbers.size in (3, 6):
+        turn = RollPitchYaw(numbers[3:] if numbers.size == 6 else np.zeros(3))
+        return tuple(RigidTransform(turn, numbers[:3]).GetAsMatrix4().ravel().tolist())
+    if numbers.size != 16:
+        raise ScenarioError(
+            name,
+            got=f"{numbers.size} numbers",
+            expected="x, y, z [m], or x, y, z, roll, pitch, yaw [m, rad], or a matrix (4, 4)",
+        )
+    X = numbers.reshape(4, 4)
+    R = X[:3, :3]
+    is_rigid = np.allclose(R @ R.T, np.eye(3), rtol=0.0, atol=_ROUNDING) and np.linalg.det(R) > 0
+    if not is_rigid or X[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+        raise ScenarioError(
+            name,
+            got=f"a matrix that is no rotation and translation, {X.tolist()}",
+            expected="a rotation, with a translation beside it and 0, 0, 0, 1 below",
+            remedy="Give x, y, z, roll, pitch, yaw instead.",
+        )
+    return tuple(numbers.tolist())
+
+
+def as_mapping(
+    check: Callable[[str, Any], _Item],
+) -> Callable[[str, object], Named[_Item]]:
+    """Returns the check of a mapping of names, whose values have a check of their own."""
+
+    def as_checked(name: str, value: object) -> Named[_Item]:
+        if not isinstance(value, Mapping) or not all(isinstance(k, str) and k for k in value):
+            raise ScenarioError(name, got=repr(value), expected="a mapping of names")
+        return Named({key: check(f"{name}[{key}]", item) for key, item in value.items()})
+
+    return as_checked
+
+
+def as_text(name: str, value: object) -> str:
+    """Returns a text that is not empty."""
+    if not isinstance(value, str) or not value:
+        raise ScenarioError(name, got=repr(value), expected="a text")
+    return value
+
+
+def as_effort(name: str, value: object) -> float:
+    """Returns the largest effort of an actuator [N, N m]."""
+    return as_number(name, value, above=0.0, unit="N or N m")
+
+
+def as_material(name: str, value: object) -> Material:
+    """Returns the material of shapes, from a mapping of some of its fields."""
+    given = value._asdict() if isinstance(value, Material) else value
+    if not isinstance(given, Mapping) or not given or set(given) - set(Material._fields):
+        expected = f"a mapping of some of {', '.join(Material._fields)}"
+        raise ScenarioError(name, got=repr(value), expected=expected)
+    numbers = {key: item for key, item in given.items() if item is not None}
+    return Material(**{k: as_number(f"{name}.{k}", x, **_BOUNDS[k]) for k, x in numbers.items()})
+
+
+def as_globs(name: str, value: object) -> tuple[str, ...]:
+    """Returns patterns of names, from a list of them, or from "all" or "none"."""
+    if isinstance(value, str) and value in ("all", "none"):
+        return ("*",) if value == "all" else ()
+    globs = as_names(name, value)
+    if len(set(globs)) < len(globs):
+        twice = next(each for each in globs if globs.count(each) > 1)
+        raise ScenarioError(name, got=f"{twice!r} twice", expected="each name once")
+    return globs
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ModelFields(ArrayRecord):
+    """Fields that say how a model's file is read.
+
+    Names of shapes, joints and links may be globs where it is said so, such as ``wall_*``.
+
+    Attributes:
+        packages: of package:// URIs in the model, name → folder. A ``package.xml`` in a folder
+            above the model is found by itself.
+        weld: link → its pose in the world, where nothing holds it in the model: x, y, z [m]; then
+            roll, pitch, yaw [rad]; or a matrix (4, 4).
+        fixed_joints: joints that stand still at zero, globs; their actuators go with them.
+        actuators: joints to drive where the model has no actuator.
+        effort_limits: largest effort of an actuator, by its own or its joint's name [N, N m], in
+            place of the model's.
+        limits: "model", or "ignore": limits of positions and velocities count for nothing.
+        collisions: shapes that may touch anything, "all", "none" or globs; others are not even
+            read, such as meshes in files that are missing.
+        material: of collision shapes, glob → `Material`, in place of the model's.
+        allow_ignored: what changes the physics, is not planned for, and is left out: the words in
+            errors that refuse it.
+    """
+
+    packages: ArrayField[Named[str]] = ArrayField(as_mapping(as_text), Named())
+    weld: ArrayField[Named[tuple[float, ...]]] = ArrayField(as_mapping(as_pose), Named())
+    fixed_joints: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ())
+    actuators: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ())
+    effort_limits: ArrayField[Named[float]] = ArrayField(as_mapping(as_effort), Named())
+    limits: Limited = "model"
+    collisions: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ("*",))
+    material: ArrayField[Named[Material]] = ArrayField(as_mapping(as_material), Named())
+    allow_ignored: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ())
+
+    def __post_init__(self) -> None:
+        """Checks the one field that is a choice."""
+        if self.limits not in get_args(Limited):
+            raise ScenarioError("limits", got=repr(self.limits), expected="'model' or 'ignore'")
+
+    @property
+    def model_fields(self) -> ModelFields:
+        """These fields alone, of a record that has others."""
+        names = (field.name for field in dataclasses.fields(ModelFields))
+        return ModelFields(**{name: getattr(self, name) for name in names})

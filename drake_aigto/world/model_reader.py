@@ -1,0 +1,362 @@
+"""From a model's file to a diagram: parsed by Drake, with what Drake leaves out put in."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydrake.geometry import (
+    CollisionFilterDeclaration,
+    GeometryId,
+    GeometrySet,
+    ProximityProperties,
+    RoleAssign,
+    SceneGraph,
+)
+from pydrake.math import RigidTransform
+from pydrake.multibody.parsing import PackageMap, Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
+from pydrake.multibody.tree import BodyIndex, Joint, PrismaticSpring, RevoluteSpring, RigidBody
+from pydrake.symbolic import Expression, MakeVectorVariable
+from pydrake.symbolic import max as largest
+from pydrake.symbolic import min as least
+from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.primitives import SymbolicVectorSystem
+
+from drake_aigto.arrays import Floats, read_only
+from drake_aigto.dynamics import STICTION_SPEED, smooth_sign
+from drake_aigto.errors import ModelError
+from drake_aigto.world.diagram import check_plant, refuse_loop
+from drake_aigto.world.fields import check_size
+from drake_aigto.world.files import find_model, find_packages
+from drake_aigto.world.model_fields import ModelFields
+from drake_aigto.world.model_text import ModelFacts, fits, pick, read_model_text
+
+# What Drake says of joints that form a loop.
+_LOOP = "loops in the system graph"
+# What Drake's reader says and nothing depends on, or what is read here in its place.
+_HARMLESS = (
+    *("deformable", "camera", "texture", "'friction' attribute", "zero effort limit", "condim"),
+    *("contype", "is ignored: unsupported", "safety_controller", "gazebo", "calibration"),
+    *(
+        "torsional",
+        "material",
+        "mechanicalReduction",
+        "'type' found in a 'link'",
+        "rgba",
+        "Asymmetrical",
+    ),
+)
+
+
+class ReadModel(NamedTuple):
+    """A model's diagram, and what a plant can't tell of it.
+
+    Attributes:
+        diagram: of a continuous plant and its scene graph. Ports: ``actuation`` in; ``state``,
+            ``contact_results`` and ``query`` (for a visualizer) out.
+        dry_friction: of each coordinate, (nv,) [N, N m], which a system of the diagram applies.
+        efforts: least and largest u of actuators, by name, where the model says them.
+        ignored: what is left out, as the scenario allowed it.
+        notes: what else differs from the file.
+    """
+
+    diagram: Diagram
+    dry_friction: Floats | None = None
+    efforts: dict[str, tuple[float, float]] = {}  # noqa: RUF012
+    ignored: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def build_diagram(
+    model: str,
+    dry_friction: Floats | None = None,
+    stiction_speed: float = STICTION_SPEED,
+    fields: ModelFields | None = None,
+) -> Diagram:
+    """Returns the diagram alone of a model (`read_model`)."""
+    return read_model(model, dry_friction, stiction_speed, fields).diagram
+
+
+def read_model(
+    model: str,
+    dry_friction: Floats | None = None,
+    stiction_speed: float = STICTION_SPEED,
+    fields: ModelFields | None = None,
+) -> ReadModel:
+    """Reads a model's file: URDF, SDF, MJCF or whatever else Drake parses.
+
+    Args:
+        model: a ``package://`` URI, or a path.
+        dry_friction: of joints, shape (nv,) [N, N m]; None: the model's, if it has any.
+        stiction_speed: that of all friction [m/s, rad/s].
+        fields: how the model is read.
+
+    Raises:
+        ModelError: there is no such file, Drake can't parse it, its joints form a loop, or it has
+            what changes the physics and can't be planned for; or the fields do not fit it.
+        ScenarioError: dry friction of another size.
+    """
+    fields, path = fields or ModelFields(), find_model(model)
+    packages = find_packages(path, fields.packages)
+    text, kind, facts = read_model_text(path, fields, packages)
+    if facts.total_mass is not None:
+        plant = MultibodyPlant(time_step=0.0)
+        _parse(plant, path, packages, text, kind)
+        mass = sum(body.default_mass() for body in _list_bodies(plant)[1:])
+        text, kind, facts = read_model_text(path, fields, packages, facts.total_mass / mass)
+    builder = DiagramBuilder()
+    # Continuous, since every discrete contact model loses energy.
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    facts.notes += _parse(plant, path, packages, text, kind)
+    _weld(plant, path, fields)
+    _drive(plant, path, facts)
+    for name, spring in facts.springs.items():
+        _add_spring(plant, plant.GetJointByName(name), *spring)
+    _set_materials(plant, scene_graph, fields)
+    try:
+        plant.Finalize()
+    except RuntimeError as error:
+        if _LOOP in str(error):
+            raise refuse_loop(f"a loop of joints in {path}") from error
+        raise ModelError(f"Drake can't parse the model {path}", got=error) from error
+    check_plant(plant)
+    plant.set_stiction_tolerance(stiction_speed)
+    _keep_apart(plant, scene_graph, facts)
+    friction = _find_friction(plant, facts) if dry_friction is None else dry_friction
+    if friction is not None:
+        check_size("dry_friction", friction, plant.num_velocities())
+        add_dry_friction(builder, plant, friction, stiction_speed)
+    builder.ExportInput(plant.get_actuation_input_port(), "actuation")
+    builder.ExportOutput(plant.get_state_output_port(), "state")
+    builder.ExportOutput(plant.get_contact_results_output_port(), "contact_results")
+    builder.ExportOutput(scene_graph.get_query_output_port(), "query")
+    ignored = tuple(dict.fromkeys(f"{what}: {cost}" for _, what, cost in facts.ignored))
+    return ReadModel(builder.Build(), friction, facts.efforts, ignored, tuple(facts.notes))
+
+
+def add_dry_friction(
+    builder: DiagramBuilder,
+    plant: MultibodyPlant,
+    dry_friction: Floats,
+    stiction_speed: float = STICTION_SPEED,
+) -> SymbolicVectorSystem:
+    """Adds −F σ(v / v_s) to the forces on a plant's joints, and returns the system that does.
+
+    Args:
+        builder: of the plant's diagram.
+        plant: finalized, with q̇ = v.
+        dry_friction: F of each coordinate, shape (nv,) [N, N m].
+        stiction_speed: v_s [m/s, rad/s].
+    """
+    n = plant.num_velocities()
+    state = MakeVectorVariable(2 * n, "x")
+    forces = []
+    for F, v in zip(dry_friction, state[n:], strict=True):  # As `calc_friction_share` has it.
+        x = largest(-1.0, least(1.0, v / stiction_speed))
+        forces.append(-F * smooth_sign(x))
+    # A state that stays where it is: without any, Drake 1.51 aborts when it asks for derivatives.
+    still = MakeVectorVariable(1, "still")
+    system = builder.AddSystem(
+        SymbolicVectorSystem(
+            state=still, input=state, dynamics=np.array([Expression(0.0)]), output=np.array(forces)
+        )
+    )
+    builder.Connect(plant.get_state_output_port(), system.get_input_port())
+    builder.Connect(system.get_output_port(), plant.get_applied_generalized_force_input_port())
+    return system
+
+
+def _parse(
+    plant: MultibodyPlant, path: Path, packages: PackageMap, text: str | None, kind: str
+) -> list[str]:
+    """Has Drake parse a text, or the file where there is none; returns its warnings that matter."""
+    parser = Parser(plant)
+    parser.package_map().AddMap(packages)
+    with hear_drake() as heard:
+        try:
+            parser.AddModels(path) if text is None else parser.AddModelsFromString(text, kind)
+        except RuntimeError as error:
+            if _LOOP in str(error):
+                raise refuse_loop(f"a loop of joints in {path}") from error
+            text = str(error).replace(f"<literal-string>.{kind}", str(path))
+            raise ModelError(f"Drake can't parse the model {path}", got=text) from error
+    return [each for each in heard if not any(word in each for word in _HARMLESS)]
+
+
+def _weld(plant: MultibodyPlant, path: Path, fields: ModelFields) -> None:
+    """Welds links to the world that nothing holds."""
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    held = {joint.child_body().name(): joint.name() for joint in joints}
+    names = [body.name() for body in _list_bodies(plant)[1:]]
+    for name, pose in fields.weld.items():
+        free = [each for each in names if each not in held]
+        if name not in names or name in held:
+            raise ModelError(
+                f"weld of {name!r} in {path}",
+                got=f"a link that joint {held[name]!r} holds" if name in held else "no such link",
+                expected=f"one that nothing holds: {', '.join(free) or 'there is none'}",
+            )
+        X = RigidTransform(np.reshape(pose, (4, 4)))
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(name), X)
+
+
+def _drive(plant: MultibodyPlant, path: Path, facts: ModelFacts) -> None:
+    """Adds actuators, and sets their limits."""
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    moving = {joint.name(): joint for joint in joints if joint.num_velocities() == 1}
+    actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
+    driven = {actuator.joint().name(): actuator for actuator in actuators}
+    asked = pick(f"actuators in {path}", facts.fields.actuators, moving)
+    for name in facts.fields.actuators:
+        if name in driven:
+            got = f"joint {name!r}, which actuator {driven[name].name()!r} drives"
+            raise ModelError(f"actuators in {path}", got, "joints that nothing drives")
+    limits = facts.fields.effort_limits
+    for name in [*asked, *(each for each in facts.no_effort if each in limits)]:
+        if name not in driven:
+            effort = facts.joint_efforts.get(name, math.inf)
+            driven[name] = plant.AddJointActuator(name, moving[name], effort)
+    known = {**{each.name(): each for each in driven.values()}, **driven}
+    for name, limit in limits.items():
+        if name not in known:
+            raise ModelError(
+                f"effort_limits in {path}",
+                got=repr(name),
+                expected=f"an actuator or its joint: {', '.join(sorted(known)) or 'there is none'}",
+                remedy="Joints without an actuator get one by the scenario's actuators.",
+            )
+        known[name].set_effort_limit(limit)
+        facts.efforts.pop(known[name].name(), None)
+    if moving and not driven:
+        idle = sorted(facts.no_effort & set(moving))
+        first = (idle or sorted(moving))[0]
+        remedy = f"effort_limits: {{{first}: ...}}" if idle else f"actuators: [{first}, ...]"
+        raise ModelError(
+            "the model lacks an actuator",
+            got=f"limits of effort of 0 at {', '.join(idle)}" if idle else f"none in {path}",
+            expected="a joint that is driven",
+            remedy=f"Drive joints by the scenario's {remedy}, or in the model.",
+        )
+
+
+def _add_spring(plant: MultibodyPlant, joint: Joint, stiffness: float, reference: float) -> None:
+    """Adds the spring of a hinge or a slider."""
+    kind = PrismaticSpring if joint.type_name() == "prismatic" else RevoluteSpring
+    if joint.num_velocities() == 1:
+        plant.AddForceElement(kind(joint, reference, stiffness))
+
+
+def _set_materials(plant: MultibodyPlant, scene_graph: SceneGraph, fields: ModelFields) -> None:
+    """Replaces materials of collision shapes, before filters depend on them."""
+    shapes = name_shapes(plant, scene_graph)
+    for glob, material in fields.material.items():
+        for shape in pick_shapes("material", [glob], shapes):
+            inspector: Any = scene_graph.model_inspector()
+            properties = ProximityProperties(inspector.GetProximityProperties(shape))
+            given = {
+                "point_contact_stiffness": material.stiffness,
+                "hunt_crossley_dissipation": material.dissipation,
+                "restitution": material.restitution,
+                "coulomb_friction": None
+                if material.friction is None
+                else CoulombFriction(material.friction, material.friction),
+            }
+            for name, value in given.items():
+                if value is not None:
+                    properties.UpdateProperty("material", name, value)
+            source = plant.get_source_id()
+            scene_graph.AssignRole(source, shape, properties, RoleAssign.kReplace)
+
+
+def name_shapes(
+    plant: MultibodyPlant, scene_graph: SceneGraph
+) -> dict[GeometryId, tuple[str, str]]:
+    """Returns the names of collision shapes: model::shape and model::link::shape."""
+    inspector: Any = scene_graph.model_inspector()
+    found = {}
+    for body in _list_bodies(plant):
+        for shape in plant.GetCollisionGeometriesForBody(body):
+            full = inspector.GetName(shape)
+            model, _, name = full.rpartition("::")
+            found[shape] = full, f"{model}::{body.name()}::{name}"
+    return found
+
+
+def pick_shapes(
+    what: str, globs: tuple[str, ...] | list[str], shapes: dict[GeometryId, tuple[str, str]]
+) -> list[GeometryId]:
+    """Returns the collision shapes that names or globs choose.
+
+    Raises:
+        ModelError: one fits no shape; or a name, which is no glob, fits several.
+    """
+    found: dict[GeometryId, None] = {}
+    known = ", ".join(sorted(full for full, _ in shapes.values())) or "(none)"
+    for glob in globs:
+        fitting = [each for each, names in shapes.items() if any(fits(n, glob) for n in names)]
+        if not fitting and glob != "*":
+            raise ModelError(what, got=repr(glob), expected=f"of the collision shapes {known}")
+        if len(fitting) > 1 and not set(glob) & set("*?["):
+            raise ModelError(
+                what,
+                got=f"{glob!r}, which fits {', '.join(shapes[each][1] for each in fitting)}",
+                expected="a name of one shape, or a glob",
+                remedy=f"Name it with its link, or all of them by {glob + '*'!r}.",
+            )
+        found.update(dict.fromkeys(fitting))
+    return list(found)
+
+
+def _list_bodies(plant: MultibodyPlant) -> list[RigidBody]:
+    """Returns all links, the world first."""
+    return [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
+
+
+def _keep_apart(plant: MultibodyPlant, scene_graph: SceneGraph, facts: ModelFacts) -> None:
+    """Keeps pairs of shapes from colliding, by their names."""
+    shapes = {
+        full.split("::")[-1]: each for each, (full, _) in name_shapes(plant, scene_graph).items()
+    }
+    apart: dict[GeometryId, list[GeometryId]] = {}
+    for one, other in facts.apart:
+        if one in shapes and other in shapes:
+            apart.setdefault(shapes[one], []).append(shapes[other])
+    for shape, others in apart.items():
+        filtered = CollisionFilterDeclaration().ExcludeBetween(
+            GeometrySet([shape]), GeometrySet(others)
+        )
+        scene_graph.collision_filter_manager().Apply(filtered)
+
+
+def _find_friction(plant: MultibodyPlant, facts: ModelFacts) -> Floats | None:
+    """Returns the model's friction of coordinates, (nv,) [N, N m], or None."""
+    found = np.zeros(plant.num_velocities())
+    for name, friction in facts.friction.items():
+        if plant.HasJointNamed(name) and plant.GetJointByName(name).num_velocities() == 1:
+            found[plant.GetJointByName(name).velocity_start()] = friction
+    return read_only(found) if found.any() else None
+
+
+@contextmanager
+def hear_drake() -> Iterator[list[str]]:
+    """Yields a list that gets what Drake warns of, in place of its log."""
+    heard: list[str] = []
+
+    def hear(record: logging.LogRecord) -> bool:
+        is_warning = record.levelno >= logging.WARNING
+        if is_warning:
+            heard.append(" ".join(record.getMessage().split()))
+        return not is_warning
+
+    logger = logging.getLogger("drake")
+    logger.addFilter(hear)
+    try:
+        yield heard
+    finally:
+        logger.removeFilter(hear)

@@ -1,0 +1,315 @@
+"""A model's file as text for Drake: the scenario's fields applied, and what Drake can't be told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element, ParseError, SubElement, parse, tostring
+
+from pydrake.multibody.parsing import PackageMap
+
+from drake_aigto.errors import ModelError
+from drake_aigto.world.model_fields import ModelFields
+
+# Meshes that Drake reads.
+MESHES = (".obj", ".vtk", ".gltf")
+_KINDS = {"mujoco": "xml", "robot": "urdf", "sdf": "sdf"}
+
+
+class Spring(NamedTuple):
+    """A spring of a joint."""
+
+    stiffness: float  # k [N/m, N m/rad]
+    reference: float  # Where it is at rest [m, rad].
+
+
+@dataclass
+class ModelFacts:
+    """What a model says and Drake's reader does not hear.
+
+    Attributes:
+        fields: how it is to be read.
+        friction: F of joints that have any, −F σ(v / v_s) [N, N m].
+        springs: of joints that Drake gives none.
+        efforts: least and largest u of actuators whose limits are not the same both ways [N, N m].
+        no_effort: joints whose actuator has the limit 0.
+        joint_efforts: largest effort of joints, where the model has one, driven or not [N, N m].
+        apart: pairs of shapes that may not touch.
+        total_mass: of all links [kg]; None: as they are.
+        mass_scale: what masses and inertias are multiplied with to get it.
+        refused: what can't be planned for: the word that allows to leave it out, what it is, and
+            what is missing without it.
+        ignored: the same of what is left out, as it was allowed.
+        unread: shapes with meshes that can't be read.
+        notes: what else differs from the file.
+    """
+
+    fields: ModelFields
+    mass_scale: float = 1.0
+    friction: dict[str, float] = field(default_factory=dict)
+    springs: dict[str, Spring] = field(default_factory=dict)
+    efforts: dict[str, tuple[float, float]] = field(default_factory=dict)
+    no_effort: set[str] = field(default_factory=set)
+    joint_efforts: dict[str, float] = field(default_factory=dict)
+    apart: list[tuple[str, str]] = field(default_factory=list)
+    total_mass: float | None = None
+    refused: list[tuple[str, str, str]] = field(default_factory=list)
+    ignored: list[tuple[str, str, str]] = field(default_factory=list)
+    unread: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def refuse(self, word: str, what: str, cost: str) -> bool:
+        """Keeps what is not planned for, to refuse all at once (`check`); returns False."""
+        allowed = word in self.fields.allow_ignored
+        (self.ignored if allowed else self.refused).append((word, what, cost))
+        return False
+
+    def keeps(self, *names: str) -> bool:
+        """Returns whether a shape may touch anything, by its names."""
+        return any(fits(name, glob) for name in names for glob in self.fields.collisions)
+
+    def fixes(self, joint: str) -> bool:
+        """Returns whether a joint is to stand still."""
+        return any(fits(joint, glob) for glob in self.fields.fixed_joints)
+
+    def check(self, path: Path) -> None:
+        """Refuses all that is not planned for.
+
+        Raises:
+            ModelError: there is something; lists it, and the field that leaves it out.
+        """
+        got, remedies = [], []
+        if self.unread:
+            got.append(f"meshes that can't be read: {', '.join(self.unread)}")
+            remedies.append(
+                "Name the shapes that may touch by the scenario's collisions: [...], or take "
+                "collisions: none, as meshes can't be planned for; one that gives a link its mass "
+                f"has to be converted to {' or '.join(MESHES)}."
+            )
+        if self.refused:
+            words = ", ".join(dict.fromkeys(word for word, _, _ in self.refused))
+            parts = dict.fromkeys(f"{what} ({cost})" for _, what, cost in self.refused)
+            got.append(f"what is not planned for: {'; '.join(parts)}")
+            remedies.append(
+                f"Change the model, or leave it out by the scenario's allow_ignored: [{words}]."
+            )
+        if got:
+            raise ModelError(f"model {path}", got="; and ".join(got), remedy=" ".join(remedies))
+
+
+def fits(name: str, glob: str) -> bool:
+    """Returns whether a name, or its end after a ``::``, fits a glob."""
+    return fnmatchcase(name, glob) or fnmatchcase(name, f"*::{glob}")
+
+
+def pick(what: str, globs: Iterable[str], names: Collection[str]) -> list[str]:
+    """Returns the names that globs choose, in order of the names.
+
+    Raises:
+        ModelError: a glob fits none.
+    """
+    globs = tuple(globs)
+    for glob in globs:
+        if not any(fits(name, glob) for name in names):
+            raise ModelError(
+                what, got=repr(glob), expected=f"one of {', '.join(sorted(names)) or '(none)'}"
+            )
+    return [name for name in names if any(fits(name, glob) for glob in globs)]
+
+
+def read_numbers(
+    path: Path, text: str, count: int | None = 1, what: str = "a number"
+) -> list[float]:
+    """Returns numbers of an attribute, at least `count`.
+
+    Raises:
+        ModelError: they are none, NaN, or fewer.
+    """
+    try:
+        numbers = [float(each) for each in text.split()]
+    except ValueError:
+        numbers = [math.nan]
+    if len(numbers) < (count or 0) or not all(map(math.isfinite, numbers)):
+        raise ModelError(f"{what} in {path}", got=repr(text), expected="finite numbers")
+    return numbers
+
+
+def refuse_element(path: Path, element: Element, got: str, expected: str = "") -> ModelError:
+    """Returns the error of an element that is wrong in itself."""
+    return ModelError(
+        f"model {path}, <{element.tag}>", got=got, expected=expected or "what the model has"
+    )
+
+
+def read_model_text(
+    path: Path, fields: ModelFields, packages: PackageMap, mass_scale: float = 1.0
+) -> tuple[str | None, str, ModelFacts]:
+    """Returns the text that Drake's parser should read, its kind, and the facts beside it.
+
+    The text is None where the file is to be read as it is.
+
+    Args:
+        path: of the model.
+        fields: how it is to be read.
+        packages: where files of package:// URIs are.
+        mass_scale: of all masses of an MJCF.
+
+    Raises:
+        ModelError: the file is no model, something that changes the physics can't be planned for,
+            or collision meshes can't be read.
+    """
+    from drake_aigto.world.mjcf import read_mjcf
+
+    facts = ModelFacts(fields, mass_scale)
+    try:
+        root = parse(path).getroot()
+    except (ParseError, UnicodeDecodeError) as error:
+        if path.suffix not in (".xml", ".urdf", ".sdf"):
+            return None, "", facts
+        raise ModelError(f"model {path}", got=f"no XML: {error}") from error
+    kind = _KINDS.get(root.tag, "")
+    if kind == "xml":
+        read_mjcf(root, path, facts)
+        is_changed = True
+    elif kind:
+        if kind == "urdf":
+            root.set("name", root.get("name") or path.stem)
+            _tell_materials_apart(root)
+        is_changed = _read_joints(root, path, facts)
+        is_changed |= _prune_shapes(root, path, packages, facts)
+    else:
+        return None, kind, facts
+    _check_masses(root, path)
+    facts.check(path)
+    return tostring(root, encoding="unicode") if is_changed else None, kind, facts
+
+
+def _read_joints(root: Element, path: Path, facts: ModelFacts) -> bool:
+    """Reads friction and efforts of a URDF's or an SDF's joints, and fixes some."""
+    is_changed = root.tag == "robot"  # Which may have got a name, and colors.
+    for parent in list(root.iter()):
+        for joint in parent.findall("joint"):
+            name = joint.get("name", "")
+            if joint.find("axis") is None and joint.find("parent") is None:
+                continue  # That of a transmission.
+            if facts.fixes(name):
+                _fix(root, joint, name)
+                is_changed = True
+                continue
+            for mimic in joint.findall("mimic"):
+                if joint.get("type") != "fixed":
+                    cost = "a joint that follows another one"
+                    facts.refuse("mimic", f"<mimic> of joint {name!r}", cost)
+                joint.remove(mimic)
+            if friction := _find_number(path, joint, "friction"):
+                facts.friction[name] = friction
+            effort = _find_number(path, joint, "effort")
+            if effort == 0.0:
+                facts.no_effort.add(name)
+            elif effort is not None and effort > 0.0:
+                facts.joint_efforts[name] = effort
+    return is_changed
+
+
+def _find_number(path: Path, joint: Element, name: str) -> float | None:
+    """Returns the friction or the effort of a joint, as URDF or as SDF has it."""
+    folder = {"friction": "dynamics", "effort": "limit"}[name]
+    text = next((each.get(name) for each in joint.findall(folder)), None)
+    text = text or joint.findtext(f"axis/{folder}/{name}")
+    return None if text is None else read_numbers(path, text)[0]
+
+
+def _fix(root: Element, joint: Element, name: str) -> None:
+    """Turns a joint into a weld at zero, without what drives it."""
+    joint.set("type", "fixed")
+    for tag in ("axis", "axis2", "limit", "dynamics", "mimic", "calibration", "safety_controller"):
+        for each in joint.findall(tag):
+            joint.remove(each)
+    for each in root.findall("transmission"):
+        if any(driven.get("name") == name for driven in each.findall("joint")):
+            root.remove(each)
+
+
+def _prune_shapes(root: Element, path: Path, packages: PackageMap, facts: ModelFacts) -> bool:
+    """Removes shapes that touch nothing, and pictures that can't be read."""
+    is_changed = False
+    for link, shape in _list_shapes(root):
+        of_link = link.get("name", "")
+        name = shape.get("name", of_link)
+        mesh = _find_mesh(shape, path, packages)
+        is_read = mesh is None or (mesh.suffix.lower() in MESHES and mesh.is_file())
+        is_kept = shape.tag == "visual" or facts.keeps(name, of_link, f"{of_link}::{name}")
+        if is_kept and not is_read and shape.tag == "collision" and mesh is not None:
+            facts.unread.append(f"{name} ({mesh.name})")
+        elif not (is_kept and is_read):
+            link.remove(shape)
+            is_changed = True
+    return is_changed
+
+
+def _tell_materials_apart(root: Element) -> None:
+    """Gives each picture a material of its own: Drake takes no two of one name, nor one without."""
+    known = {each.get("name"): each.find("color") for each in root.iter("material")}
+    for each in root.findall("material"):
+        root.remove(each)
+    for number, visual in enumerate(root.iter("visual")):
+        for each in visual.findall("material"):
+            color = (
+                each.find("color") if each.find("color") is not None else known[each.get("name")]
+            )
+            visual.remove(each)
+            if color is not None:
+                SubElement(visual, "material", name=f"material{number}").append(color)
+
+
+def _check_masses(root: Element, path: Path) -> None:
+    """Refuses masses that are negative, or no numbers, by their link."""
+    for link in root.iter():
+        for inertial in [*link.findall("inertial"), *link.findall("geom")]:
+            mass = inertial.find("mass")
+            text = inertial.get("mass", "0") if mass is None else mass.get("value") or mass.text
+            if read_numbers(path, text or "", what=f"mass of {link.get('name')!r}")[0] < 0:
+                raise ModelError(
+                    f"mass of {link.get('name')!r} in {path}", got=text, expected="0 or more"
+                )
+
+
+def _list_shapes(root: Element) -> Iterator[tuple[Element, Element]]:
+    """Yields links with their collision shapes and pictures."""
+    for link in root.iter("link"):
+        for shape in [*link.findall("collision"), *link.findall("visual")]:
+            yield link, shape
+
+
+def _find_mesh(shape: Element, path: Path, packages: PackageMap) -> Path | None:
+    """Returns the file of a mesh, whose URI becomes absolute; None for any other shape.
+
+    Raises:
+        ModelError: it is in an unknown package, and the shape may touch.
+    """
+    mesh = shape.find("geometry/mesh")
+    if mesh is None:
+        return None
+    uri = mesh.find("uri")
+    text = (mesh.get("filename") if uri is None else uri.text) or ""
+    scheme, _, rest = text.partition("://")
+    if not rest:
+        found = path.parent / text
+    elif scheme == "file":
+        found = Path(rest)
+    else:
+        package, _, inside = rest.lstrip("/").partition("/")
+        known = packages.Contains(package)
+        if not known and shape.tag == "collision":
+            return Path(f"in the unknown package {package}")
+        found = Path(packages.GetPath(package)) / inside if known else Path(package)
+    if found.is_file():
+        if uri is None:
+            mesh.set("filename", str(found.resolve()))
+        else:
+            uri.text = str(found.resolve())
+    return found

@@ -1,0 +1,393 @@
+"""Models that other people made: what MJCF, URDF and SDF say is read, or refused by name."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drake_aigto import ModelError, Scenario, ScenarioError, World
+
+GRAVITY = 9.81
+
+ARM = """<mujoco model="arm">
+  <compiler angle="degree"/>
+  <default>
+    <joint damping="0.5"/>
+    <geom contype="0" conaffinity="0"/>
+    <default class="strong"><motor gear="5" ctrlrange="-2 3"/></default>
+  </default>
+  <option timestep="0.002" integrator="RK4" OPTION/>
+  FLAGS
+  <worldbody>
+    <light pos="0 0 3"/>
+    <geom name="floor" type="plane" size="1 1 1"/>
+    <body name="upper" pos="0 0 2">
+      <joint name="shoulder" axis="0 1 0" JOINT/>
+      <geom name="rod" type="capsule" fromto="0 0 0 0 0 -1" size="0.05" mass="2"/>
+      <body name="lower" pos="0 0 -1">
+        <joint name="elbow" axis="0 1 0" limited="true" range="-90 120"/>
+        <geom name="stick" type="capsule" fromto="0 0 0 0 0 -0.5" size="0.04" mass="1"/>
+        <site name="tip" pos="0 0 -0.5"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    ACTUATORS
+  </actuator>
+  <sensor><jointpos joint="elbow"/></sensor>
+</mujoco>
+"""
+MOTOR = '<motor name="motor" joint="shoulder" class="strong"/>'
+
+GANTRY = """<robot name="gantry">
+  <link name="world"/>
+  <link name="bridge">INERTIAL</link>
+  <link name="trolley">INERTIAL COLLISION</link>
+  <joint name="x" type="prismatic">
+    <parent link="world"/><child link="bridge"/><axis xyz="1 0 0"/>
+    <limit effort="EFFORT" lower="-2" upper="2" velocity="9"/>
+    <dynamics damping="0.3" friction="0.7"/>
+  </joint>
+  <joint name="y" type="prismatic">
+    <parent link="bridge"/><child link="trolley"/><axis xyz="0 1 0"/>
+    <limit effort="8" lower="-2" upper="2" velocity="9"/>
+  </joint>
+  MORE
+</robot>
+"""
+INERTIAL = (
+    '<inertial><mass value="MASS"/>'
+    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
+TRANSMISSION = (
+    '<transmission name="t"><type>transmission_interface/SimpleTransmission</type>'
+    '<joint name="x"/><actuator name="drive"/></transmission>'
+)
+MESH = '<collision name="NAME"><geometry><mesh filename="FILE"/></geometry></collision>'
+
+
+def write(path: Path, text: str, **parts: str) -> str:
+    defaults = {"OPTION": "", "FLAGS": "", "JOINT": "", "ACTUATORS": MOTOR}
+    defaults |= {"MORE": TRANSMISSION, "INERTIAL": INERTIAL, "EFFORT": "5", "COLLISION": ""}
+    defaults |= {"MASS": "2"}
+    for name, part in {**defaults, **parts, "MASS": parts.get("MASS", "2")}.items():
+        text = text.replace(name, part)
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def make(model: str, size: int = 2, **fields: Any) -> World:
+    ends = {"initial_position": np.zeros(size), "initial_velocity": np.zeros(size)}
+    fields = {"ignored_shapes": "all", "goal_position": np.full(size, 0.1), **ends, **fields}
+    return World.from_scenario(Scenario(model=model, **fields))
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Any:
+    def make_arm(fields: dict[str, Any] | None = None, **parts: str) -> World:
+        return make(write(tmp_path / "arm.xml", ARM, **parts), **(fields or {}))
+
+    return make_arm
+
+
+@pytest.fixture
+def gantry(tmp_path: Path) -> Any:
+    def make_gantry(fields: dict[str, Any] | None = None, **parts: str) -> World:
+        return make(write(tmp_path / "gantry.urdf", GANTRY, **parts), **(fields or {}))
+
+    return make_gantry
+
+
+def test_a_gear_multiplies_the_range_of_control_of_a_class_of_defaults(arm: Any) -> None:
+    np.testing.assert_array_equal(arm().limits.control, [[-10.0], [15.0]])
+
+
+@pytest.mark.parametrize(
+    ("actuator", "limits"),
+    [
+        ('<motor joint="elbow" gear="-2" ctrlrange="-1 3"/>', (-6.0, 2.0)),
+        ('<motor joint="elbow" gear="2" ctrlrange="-9 9" forcerange="-1 3"/>', (-2.0, 6.0)),
+        ('<motor joint="elbow" gear="2" ctrlrange="-1 1" ctrllimited="false"/>', (-np.inf, np.inf)),
+        ('<general joint="elbow" gainprm="4" gear="2" ctrlrange="-1 1"/>', (-8.0, 8.0)),
+    ],
+)
+def test_effective_limits_are_those_of_control_and_of_force(
+    arm: Any, actuator: str, limits: tuple[float, float]
+) -> None:
+    np.testing.assert_array_equal(arm(ACTUATORS=actuator).limits.control.ravel(), limits)
+
+
+def test_a_tendon_along_one_joint_is_an_actuator_of_that_joint(arm: Any) -> None:
+    tendon = (
+        '<tendon><fixed name="t"><joint joint="elbow" coef="3"/><joint joint="shoulder" coef="0"/>'
+        "</fixed></tendon>"
+    )
+    world = arm(FLAGS=tendon, ACTUATORS='<motor name="pull" tendon="t" gear="2" ctrlrange="-1 1"/>')
+    assert world.limits.control[1] == 6.0
+    np.testing.assert_array_equal(world.actuation.ravel(), [0.0, 1.0])
+
+
+def test_springs_and_friction_of_joints_act(arm: Any) -> None:
+    plain = arm(OPTION='gravity="0 0 0"')
+    sprung = arm(OPTION='gravity="0 0 0"', JOINT='stiffness="4" springref="30" frictionloss="0.25"')
+    q, v = np.array([0.2, 0.3]), np.array([0.0, 0.0])
+    force = sprung.calc_bias(q, v) - plain.calc_bias(q, v)
+    np.testing.assert_allclose(force, [4 * (0.2 - np.pi / 6), 0.0], atol=1e-12)
+    assert plain.dry_friction is None
+    np.testing.assert_array_equal(sprung.dry_friction, [0.25, 0.0])
+
+
+def test_friction_of_a_scenario_stands_in_place_of_the_models(gantry: Any) -> None:
+    np.testing.assert_array_equal(gantry().dry_friction, [0.7, 0.0])
+    world = gantry({"dry_friction": [0.0, 0.2]})
+    np.testing.assert_array_equal(world.dry_friction, [0.0, 0.2])
+
+
+@pytest.mark.parametrize(
+    ("flag", "springs", "has_gravity", "has_limit"),
+    [
+        ("gravity", True, False, True),
+        ("spring", False, True, True),
+        ("passive", False, True, True),
+        ("limit", True, True, False),
+        ("constraint", True, True, False),
+    ],
+)
+def test_flags_turn_off_what_they_name(
+    arm: Any, flag: str, springs: bool, has_gravity: bool, has_limit: bool
+) -> None:
+    world = arm(FLAGS=f'<option><flag {flag}="disable"/></option>', JOINT='stiffness="4"')
+    q, still = np.array([0.5, -0.5]), np.zeros(2)
+    force = world.calc_bias(q, still)[0]
+    weight = (2 * 0.5 * np.sin(0.5) + 1.0 * (np.sin(0.5) + 0.25 * 0.0)) * GRAVITY
+    assert force == pytest.approx(springs * 4 * 0.5 + has_gravity * weight, rel=1e-9)
+    assert np.isfinite(world.limits.position[1, 1]) == has_limit
+
+
+def test_a_total_mass_scales_all_of_the_model(arm: Any) -> None:
+    q, v = np.array([0.3, 0.4]), np.array([0.5, 0.6])
+    masses = [
+        arm(FLAGS=f'<compiler settotalmass="{mass}"/>').calc_mass_matrix(q) for mass in (3.0, 6.0)
+    ]
+    np.testing.assert_allclose(masses[1], 2 * masses[0], rtol=1e-12)
+    np.testing.assert_allclose(masses[0], arm().calc_mass_matrix(q), rtol=1e-12)
+    assert v.size == 2
+
+
+REFUSED = {
+    "fluid": ({"OPTION": 'density="1000"'}, "the density 1000 of a fluid .its forces"),
+    "gravcomp": (
+        {"JOINT": '/><body gravcomp="1"><geom size=".1"/></body><site'},
+        "gravcomp of body",
+    ),
+    "armature": ({"JOINT": 'armature="1"', "ACTUATORS": ""}, "the armature 1 of joint 'shoulder'"),
+    "springdamper": ({"JOINT": 'springdamper="1 1"'}, "springdamper of joint 'shoulder'"),
+    "equality": (
+        {"FLAGS": '<equality><joint joint1="shoulder" joint2="elbow"/></equality>'},
+        "<equality><joint>",
+    ),
+    "tendons": (
+        {"FLAGS": '<tendon><fixed name="t" stiffness="2"><joint joint="elbow"/></fixed></tendon>'},
+        "tendon 't' with stiffness",
+    ),
+    "servos": (
+        {"ACTUATORS": '<position name="p" joint="elbow" kp="3" forcerange="-2 2"/>'},
+        "actuator 'p', a servo",
+    ),
+    "actuators": (
+        {"ACTUATORS": f'{MOTOR}<motor name="s" site="tip"/>'},
+        "actuator 's', which acts through a site",
+    ),
+}
+
+
+@pytest.mark.parametrize("word", REFUSED)
+def test_what_changes_the_physics_is_refused_by_name_or_left_out_as_allowed(
+    arm: Any, word: str
+) -> None:
+    parts, message = REFUSED[word]
+    with pytest.raises(ModelError, match=f"{message}.*allow_ignored: .{word}"):
+        arm(**parts)
+    if word == "armature":
+        parts = {"JOINT": 'armature="1"', "ACTUATORS": '<motor joint="elbow"/>'}
+    world = arm({"allow_ignored": [word]}, **parts)
+    assert len(world.ignored) == 1
+
+
+def test_all_that_is_refused_is_listed_at_once(arm: Any) -> None:
+    with pytest.raises(ModelError, match=r"allow_ignored: \[fluid, springdamper\]"):
+        arm(OPTION='density="1"', JOINT='springdamper="1 1"')
+
+
+def test_drawing_and_numerics_are_read_without_a_word(
+    arm: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        world = arm()
+    assert not caplog.records
+    assert world.notes == world.ignored == ()
+
+
+def test_masks_and_flags_keep_shapes_apart(tmp_path: Path) -> None:
+    text = """<mujoco model="balls"><option gravity="0 0 0">FLAG</option>
+      <default><geom size="0.1" MASKS/></default>
+      <worldbody><geom name="floor" type="plane" size="1 1 1" pos="0 0 -1"/>
+      <body name="a"><joint name="x" type="slide" axis="0 0 1"/><geom name="a"/></body>
+      <body name="b" pos="0 0 1"><joint name="y" type="slide" axis="0 0 1"/><geom name="b"/></body>
+      </worldbody><actuator><motor joint="x"/></actuator></mujoco>"""
+
+    def list_pairs(flag: str, masks: str) -> list[str]:
+        path = tmp_path / "balls.xml"
+        path.write_text(text.replace("FLAG", flag).replace("MASKS", masks), encoding="utf-8")
+        world = make(str(path), limits="ignore", ignored_shapes=())
+        return sorted(contact.name for contact in world.contacts)
+
+    assert list_pairs("", "") == ["a against b", "a against floor", "b against floor"]
+    assert list_pairs('<flag contact="disable"/>', "") == []
+    assert list_pairs("", 'contype="1" conaffinity="0"') == []
+
+
+def test_includes_are_read_and_missing_ones_refused(tmp_path: Path) -> None:
+    part = tmp_path / "motors.xml"
+    part.write_text(f"<mujocoinclude>{MOTOR}</mujocoinclude>", encoding="utf-8")
+    model = write(tmp_path / "arm.xml", ARM, ACTUATORS='<include file="motors.xml"/>')
+    assert make(model).limits.control[1] == 15.0
+    part.unlink()
+    with pytest.raises(ModelError, match=r"an <include> of .*motors\.xml, which is missing"):
+        make(model)
+    part.write_text('<mujocoinclude><include file="motors.xml"/></mujocoinclude>')
+    with pytest.raises(ModelError, match="which includes itself"):
+        make(model)
+
+
+BAD_MJCF = {
+    "a gear of 0": ({"ACTUATORS": '<motor joint="elbow" gear="0"/>'}, "with a gear of 0"),
+    "an unknown joint": ({"ACTUATORS": '<motor joint="knee"/>'}, "the unknown joint 'knee'"),
+    "an unknown class": ({"ACTUATORS": '<motor joint="elbow" class="x"/>'}, "unknown class 'x'"),
+    "two at one joint": ({"ACTUATORS": f'{MOTOR}<motor joint="shoulder"/>'}, "'motor' and .* at"),
+    "no number": ({"JOINT": 'stiffness="much"'}, "got 'much', expected finite numbers"),
+    "NaN": ({"JOINT": 'stiffness="nan"'}, "got 'nan', expected finite numbers"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_MJCF)
+def test_a_bad_mjcf_is_refused_by_name(arm: Any, name: str) -> None:
+    parts, message = BAD_MJCF[name]
+    with pytest.raises(ModelError, match=message):
+        arm(**parts)
+
+
+@pytest.mark.parametrize("mass", ["-1", "nan"])
+def test_a_bad_mass_is_refused_by_its_link(gantry: Any, mass: str) -> None:
+    with pytest.raises(ModelError, match=rf"mass of 'bridge' in .*: got '?{mass}"):
+        gantry(MASS=mass)
+
+
+def test_joints_are_driven_and_limited_as_the_scenario_says(gantry: Any) -> None:
+    world = gantry({"actuators": ["y"], "effort_limits": {"drive": 3.0}})
+    np.testing.assert_array_equal(world.limits.control[1], [3.0, 8.0])
+    world = gantry({"effort_limits": {"x": 4.0}}, EFFORT="0")
+    np.testing.assert_array_equal(world.limits.control, [[-4.0], [4.0]])
+    np.testing.assert_array_equal(gantry({"limits": "ignore"}).limits.position[1], np.inf)
+    with pytest.raises(ModelError, match=r"limits of effort of 0 at x, .*effort_limits: {x"):
+        gantry(EFFORT="0")
+    with pytest.raises(ModelError, match=r"none in .*Drive joints by the scenario's actuators: .x"):
+        gantry(MORE="")
+
+
+def test_joints_can_be_fixed(gantry: Any, tmp_path: Path) -> None:
+    model = write(tmp_path / "gantry.urdf", GANTRY)
+    world = make(model, size=1, fixed_joints=["y"])
+    assert world.num_positions == 1
+    np.testing.assert_allclose(world.calc_mass_matrix(np.zeros(1)), [[4.0]])
+    arm = write(tmp_path / "arm.xml", ARM)
+    assert make(arm, size=1, fixed_joints=["elb*"]).num_positions == 1
+
+
+BAD_FIELDS: dict[str, tuple[dict[str, Any], str]] = {
+    "unknown joint": ({"actuators": ["z"]}, "actuators in .*: got 'z', expected one of x, y"),
+    "driven already": ({"actuators": ["x"]}, "joint 'x', which actuator '.*drive' drives"),
+    "unknown actuator": ({"effort_limits": {"y": 1.0}}, "effort_limits .*: got 'y', expected an"),
+    "unknown link": ({"weld": {"hook": [0, 0, 0]}}, "weld of 'hook' in .*: got no such link"),
+    "held link": ({"weld": {"bridge": [0, 0, 0]}}, "a link that joint 'x' holds"),
+    "missing package": ({"packages": {"p": "/none"}}, "package 'p': got no folder /none"),
+    "unknown shape": ({"material": {"wall": {"friction": 0}}}, "material: got 'wall', expected of"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FIELDS)
+def test_fields_that_do_not_fit_the_model_are_refused(gantry: Any, name: str) -> None:
+    fields, message = BAD_FIELDS[name]
+    with pytest.raises(ModelError, match=message):
+        gantry(fields)
+
+
+BAD_VALUES: dict[str, tuple[dict[str, Any], str]] = {
+    "no rotation": (
+        {"weld": {"a": np.diag([1.0, 1.0, -1.0, 1.0]).tolist()}},
+        r"weld\[a\]: got a matrix that is no rotation and translation",
+    ),
+    "no pose": ({"weld": {"a": [1.0, 2.0]}}, r"weld\[a\]: got 2 numbers, expected x, y, z"),
+    "twice": ({"actuators": ["a", "a"]}, "actuators: got 'a' twice, expected each name once"),
+    "no mapping": ({"effort_limits": [3]}, r"effort_limits: got \[3\], expected a mapping"),
+    "no effort": (
+        {"effort_limits": {"a": 0}},
+        r"effort_limits\[a\]: got 0 N or N m, exp",
+    ),
+    "no material": ({"material": {"a": {"color": 1}}}, r"material\[a\]: got .*expected a map"),
+    "negative": ({"material": {"a": {"friction": -1}}}, r"material\[a\]\.friction: got -1, exp"),
+    "limits": ({"limits": "none"}, "limits: got 'none', expected 'model' or 'ignore'"),
+    "no folder": ({"packages": {"a": 3}}, r"packages\[a\]: got 3, expected a text"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_VALUES)
+def test_fields_that_are_wrong_in_themselves_are_refused(name: str) -> None:
+    fields, message = BAD_VALUES[name]
+    ends: dict[str, Any] = {"initial_position": 1.0, "initial_velocity": 0.0, "goal_position": 1.0}
+    with pytest.raises(ScenarioError, match=message):
+        Scenario(**ends, **fields)
+
+
+def test_meshes_that_can_not_be_read_are_listed_and_left_out_before_they_are(gantry: Any) -> None:
+    meshes = "".join(
+        MESH.replace("NAME", name).replace("FILE", file)
+        for name, file in (("hook", "hook.stl"), ("box", "package://crane/box.obj"))
+    )
+    with pytest.raises(ModelError, match=r"read: hook .hook\.stl., box .in the unknown package cr"):
+        gantry(COLLISION=meshes)
+    assert not gantry({"collisions": "none"}, COLLISION=meshes).contacts
+    with pytest.raises(ModelError, match=r"can't be read: box"):
+        gantry({"collisions": ["b*"]}, COLLISION=meshes)
+
+
+def test_a_link_is_welded_where_the_scenario_says(gantry: Any, tmp_path: Path) -> None:
+    text = GANTRY.replace('link="world"', 'link="cart"').replace('name="world"', 'name="cart"')
+    model = write(tmp_path / "gantry.urdf", text, MORE=TRANSMISSION)
+    world = make(model, weld={"cart": [0, 0, 0, 0, np.pi / 2, 0]})
+    lift = world.calc_bias(np.zeros(2), np.zeros(2))
+    np.testing.assert_allclose(lift, [-4 * GRAVITY, 0.0], atol=1e-12)
+
+
+def test_a_name_that_fits_two_shapes_is_refused_and_globs_take_both(tmp_path: Path) -> None:
+    ball = '<collision name="ball"><geometry><sphere radius="0.1"/></geometry></collision>'
+    text = GANTRY.replace('<link name="bridge">INERTIAL', f'<link name="bridge">INERTIAL{ball}')
+    model = write(tmp_path / "gantry.urdf", text, COLLISION=ball)
+    stiff = {"stiffness": 1e5}
+    with pytest.raises(ModelError, match=r"'ball', which fits .*bridge::ball, .*trolley::ball"):
+        make(model, material={"ball": stiff})
+    make(model, material={"ball*": stiff})
+    make(model, material={"trolley::ball": stiff})
+
+
+def test_limits_of_a_scenario_and_a_model_are_told_apart(arm: Any) -> None:
+    world = arm()
+    names = "initial_position", "initial_velocity", "goal_position"
+    ends: dict[str, Any] = {name: [0, 0] for name in names}
+    scenario = Scenario(model=world.model or "", control_upper=4.0, **ends)
+    items = world.limits.control_items(world.plant, scenario)
+    assert items == ["arm_motor from -10 (model) to 4 (scenario) N m"]
