@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drake_aigto import ModelError, Scenario, ScenarioError, World
+from drake_aigto import Scenario, World
+from drake_aigto.errors import ModelError, ScenarioError
 
 GRAVITY = 9.81
 

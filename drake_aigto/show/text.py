@@ -211,6 +211,9 @@ def question_facts(
     ]
     yield from list_fact("pairs", pairs if len(pairs) > 1 else ())
     yield from list_fact("friction", friction_items(scenario, world))
+    yield from list_fact("control", world.limits.control_items(world.plant, scenario))
+    yield from list_fact("left out", world.ignored)
+    yield from list_fact("notes", world.notes)
 
 
 def list_fact(label: str, items: Iterable[str]) -> Iterator[tuple[str, str]]:
