@@ -14,7 +14,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError, SubElement, parse
 
 from drake_aigto.errors import ModelError
-from drake_aigto.world.model_text import ModelFacts, Spring, read_numbers, refuse_element
+from drake_aigto.world.model_facts import ModelFacts, Spring, read_numbers, refuse_element
 
 # Drawing, numerics and measuring: nothing that moves depends on them.
 _HARMLESS = {

@@ -34,8 +34,9 @@ from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import check_plant, refuse_loop
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
+from drake_aigto.world.model_facts import ModelFacts, fits, pick
 from drake_aigto.world.model_fields import ModelFields
-from drake_aigto.world.model_text import ModelFacts, fits, pick, read_model_text
+from drake_aigto.world.model_text import read_model_text
 
 # What Drake says of joints that form a loop.
 _LOOP = "loops in the system graph"

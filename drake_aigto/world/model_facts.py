@@ -1,0 +1,142 @@
+"""What a model says and Drake's reader does not hear, and what of it can't be planned for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element
+
+from drake_aigto.errors import ModelError
+from drake_aigto.world.model_fields import ModelFields
+
+# Meshes that Drake reads.
+MESHES = (".obj", ".vtk", ".gltf")
+
+
+class Spring(NamedTuple):
+    """A spring of a joint."""
+
+    stiffness: float  # k [N/m, N m/rad]
+    reference: float  # Where it is at rest [m, rad].
+
+
+@dataclass
+class ModelFacts:
+    """What a model says and Drake's reader does not hear.
+
+    Attributes:
+        fields: how it is to be read.
+        friction: F of joints that have any, −F σ(v / v_s) [N, N m].
+        springs: of joints that Drake gives none.
+        efforts: least and largest u of actuators whose limits are not the same both ways [N, N m].
+        no_effort: joints whose actuator has the limit 0.
+        joint_efforts: largest effort of joints, where the model has one, driven or not [N, N m].
+        apart: pairs of shapes that may not touch.
+        total_mass: of all links [kg]; None: as they are.
+        mass_scale: what masses and inertias are multiplied with to get it.
+        refused: what can't be planned for: the word that allows to leave it out, what it is, and
+            what is missing without it.
+        ignored: the same of what is left out, as it was allowed.
+        unread: shapes with meshes that can't be read.
+        notes: what else differs from the file.
+    """
+
+    fields: ModelFields
+    mass_scale: float = 1.0
+    friction: dict[str, float] = field(default_factory=dict)
+    springs: dict[str, Spring] = field(default_factory=dict)
+    efforts: dict[str, tuple[float, float]] = field(default_factory=dict)
+    no_effort: set[str] = field(default_factory=set)
+    joint_efforts: dict[str, float] = field(default_factory=dict)
+    apart: list[tuple[str, str]] = field(default_factory=list)
+    total_mass: float | None = None
+    refused: list[tuple[str, str, str]] = field(default_factory=list)
+    ignored: list[tuple[str, str, str]] = field(default_factory=list)
+    unread: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def refuse(self, word: str, what: str, cost: str) -> bool:
+        """Keeps what is not planned for, to refuse all at once (`check`); returns False."""
+        allowed = word in self.fields.allow_ignored
+        (self.ignored if allowed else self.refused).append((word, what, cost))
+        return False
+
+    def keeps(self, *names: str) -> bool:
+        """Returns whether a shape may touch anything, by its names."""
+        return any(fits(name, glob) for name in names for glob in self.fields.collisions)
+
+    def fixes(self, joint: str) -> bool:
+        """Returns whether a joint is to stand still."""
+        return any(fits(joint, glob) for glob in self.fields.fixed_joints)
+
+    def check(self, path: Path) -> None:
+        """Refuses all that is not planned for.
+
+        Raises:
+            ModelError: there is something; lists it, and the field that leaves it out.
+        """
+        got, remedies = [], []
+        if self.unread:
+            got.append(f"meshes that can't be read: {', '.join(self.unread)}")
+            remedies.append(
+                "Name the shapes that may touch by the scenario's collisions: [...], or take "
+                "collisions: none, as meshes can't be planned for; one that gives a link its mass "
+                f"has to be converted to {' or '.join(MESHES)}."
+            )
+        if self.refused:
+            words = ", ".join(dict.fromkeys(word for word, _, _ in self.refused))
+            parts = dict.fromkeys(f"{what} ({cost})" for _, what, cost in self.refused)
+            got.append(f"what is not planned for: {'; '.join(parts)}")
+            remedies.append(
+                f"Change the model, or leave it out by the scenario's allow_ignored: [{words}]."
+            )
+        if got:
+            raise ModelError(f"model {path}", got="; and ".join(got), remedy=" ".join(remedies))
+
+
+def fits(name: str, glob: str) -> bool:
+    """Returns whether a name, or its end after a ``::``, fits a glob."""
+    return fnmatchcase(name, glob) or fnmatchcase(name, f"*::{glob}")
+
+
+def pick(what: str, globs: Iterable[str], names: Collection[str]) -> list[str]:
+    """Returns the names that globs choose, in order of the names.
+
+    Raises:
+        ModelError: a glob fits none.
+    """
+    globs = tuple(globs)
+    for glob in globs:
+        if not any(fits(name, glob) for name in names):
+            raise ModelError(
+                what, got=repr(glob), expected=f"one of {', '.join(sorted(names)) or '(none)'}"
+            )
+    return [name for name in names if any(fits(name, glob) for glob in globs)]
+
+
+def read_numbers(
+    path: Path, text: str, count: int | None = 1, what: str = "a number"
+) -> list[float]:
+    """Returns numbers of an attribute, at least `count`.
+
+    Raises:
+        ModelError: they are none, NaN, or fewer.
+    """
+    try:
+        numbers = [float(each) for each in text.split()]
+    except ValueError:
+        numbers = [math.nan]
+    if len(numbers) < (count or 0) or not all(map(math.isfinite, numbers)):
+        raise ModelError(f"{what} in {path}", got=repr(text), expected="finite numbers")
+    return numbers
+
+
+def refuse_element(path: Path, element: Element, got: str, expected: str = "") -> ModelError:
+    """Returns the error of an element that is wrong in itself."""
+    return ModelError(
+        f"model {path}, <{element.tag}>", got=got, expected=expected or "what the model has"
+    )
