@@ -43,7 +43,7 @@ def read_mjcf(root: Element, path: Path, facts: ModelFacts) -> None:
         ModelError: a file is missing, or something changes the physics that is not planned for.
     """
     _include(root, path.parent, (path,))
-    _Reader(root, path, facts).read()
+    _MjcfReader(root, path, facts).read()
 
 
 def _include(parent: Element, folder: Path, above: tuple[Path, ...]) -> None:
@@ -72,7 +72,7 @@ def _include(parent: Element, folder: Path, above: tuple[Path, ...]) -> None:
         parent[i : i + 1] = list(included)
 
 
-class _Reader:
+class _MjcfReader:
     """One pass over a model whose includes are in place."""
 
     def __init__(self, root: Element, path: Path, facts: ModelFacts) -> None:
