@@ -19,6 +19,7 @@ import pytest
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 
 from benchmarks.collections.constrained_programs import concave_programs
+from benchmarks.random_programs import random_program
 from drake_aigto.certify import (
     Block,
     Identity,
@@ -109,6 +110,7 @@ FUNCTIONS = (
     lambda x, y: (1.0 - x) ** 2 + 10.0 * (y - x**2) ** 2 + sym.sin(3.0 * x),
     lambda x, y: sym.exp(x) * y + sym.sqrt(x**2 + y**2 + 0.5) - 1.0 / (3.0 + x * y / 2.0),
     lambda x, y: sym.abs(x - 0.3) + sym.max(x, y) - sym.cos(4.0 * x * y),
+    lambda x, y: sym.pow(3.0 + x, 1.1) * sym.pow(4.0 + y, -0.3) + sym.pow(2.5 + x * y / 4.0, 0.7),
     lambda x, y: sym.log(3.0 + x) * sym.atan(y) + sym.tanh(x * y) + 0.1 * x**4 - 0.3 * x**2,
 )
 
@@ -263,6 +265,68 @@ def test_a_function_without_an_enclosure_is_refused_by_name() -> None:
         certify(prog)
 
 
+def linked(own: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda *x: sum(map(own, x)) + sum(a * b for a, b in itertools.pairwise(x))
+
+
+@pytest.mark.parametrize(
+    ("cost", "lower", "upper", "least"),
+    [
+        (lambda x: x**2, 2.0, 2.0, 4.0),  # fixed
+        (lambda x: x + 1e-300 * x**2, 3.0, 3.0, 3.0),
+        (linked(lambda x: x * sym.log(x)), [1e-9] * 5, 1.0, math.inf),
+        (
+            linked(lambda x: 1.0 / (2.0 + sym.sin(x) + sym.cos(x)) - 0.01 * x),
+            [-50.0] * 5,
+            50.0,
+            0.0,
+        ),
+        (linked(lambda x: sym.exp(2.0 * x) - sym.exp(x) + x**2), [-800.0] * 5, 800.0, 0.0),
+        (linked(lambda x: x**30), [-1e12] * 5, 1e12, 0.0),
+        (lambda x, y: x + sym.pow(x + y, 1.5), [-1.0, -1.0], [1.0, 0.5], -0.5),
+        (lambda x, y: 3.0 * x + sym.pow(x + y / 3.0, 2.5), [-1.0, -1.0], [1.0, 0.7], -0.7),
+        (lambda x, y: 1e-250 * x**2 * y**2, [1e80, 1e80], 1e81, 1e70),
+        (lambda x: (1e-162 * (x - 0.5)) ** 2, -1.0, 1.0, 0.0),
+        (lambda x: 1e-300 * sym.exp(800.0 * x), 0.5, 1.0, 1e-126),
+    ],
+)
+def test_edges_of_numbers_and_of_domains_bring_no_false_claim(
+    cost: Callable[..., Any], lower: Any, upper: Any, least: float
+) -> None:
+    """Costs with a value, none lower than the least, where numbers or formulas end."""
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(np.size(lower), "x")
+    prog.AddBoundingBoxConstraint(lower * np.ones(x.size), upper * np.ones(x.size), x)
+    add_cost(prog, cost(*x))
+    for cells in (1, 10, 300):
+        found = certify(prog, cells=cells)
+        assert not found.is_infeasible
+        assert found.lower_bound <= least + 1e-9 * abs(least)
+
+
+def test_a_row_that_overflows_is_not_infeasible() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    prog.AddBoundingBoxConstraint(1e80, 1e81, x)
+    prog.AddCost(x[0])
+    prog.AddConstraint(1e-250 * x[0] ** 2 * x[1] ** 2 <= 1e71)
+    assert certify(prog, cells=300).lower_bound <= 1e80
+
+
+def test_a_variable_that_a_row_fixes_does_not_end_the_search() -> None:
+    prog, x = program(lambda x, y, z: (x - y) ** 2 + sym.sin(3.0 * y) + y * z**2, 3)
+    prog.AddConstraint(x[0] == 1.0 / 3.0)
+    details = AigoSolver(CERTIFY).Solve(prog).get_solver_details()
+    assert details.status == AigoStatus.PROVEN
+    assert details.certificate.cells < 1000
+
+
+def test_a_cost_that_falls_without_end_raises_nothing() -> None:
+    prog = random_program(np.random.default_rng([0, 120]))
+    result = AigoSolver(AigoOptions(certify=True, cells=2000, rounds=4, seed=3)).Solve(prog)
+    assert result.get_solver_details().lower_bound == -math.inf
+
+
 def test_a_cost_of_one_sign_keeps_its_constant_and_its_sign() -> None:
     prog, x = program(lambda x: -(x**2) + 7.0, 1)
     prog.AddLinearCost([0.0], 1.0, x)
@@ -284,7 +348,6 @@ def quadratic(matrix: np.ndarray, x: Any) -> Any:
 def test_a_concave_program_of_many_coupled_variables_is_proven() -> None:
     problem = next(each for each in concave_programs() if each.num_variables == 13)
     found = certify(problem.prog(), problem.minimizers[0])
-    assert found.method == Method.SQUARES
     assert found.gap <= 1e-6
     assert found.lower_bound <= problem.minimum
 

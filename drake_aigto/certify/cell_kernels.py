@@ -1,4 +1,4 @@
-"""Branch and bound over cells of all variables, in compiled code."""
+"""Bounds over cells of all variables at once, in compiled code."""
 
 from __future__ import annotations
 
@@ -8,21 +8,18 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
+from drake_aigto.certify.contraction import contract, has_narrowed
 from drake_aigto.certify.enclosures import (
     GRADIENT,
     HESSIAN,
     VALUE,
     at,
     enclose,
-    jet_size,
     make_scratch,
     put,
 )
 from drake_aigto.certify.expansions import (
-    ABOUT,
-    OVER,
-    choose_point,
-    descend,
+    bend_place,
     expansion_bound,
     mean_value,
     middle_of,
@@ -30,11 +27,14 @@ from drake_aigto.certify.expansions import (
 )
 from drake_aigto.certify.formulas import Tape
 from drake_aigto.certify.intervals import plus, power, scaled, times, up
-from drake_aigto.kernels import inner, kernel, pasted
+from drake_aigto.kernels import inner, kernel
 
 _COST = 0  # the formula's number; that of row j is 1 + j
+_ABOUT, _OVER = 0, 1  # jets of f about a point, and over a cell
+_MOST_SWEEPS = 3  # over all rows, to narrow a cell
 # A side is not cut that is this much shorter than the first box's, beside the longest one.
 _LEAST_SIDE = 1e-3
+_STEPS = 8  # of the descent within a cell where f is convex
 
 
 class Rows(NamedTuple):
@@ -66,30 +66,14 @@ class Problem(NamedTuple):
         rows: R of them.
         outer: the box (2, n).
         best: the best known point (n,).
+        known: its value, and the least bound of parts that were left alone (2,).
     """
 
     tape: Tape
     rows: Rows
     outer: Floats
     best: Floats
-
-
-class Heap(NamedTuple):
-    """Open cells of a branch and bound, the lowest bound first.
-
-    Attributes:
-        used: number of open cells (1,).
-        keys: their bounds, in a heap (C,).
-        places: where each is in `low` and `high`; then places that hold no cell (C,).
-        low: lower ends (C, n).
-        high: upper ends (C, n).
-    """
-
-    used: Ints
-    keys: Floats
-    places: Ints
-    low: Floats
-    high: Floats
+    known: Floats
 
 
 class _Work(NamedTuple):
@@ -97,17 +81,21 @@ class _Work(NamedTuple):
 
     Attributes:
         jets: of a formula's entries (E, J, 2).
-        totals: of f with its rows, over the cell and about a point (2, J, 2).
+        values: of a formula's entries (E, 1, 2).
+        totals: of f with its rows, about a point and over the cell (2, J, 2).
         steps: from the point to the cell's ends (n, 2).
         bends: ρ of each row in this cell (R,).
         point: of the cell (n,).
         second_point: another one (n,).
         matrix: for Cholesky's factor (n, n).
         scales: of the variables (n,).
+        shares: of the variables in variations of formulas (n,).
         sides: of the first box, 1 where it has no such side (n,).
+        old: a box (2, n).
     """
 
     jets: Floats
+    values: Floats
     totals: Floats
     steps: Floats
     bends: Floats
@@ -115,57 +103,15 @@ class _Work(NamedTuple):
     second_point: Floats
     matrix: Floats
     scales: Floats
+    shares: Floats
     sides: Floats
-
-
-@inner
-def _copy(of: Floats, to: Floats) -> None:
-    """Copies numbers, which takes Numba less time to compile than a slice."""
-    for i in range(to.size):
-        to[i] = of[i]
+    old: Floats
 
 
 @inner
 def _copy_jet(jets: Floats, end: int, totals: Floats, to: int) -> None:
     for place in range(totals.shape[1]):
         put(totals, to, place, at(jets, end, place))
-
-
-@inner
-def _swap(heap: Heap, k: int, m: int) -> None:
-    keys, places = heap.keys, heap.places
-    keys[k], keys[m] = keys[m], keys[k]
-    places[k], places[m] = places[m], places[k]
-
-
-@inner
-def _push(heap: Heap, key: float, low: Floats, high: Floats) -> None:
-    """Opens a cell."""
-    k = heap.used[0]
-    heap.used[0], heap.keys[k] = k + 1, key
-    _copy(low, heap.low[heap.places[k]])
-    _copy(high, heap.high[heap.places[k]])
-    while k > 0 and heap.keys[(k - 1) // 2] > heap.keys[k]:
-        _swap(heap, k, (k - 1) // 2)
-        k = (k - 1) // 2
-
-
-@inner
-def _pop(heap: Heap, low: Floats, high: Floats) -> None:
-    """Takes the cell of the lowest bound out."""
-    keys, last, k = heap.keys, heap.used[0] - 1, 0
-    _copy(heap.low[heap.places[0]], low)
-    _copy(heap.high[heap.places[0]], high)
-    _swap(heap, 0, last)
-    heap.used[0] = last
-    while 2 * k + 1 < last:
-        child = 2 * k + 1
-        if child + 1 < last and keys[child + 1] < keys[child]:
-            child += 1
-        if keys[k] <= keys[child]:
-            return
-        _swap(heap, k, child)
-        k = child
 
 
 @inner
@@ -189,100 +135,141 @@ def _add_row(
             place += 1
 
 
-@pasted
+@inner
 def _expand_about(problem: Problem, point: Floats, work: _Work) -> float:
     """Fills the totals about a point of a cell, and returns f there, rounded up."""
     jets, totals, rows = work.jets, work.totals, problem.rows
-    totals[ABOUT, 0, 0] = -np.inf  # where f or a row has no value
+    totals[_ABOUT, 0, 0] = -np.inf  # where f or a row has no value
     end = enclose(problem.tape, _COST, point, point, GRADIENT, jets)
     if end < 0:
         return np.inf
-    _copy_jet(jets, end, totals, ABOUT)
-    value = totals[ABOUT, 0, 1]
+    _copy_jet(jets, end, totals, _ABOUT)
+    value = totals[_ABOUT, 0, 1]
     for j in range(work.bends.size):
         if rows.slopes[j] == 0.0 and work.bends[j] == 0.0:
             continue
         end = enclose(problem.tape, 1 + j, point, point, GRADIENT, jets)
         if end < 0:
-            totals[ABOUT, 0, 0] = -np.inf
+            totals[_ABOUT, 0, 0] = -np.inf
             return np.inf
-        _add_row(rows.slopes[j], work.bends[j], rows.targets[j], end, GRADIENT, ABOUT, work)
+        _add_row(rows.slopes[j], work.bends[j], rows.targets[j], end, GRADIENT, _ABOUT, work)
     return value
 
 
-@pasted
+@inner
+def _narrow(problem: Problem, low: Floats, high: Floats, work: _Work) -> bool:
+    """Narrows a cell to where rows may hold, and f is no more than the best value, in place.
+
+    Returns whether anything is left.
+    """
+    rows, known, old = problem.rows, problem.known, work.old
+    for i in range(low.size):
+        old[0, i], old[1, i] = low[i], high[i]
+    for _ in range(_MOST_SWEEPS):
+        if math.isfinite(known[0]):
+            bounds = -np.inf, known[0]
+            is_left = contract(problem.tape, _COST, bounds, low, high, work.values)
+            if not is_left or np.any(low != old[0]) or np.any(high != old[1]):
+                known[1] = min(known[1], known[0])
+            if not is_left:
+                return False
+        for j in range(rows.lower.size):
+            bounds = rows.lower[j], rows.upper[j]
+            if not contract(problem.tape, 1 + j, bounds, low, high, work.values):
+                return False
+        if not has_narrowed(low, high, old[0], old[1]):
+            break
+    return True
+
+
+@inner
 def _bound(
-    problem: Problem, low: Floats, high: Floats, threshold: float, work: _Work
-) -> tuple[float, float]:
-    """Bounds f from below over a cell, which may be made flat at the first box's faces, in place.
+    problem: Problem, low: Floats, high: Floats, margins: tuple[float, float], work: _Work
+) -> float:
+    """Returns a bound of f over a cell, +∞ if it has no feasible minimizer.
+
+    Narrows the cell, and takes a better point where there are no rows.
 
     Args:
         problem: f and the rows.
         low: the cell's lower ends.
         high: the cell's upper ends.
-        threshold: a bound above it is good enough.
-        work: room; its `point` is filled.
-
-    Returns:
-        The bound, +∞ of a cell that has no feasible minimizer, and f at the point, rounded up.
+        margins: see `bound_cells`.
+        work: room; its `shares` are filled.
     """
-    (tape, rows, outer, best), jets, totals = problem, work.jets, work.totals
+    (tape, rows, outer, best, known), jets, totals = problem, work.jets, work.totals
+    work.shares[:] = 0.0
+    if not _narrow(problem, low, high, work):
+        return np.inf
     end = enclose(tape, _COST, low, high, HESSIAN, jets)
     if end < 0:
-        return np.inf, np.inf
+        return np.inf
     natural = jets[end, 0, 0]
-    _copy_jet(jets, end, totals, OVER)
-    choose_point(low, high, best, work.point)
+    _copy_jet(jets, end, totals, _OVER)
+    _add_shares(end, low, high, work)
+    _choose_point(low, high, best, work.point)
+    set_steps(work.point, low, high, work.steps)
     for j in range(rows.lower.size):
-        end = enclose(tape, 1 + j, low, high, HESSIAN, jets)
-        if end < 0 or jets[end, 0, 0] > rows.upper[j] or jets[end, 0, 1] < rows.lower[j]:
-            return np.inf, np.inf
-        slope, t, bend = rows.slopes[j], rows.targets[j], rows.bends[j]
-        if bend < 0.0:
-            reach = max(up(jets[end, 0, 1] - t), up(t - jets[end, 0, 0]))
-            bend = min(-bend, 1.999 * abs(slope) / reach) if 0.0 < reach < np.inf else 0.0
-        work.bends[j] = bend
-        if slope != 0.0 or bend != 0.0:
-            _add_row(slope, bend, t, end, HESSIAN, OVER, work)
-    if natural > threshold:
-        return natural, np.inf
-    if rows.lower.size:
-        if _rows_exclude(problem, low, high, work):
-            return np.inf, np.inf
-    elif _press(low, high, outer, work):
-        return np.inf, np.inf
-    best_bound, at_point = natural, np.inf
+        if not _take_row(problem, j, low, high, work):
+            return np.inf
+    if natural > known[0] - margins[0] * max(abs(known[0]), margins[1]):
+        return natural
+    if rows.lower.size == 0 and _press(low, high, outer, work):
+        return np.inf
+    bound = natural
     for attempt in range(2):
         point = work.point if attempt == 0 else work.second_point
         set_steps(point, low, high, work.steps)
         value = _expand_about(problem, point, work)
-        bound, is_bowl = expansion_bound(
-            totals[ABOUT], totals[OVER], work.steps, work.matrix, work.scales
+        if rows.lower.size == 0 and value < known[0]:
+            known[0], best[:] = value, point
+        found, is_bowl = expansion_bound(
+            totals[_ABOUT], totals[_OVER], work.steps, work.matrix, work.scales
         )
-        best_bound = max(best_bound, bound)
+        bound = max(bound, found)
+        if not is_bowl or bound > known[0] - margins[0] * max(abs(known[0]), margins[1]):
+            break
         if attempt == 0:
-            at_point = value
-            if not is_bowl or best_bound > threshold:
-                break
-            descend(totals, work.point, low, high, work.second_point)
-    return best_bound, at_point
+            _descend(totals, work.point, low, high, work.second_point)
+    return bound
 
 
-@pasted
-def _rows_exclude(problem: Problem, low: Floats, high: Floats, work: _Work) -> bool:
-    """Returns whether the mean value theorem shows that a row holds nowhere in a cell."""
-    jets, point, rows = work.jets, work.point, problem.rows
-    set_steps(point, low, high, work.steps)
-    for j in range(rows.lower.size):
-        end = enclose(problem.tape, 1 + j, point, point, VALUE, jets)
-        if end < 0:
-            continue
-        value = at(jets, end, 0)
-        end = enclose(problem.tape, 1 + j, low, high, GRADIENT, jets)
-        value = mean_value(value, jets, end, work.steps)
-        if value[0] > rows.upper[j] or value[1] < rows.lower[j]:
-            return True
-    return False
+@inner
+def _take_row(problem: Problem, j: int, low: Floats, high: Floats, work: _Work) -> bool:
+    """Adds a row's terms to the totals over a cell; returns whether the row may hold there."""
+    tape, rows, jets = problem.tape, problem.rows, work.jets
+    lower, upper, t = rows.lower[j], rows.upper[j], rows.targets[j]
+    end = enclose(tape, 1 + j, work.point, work.point, VALUE, work.values)
+    value = at(work.values, end, 0) if end >= 0 else (-np.inf, np.inf)
+    end = enclose(tape, 1 + j, low, high, HESSIAN, jets)
+    if end < 0:
+        return False
+    value = mean_value(value, jets, end, work.steps)
+    if value[0] > upper or value[1] < lower:
+        return False
+    if value[0] < lower or value[1] > upper:
+        _add_shares(end, low, high, work)
+    slope, bend = rows.slopes[j], rows.bends[j]
+    if bend < 0.0:
+        reach = max(up(jets[end, 0, 1] - t), up(t - jets[end, 0, 0]))
+        bend = min(-bend, 1.999 * abs(slope) / reach) if 0.0 < reach < np.inf else 0.0
+    work.bends[j] = bend
+    if slope != 0.0 or bend != 0.0:
+        _add_row(slope, bend, t, end, HESSIAN, _OVER, work)
+    return True
+
+
+@inner
+def _add_shares(end: int, low: Floats, high: Floats, work: _Work) -> None:
+    """Adds the share of each variable in the variation of a formula over a cell."""
+    total, changes = 0.0, work.scales
+    for i in range(low.size):
+        a, b = at(work.jets, end, 1 + i)
+        change = max(-a, b) * (high[i] - low[i]) if high[i] > low[i] else 0.0
+        changes[i] = min(change, 1e200) if change >= 0.0 else 1e200
+        total += changes[i]
+    for i in range(low.size):
+        work.shares[i] += changes[i] / total if total > 0.0 else 0.0
 
 
 @inner
@@ -290,110 +277,116 @@ def _press(low: Floats, high: Floats, outer: Floats, work: _Work) -> bool:
     """Makes a cell flat where f rises or falls over all of it, in place.
 
     Returns whether it holds no minimizer: where f falls towards a face that is not the first box's,
-    what is beyond it is lower.
+    what is beyond it is lower, if f has values there: a finite Hessian says so.
     """
-    for i in range(low.size):
-        a, b = at(work.totals, OVER, 1 + i)
+    size = low.size
+    for i in range(size):
+        a, b = at(work.totals, _OVER, 1 + i)
+        bend = at(work.totals, _OVER, bend_place(size, i, i))
         if low[i] == high[i] or not (a > 0.0 or b < 0.0):
             continue
-        if not (math.isfinite(a) and math.isfinite(b)):
-            continue
         face = low[i] if a > 0.0 else high[i]
+        if not (math.isfinite(bend[1] - bend[0]) and math.isfinite(b - a) and math.isfinite(face)):
+            continue
         if face != (outer[0, i] if a > 0.0 else outer[1, i]):
             return True
         low[i] = high[i] = work.point[i] = face
     return False
 
 
-@pasted
-def _widest(problem: Problem, low: Floats, high: Floats, work: _Work) -> int:
-    """Returns the variable with the largest share in variations of formulas, if not too short.
+@inner
+def _choose_point(low: Floats, high: Floats, best: Floats, point: Floats) -> None:
+    """Fills the point of a cell that is nearest to the best known one, if that is near; else c."""
+    is_near = True
+    for i in range(low.size):
+        reach = high[i] - low[i]
+        is_near &= low[i] - reach <= best[i] <= high[i] + reach
+    for i in range(low.size):
+        if is_near:
+            point[i] = min(max(best[i], low[i]), high[i])
+        else:
+            point[i] = middle_of(low[i], high[i])
 
-    Rows that are within their bounds anyway do not count. −1 if there is none.
+
+@inner
+def _descend(jets: Floats, start: Floats, low: Floats, high: Floats, point: Floats) -> None:
+    """Fills where the model g d + ½ dᵀ H d is nearly least in a cell, a coordinate at a time."""
+    size = point.size
+    point[:] = start
+    for _ in range(_STEPS):
+        for i in range(size):
+            slope = 0.5 * (jets[_ABOUT, 1 + i, 0] + jets[_ABOUT, 1 + i, 1])
+            curvature = 0.0
+            for j in range(size):
+                place = bend_place(size, i, j)
+                middle = 0.5 * (jets[_OVER, place, 0] + jets[_OVER, place, 1])
+                slope += middle * (point[j] - start[j])
+                curvature = middle if j == i else curvature
+            if curvature > 0.0:
+                point[i] = min(max(point[i] - slope / curvature, low[i]), high[i])
+
+
+@inner
+def _choose_cut(low: Floats, high: Floats, work: _Work) -> int:
+    """Returns the variable with the largest share, among those that can be cut; −1: none can.
+
+    One that is much shorter than others is not cut.
     """
-    jets, changes, parts, size = work.jets, work.scales, work.second_point, low.size
-    for i in range(size):
-        parts[i] = 0.0
-    for j in range(-1, problem.rows.lower.size):
-        end = enclose(problem.tape, 1 + j, low, high, GRADIENT, jets)
-        least = problem.rows.lower[j] if j >= 0 else np.inf
-        most = problem.rows.upper[j] if j >= 0 else -np.inf
-        if end < 0 or (jets[end, 0, 0] >= least and jets[end, 0, 1] <= most):
-            continue
-        total = 0.0
-        for i in range(size):
-            a, b = at(jets, end, 1 + i)
-            changes[i] = max(-a, b) * (high[i] - low[i]) if high[i] > low[i] else 0.0
-            changes[i] = min(changes[i], 1e200) if changes[i] >= 0.0 else 1e200
-            total += changes[i]
-        for i in range(size):
-            parts[i] += changes[i] / total if total > 0.0 else 0.0
     longest, best, most = 0.0, -1, -1.0
-    for i in range(size):
-        longest = max(longest, (high[i] - low[i]) / work.sides[i])
-    for i in range(size):
+    for i in range(low.size):
+        if low[i] < middle_of(low[i], high[i]) < high[i]:
+            longest = max(longest, (high[i] - low[i]) / work.sides[i])
+    for i in range(low.size):
         length = high[i] - low[i]
-        if length / work.sides[i] < _LEAST_SIDE * longest or length == 0.0:
-            continue
-        change = np.inf if math.isinf(length) else parts[i]
-        if change > most:
-            best, most = i, change
+        is_long = length / work.sides[i] >= _LEAST_SIDE * longest
+        if is_long and low[i] < middle_of(low[i], high[i]) < high[i]:
+            share = np.inf if math.isinf(length) else work.shares[i]
+            if share > most:
+                best, most = i, share
     return best
 
 
 @kernel
-def explore(
-    problem: Problem, heap: Heap, least: float, margin: float, scale: float, count: int
-) -> tuple[float, float, int]:
-    """Cuts the lowest open cells in two, until none is below the best value less a margin.
+def bound_cells(
+    problem: Problem,
+    low: Floats,
+    high: Floats,
+    margins: tuple[float, float],
+    bounds: Floats,
+    cuts: Ints,
+) -> None:
+    """Raises bounds of f over cells, +∞ of those that have no feasible minimizer.
 
-    Returns the least bound of those that were left alone, the least value, and how many were cut.
+    Narrows cells in place. Bounds are good enough that are above the best value by more than a
+    margin, relative to it or to a scale. Fills where cells are to be cut in two.
+
+    Args:
+        problem: f and the rows; takes better points, where there are no rows.
+        low: lower ends of the cells (C, n).
+        high: upper ends.
+        margins: the margin, and the scale.
+        bounds: shape (C,).
+        cuts: variables to cut; −1: none can be (C,).
     """
     size, num_rows = problem.best.size, problem.rows.lower.size
+    jets = make_scratch(problem.tape, size, HESSIAN)
     work = _Work(
-        make_scratch(problem.tape, size, HESSIAN),
-        np.empty((2, jet_size(size, HESSIAN), 2)),
+        jets,
+        make_scratch(problem.tape, size, VALUE),
+        np.empty((2, jets.shape[1], 2)),
         np.empty((size, 2)),
         np.empty(num_rows),
         np.empty(size),
         np.empty(size),
         np.empty((size, size)),
         np.empty(size),
+        np.empty(size),
         problem.outer[1] - problem.outer[0],
+        np.empty((2, size)),
     )
     for i in range(size):
         if not 0.0 < work.sides[i] < np.inf:
             work.sides[i] = 1.0
-    low, high, a, b = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-    settled = np.inf
-    for number in range(count):
-        threshold, key = least - margin * max(abs(least), scale), heap.keys[0]
-        is_full = heap.used[0] + 2 > heap.keys.size
-        if heap.used[0] == 0 or key > threshold or is_full:
-            return settled, least, number
-        _pop(heap, low, high)
-        i = _widest(problem, low, high, work)  # Its gradients were not kept.
-        middle = middle_of(low[i], high[i]) if i >= 0 else 0.0
-        if i < 0 or not low[i] < middle < high[i]:
-            settled = min(settled, key)
-            continue
-        for half in range(2):
-            _copy(low, a)
-            _copy(high, b)
-            if half == 0:
-                b[i] = middle
-            else:
-                a[i] = middle
-            threshold = least - margin * max(abs(least), scale)
-            bound, value = _bound(problem, a, b, threshold, work)
-            bound = max(bound, key)
-            if num_rows == 0 and value < least:
-                least = value
-                _copy(work.point, problem.best)
-            if bound == np.inf:
-                continue
-            if bound > threshold:
-                settled = min(settled, bound)
-            else:
-                _push(heap, bound, a, b)
-    return settled, least, count
+    for c in range(len(low)):
+        bounds[c] = max(bounds[c], _bound(problem, low[c], high[c], margins, work))
+        cuts[c] = _choose_cut(low[c], high[c], work)

@@ -6,12 +6,14 @@ import math
 
 import numpy as np
 
-from drake_aigto.arrays import Bools, Floats
-from drake_aigto.certify.cell_kernels import Heap, Problem, Rows, explore
+from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.certify.cell_kernels import Problem, Rows, bound_cells
 from drake_aigto.certify.enclosures import GRADIENT, SumOfFormulas, enclose_all
+from drake_aigto.certify.expansions import middles
 from drake_aigto.certify.formulas import Formulas, formula_of, make_tape
 
 _MOST_OPEN = 400_000  # cells
+_BATCH = 4  # this part of the open cells is cut at once, and at least this number
 # A row or a variable is at its bound where it is this near, relative to its size.
 _NEAR = 1e-5
 _BEND = 10.0  # relative to what makes up for the cost's slope in a unit's length
@@ -27,8 +29,6 @@ class CellSearch:
 
     Attributes:
         cost: f.
-        best: the best point that is known (n,).
-        least: its value.
         num_cells: number of cells that were cut.
     """
 
@@ -36,25 +36,31 @@ class CellSearch:
         """Opens the whole box."""
         everything = range(formulas.lower.size)
         sums = [formulas.summands, *((row,) for row in formulas.rows)]
-        self._tape = make_tape(formula_of(each, everything) for each in sums)
-        self.cost = SumOfFormulas(self._tape, [everything])
+        tape = make_tape(formula_of(each, everything) for each in sums)
+        self.cost = SumOfFormulas(tape, [everything])
         bounds = ([getattr(row, side) for row in formulas.rows] for side in ("lower", "upper"))
-        unpriced = np.zeros((3, len(formulas.rows)))
-        self._rows, self._margin = Rows(*map(np.array, bounds), *unpriced), margin
-        self._outer = np.array([formulas.lower, formulas.upper])
-        low, high = self._outer.copy()
-        self._heap = Heap(np.array([1]), np.array([-np.inf]), np.array([0]), low[None], high[None])
-        self._settled = np.inf
-        self.num_cells = 0
-        self.least = np.inf
-        with np.errstate(invalid="ignore"):
-            middle = 0.5 * (low + high)
-        self.best = np.where(np.isfinite(middle), middle, np.clip(0.0, low, high))
+        rows = Rows(*map(np.array, bounds), *np.zeros((3, len(formulas.rows))))
+        outer = np.array([formulas.lower, formulas.upper])
+        self._margin, self.num_cells = margin, 0
+        self._problem = Problem(tape, rows, outer, middles(*outer), np.full(2, np.inf))
+        # Open cells: their ends, bounds, and which variables are to be cut.
+        self._low, self._high = outer[:, None].copy()
+        self._bounds, self._cuts = np.array([-np.inf]), np.array([0])
+
+    @property
+    def best(self) -> Floats:
+        """The best point that is known (n,)."""
+        return self._problem.best
+
+    @property
+    def least(self) -> float:
+        """Its value."""
+        return float(self._problem.known[0])
 
     def offer(self, x: Floats, value: float) -> None:
         """Takes a feasible point and its value, rounded up, if it is the best so far."""
         if value < self.least:
-            self.least, self.best[:] = value, x
+            self._problem.known[0], self._problem.best[:] = value, x
 
     def run(self, count: int, scale: float) -> bool:
         """Cuts cells, and returns whether any is left that may hold something better.
@@ -63,41 +69,73 @@ class CellSearch:
             count: number of cells at most.
             scale: the margin is relative to the best value, or to this where that is less in size.
         """
-        self._make_room(count)
-        problem = Problem(self._tape, self._priced_rows(), self._outer, self.best)
-        settled, self.least, done = explore(
-            problem, self._heap, self.least, self._margin, scale, count
-        )
-        self._settled = min(self._settled, settled)
-        self.num_cells += done
-        return done == count
+        self._problem = self._problem._replace(rows=self._priced_rows())
+        end, margins = self.num_cells + count, (self._margin, scale)
+        if self.num_cells == 0:
+            self.num_cells, whole = 1, (self._low, self._high, self._bounds, self._cuts)
+            self._keep(np.zeros(1, dtype=bool))
+            self._add(*whole, margins)
+        while self.num_cells < end:
+            enough = self.least - self._margin * max(abs(self.least), scale)
+            # What holds nothing better, or cannot be cut, is left alone.
+            is_over = (self._bounds > enough) | (self._cuts < 0)
+            settled = np.min(self._bounds[is_over], initial=self._problem.known[1])
+            self._problem.known[1] = settled
+            self._keep(~is_over)
+            size = self._bounds.size
+            if not size or size > _MOST_OPEN:
+                return False
+            self._cut(min(end - self.num_cells, size, max(_BATCH, size // _BATCH)), margins)
+        return True
 
-    def _make_room(self, cells: int) -> None:
-        """Makes the heap larger where this many cells more may not fit."""
-        count, keys, places, *boxes = self._heap
-        room = min(_MOST_OPEN, int(count[0]) + cells + 2)
-        more = room - keys.size
-        if more > 0:
-            places = np.append(places, np.arange(keys.size, room))
-            low, high = (np.pad(ends, ((0, more), (0, 0))) for ends in boxes)
-            self._heap = Heap(count, np.pad(keys, (0, more)), places, low, high)
+    def _keep(self, kept: Bools) -> None:
+        self._low, self._high = self._low[kept], self._high[kept]
+        self._bounds, self._cuts = self._bounds[kept], self._cuts[kept]
+
+    def _cut(self, count: int, margins: tuple[float, float]) -> None:
+        """Cuts the lowest cells in two."""
+        lowest = np.argpartition(self._bounds, count - 1)[:count]
+        low, high, bounds, cuts = (
+            np.repeat(each[lowest], 2, axis=0)
+            for each in (self._low, self._high, self._bounds, self._cuts)
+        )
+        first, last = np.arange(0, 2 * count, 2), np.arange(1, 2 * count, 2)
+        middle = middles(low[first, cuts[first]], high[first, cuts[first]])
+        high[first, cuts[first]] = low[last, cuts[last]] = middle
+        self.num_cells += count
+        kept = np.ones(self._bounds.size, dtype=bool)
+        kept[lowest] = False
+        self._keep(kept)
+        self._add(low, high, bounds, cuts, margins)
+
+    def _add(
+        self, low: Floats, high: Floats, bounds: Floats, cuts: Ints, margins: tuple[float, float]
+    ) -> None:
+        """Bounds cells, and opens those that may hold a minimizer."""
+        bound_cells(self._problem, low, high, margins, bounds, cuts)
+        left = bounds < np.inf
+        self._low = np.concatenate([self._low, low[left]])
+        self._high = np.concatenate([self._high, high[left]])
+        self._bounds = np.append(self._bounds, bounds[left])
+        self._cuts = np.append(self._cuts, cuts[left])
 
     def _priced_rows(self) -> Rows:
         """Returns rows with which the Lagrangian has next to no slope at the best point."""
-        low, high, *_ = self._rows
-        count, x = low.size + 1, self.best
+        tape, rows, outer, x, _ = self._problem
+        low, high, *_ = rows
+        count = low.size + 1
         if count == 1 or not math.isfinite(self.least):
-            return self._rows
+            return rows
         points = np.tile(x, (count, 1))
-        jets = enclose_all(self._tape, np.arange(count), points, points, GRADIENT)
+        jets = enclose_all(tape, np.arange(count), points, points, GRADIENT)
         if not np.all(np.isfinite(jets)):
-            return self._rows
+            return rows
         values, gradients = np.mean(jets[:, 0], axis=-1), np.mean(jets[:, 1:], axis=-1)
         at_low, at_high = _is_at(values[1:], low), _is_at(values[1:], high)
         # Of the side that is active: λ ≥ 0 at the upper one, ≤ 0 at the lower one.
         signs = np.where(at_high, 1.0, -1.0)
         active = at_low | at_high
-        free = ~np.any([_is_at(x, bound) for bound in self._outer], axis=0)
+        free = ~np.any([_is_at(x, bound) for bound in outer], axis=0)
         slopes = np.zeros(count - 1)
         while np.any(active) and np.any(free):
             matrix = gradients[1:][np.ix_(active, free)].T
@@ -117,21 +155,27 @@ class CellSearch:
         return Rows(low, high, targets, np.where(active, slopes, 0.0), bends)
 
     @property
+    def is_over(self) -> bool:
+        """Whether no cell is left that can be cut."""
+        return not self._bounds.size
+
+    @property
     def is_empty(self) -> bool:
         """Whether no point of the box meets all rows."""
-        return self._heap.used[0] == 0 and self._settled == np.inf
+        return self.is_over and bool(self._problem.known[1] == np.inf)
 
     @property
     def lower_bound(self) -> float:
         """Of f over all feasible points; at most the best value."""
-        first = float(self._heap.keys[0]) if self._heap.used[0] else np.inf
-        return min(first, self._settled, self.least)
+        return float(np.min(self._bounds, initial=np.min(self._problem.known)))
 
     @property
-    def lowest_cell(self) -> Floats | None:
-        """Lower and upper ends (2, n) of the open cell of the lowest bound, if there is one."""
-        heap, place = self._heap, self._heap.places[0]
-        return np.array([heap.low[place], heap.high[place]]) if heap.used[0] else None
+    def lowest_point(self) -> Floats | None:
+        """The middle (n,) of the open cell of the lowest bound, if there is one."""
+        if self.is_over:
+            return None
+        lowest = int(np.argmin(self._bounds))
+        return middles(self._low[lowest], self._high[lowest])
 
     @property
     def hull(self) -> Floats | None:
@@ -139,14 +183,13 @@ class CellSearch:
 
         It holds the best point, too. None if there is no such cell.
         """
-        count, keys, places, low, high = self._heap
-        places = places[: count[0]][keys[: count[0]] <= self.least]
-        if not places.size:
+        below = self._bounds <= self.least
+        if not np.any(below):
             return None
-        ends = np.array([low[places].min(axis=0), high[places].max(axis=0)])
+        low, high = self._low[below].min(axis=0), self._high[below].max(axis=0)
         if math.isfinite(self.least):
-            ends = np.array([np.minimum(ends[0], self.best), np.maximum(ends[1], self.best)])
-        return ends
+            low, high = np.minimum(low, self.best), np.maximum(high, self.best)
+        return np.array([low, high])
 
 
 def _is_at(values: Floats, bounds: Floats) -> Bools:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.cells import CellSearch
-from drake_aigto.certify.clique_cells import MOST_VARIABLES
-from drake_aigto.certify.cliques import CliqueSearch, elimination
+from drake_aigto.certify.cliques import MOST_VARIABLES, CliqueSearch, elimination
+from drake_aigto.certify.contraction import contract_box
 from drake_aigto.certify.enclosures import SumOfFormulas
 from drake_aigto.certify.formulas import Formulas, formula_of, make_tape, read_formulas
 from drake_aigto.certify.squares import SquaresBound, bound_by_squares
@@ -26,6 +26,8 @@ _MOST_VARIABLES = 10
 # Of up to this many variables, cells of all of them converge faster than trees of cliques.
 _FEW = 4
 _FIRST_CHUNK = 500
+# Costs below it are lost in what rounding adds to numbers that may underflow.
+_LEAST_SCALE = 1e-290
 # Polynomials of more variables are too many to multiply out.
 _MOST_OF_SQUARES = 1000
 # Cells are settled at this part of the required gap.
@@ -40,6 +42,7 @@ class Method(enum.Enum):
     CELLS = "branch and bound over cells of all variables"
     CLIQUES = "dynamic programming over bins of a tree of small cliques"
     SQUARES = "sums of squares over cliques of variables"
+    ROWS = "rows that leave nothing of the bounds"
     SUM = "the sum of what each summand is at least"
     NONE = "no bound"
 
@@ -86,7 +89,7 @@ def relative_gap(cost: float, bound: float, scale: float) -> float:
     """Returns (cost − bound) / max(|cost|, scale), 0 or more; ∞ where one is missing."""
     if not (math.isfinite(cost) and math.isfinite(bound)):
         return math.inf
-    return max(0.0, cost - bound) / max(abs(cost), scale, 1e-300)
+    return max(0.0, cost - bound) / max(abs(cost), scale, _LEAST_SCALE)
 
 
 def certify(
@@ -129,27 +132,31 @@ class Certifier:
 
     def __init__(self, prog: MathematicalProgram, gap: float = 1e-6) -> None:
         """Chooses a method by the program's structure."""
-        self._formulas = formulas = read_formulas(prog)
-        self._gap = gap
+        self._asked = read_formulas(prog)
+        self._formulas, is_feasible = _narrowed(self._asked)
+        formulas, self._gap = self._formulas, gap
         self._search: CellSearch | CliqueSearch | None = None
         self._squares: SquaresBound | None = None
         self._method, order = Method.SUM, self._order()
-        if order is not None:
+        if not is_feasible:
+            self._method = Method.ROWS
+        elif order is not None:
             self._method, self._search = Method.CLIQUES, CliqueSearch(formulas, order)
         elif 0 < formulas.lower.size <= _MOST_VARIABLES:
             self._method, self._search = Method.CELLS, CellSearch(formulas, _MARGIN * gap)
         self._cost = _sum_of(formulas) if self._search is None else self._search.cost
-        self.least_sum, most = self._cost.range(formulas.lower, formulas.upper)
+        least, most = self._cost.range(formulas.lower, formulas.upper)
+        self.least_sum = least if is_feasible else math.inf
         # The variation of the cost over the bounds, if that is below 1 in its own unit.
         width = most - self.least_sum
-        self._scale = min(1.0, width) if math.isfinite(width) else 1.0
+        self._scale = max(min(1.0, width), _LEAST_SCALE) if math.isfinite(width) else 1.0
         self._best, self._best_cost = np.full(formulas.lower.size, np.nan), math.inf
 
     def _order(self) -> list[tuple[int, ...]] | None:
         """Returns in which order variables of small cliques are eliminated; None: of others."""
         formulas = self._formulas
-        size = formulas.lower.size
-        if size <= _FEW or not np.all(np.isfinite(formulas.upper - formulas.lower)):
+        size, few = formulas.lower.size, _MOST_VARIABLES if formulas.rows else _FEW
+        if size <= few or not np.all(np.isfinite(formulas.upper - formulas.lower)):
             return None
         read = [each.variables for each in (*formulas.summands, *formulas.rows)]
         if max(map(len, read), default=0) > MOST_VARIABLES:
@@ -158,7 +165,7 @@ class Certifier:
 
     def offer(self, x: Floats) -> None:
         """Takes a point that meets all constraints, if it is the best so far."""
-        x = np.clip(x, self._formulas.lower, self._formulas.upper)
+        x = np.clip(x, self._asked.lower, self._asked.upper)
         value = self._cost.range(x, x)[1]
         if value < self._best_cost:
             self._best, self._best_cost = x, value
@@ -209,8 +216,7 @@ class Certifier:
                 break
             chunk *= 2
             if self._formulas.rows:
-                cell = search.lowest_cell
-                start = None if cell is None else np.clip(np.mean(cell, axis=0), *cell)
+                start = search.lowest_point
             else:
                 start = search.best.copy() if search.least < last else None
             if start is not None and np.all(np.isfinite(start)):
@@ -260,6 +266,8 @@ class Certifier:
             return ""
         if bound == -math.inf:
             return _missing(formulas) or "the cost falls without end in some cell"
+        if isinstance(self._search, CellSearch) and self._search.is_over:
+            return "cells are as small as numbers allow, or their number is"
         if self._search is not None:
             return "the cells allowed were used up"
         coupled = (
@@ -270,6 +278,18 @@ class Certifier:
             return f"{coupled}; sums of squares leave this gap"
         squares = self._squares.reason if self._squares else ""
         return f"{coupled}; no sums of squares: {squares}" if squares else coupled
+
+
+def _narrowed(formulas: Formulas) -> tuple[Formulas, bool]:
+    """Returns formulas with bounds that rows leave something of, and whether they leave any."""
+    everything, rows = range(formulas.lower.size), formulas.rows
+    tape = make_tape(formula_of((row,), everything) for row in rows)
+    lower, upper = formulas.lower.copy(), formulas.upper.copy()
+    sides = np.array([[row.lower for row in rows], [row.upper for row in rows]])
+    is_feasible = bool(np.all(lower <= upper)) and contract_box(
+        tape, sides[0], sides[1], lower, upper
+    )
+    return (replace(formulas, lower=lower, upper=upper) if is_feasible else formulas), is_feasible
 
 
 def _sum_of(formulas: Formulas) -> SumOfFormulas:

@@ -18,26 +18,27 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Bools, Floats
-from drake_aigto.certify.clique_cells import (
-    MOST_VARIABLES,
-    Bins,
-    Group,
-    bound_box,
-    bound_cells,
-    may_hold_minima,
-    moved_slopes,
-    slopes_of,
+from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.certify.enclosures import (
+    GRADIENT,
+    HESSIAN,
+    SumOfFormulas,
+    enclose_all,
+    sum_outward,
 )
-from drake_aigto.certify.enclosures import SumOfFormulas
+from drake_aigto.certify.expansions import bound_tables, curvatures, separable_bound
 from drake_aigto.certify.formulas import Formulas, formula_of, make_tape
 from drake_aigto.certify.intervals import UNIT
 
+MOST_VARIABLES = 3  # of a clique
 _FIRST_BINS = 16
 _SWEEPS = 2  # over all bins, before their cells are bounded
+_LARGE = 1e290  # Sums of what is larger would overflow.
 
 
 def elimination(
@@ -69,6 +70,48 @@ def elimination(
             beside[j] -= {i, j}
             heapq.heappush(queue, (len(beside[j]), j))
     return order
+
+
+class Bins(NamedTuple):
+    """Bins of all variables, one variable after the other.
+
+    Attributes:
+        starts: first bin of each variable (n + 1,).
+        low: lower ends (K,).
+        high: upper ends (K,).
+        points: c (K,).
+    """
+
+    starts: Ints
+    low: Floats
+    high: Floats
+    points: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Formulas of as many variables, all of them costs or all of them rows.
+
+    Attributes:
+        formulas: their numbers (G,).
+        variables: those that each reads (G, m).
+        rows: lower and upper bounds (2, G) of rows; (2, 0) of costs.
+    """
+
+    formulas: Ints
+    variables: Ints
+    rows: Floats
+
+    def bins(self, starts: Ints) -> tuple[Ints, Ints, Ints]:
+        """Returns all S bins of each variable of each formula, in the order formula, variable, bin.
+
+        Their formulas, which of the formula's variables each is of, and the bins, all (S,).
+        """
+        read = self.variables.ravel()
+        counts = np.diff(starts)[read]
+        owners = np.repeat(np.arange(read.size), counts)
+        own = np.arange(owners.size) - np.repeat(np.cumsum(counts) - counts, counts)
+        return *np.divmod(owners, self.variables.shape[1]), starts[read][owners] + own
 
 
 class CliqueSearch:
@@ -125,15 +168,16 @@ class CliqueSearch:
         for formula, variables in enumerate(self._variables):
             found.setdefault((len(variables), formula >= len(costs)), []).append(formula)
         bounds = np.array([[row.lower for row in rows], [row.upper for row in rows]])
-        self._groups = [
+        groups = [
             Group(
                 np.array(numbers),
                 np.array([self._variables[k] for k in numbers]),
-                bounds[:, np.array(numbers) - len(costs)] if is_row else None,
+                np.ascontiguousarray(bounds[:, [k - len(costs) for k in numbers if is_row]]),
             )
             for (_, is_row), numbers in found.items()
         ]
-        self._costs = [group for group in self._groups if group.rows is None]
+        self._groups = groups
+        self._costs = [group for group in groups if not group.rows.size]
         self._coupled = [group for group in self._costs if group.variables.shape[1] > 1]
 
     def offer(self, x: Floats, value: float) -> None:
@@ -155,14 +199,16 @@ class CliqueSearch:
         """Bounds all cells, and returns a point of the lowest ones; see `drop`."""
         self._drop_by_slopes()
         bins = self._bins()
-        self._pass_up(self._fill(bins), bins)
-        if not math.isfinite(self._total):
-            self.is_empty = self._total == np.inf
-            self.lower_bound = min(self.least, self._total)
-            return self.best
-        bound = self._total - self._margin
-        self.lower_bound = max(self.lower_bound, min(bound, self.least))
-        return self._pass_down(bins)
+        with np.errstate(invalid="ignore"):
+            self._pass_up(self._fill(bins), bins)
+            if math.isfinite(self._total):
+                bound = self._total - self._margin
+                self.lower_bound = max(self.lower_bound, min(bound, self.least))
+                return self._pass_down(bins)
+        # Nothing is known of any bin where a cell has no bound.
+        self._marginals = np.full(bins.low.size, self._total)
+        self.is_empty = self._total == np.inf
+        return self.best
 
     def drop(self) -> None:
         """Drops the bins that hold nothing below the best value, and halves the others."""
@@ -185,17 +231,40 @@ class CliqueSearch:
         if len(self._costs) < len(self._groups):
             return
         for _ in range(_SWEEPS):
-            keep = may_hold_minima(self._tape, self._costs, self._bins(), *self._outer)
+            keep = self._may_hold_minima()
             if np.all(keep):
                 return
             is_any = np.logical_or.reduceat(keep, self._starts[:-1])
             self._narrow(keep | ~np.repeat(is_any, np.diff(self._starts)), 1)
 
+    def _may_hold_minima(self) -> Bools:
+        """Returns for each bin whether f may have a minimum in it along its own variable (K,)."""
+        slopes, bends, owners = [], [], []
+        for group in self._costs:
+            of, local, own = group.bins(self._starts)
+            ends, rows = self.hull[:, group.variables[of]], np.arange(own.size)
+            ends[0, rows, local], ends[1, rows, local] = self._low[own], self._high[own]
+            over = enclose_all(self._tape, group.formulas[of], ends[0], ends[1], HESSIAN)
+            slopes.append(over[rows, 1 + local])
+            bends.append(over[rows, 1 + ends.shape[2] + local * (local + 1) // 2 + local])
+            owners.append(own)
+        whose, count = np.concatenate(owners), self._low.size
+        with np.errstate(invalid="ignore"):
+            rise = sum_outward(np.concatenate(slopes), whose, count)
+            bend = sum_outward(np.concatenate(bends), whose, count)
+        lower, upper = (np.repeat(side, np.diff(self._starts)) for side in self._outer)
+        at_lower, at_upper = self._low == lower, self._high == upper
+        is_bent = (bend[:, 1] < 0.0) & ~at_lower & ~at_upper
+        falls, rises = (rise[:, 1] < 0.0) & ~at_upper, (rise[:, 0] > 0.0) & ~at_lower
+        # Where a Hessian is finite, f has values around the bin, too.
+        is_smooth = np.all(np.isfinite(np.hstack([rise, bend])), axis=1)
+        return ~(is_smooth & (rises | falls | is_bent))
+
     def _narrow(self, keep: Bools, times: int) -> None:
         """Leaves some bins, each as many times; they inherit the neighbors of their own."""
-        bins = self._bins()
         for group, points in self._partners.items():
-            self._partners[group] = np.repeat(points[keep[group.bins(bins)[-1]]], times, axis=0)
+            kept_points = points[keep[group.bins(self._starts)[-1]]]
+            self._partners[group] = np.repeat(kept_points, times, axis=0)
         kept = np.add.reduceat(keep, self._starts[:-1], dtype=np.int64)
         self._starts = np.concatenate([[0], np.cumsum(times * kept)])
         self._low, self._high = (np.repeat(ends[keep], times) for ends in (self._low, self._high))
@@ -208,35 +277,47 @@ class CliqueSearch:
 
     def _fill(self, bins: Bins) -> list[Floats]:
         """Returns a table of bounds for each formula, an axis for each variable."""
-        slopes = {
-            group: slopes_of(self._tape, group, bins, self._slope_points(group, bins))
-            for group in self._coupled
-        }
-        moved = moved_slopes(slopes, bins)
+        slopes = {group: self._slopes(group, bins) for group in self._coupled}
+        values = np.concatenate([np.empty(0), *slopes.values()])
+        owners = [np.empty(0, dtype=np.int64), *(g.bins(bins.starts)[-1] for g in slopes)]
+        ends, counts = np.column_stack([values, values]), np.diff(bins.starts)
+        # The slopes that are moved to functions of one variable, for each bin.
+        moved = sum_outward(ends, np.concatenate(owners), bins.low.size)
         tables: list[Floats] = [np.empty(0)] * len(self._variables)
         for group in self._groups:
-            found = bound_cells(self._tape, group, bins, slopes.get(group), moved)
-            for formula, table in zip(group.formulas.tolist(), found, strict=True):
-                tables[formula] = table
+            own = -np.repeat(slopes[group][:, None], 2, axis=1) if group in slopes else moved
+            found = bound_tables(self._tape, group.formulas, group.variables, bins, own, group.rows)
+            shapes = counts[group.variables]
+            parts = np.split(found, np.cumsum(np.prod(shapes, axis=1))[:-1])
+            for formula, table, shape in zip(group.formulas, parts, shapes, strict=True):
+                tables[formula] = table.reshape(shape)
         return tables
 
-    def _slope_points(self, group: Group, bins: Bins) -> Floats:
-        """Returns where each slope is taken: of each bin, all variables of the formula (S, m)."""
-        of, local, own = group.bins(bins)
-        points = self._partners.get(group, self.best[group.variables[of]])
-        points[np.arange(own.size), local] = bins.points[own]
-        return points
+    def _slopes(self, group: Group, bins: Bins) -> Floats:
+        """Returns s: a formula's slope along a variable, at each bin and its neighbors (S,)."""
+        of, local, own = group.bins(bins.starts)
+        points, rows = (
+            self._partners.get(group, self.best[group.variables[of]]),
+            np.arange(own.size),
+        )
+        points[rows, local] = bins.points[own]
+        found = enclose_all(self._tape, group.formulas[of], points, points, GRADIENT)
+        slopes = np.mean(found[rows, 1 + local], axis=-1)
+        return np.where(np.isfinite(slopes), slopes, 0.0)
 
     def _pass_up(self, tables: Sequence[Floats], bins: Bins) -> None:
         """Adds tables up along the elimination, and sets the total."""
         self.num_cells += sum(table.size for table in tables)
-        counts, order = bins.counts, self._order
+        counts, order = np.diff(bins.starts), self._order
         self._sums = [np.zeros(counts[list(clique)]) for clique in order]
+        # No sum with a larger entry is as low as the best value.
+        lowest = sum(abs(float(np.min(table))) for table in tables)
+        most = min(_LARGE, 2.0 * (abs(self.least) + lowest))
         size = 0.0
         for table, variables, home in zip(tables, self._variables, self._home, strict=True):
-            self._sums[home] += _spread(table, variables, order[home])
-            finite = np.abs(table[np.isfinite(table)])
-            size += float(np.max(finite, initial=0.0))
+            table[np.isfinite(table) & (table > most)] = most
+            self._sums[home] = _sum(self._sums[home], _spread(table, variables, order[home]))
+            size += float(np.max(np.abs(table[np.isfinite(table)]), initial=0.0))
         # Every addition is off by half a unit of what is never more than all tables' largest.
         self._margin = (len(tables) + 2 * len(order)) * UNIT * size
         self._messages: list[Floats] = []
@@ -246,9 +327,10 @@ class CliqueSearch:
             self._messages.append(message)
             if len(clique) > 1:
                 parent = self._first(clique[1:])
-                self._sums[parent] += _spread(message, clique[1:], order[parent])
+                own = _spread(message, clique[1:], order[parent])
+                self._sums[parent] = _sum(self._sums[parent], own)
             else:
-                self._total += float(message)
+                self._total = float(_sum(np.array(self._total), message))
 
     def _first(self, variables: Sequence[int]) -> int:
         """Returns the number of the clique with which the first of some variables is eliminated."""
@@ -262,17 +344,16 @@ class CliqueSearch:
         for number in range(len(order) - 1, -1, -1):
             clique = order[number]
             if len(clique) == 1:
-                outside = self._total - self._messages[number]
+                outside = np.array(self._total - self._messages[number])
             else:
                 parent = self._first(clique[1:])
                 above = self._sums[parent]
                 own = _spread(self._messages[number], clique[1:], order[parent])
-                with np.errstate(invalid="ignore"):
-                    rest = np.where(np.isinf(above), np.inf, above - own)
+                rest = np.where(np.isinf(above), np.inf, above - own)
                 axes = [a for a, i in enumerate(order[parent]) if i not in clique[1:]]
                 kept = [i for i in order[parent] if i in clique[1:]]
                 outside = _spread(rest.min(axis=tuple(axes)), kept, clique[1:])
-            sums = self._sums[number] = self._sums[number] + outside
+            sums = self._sums[number] = _sum(self._sums[number], outside)
             marginals[clique[0]] = sums.min(axis=tuple(range(1, sums.ndim)))
             at = tuple(chosen[list(clique[1:])])
             chosen[clique[0]] = np.argmin(sums[(slice(None), *at)])
@@ -307,10 +388,34 @@ class CliqueSearch:
             return
         low = np.minimum.reduceat(np.where(keep, self._low, np.inf), self._starts[:-1])
         high = np.maximum.reduceat(np.where(keep, self._high, -np.inf), self._starts[:-1])
-        if np.any(self.best < low) or np.any(self.best > high):
-            return
-        bound = bound_box(self._tape, self._costs, low, high, self.best)
-        self.lower_bound = max(self.lower_bound, min(bound, self.least))
+        if np.all((low <= self.best) & (self.best <= high)):
+            bound = min(self._box_bound(low, high), self.least)
+            self.lower_bound = max(self.lower_bound, bound)
+
+    def _box_bound(self, low: Floats, high: Floats) -> float:
+        """Returns a bound over a box about the best point: tight if all f is convex there."""
+        values, slopes, bends, owners, point = [], [], [], [], self.best
+        for group in self._costs:
+            read, formulas = group.variables, group.formulas
+            about = enclose_all(self._tape, formulas, point[read], point[read], GRADIENT)
+            over = enclose_all(self._tape, formulas, low[read], high[read], HESSIAN)
+            values += list(about[:, 0])
+            slopes.append(about[:, 1:].reshape(-1, 2))
+            bends.append(curvatures(over, read.shape[1]).ravel())
+            owners.append(read.ravel())
+        whose, bend = np.concatenate(owners), np.concatenate(bends)
+        with np.errstate(invalid="ignore"):
+            total = sum_outward(np.array(values), np.zeros(len(values), dtype=np.int64), 1)[0, 0]
+            slope = sum_outward(np.concatenate(slopes), whose, low.size)
+            bend = sum_outward(np.column_stack([bend, bend]), whose, low.size)[:, 0]
+        bound = separable_bound(total, slope, bend, point, (low, high))
+        return bound if math.isfinite(bound) else -math.inf
+
+
+def _sum(a: Floats, b: Floats) -> Floats:
+    """Returns a + b; ∞ where either is, as there is no feasible point."""
+    total = a + b
+    return np.where(np.isnan(total), np.inf, total)
 
 
 def _spread(table: Floats, variables: Sequence[int], clique: Sequence[int]) -> Floats:

@@ -2,8 +2,9 @@
 
 Derivatives go forward along the tape (Moore, Kearfott & Cloud 2009, "Introduction to Interval
 Analysis", ch. 9). At a kink within the box, gradients are those of both sides, which makes the
-mean value theorem hold there too (Clarke 1983, ch. 2), and Hessians are all numbers. So are all
-derivatives where a root or a logarithm has no value in a part of the box.
+mean value theorem hold there too (Clarke 1983, ch. 2), and Hessians are all numbers. These are so
+too where the argument of a root or a logarithm comes down to 0, and all derivatives where there is
+no value in a part of the box: a finite Hessian says that f has values around the box, too.
 
 A jet of a function of L variables has J intervals (low, high), shape (J, 2): its value, the L of
 its gradient, and its Hessian, of which row i ≥ column j is at 1 + L + i (i + 1)/2 + j. Of order 0
@@ -95,9 +96,9 @@ def _derivatives(
         cube = power(value, 3)
         return value, minus(power(value, 2)), (2.0 * cube[0], 2.0 * cube[1])
     if operation == Operation.REAL_POWER:
-        both = scaled(p, plus((p, p), (-1.0, -1.0)))
-        second = times(both, real_power(x, p - 2.0))
-        return real_power(x, p), scaled(p, real_power(x, p - 1.0)), second
+        less, least = plus((p, p), (-1.0, -1.0)), plus((p, p), (-2.0, -2.0))
+        second = times(scaled(p, less), real_power(x, least))
+        return real_power(x, (p, p)), scaled(p, real_power(x, less)), second
     if operation == Operation.LOG:
         first = reciprocal((max(x[0], 0.0), x[1]))
         return logarithm(x), first, minus(power(first, 2))
@@ -199,7 +200,7 @@ def enclose(tape: Tape, formula: int, low: Floats, high: Floats, order: int, jet
     """
     operations, first, second, numbers, starts = tape
     start, last = starts[formula], starts[formula + 1] - starts[formula] - 1
-    size, count, is_partial = low.size, jet_size(low.size, order), False
+    size, count, is_partial, is_open = low.size, jet_size(low.size, order), False, True
     for k in range(last + 1):
         operation, a, b = operations[start + k], first[start + k], second[start + k]
         p = numbers[start + k]
@@ -228,14 +229,15 @@ def enclose(tape: Tape, formula: int, low: Floats, high: Floats, order: int, jet
             _take_larger(jets, k, a, b, sign, size, count)
         else:
             x = at(jets, a, 0)
-            is_root = operation == Operation.LOG or operation == Operation.REAL_POWER
-            is_partial |= is_root and x[0] < 0.0
+            if operation == Operation.LOG or operation == Operation.REAL_POWER:
+                is_partial |= x[0] < 0.0
+                is_open &= x[0] > 0.0
             values = _derivatives(operation, x, b, p, order)
             if values[0][0] > values[0][1]:
                 return -1
             _apply(jets, k, a, values, size, order)
-    if is_partial:
-        for place in range(1, count):
+    if not is_open:
+        for place in range(1 if is_partial else 1 + size, count):
             put(jets, last, place, (-np.inf, np.inf))
     return last
 

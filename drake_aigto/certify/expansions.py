@@ -17,18 +17,31 @@ import math
 
 import numpy as np
 
-from drake_aigto.arrays import Bools, Floats
-from drake_aigto.certify.enclosures import at, put
-from drake_aigto.certify.intervals import UNIT, Interval, down, plus, times, up
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, VALUE, at, enclose, make_scratch
+from drake_aigto.certify.formulas import Tape
+from drake_aigto.certify.intervals import (
+    TINY,
+    UNIT,
+    Interval,
+    down,
+    plus,
+    times,
+    up,
+    up_product,
+    up_quotient,
+)
 from drake_aigto.kernels import inner, kernel
 
 # A Cholesky factor of A − δ I that rounding lets be found shows A to be positive definite where
-# δ ≥ (n + 2) u tr A (Rump 2006, "Verification of positive definiteness", BIT 46:433-452).
+# δ ≥ (n + 2) u tr A (Rump 2006, "Verification of positive definiteness", BIT 46:433-452), unless
+# products underflow.
 _ROUNDING = 16.0 * UNIT
+_LEAST_TRACE = 1e-200
 
-
-ABOUT, OVER = 0, 1  # jets of f about a point, and over a cell
-_STEPS = 8  # of the descent within a cell where f is convex
+# Room for jets of entries (E, J, 2), jets about a point and over a cell (J, 2), steps (L, 2), a
+# matrix (L, L), and scales (L,).
+Room = tuple[Floats, Floats, Floats, Floats, Floats, Floats]
 
 
 @inner
@@ -38,7 +51,7 @@ def bend_place(size: int, i: int, j: int) -> int:
 
 
 @inner
-def _least_quadratic(slope: Interval, curvature: float, step: Interval) -> float:
+def least_quadratic(slope: Interval, curvature: float, step: Interval) -> float:
     """Returns a bound of g d + ½ κ d² over g and d in intervals, that of d with 0 in it."""
     if not math.isfinite(curvature):
         return -np.inf
@@ -46,9 +59,10 @@ def _least_quadratic(slope: Interval, curvature: float, step: Interval) -> float
     for g in slope:
         for d in step:
             best = min(best, _least_of(g, curvature, d))
-        if curvature > 0.0 and step[0] * curvature < -g < step[1] * curvature:
+        is_before = -g <= step[0] * curvature - TINY
+        if curvature > 0.0 and not (is_before or -g >= step[1] * curvature + TINY):
             # Its lowest point anywhere, −g²/2κ.
-            best = min(best, -up(up(up(g * g) / (2.0 * curvature))))
+            best = min(best, -up_product(abs(g), up_quotient(abs(g), 2.0 * curvature)))
     return best
 
 
@@ -58,11 +72,12 @@ def _least_of(slope: float, curvature: float, d: float) -> float:
         return -np.inf if slope * d < 0.0 or curvature < 0.0 else 0.0
     straight, bent = slope * d, 0.5 * curvature * d * d
     # Two roundings of one, three of the other, and one of the sum.
-    return straight + bent - 4.0 * UNIT * (abs(straight) + abs(bent)) - 1e-300
+    value = straight + bent - 4.0 * UNIT * (abs(straight) + abs(bent)) - TINY
+    return value if value < np.inf else -np.inf
 
 
 @inner
-def _curvature(over: Floats, scales: Floats, i: int) -> float:
+def curvature(over: Floats, scales: Floats, i: int) -> float:
     """Returns κ_i, where ½ dᵀHd ≥ ½ Σ κ_i d_i² for all H in a jet (J, 2)."""
     size = scales.size
     total = over[bend_place(size, i, i), 0]
@@ -71,7 +86,7 @@ def _curvature(over: Floats, scales: Floats, i: int) -> float:
             place = bend_place(size, i, j)
             most = max(-over[place, 0], over[place, 1])
             if most > 0.0:
-                total = down(total - up(up(most * scales[j]) / scales[i]))
+                total = down(total - up_product(most, up_quotient(scales[j], scales[i])))
     return total
 
 
@@ -87,6 +102,8 @@ def _is_convex(over: Floats, scales: Floats, matrix: Floats) -> bool:
                 return False
             matrix[i, j] = 0.5 * low + 0.5 * high
         trace += abs(matrix[i, i])
+    if not trace > _LEAST_TRACE:
+        return False
     for i in range(size):
         radius = 0.0
         for j in range(size):
@@ -94,7 +111,7 @@ def _is_convex(over: Floats, scales: Floats, matrix: Floats) -> bool:
             # (low + high)/2 is off by less than a unit of either.
             own = 0.5 * (over[place, 1] - over[place, 0])
             own += _ROUNDING * (abs(over[place, 0]) + abs(over[place, 1]))
-            radius += own * scales[j] / scales[i]
+            radius += up_product(own, up_quotient(scales[j], scales[i]))
         matrix[i, i] -= radius * (1.0 + _ROUNDING) + _ROUNDING * (size + 2) * (trace + radius)
     for j in range(size):
         for i in range(j, size):
@@ -111,6 +128,16 @@ def _is_convex(over: Floats, scales: Floats, matrix: Floats) -> bool:
 
 
 @inner
+def _plane_bound(about: Floats, steps: Floats) -> float:
+    """Returns a bound of a convex function, by its tangent at the point."""
+    bound = about[0, 0]
+    for i in range(steps.shape[0]):
+        slope, step = (about[1 + i, 0], about[1 + i, 1]), (steps[i, 0], steps[i, 1])
+        bound = down(bound + times(slope, step)[0])
+    return bound
+
+
+@inner
 def expansion_bound(
     about: Floats, over: Floats, steps: Floats, matrix: Floats, scales: Floats
 ) -> tuple[float, bool]:
@@ -124,19 +151,26 @@ def expansion_bound(
         scales: room (L,).
     """
     for i in range(scales.size):
-        scales[i] = max(steps[i, 1] - steps[i, 0], 1e-300)
+        scales[i] = max(steps[i, 1] - steps[i, 0], TINY)
     is_bowl = _is_convex(over, scales, matrix)
-    mean = bent = flat = about[0, 0]
+    mean = bent = about[0, 0]
     for i in range(scales.size):
         step, slope = (steps[i, 0], steps[i, 1]), (about[1 + i, 0], about[1 + i, 1])
         mean = down(mean + times((over[1 + i, 0], over[1 + i, 1]), step)[0])
-        flat = down(flat + times(slope, step)[0])
-        bent = down(bent + _least_quadratic(slope, _curvature(over, scales, i), step))
+        bent = down(bent + least_quadratic(slope, curvature(over, scales, i), step))
     best = -np.inf
-    for bound in (mean, bent, flat if is_bowl else -np.inf):
+    for bound in (mean, bent, _plane_bound(about, steps) if is_bowl else -np.inf):
         if bound > best:  # NaN is not
             best = bound
     return best, is_bowl
+
+
+@inner
+def set_steps(point: Floats, low: Floats, high: Floats, steps: Floats) -> None:
+    """Fills x − c of a cell's ends (L, 2), rounded outward, with 0 in between."""
+    for i in range(point.size):
+        steps[i, 0] = min(down(low[i] - point[i]), 0.0)
+        steps[i, 1] = max(up(high[i] - point[i]), 0.0)
 
 
 @inner
@@ -151,112 +185,203 @@ def middle_of(low: float, high: float) -> float:
     return min(max(0.5 * low + 0.5 * high, low), high)
 
 
-@inner
-def choose_point(low: Floats, high: Floats, best: Floats, point: Floats) -> None:
-    """Fills the point of a cell that is nearest to the best known one, if that is near; else c."""
-    is_near = True
+@kernel
+def middles(low: Floats, high: Floats) -> Floats:
+    """Returns where sides are cut (n,)."""
+    found = np.empty(low.size)
     for i in range(low.size):
-        reach = high[i] - low[i]
-        is_near &= low[i] - reach <= best[i] <= high[i] + reach
-    for i in range(low.size):
-        if is_near:
-            point[i] = min(max(best[i], low[i]), high[i])
-        else:
-            point[i] = middle_of(low[i], high[i])
-
-
-@inner
-def set_steps(point: Floats, low: Floats, high: Floats, steps: Floats) -> None:
-    """Fills x − c of a cell's ends (L, 2), rounded outward, with 0 in between."""
-    for i in range(point.size):
-        steps[i, 0] = min(down(low[i] - point[i]), 0.0)
-        steps[i, 1] = max(up(high[i] - point[i]), 0.0)
-
-
-@inner
-def descend(jets: Floats, start: Floats, low: Floats, high: Floats, point: Floats) -> None:
-    """Fills where the model g d + ½ dᵀ H d is nearly least in a cell, a coordinate at a time."""
-    size = point.size
-    for i in range(size):
-        point[i] = start[i]
-    for _ in range(_STEPS):
-        for i in range(size):
-            slope = 0.5 * (jets[ABOUT, 1 + i, 0] + jets[ABOUT, 1 + i, 1])
-            curvature = 0.0
-            for j in range(size):
-                place = bend_place(size, i, j)
-                middle = 0.5 * (jets[OVER, place, 0] + jets[OVER, place, 1])
-                slope += middle * (point[j] - start[j])
-                curvature = middle if j == i else curvature
-            if curvature > 0.0:
-                point[i] = min(max(point[i] - slope / curvature, low[i]), high[i])
+        found[i] = middle_of(low[i], high[i])
+    return found
 
 
 @inner
 def mean_value(value: Interval, jets: Floats, entry: int, steps: Floats) -> Interval:
-    """Returns f over a cell by the mean value theorem.
+    """Returns the range of f over a cell, by itself and by the mean value theorem.
 
     Args:
         value: of f at a point of the cell.
-        jets: with the gradient over the cell (E, J, 2).
-        entry: which of them.
-        steps: as in `expansion_bound`.
+        jets: with the value and the gradient over the cell (E, J, 2).
+        entry: the jet of f.
+        steps: as `set_steps` fills them.
     """
     for i in range(steps.shape[0]):
         value = plus(value, times(at(jets, entry, 1 + i), (steps[i, 0], steps[i, 1])))
+    return max(value[0], jets[entry, 0, 0]), min(value[1], jets[entry, 0, 1])
+
+
+@inner
+def _bound_about(
+    tape: Tape,
+    formula: int,
+    cell: tuple[Floats, Floats],
+    point: Floats,
+    slopes: Floats,
+    is_convex: bool,
+    work: Room,
+) -> float:
+    """Returns a bound of f + s (x − c) over a cell; ∞ where f has no value. See `bound_all`."""
+    jets, about, over, steps, matrix, scales = work
+    low, high = cell
+    end = enclose(tape, formula, low, high, VALUE if is_convex else HESSIAN, jets)
+    if end < 0:
+        return np.inf
+    natural = jets[end, 0, 0]
+    over[:] = jets[end]
+    set_steps(point, low, high, steps)
+    for i in range(low.size):
+        natural = down(natural + times(at(slopes, i, 0), (steps[i, 0], steps[i, 1]))[0])
+    end = enclose(tape, formula, point, point, GRADIENT, jets)
+    if end < 0:
+        return natural
+    about[:] = jets[end]
+    for i in range(low.size):
+        for totals in (about, over):
+            slope = plus((totals[1 + i, 0], totals[1 + i, 1]), at(slopes, i, 0))
+            totals[1 + i, 0], totals[1 + i, 1] = slope
+    if is_convex:
+        bound = _plane_bound(about, steps)
+    else:
+        bound, _ = expansion_bound(about, over, steps, matrix, scales)
+    return bound if bound > natural else natural
+
+
+@inner
+def make_room(tape: Tape, size: int) -> Room:
+    """Returns room for jets of entries, two jets, steps, a matrix, and numbers per variable."""
+    jets = make_scratch(tape, size, HESSIAN)
+    two = np.empty((2, jets.shape[1], 2))
+    return jets, two[0], two[1], np.empty((size, 2)), np.empty((size, size)), np.empty(size)
+
+
+@kernel
+def bound_all(
+    tape: Tape,
+    formula: int,
+    low: Floats,
+    high: Floats,
+    slopes: Floats,
+    is_convex: bool,
+) -> Floats:
+    """Returns bounds of f + s (x − c) over cells (C,), c their middles; ∞ where f has no value.
+
+    Args:
+        tape: holds f.
+        formula: its number.
+        low: lower ends of the cells (C, L).
+        high: upper ends.
+        slopes: s (C, L).
+        is_convex: whether f is known to be convex.
+    """
+    size = low.shape[1]
+    found, work, point = np.empty(len(low)), make_room(tape, size), np.empty(size)
+    ends = np.empty((size, 1, 2))
+    for c in range(found.size):
+        for i in range(size):
+            point[i] = 0.5 * low[c, i] + 0.5 * high[c, i]
+            ends[i, 0, 0] = ends[i, 0, 1] = slopes[c, i]
+        cell = low[c], high[c]
+        found[c] = _bound_about(tape, formula, cell, point, ends, is_convex, work)
+    return found
+
+
+@kernel
+def curvatures(over: Floats, size: int) -> Floats:
+    """Returns κ (C, L) with dᵀHd ≥ Σ κ_i d_i² for all H in jets (C, J, 2), by Gershgorin."""
+    found, scales = np.empty((len(over), size)), np.ones(size)
+    for c in range(len(over)):
+        for i in range(size):
+            found[c, i] = curvature(over[c], scales, i)
+    return found
+
+
+@kernel
+def separable_bound(
+    value: float, slopes: Floats, bends: Floats, point: Floats, box: tuple[Floats, Floats]
+) -> float:
+    """Returns a bound of v + Σ_i (g_i d_i + ½ κ_i d_i²) over a box, d the steps from a point of it.
+
+    Args:
+        value: v.
+        slopes: g (n, 2).
+        bends: κ (n,).
+        point: shape (n,).
+        box: lower and upper ends (n,).
+    """
+    steps = np.empty((bends.size, 2))
+    set_steps(point, box[0], box[1], steps)
+    for i in range(bends.size):
+        slope, step = (slopes[i, 0], slopes[i, 1]), (steps[i, 0], steps[i, 1])
+        value = down(value + least_quadratic(slope, bends[i], step))
     return value
 
 
-def steps_from(point: Floats, low: Floats, high: Floats) -> Floats:
-    """Returns x − c of cells' ends (C, L, 2), rounded outward, with 0 in between."""
-    least, most = np.nextafter(low - point, -np.inf), np.nextafter(high - point, np.inf)
-    return np.stack([np.minimum(least, 0.0), np.maximum(most, 0.0)], axis=-1)
-
-
 @kernel
-def expand_all(about: Floats, over: Floats, slopes: Floats, steps: Floats) -> Floats:
-    """Returns bounds of f + s (x − c) over cells (C,); ∞ where f has no value.
+def bound_tables(
+    tape: Tape,
+    formulas: Ints,
+    variables: Ints,
+    bins: tuple[Ints, Floats, Floats, Floats],
+    slopes: Floats,
+    rows: Floats,
+) -> Floats:
+    """Returns bounds over all cells of formulas' bins, the last variable's bins side by side.
+
+    Of costs, of f + s (x − c); of rows, 0 where one may hold, else ∞.
 
     Args:
-        about: jets of f at the points c, with gradients (C, J, 2), to which s is added.
-        over: jets of f over the cells, with Hessians (C, J, 2), to which s is added.
-        slopes: s (C, L, 2).
-        steps: as `steps_from` returns them.
+        tape: holds the formulas.
+        formulas: their numbers (G,).
+        variables: those that each reads (G, m).
+        bins: the first of each variable (n + 1,); their lower ends, upper ends and points c (K,).
+        slopes: s of each bin of each variable of each formula (S, 2), of costs.
+        rows: lower and upper bounds (2, G) of rows; (2, 0) of costs.
     """
-    size = steps.shape[1]
-    found, matrix, scales = np.empty(len(steps)), np.empty((size, size)), np.empty(size)
-    for c in range(found.size):
-        natural = over[c, 0, 0]
-        found[c] = natural
-        if natural == np.inf:
-            continue
-        for i in range(size):
-            slope = at(slopes, c, i)
-            natural = down(natural + times(slope, at(steps, c, i))[0])
-            for jets in (about, over):
-                put(jets, c, 1 + i, plus(at(jets, c, 1 + i), slope))
-        bound = -np.inf
-        if np.isfinite(about[c, 0, 0]):
-            bound, _ = expansion_bound(about[c], over[c], steps[c], matrix, scales)
-        found[c] = max(natural, bound)
+    starts, lows, highs, points = bins
+    counts, size = np.diff(starts), variables.shape[1]
+    total = 0
+    for k in range(formulas.size):
+        total += np.prod(counts[variables[k]])
+    found, work = np.empty(total), make_room(tape, size)
+    low, high, point, own = np.empty(size), np.empty(size), np.empty(size), np.zeros((size, 1, 2))
+    place = first = 0
+    for k in range(formulas.size):
+        for cell in range(np.prod(counts[variables[k]])):
+            rest, offset = cell, first + np.sum(counts[variables[k]])
+            for i in range(size - 1, -1, -1):
+                count = counts[variables[k, i]]
+                offset -= count
+                each = starts[variables[k, i]] + rest % count
+                low[i], high[i], point[i] = lows[each], highs[each], points[each]
+                if not rows.size:
+                    own[i, 0] = slopes[offset + rest % count]
+                rest //= count
+            cell_ends = low, high
+            if rows.size:
+                is_out = _is_excluded(tape, formulas[k], cell_ends, point, rows[:, k], work)
+                found[place] = np.inf if is_out else 0.0
+            else:
+                found[place] = _bound_about(tape, formulas[k], cell_ends, point, own, False, work)
+            place += 1
+        first += np.sum(counts[variables[k]])
     return found
 
 
-@kernel
-def rows_exclude(about: Floats, over: Floats, steps: Floats, lower: Floats, upper: Floats) -> Bools:
-    """Returns for each cell whether lower ≤ r ≤ upper holds nowhere in it (C,).
-
-    Args:
-        about: jets of r at points of the cells (C, J, 2).
-        over: jets of r over the cells, with gradients (C, J, 2).
-        steps: as `steps_from` returns them.
-        lower: bounds of r (C,).
-        upper: shape (C,).
-    """
-    found = np.empty(lower.size, dtype=np.bool_)
-    for c in range(found.size):
-        value = at(about, c, 0)
-        value = mean_value((-np.inf, value[1]) if value[0] == np.inf else value, over, c, steps[c])
-        low, high = max(value[0], over[c, 0, 0]), min(value[1], over[c, 0, 1])
-        found[c] = low > upper[c] or high < lower[c]
-    return found
+@inner
+def _is_excluded(
+    tape: Tape,
+    formula: int,
+    cell: tuple[Floats, Floats],
+    point: Floats,
+    bounds: Floats,
+    work: Room,
+) -> bool:
+    """Returns whether a row holds nowhere in a cell."""
+    jets, steps = work[0], work[3]
+    end = enclose(tape, formula, point, point, VALUE, jets)
+    value = at(jets, end, 0) if end >= 0 else (-np.inf, np.inf)
+    end = enclose(tape, formula, cell[0], cell[1], GRADIENT, jets)
+    if end < 0:
+        return True
+    set_steps(point, cell[0], cell[1], steps)
+    value = mean_value(value, jets, end, steps)
+    return value[0] > bounds[1] or value[1] < bounds[0]

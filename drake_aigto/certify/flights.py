@@ -11,10 +11,9 @@ import numpy as np
 import pydrake.symbolic as sym
 
 from drake_aigto.arrays import Floats
-from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, VALUE, enclose_all
-from drake_aigto.certify.expansions import expand_all, steps_from
+from drake_aigto.certify.enclosures import GRADIENT, VALUE, enclose_all
+from drake_aigto.certify.expansions import bound_all
 from drake_aigto.certify.formulas import Formula, Tape, make_tape
-from drake_aigto.certify.intervals import UNIT
 
 # Places along a flight, as parts of its time, that have to be between the walls.
 _PLACES = (0.25, 0.5, 0.75, 1.0)
@@ -106,22 +105,7 @@ class FlightFamily:
             high: upper ends.
             slopes: s (E, m).
         """
-        point, cost = 0.5 * low + 0.5 * high, np.zeros(len(low), dtype=np.int64)
-        steps, added = steps_from(point, low, high), np.stack([slopes, slopes], axis=-1)
-        about = enclose_all(self.tape, cost, point, point, GRADIENT)
-        if self.is_convex:
-            return _least_plane(about[:, 0, 0], about[:, 1:], added, steps)
-        over = enclose_all(self.tape, cost, low, high, HESSIAN)
-        return expand_all(about, over, added, steps)
-
-
-def _least_plane(values: Floats, slopes: Floats, others: Floats, steps: Floats) -> Floats:
-    """Returns bounds of f + (g + s) d over steps d: f (E,), g, s and d (E, m, 2)."""
-    both = slopes + others
-    ends = both[..., :, None] * steps[..., None, :]
-    sizes = np.max(np.abs(slopes) + np.abs(others), axis=-1) * np.max(np.abs(steps), axis=-1)
-    least = values + np.sum(np.min(ends, axis=(-1, -2)), axis=-1)
-    return least - 16.0 * UNIT * (np.abs(values) + np.sum(sizes, axis=-1))
+        return bound_all(self.tape, 0, low, high, slopes, self.is_convex)
 
 
 def _flights(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -38,6 +37,8 @@ _ROWS = (
     "bounds, a cone, or a linear, quadratic or expression constraint",
     "Write it symbolically.",
 )
+
+_MOST_EXPONENT = 1e6  # in size; rounding errors of larger ones would leave nothing of a power
 
 # Id of a variable ↦ its index in the program, or its place in a formula.
 Index = Mapping[int, int]
@@ -164,8 +165,6 @@ def read_formulas(prog: MathematicalProgram) -> Formulas:
         formulas, own = _expressions(binding, index, *_ROWS)
         for formula, low, high in zip(formulas, *(b.tolist() for b in bounds), strict=True):
             rows.append(BoundedFormula(binding, formula, own, _read(formula, own), low, high))
-    for row in rows:
-        _bound_by(row, lower, upper)
     names = tuple(variable.get_name() for variable in prog.decision_variables())
     return Formulas(names, tuple(summands), tuple(rows), lower, upper)
 
@@ -194,20 +193,6 @@ def _expressions(
 
 def _read(e: Expression, index: Index) -> tuple[int, ...]:
     return tuple(sorted({index[variable.get_id()] for variable in e.GetVariables()}))
-
-
-def _bound_by(row: BoundedFormula, lower: Floats, upper: Floats) -> None:
-    """Bounds a variable by a row a x ≤ b, rounded outward."""
-    e = row.expression
-    if len(row.variables) != 1 or not e.is_polynomial():
-        return
-    (i,), (variable,) = row.variables, e.GetVariables()
-    slope = e.Differentiate(variable)
-    if slope.get_kind() != ExpressionKind.Constant or e.Evaluate({variable: 0.0}) != 0.0:
-        return
-    low, high = sorted(side / slope.Evaluate() for side in (row.lower, row.upper))
-    lower[i] = max(lower[i], math.nextafter(low, -math.inf))
-    upper[i] = min(upper[i], math.nextafter(high, math.inf))
 
 
 def formula_of(parts: Sequence[Summand], variables: Sequence[int]) -> list[Entry]:
@@ -358,6 +343,8 @@ class Formula:
             raise _NoEnclosureError("power with an exponent that is no number")
         p = exponent.Evaluate()
         place = self._enter(base)
+        if abs(p) > _MOST_EXPONENT:
+            raise _NoEnclosureError(f"power with the exponent {p:g}")
         if p != int(p):
             return self._put(Operation.REAL_POWER, place, number=p)
         if p >= 0:

@@ -1,9 +1,9 @@
 """Interval arithmetic that is rounded outward, for compiled code.
 
-IEEE arithmetic and square roots are within half a unit in the last place, ½ u |x| with u = 2⁻⁵²; so
-x (1 ∓ u) is beyond what was rounded to x. Results that may have underflowed move by a number that
-is above every subnormal one. Of exp, log, tan⁻¹, tanh, sin, cos and powers with a fraction, four
-such units are taken: the C library's are within one (GNU libc manual, "Errors in Math Functions").
+IEEE arithmetic is within half a unit in the last place, ½ u |x| with u = 2⁻⁵²; so x (1 ∓ u) is
+beyond what was rounded to x. Results that may have underflowed move by a number that is above every
+subnormal one; a lower end that overflows is the largest number, as the exact one is beyond it. Of
+exp, log, tan⁻¹, tanh, sin, cos and powers with a fraction, four units are taken (see `LIBRARY`).
 """
 
 from __future__ import annotations
@@ -17,8 +17,12 @@ from drake_aigto.kernels import inner
 Interval = tuple[float, float]
 
 UNIT = 2.0**-52
+# Largest errors of the C library: GNU's manual lists one or two units for all of these functions
+# ("Errors in Math Functions"), and searches for the worst arguments found as little elsewhere
+# (Zimmermann 2021, hal-03141101). No library has them proven.
 LIBRARY = 4.0 * UNIT
-_UNDERFLOW = 1e-300
+LARGEST = 1.7976931348623157e308
+TINY = 1e-300
 # Where a wave has its top is known to this many units of the number of turns.
 _TURN_UNITS = 8.0 * UNIT
 
@@ -26,13 +30,26 @@ _TURN_UNITS = 8.0 * UNIT
 @inner
 def down(x: float) -> float:
     """Returns a number below all that round to x; 0 is exact."""
-    return x * (1.0 - UNIT) if x > 0.0 else x * (1.0 + UNIT)
+    y = x * (1.0 - UNIT) if x > 0.0 else x * (1.0 + UNIT)
+    return LARGEST if y > LARGEST else y
 
 
 @inner
 def up(x: float) -> float:
     """Returns a number above all that round to x; 0 is exact."""
-    return x * (1.0 + UNIT) if x > 0.0 else x * (1.0 - UNIT)
+    return -down(-x)
+
+
+@inner
+def up_product(a: float, b: float) -> float:
+    """Returns a number above a b, whatever underflows."""
+    return up(a * b) + TINY
+
+
+@inner
+def up_quotient(a: float, b: float) -> float:
+    """Returns a number above a / b, whatever underflows."""
+    return up(a / b) + TINY
 
 
 @inner
@@ -57,8 +74,8 @@ def times(x: Interval, y: Interval) -> Interval:
     p, q, r, s = _product(a, c), _product(a, d), _product(b, c), _product(b, d)
     low, high = min(min(p, q), min(r, s)), max(max(p, q), max(r, s))
     if low >= 0.0 and (a == 0.0 or b == 0.0 or c == 0.0 or d == 0.0):
-        return 0.0, up(high) + _UNDERFLOW
-    return down(low) - _UNDERFLOW, up(high) + _UNDERFLOW
+        return 0.0, up(high) + TINY
+    return down(low) - TINY, up(high) + TINY
 
 
 @inner
@@ -77,27 +94,25 @@ def minus(x: Interval) -> Interval:
 def reciprocal(x: Interval) -> Interval:
     """Returns 1 / x; all numbers where 0 is inside."""
     a, b = x
-    if a > 0.0 or b < 0.0:
-        return down(1.0 / b) - _UNDERFLOW, up(1.0 / a) + _UNDERFLOW
-    if a == 0.0 and b > 0.0:
-        return down(1.0 / b), np.inf
-    if b == 0.0 and a < 0.0:
-        return -np.inf, up(1.0 / a)
-    return -np.inf, np.inf
+    if not (a >= 0.0 or b <= 0.0) or (a == 0.0 and b == 0.0):
+        return -np.inf, np.inf
+    low = -np.inf if b == 0.0 else down(1.0 / b) - TINY
+    return low, (np.inf if a == 0.0 else up(1.0 / a) + TINY)
 
 
 @inner
 def _whole_power(x: float, exponent: int) -> Interval:
-    """Returns bounds of x^p of a number x ≥ 0."""
-    value = 1.0
-    for _ in range(exponent):
-        value *= x
-    if value == 0.0:
-        return 0.0, (0.0 if x == 0.0 else _UNDERFLOW)
-    if math.isinf(value):
-        return (np.inf if math.isinf(x) else 1e300), np.inf
+    """Returns bounds of x^p of a number x ≥ 0: p/2 u x^p covers the errors of p − 1 products."""
+    value, square, left = 1.0, x, exponent
+    while left > 0:
+        if left % 2 == 1:
+            value *= square
+        left //= 2
+        if left > 0:
+            square *= square
     relative = exponent * UNIT
-    return value * (1.0 - relative), value * (1.0 + relative) + _UNDERFLOW
+    low, high = value * (1.0 - relative) - TINY, value * (1.0 + relative) + TINY
+    return min(max(low, 0.0), LARGEST), (0.0 if x == 0.0 else high)
 
 
 @inner
@@ -121,22 +136,26 @@ def power(x: Interval, exponent: int) -> Interval:
 @inner
 def widened(low: float, high: float) -> Interval:
     """Returns an interval widened by the rounding of the C library's functions."""
-    a = low - LIBRARY * abs(low) - _UNDERFLOW if math.isfinite(low) else low
-    b = high + LIBRARY * abs(high) + _UNDERFLOW if math.isfinite(high) else high
+    a = low - LIBRARY * abs(low) - TINY if low < np.inf else LARGEST
+    b = high + LIBRARY * abs(high) + TINY if high > -np.inf else -LARGEST
     return a, b
 
 
 @inner
-def real_power(x: Interval, exponent: float) -> Interval:
-    """Returns x^p over the part where the base is 0 or more; upside down if there is none."""
+def real_power(x: Interval, exponent: Interval) -> Interval:
+    """Returns x^p over all p in an interval, and the part of x that is 0 or more.
+
+    Upside down if there is none, nor any value.
+    """
     base, b = max(x[0], 0.0), x[1]
-    if b < 0.0:
+    if b < 0.0 or (b == 0.0 and exponent[1] <= 0.0):
         return np.inf, -np.inf
-    if exponent > 0.0:
-        low, high = base**exponent, b**exponent
-    else:
-        low = b**exponent if b > 0.0 else np.inf
-        high = base**exponent if base > 0.0 else np.inf
+    low, high = np.inf, 0.0
+    # A power is monotone along both of its arguments.
+    for p in exponent:
+        for y in (base, b):
+            value = y**p if y > 0.0 else (0.0 if p > 0.0 else np.inf)
+            low, high = min(low, value), max(high, value)
     low, high = widened(low, high)
     return max(low, 0.0), high
 

@@ -73,6 +73,8 @@ def bound_by_squares(formulas: Formulas, x: Floats) -> SquaresBound:
         moments = _Moments(program)
     except NoSquaresError as error:
         return SquaresBound(-math.inf, reason=str(error))
+    except OverflowError:
+        return SquaresBound(-math.inf, reason="its coefficients are beyond the range of numbers")
     result = moments.solve()
     if not result.is_success() and moments.identity({}, result).bound() > 0.0:
         return SquaresBound(math.inf)
@@ -235,6 +237,8 @@ class _Moments:
         squares = (block for block in relaxation.blocks if block.factor == {(): ONE})
         monomials = {m for block in squares for *_, p in block.entries() for m in p}
         own = sorted(monomials - {()})
+        if not own:
+            raise NoSquaresError("all variables are fixed")
         y = self._prog.NewContinuousVariables(len(own), "moment")
         self._moments = dict(zip(own, y, strict=True))
         constant, factors, moments = self._linear(program.cost)
@@ -316,13 +320,16 @@ class Identity:
 
     def bound(self) -> float:
         """Returns t minus remainders of all other terms, and rounding."""
-        parts = [self._left(())[0]]
-        for m in filter(None, list(self._terms)):
-            low, high = self._left(m)
-            is_even = all(m.count(i) % 2 == 0 for i in m)  # and 0 or more
-            parts.append(min(0.0, low) if is_even else -max(abs(low), abs(high)))
-        total = math.fsum(parts)
-        return total - 2.0 * UNIT * abs(total)
+        try:
+            parts = [self._left(())[0]]
+            for m in filter(None, list(self._terms)):
+                low, high = self._left(m)
+                is_even = all(m.count(i) % 2 == 0 for i in m)  # and 0 or more
+                parts.append(min(low, 0.0) if is_even else min(low, -high))  # NaN stays NaN
+            total = math.fsum(parts)
+        except (OverflowError, ValueError):  # ∞ − ∞
+            return -math.inf
+        return total - 2.0 * UNIT * abs(total) if math.isfinite(total) else -math.inf
 
     def _left(self, monomial: Monomial) -> tuple[float, float]:
         """Returns bounds of a term's factor: a product of three roundings each, summed exactly."""

@@ -1,0 +1,192 @@
+"""Parts of a box that cannot meet rows, cut off by going forward and backward along their tapes.
+
+Forward, every entry of a formula gets its range. Backward, from lower ≤ f ≤ upper on, what an
+operation may give tells what its arguments may be, down to the variables (HC4: Benhamou, Goualard,
+Granvilliers & Puget 1999, "Revising hull and box consistency"). All of it is rounded outward.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.certify.enclosures import VALUE, at, enclose, make_scratch, put
+from drake_aigto.certify.formulas import Operation, Tape
+from drake_aigto.certify.intervals import (
+    Interval,
+    exponential,
+    logarithm,
+    minus,
+    plus,
+    real_power,
+    reciprocal,
+    times,
+    widened,
+)
+from drake_aigto.kernels import inner, kernel
+
+_GAIN = 0.1  # of a side: a sweep over all rows that cuts off less is the last one
+_MOST_SWEEPS = 20
+
+
+@inner
+def _narrow(jets: Floats, entry: int, x: Interval) -> bool:
+    """Cuts an entry's range down to an interval; returns whether anything is left."""
+    low, high = at(jets, entry, 0)
+    low, high = x[0] if x[0] > low else low, x[1] if x[1] < high else high
+    put(jets, entry, 0, (low, high))
+    return low <= high
+
+
+@inner
+def _narrow_sizes(jets: Floats, entry: int, sizes: Interval) -> bool:
+    """Cuts an entry's range down to numbers of a size within an interval, of either sign."""
+    low, high = at(jets, entry, 0)
+    least = -sizes[1] if low <= -sizes[0] else sizes[0]
+    return _narrow(jets, entry, (least, sizes[1] if high >= sizes[0] else -sizes[0]))
+
+
+@inner
+def _quotient(y: Interval, x: Interval) -> Interval:
+    """Returns all a with a x = y."""
+    if x[0] <= 0.0 <= x[1] and y[0] <= 0.0 <= y[1]:
+        return -np.inf, np.inf
+    return times(y, reciprocal(x))
+
+
+@inner
+def _narrow_both(jets: Floats, operation: int, y: Interval, a: int, b: int) -> bool:
+    """Cuts the ranges of two arguments of an operation down to what may give y."""
+    if operation == Operation.ADD:
+        is_left = _narrow(jets, a, plus(y, minus(at(jets, b, 0))))
+        return is_left and _narrow(jets, b, plus(y, minus(at(jets, a, 0))))
+    if operation == Operation.MULTIPLY:
+        is_left = _narrow(jets, a, _quotient(y, at(jets, b, 0)))
+        return is_left and _narrow(jets, b, _quotient(y, at(jets, a, 0)))
+    # One of two is y, and the other one on its side of it.
+    is_max = operation == Operation.MAX
+    side = (-np.inf, y[1]) if is_max else (y[0], np.inf)
+    is_left = _narrow(jets, a, side) and _narrow(jets, b, side)
+    first, second = at(jets, a, 0), at(jets, b, 0)
+    if first[1] < y[0] if is_max else first[0] > y[1]:
+        is_left = is_left and _narrow(jets, b, y)
+    if second[1] < y[0] if is_max else second[0] > y[1]:
+        is_left = is_left and _narrow(jets, a, y)
+    return is_left
+
+
+@inner
+def _inverse(operation: int, y: Interval, p: float) -> Interval:
+    """Returns what an argument may be for y, of functions that rise or fall."""
+    if operation == Operation.SHIFT:
+        return plus(y, (-p, -p))
+    if operation == Operation.SCALE:
+        return _quotient(y, (p, p))
+    if operation == Operation.RECIPROCAL:
+        return reciprocal(y)
+    if operation == Operation.REAL_POWER:
+        return real_power(y, reciprocal((p, p)))
+    if operation == Operation.EXP:
+        return logarithm(y)
+    if operation == Operation.LOG:
+        return exponential(y)
+    if operation == Operation.TANH:
+        low = math.atanh(y[0]) if -1.0 < y[0] < 1.0 else -np.inf
+        return widened(low, math.atanh(y[1]) if -1.0 < y[1] < 1.0 else np.inf)
+    if operation == Operation.ATAN:
+        low = math.tan(y[0]) if abs(y[0]) < 1.57 else -np.inf
+        return widened(low, math.tan(y[1]) if abs(y[1]) < 1.57 else np.inf)
+    return -np.inf, np.inf
+
+
+@inner
+def _go_back(jets: Floats, entry: int, operation: int, a: int, b: int, p: float) -> bool:
+    """Cuts the ranges of an entry's arguments; returns whether anything is left."""
+    y = at(jets, entry, 0)
+    if operation == Operation.NUMBER or (operation == Operation.POWER and b == 0):
+        return True
+    if operation == Operation.ABS:
+        return _narrow_sizes(jets, a, (max(y[0], 0.0), y[1]))
+    if operation == Operation.POWER and b % 2 == 0:
+        return _narrow_sizes(jets, a, real_power(y, reciprocal((float(b), float(b)))))
+    if operation == Operation.POWER:
+        root = reciprocal((float(b), float(b)))
+        low = real_power((abs(y[0]), abs(y[0])), root)
+        high = real_power((abs(y[1]), abs(y[1])), root)
+        least = low[0] if y[0] >= 0.0 else -low[1]
+        return _narrow(jets, a, (least, high[1] if y[1] >= 0.0 else -high[0]))
+    if (
+        operation == Operation.ADD
+        or operation == Operation.MULTIPLY
+        or operation == Operation.MAX
+        or operation == Operation.MIN
+    ):
+        return _narrow_both(jets, operation, y, a, b)
+    return _narrow(jets, a, _inverse(operation, y, p))
+
+
+@inner
+def contract(
+    tape: Tape, formula: int, bounds: Interval, low: Floats, high: Floats, jets: Floats
+) -> bool:
+    """Narrows low ≤ x ≤ high (L,), in place, to where a formula may be within bounds.
+
+    Args:
+        tape: holds the formula.
+        formula: its number.
+        bounds: of its value.
+        low: lower ends.
+        high: upper ends.
+        jets: as `make_scratch` returns them.
+
+    Returns:
+        Whether anything is left; if not, the box says nothing.
+    """
+    start, end = tape.starts[formula], enclose(tape, formula, low, high, VALUE, jets)
+    if end < 0 or not _narrow(jets, end, bounds):
+        return False
+    for k in range(end, -1, -1):
+        operation, a = tape.operations[start + k], tape.a[start + k]
+        if operation == Operation.VARIABLE:
+            low[a], high[a] = at(jets, k, 0)
+        elif not _go_back(jets, k, operation, a, tape.b[start + k], tape.numbers[start + k]):
+            return False
+    return True
+
+
+@inner
+def has_narrowed(low: Floats, high: Floats, old_low: Floats, old_high: Floats) -> bool:
+    """Returns whether a side of a box is now shorter by a tenth, and makes the old box the same."""
+    is_shorter = False
+    for i in range(low.size):
+        cut = (low[i] - old_low[i]) + (old_high[i] - high[i])
+        is_shorter |= cut > _GAIN * (old_high[i] - old_low[i])
+        is_shorter |= math.isinf(old_high[i] - old_low[i]) and cut > 0.0
+        old_low[i], old_high[i] = low[i], high[i]
+    return is_shorter
+
+
+@kernel
+def contract_box(tape: Tape, lower: Floats, upper: Floats, low: Floats, high: Floats) -> bool:
+    """Narrows low ≤ x ≤ high (n,), in place, to where all rows may hold.
+
+    Args:
+        tape: the rows.
+        lower: their bounds (R,).
+        upper: shape (R,).
+        low: lower ends, contiguous.
+        high: upper ends.
+
+    Returns:
+        Whether anything is left.
+    """
+    jets, old_low, old_high = make_scratch(tape, low.size, VALUE), low.copy(), high.copy()
+    for _ in range(_MOST_SWEEPS):
+        for j in range(lower.size):
+            if not contract(tape, j, (lower[j], upper[j]), low, high, jets):
+                return False
+        if not has_narrowed(low, high, old_low, old_high):
+            break
+    return True
