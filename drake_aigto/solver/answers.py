@@ -43,7 +43,7 @@ class Answers:
     """The best of all points that are offered, and local solves, which offer theirs.
 
     Attributes:
-        program: with its slacks.
+        program: the one that is searched, after presolve if that was done.
         staged: the same without presolve, its complementarities relaxed.
         best: None if no point had a finite cost.
         is_unbounded: whether a variable x has no two bounds (n,).
@@ -51,15 +51,10 @@ class Answers:
         kkt_storage: of the last one by `InteriorPoint`.
     """
 
-    def __init__(
-        self,
-        program: AigoProgram,
-        staged: StagedProgram,
-        options: AigoOptions,
-        observe: Observer,
-    ) -> None:
+    def __init__(self, staged: StagedProgram, options: AigoOptions, observe: Observer) -> None:
         """Starts without any; `observe` is called with every better point, and a line about it."""
-        self.program, self.staged = program, staged
+        self.program = program = staged.program
+        self.staged = staged
         self._options, self._observe = options, observe
         self.best: CheckedPoint | None = None
         self._best_cost: tuple[CheckedPoint, float] | None = None  # by the program's own formulas

@@ -41,27 +41,20 @@ class Outside:
 
     Attributes:
         box: of half widths w around c.
-        lower: shape (n,); 1e15 in size is no bound either, for ranges end there.
+        lower: shape (n,).
         upper: shape (n,).
-        is_bounded: whether bounds of the program's own variables leave nothing outside, whatever
-            the ranges of functions of them that have variables too.
+        is_open: whether variables have no two bounds, shape (n,).
     """
 
     box: Box
     lower: Floats
     upper: Floats
-    is_bounded: bool
-
-    @property
-    def is_open(self) -> Bools:
-        """Whether variables have no two bounds, shape (n,)."""
-        is_open = ((self.lower <= -LARGEST) | (self.upper >= LARGEST)) & self.box.free
-        return is_open & (not self.is_bounded)
+    is_open: Bools
 
     def decade(self, z: Floats) -> float:
         """Returns the decade of a point (n,), as a real number: 0 or less in the box."""
-        is_open = self.is_open
-        distance = np.abs(z - self.box.center)[is_open] / self.box.half_width[is_open]
+        far = self.is_open
+        distance = np.abs(z - self.box.center)[far] / self.box.half_width[far]
         return float(np.log10(max(1e-3, np.max(distance, initial=0.0))))
 
     def within(self, decade: int) -> Bounds:
@@ -100,45 +93,63 @@ class Solve:
     """Runs once.
 
     Args:
-        program: with its slacks.
-        staged: the same without presolve, its complementarities relaxed.
+        whole: the program, with its slacks.
         options: numerics.
         guess: shape (n,), NaN where there is none.
         observe: called with every better point, and a line about it.
+
+    Raises:
+        ContradictionError: presolve shows that there is no feasible point.
     """
 
     def __init__(
-        self,
-        program: AigoProgram,
-        staged: StagedProgram,
-        options: AigoOptions,
-        guess: Floats,
-        observe: Observer,
+        self, whole: AigoProgram, options: AigoOptions, guess: Floats, observe: Observer
     ) -> None:
         """Makes the first box."""
-        self._program, self._staged, self._options = program, staged, options
-        self._asked, self._guess = guess, program.reduce(guess)
-        self._answers = Answers(program, staged, options, observe)
+        self._options, self._asked = options, guess
+        self._staged = staged = StagedProgram(whole, options.feasibility)
+        self._answers = Answers(staged, options, observe)
         self._boxes = BoxStage(self._answers, options)
         self._ladders: StagedSearch | None = None
         if staged.is_worth_ladders and options.polish != "none":
-            whole, polish = staged.program.reduce(guess), self._answers.polish_relaxed
-            self._ladders = StagedSearch(staged, options, whole, polish)
+            polish = self._answers.polish_relaxed
+            self._ladders = StagedSearch(staged, options, whole.reduce(guess), polish)
         self._certifier: Certifier | None = None
         self._certificate: Certificate | None = None
         if options.certify:  # It reads formulas as they were given, not as presolve made them.
-            self._certifier = Certifier(program.source, gap=_PROVEN)
+            self._certifier = Certifier(whole.source, gap=_PROVEN)
         self._decades = 0
-        ladders = self._ladders if staged.is_beyond_boxes else None
-        self._begin(ladders.first if ladders else make_first_box(program, self._guess, options))
+        if staged.is_beyond_boxes and self._ladders:
+            self._begin(self._ladders.first)
+        else:
+            self._begin_boxes()
+
+    def _begin_boxes(self) -> None:
+        """Presolves, and makes the first box."""
+        if self._options.presolve:
+            self._answers.program = presolve(self._staged.program)
+        self._begin(make_first_box(self._program, self._guess, self._options))
 
     def _begin(self, first: Box) -> None:
-        """Sets the first box, and the part outside of it."""
+        """Sets the first box, and the part outside of it.
+
+        Bounds of 1e15 in size are none, for ranges end there. If all variables of the program's own
+        have two, nothing is open, whatever the ranges of functions of them.
+        """
         count = self._program.kept.size
         own = Box(first.center[:count], first.half_width[:count])
         lower, upper = (side[:count] for side in tighten(self._program.nlp))
-        is_bounded = not np.any(self._answers.is_unbounded)
-        self._first, self._outside = first, Outside(own, lower, upper, is_bounded)
+        is_open = ((lower <= -LARGEST) | (upper >= LARGEST)) & own.free
+        is_open &= np.any(self._answers.is_unbounded)
+        self._first, self._outside = first, Outside(own, lower, upper, is_open)
+
+    @property
+    def _program(self) -> AigoProgram:
+        return self._answers.program
+
+    @property
+    def _guess(self) -> Floats:
+        return self._program.reduce(self._asked)
 
     def run(self) -> tuple[Floats, float, AigoDetails]:
         """Returns the answer x (n,), its cost, and details."""
@@ -212,10 +223,7 @@ class Solve:
 
     def _search_boxes(self) -> None:
         if self._staged.is_beyond_boxes:
-            if self._options.presolve:
-                self._program = self._answers.program = presolve(self._program)
-                self._guess = self._program.reduce(self._asked)
-            self._begin(make_first_box(self._program, self._guess, self._options))
+            self._begin_boxes()
         self._answers.offer(self._first.center, "the middle of the first box")
         if self._offer_guess():
             self._answers.polish(self._program.with_slacks(self._guess), " of the guess")
@@ -261,12 +269,8 @@ class Solve:
         """Whether bounds and rows make corners, and a feasible point is known."""
         is_closed = not np.any(self._outside.is_open)
         is_regular = self._staged.program.largest_coefficient < _SINGULAR
-        return (
-            self._answers.is_feasible
-            and is_closed
-            and is_regular
-            and (self._program.nlp.num_rows > 0)
-        )
+        has_rows = self._program.nlp.num_rows > 0
+        return self._answers.is_feasible and is_closed and is_regular and has_rows
 
     def _renew_parts(self) -> None:
         """Moves parts of the best point and solves from there, as long as that pays.

@@ -25,10 +25,8 @@ from drake_aigto.solver.details import (
     AigoStatus,
     fill_result,
 )
-from drake_aigto.solver.presolve import presolve
 from drake_aigto.solver.program import ContradictionError, read_program
 from drake_aigto.solver.solve import Solve
-from drake_aigto.solver.staged import StagedProgram
 
 _SUPPORTED = {
     ProgramAttribute.kLinearCost,
@@ -154,11 +152,7 @@ class AigoSolver(SolverInterface):
                 print(line)
 
         try:
-            program = read_program(prog)
-            staged = StagedProgram(program, options.feasibility)
-            if options.presolve and not staged.is_beyond_boxes:
-                program = presolve(program)
-            x, cost, details = Solve(program, staged, options, guess, observe).run()
+            x, cost, details = Solve(read_program(prog), options, guess, observe).run()
         except ContradictionError:
             x, cost = np.where(np.isfinite(guess), guess, 0.0), np.inf
             details = AigoDetails.of_nothing(AigoStatus.CONTRADICTORY_BOUNDS, x)
