@@ -20,9 +20,9 @@ from pydrake.solvers import SnoptSolver
 
 from benchmarks.collections.constrained_programs import constrained_problems
 from benchmarks.collections.known_optimum import ConstrainedProblem
-from benchmarks.peers import OURS, PEER_FLAGS, Record, collect, make_record
+from benchmarks.peers import OURS, PEER_FLAGS, Record, collect, make_record, time_solve
 from benchmarks.script import machine, read_flags, run_as
-from drake_aigto.solver import AigoOptions, AigoSolver
+from drake_aigto.solver import AigoOptions
 
 FEASIBLE = 1e-6
 GLOBAL = 1e-5
@@ -106,10 +106,7 @@ def is_broken(record: Record) -> bool:
 
 
 def run_ours(problem: ConstrainedProblem, aigo_seed: int) -> Record:
-    prog = problem.prog()
-    begin = time.process_time()
-    result = AigoSolver(AigoOptions(seed=aigo_seed)).Solve(prog)
-    seconds = time.process_time() - begin
+    result, seconds = time_solve(problem.prog(), AigoOptions(seed=aigo_seed))
     cost = cost_or(problem, result.get_x_val(), np.nan) if result.is_success() else np.inf
     return make_record(problem, 1.0, OURS, aigo_seed, seconds, cost)
 

@@ -5,17 +5,11 @@
 A part of every formula has, with probability 0.6, a variable of its own and an equality that
 defines it; bounds are cut, so that no minimizer is in the middle of the box. Solved: the answer is
 feasible to 1e-6, and f − f* ≤ 1e-6 max(1, |f*|).
-
-Test functions as modeling tools write them: parts have variables of their own, by equalities.
-
-Their minimum stays what it was. Bounds are cut at random, so that no minimizer is in the middle.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,8 +18,9 @@ from pydrake.symbolic import Expression, ExpressionKind
 
 from benchmarks.collections.global_functions import global_problems
 from benchmarks.collections.known_optimum import GlobalProblem
+from benchmarks.peers import Record, make_record, time_solve
 from benchmarks.script import machine, read_flags, run_all, run_as
-from drake_aigto.solver import AigoOptions, AigoSolver
+from drake_aigto.solver import AigoOptions
 
 MOST_VARIABLES = 10
 _SHARE = 0.6  # of a formula's parts, that have a variable
@@ -90,25 +85,7 @@ def _expression(operand: Any) -> Expression:
 
 
 TOLERANCE = 1e-6
-
-
-@dataclass(frozen=True)
-class Run:
-    """One solve.
-
-    Attributes:
-        problem: the function.
-        cost: of the answer; inf where it is not feasible.
-        is_solved: by value.
-        is_broken: a success that is infeasible, or lower than the minimum.
-        seconds: of the process.
-    """
-
-    problem: str
-    cost: float
-    is_solved: bool
-    is_broken: bool
-    seconds: float
+METHODS = ("presolve", "without")
 
 
 def main() -> None:
@@ -123,38 +100,40 @@ def main() -> None:
     jobs = [(name, seed) for seed in arguments.lift_seeds for name in names]
     pairs = run_all(solve_both, jobs, arguments)
     for runs in pairs:
-        if not all(run.is_solved for run in runs):
+        if not all(map(is_solved, runs)):
             told = "   ".join(f"{run.cost:12.6g}{run.seconds:8.2f} s" for run in runs)
-            print(f"{runs[0].problem:32}{told}")
-    for which, runs in zip(("presolve", "without"), zip(*pairs, strict=True), strict=True):
-        solved, broken = sum(run.is_solved for run in runs), sum(run.is_broken for run in runs)
+            print(f"{f'{runs[0].problem} seed={runs[0].seed}':32}{told}")
+    for which, runs in zip(METHODS, zip(*pairs, strict=True), strict=True):
+        solved, broken = sum(map(is_solved, runs)), sum(map(is_broken, runs))
         median = np.median([run.seconds for run in runs])
         print(f"{which:9} solved {solved} of {len(runs)}, broken {broken}, median {median:.2f} s")
 
 
-def solve_both(job: tuple[str, int]) -> tuple[Run, Run]:
+def is_solved(run: Record) -> bool:
+    """Returns whether an answer is feasible and has the minimum."""
+    return run.cost - run.minimum <= TOLERANCE * max(1.0, abs(run.minimum))
+
+
+def is_broken(run: Record) -> bool:
+    """Returns whether a success is infeasible, or lower than the minimum."""
+    below = (run.minimum - run.cost) / max(1.0, abs(run.minimum))
+    return bool(np.isnan(run.cost) or below > 10 * TOLERANCE)
+
+
+def solve_both(job: tuple[str, int]) -> tuple[Record, ...]:
     """Returns runs with presolve and without."""
-    name, seed = job
-    return solve(name, seed, presolve=True), solve(name, seed, presolve=False)
+    return tuple(solve(*job, method) for method in METHODS)
 
 
-def solve(name: str, seed: int, presolve: bool) -> Run:
-    """Returns one run."""
+def solve(name: str, seed: int, method: str) -> Record:
+    """Returns one run; its cost is inf if it is not feasible, nan if that is called a success."""
     (problem,) = (each for each in lifted_problems() if each.name == name)
-    prog = lift(problem, seed)
-    start = time.process_time()
-    result = AigoSolver(AigoOptions(presolve=presolve)).Solve(prog)
-    seconds = time.process_time() - start
-    details, unit = result.get_solver_details(), max(1.0, abs(problem.minimum))
-    above = (result.get_optimal_cost() - problem.minimum) / unit
-    is_feasible = details.violation <= TOLERANCE
-    return Run(
-        problem=f"{name} seed={seed}",
-        cost=result.get_optimal_cost() if is_feasible else np.inf,
-        is_solved=is_feasible and above <= TOLERANCE,
-        is_broken=result.is_success() and (not is_feasible or above < -10 * TOLERANCE),
-        seconds=seconds,
-    )
+    options = AigoOptions(presolve=method == "presolve")
+    result, seconds = time_solve(lift(problem, seed), options)
+    cost = result.get_optimal_cost()
+    if result.get_solver_details().violation > TOLERANCE:
+        cost = np.nan if result.is_success() else np.inf
+    return make_record(problem, 1.0, method, seed, seconds, cost)
 
 
 if __name__ == "__main__":

@@ -33,11 +33,12 @@ from scipy.optimize import minimize
 from scipy.sparse import coo_array
 
 from benchmarks.collections.chain import NUM_ROOTS, REACH
+from benchmarks.peers import time_solve
 from benchmarks.script import machine, read_flags, run_all, run_as
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.kernels import kernel
-from drake_aigto.solver import AigoSolver
+from drake_aigto.solver import AigoOptions, AigoSolver
 from drake_aigto.terms import parse_costs
 
 
@@ -232,11 +233,8 @@ def run(job: tuple[str, int, int], *, seconds: float) -> Run:
     AigoSolver().Solve(loop_problem(family, 3, 0).prog())
     anneal(loop_problem(family, 3, 0), 0.0, 0)
     problem = loop_problem(family, size, seed)
-    prog = problem.prog()
-    begin = time.process_time()
-    ours = AigoSolver().Solve(prog).get_optimal_cost()
-    took = time.process_time() - begin
-    annealed = anneal(problem, seconds, seed)
+    result, took = time_solve(problem.prog(), AigoOptions())
+    ours, annealed = result.get_optimal_cost(), anneal(problem, seconds, seed)
     return Run(problem.name, ours, annealed, min(ours, annealed), took)
 
 

@@ -16,15 +16,15 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.collections.peer_programs import KNOWN, peer_problems
-from benchmarks.collections.staged_programs import StagedProblem
 from benchmarks.script import machine, read_flags, run_all, run_as
 from benchmarks.staged_programs import FEASIBLE, GLOBAL, Ipopt, cost_of, run_ours, warm_up
 from drake_aigto.arrays import Floats
-from drake_aigto.solver import AigoOptions, AigoProgram, AigoSolver, StagedProgram, read_program
+from drake_aigto.solver import AigoSolver, StagedProgram, read_program
 
 
 @dataclass(frozen=True)
@@ -41,18 +41,16 @@ class Answer:
     violation: float
     seconds: float
 
-    @classmethod
-    def of(cls, program: AigoProgram, x: Floats, seconds: float) -> Answer:
-        """Returns the answer that a point x (n,) is."""
-        return cls(cost_of(program, x), program.violation(x), seconds)
+    def is_within(self, cost: float) -> bool:
+        """Whether it costs no more than this and 1 %."""
+        return bool(self.cost <= cost + GLOBAL * abs(cost))
 
     def __str__(self) -> str:
         """Returns a table's columns."""
         return f"{self.cost:11.5g} {self.violation:8.0e} {self.seconds:7.2f}"
 
 
-@dataclass(frozen=True)
-class Run:
+class Run(NamedTuple):
     """What came of one program.
 
     Attributes:
@@ -68,25 +66,6 @@ class Run:
     checked: Answer
     peer: Answer
     known: float
-
-    def is_best(self, answer: Answer) -> bool:
-        """Whether an answer is within 1 % of the best known."""
-        return bool(answer.cost <= self.known + GLOBAL * abs(self.known))
-
-    @property
-    def is_no_worse(self) -> bool:
-        """Whether ours is no worse than the peer by 1 %."""
-        return bool(self.ours.cost <= self.peer.cost + GLOBAL * abs(self.peer.cost))
-
-    @property
-    def is_better(self) -> bool:
-        """Whether ours is better than the peer by 1 %."""
-        return bool(self.ours.cost < self.peer.cost - GLOBAL * abs(self.peer.cost))
-
-    @property
-    def is_confirmed(self) -> bool:
-        """Whether IPOPT stays at our answer, or lowers its cost by less than 1 %."""
-        return bool(abs(self.checked.cost - self.ours.cost) <= GLOBAL * abs(self.ours.cost))
 
 
 def main() -> None:
@@ -113,13 +92,15 @@ def main() -> None:
 def summarise(family: str, runs: list[Run]) -> None:
     """Prints how often ours is as good as the peer, or better, and seconds."""
     ours, peer = ([getattr(each, name).seconds for each in runs] for name in ("ours", "peer"))
+    costs = [(each.ours.cost, each.peer.cost) for each in runs]
+    confirmed = (abs(r.checked.cost - r.ours.cost) <= GLOBAL * abs(r.ours.cost) for r in runs)
     print(
         f"{family}: {len(runs)} programs; ours no worse than IPOPT by 1 % in "
-        f"{sum(each.is_no_worse for each in runs)}, better in "
-        f"{sum(each.is_better for each in runs)}; within 1 % of the best known "
-        f"{sum(each.is_best(each.ours) for each in runs)}, IPOPT "
-        f"{sum(each.is_best(each.peer) for each in runs)};\n"
-        f"  confirmed {sum(each.is_confirmed for each in runs)}; "
+        f"{sum(each.ours.is_within(each.peer.cost) for each in runs)}, better in "
+        f"{sum(own < other - GLOBAL * abs(other) for own, other in costs)}; within 1 % of the best "
+        f"known {sum(each.ours.is_within(each.known) for each in runs)}, IPOPT "
+        f"{sum(each.peer.is_within(each.known) for each in runs)};\n"
+        f"  confirmed {sum(confirmed)}; "
         f"median {np.median(ours):.1f} s, {max(ours):.1f} s at most, "
         f"IPOPT {np.median(peer):.1f} s, {max(peer):.1f} s"
     )
@@ -129,39 +110,26 @@ def run(name: str, *, num_seeds: int) -> Run:
     """Runs ours, IPOPT twice, and ours from other seeds."""
     warm_up()
     (problem,) = (each for each in peer_problems() if each.name == name)
-    program = read_program(problem.prog())
-    ours, x = _run_ours(problem, program)
-    ipopt = Ipopt(StagedProgram(program, FEASIBLE))
-    start = _start(problem)
-    checked = _timed(program, lambda: ipopt.polish(x))
-    peer = _timed(program, lambda: ipopt.solve(start))
-    others = [run_ours(problem, seed)[0] for seed in range(1, num_seeds + 1)]
-    known = min(ours.cost, checked.cost, peer.cost, *others, KNOWN.get(name, np.inf))
-    found = Run(name, ours, checked, peer, known)
-    mark = "*" if found.is_best(ours) else "-"
-    print(f"{name:20} {mark} {ours}   {checked}   {peer}", flush=True)
-    return found
-
-
-def _start(problem: StagedProblem) -> Floats:
     if problem.guess is None:
         raise ValueError(f"{problem.name} has no start of its authors")
-    return problem.guess()
+    program, start = read_program(problem.prog()), problem.guess()
+    ipopt = Ipopt(StagedProgram(program, FEASIBLE))
 
+    def answer(solve: Callable[[], Floats]) -> tuple[Answer, Floats]:
+        """Returns what a call finds, and its x (n,)."""
+        begin = time.process_time()
+        x = solve()
+        seconds = time.process_time() - begin
+        return Answer(cost_of(program, x), program.violation(x), seconds), x
 
-def _run_ours(problem: StagedProblem, program: AigoProgram) -> tuple[Answer, Floats]:
-    """Returns our answer, and its x (n,)."""
     prog = problem.prog()
-    begin = time.process_time()
-    x = AigoSolver(AigoOptions()).Solve(prog).get_x_val()
-    return Answer.of(program, x, time.process_time() - begin), x
-
-
-def _timed(program: AigoProgram, solve: Callable[[], Floats]) -> Answer:
-    """Returns the answer that a call of IPOPT gives."""
-    begin = time.process_time()
-    x = solve()
-    return Answer.of(program, x, time.process_time() - begin)
+    ours, x = answer(lambda: AigoSolver().Solve(prog).get_x_val())
+    checked, peer = answer(lambda: ipopt.polish(x))[0], answer(lambda: ipopt.solve(start))[0]
+    others = [run_ours(problem, seed)[0] for seed in range(1, num_seeds + 1)]
+    known = min(ours.cost, checked.cost, peer.cost, *others, KNOWN.get(name, np.inf))
+    mark = "*" if ours.is_within(known) else "-"
+    print(f"{name:20} {mark} {ours}   {checked}   {peer}", flush=True)
+    return Run(name, ours, checked, peer, known)
 
 
 if __name__ == "__main__":

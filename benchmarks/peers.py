@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.solvers import IpoptSolver, SnoptSolver, SolverOptions
+from pydrake.solvers import IpoptSolver, MathematicalProgram, SnoptSolver, SolverOptions
 from scipy.optimize import differential_evolution, direct, dual_annealing, minimize, shgo
 
 from benchmarks.collections.chain import chain_problem
@@ -185,13 +185,18 @@ def is_left_out(name: str, num_variables: int) -> bool:
     )
 
 
+def time_solve(prog: MathematicalProgram, options: AigoOptions) -> tuple[Any, float]:
+    """Returns AIGO's result, and seconds of the processor from the program to the answer."""
+    begin = time.process_time()
+    result = AigoSolver(options).Solve(prog)
+    return result, time.process_time() - begin
+
+
 def run_ours(target: Target, options: AigoOptions) -> tuple[float, float]:
     """Returns what AIGO costs and finds: seconds from the program to the answer, and f there."""
-    begin = time.process_time()
-    x = AigoSolver(options).Solve(target.prog).get_x_val()
-    seconds = time.process_time() - begin
+    result, seconds = time_solve(target.prog, options)
     target.start(np.inf)
-    target.found(np.asarray(x))
+    target.found(result.get_x_val())
     return seconds, target.best
 
 

@@ -22,12 +22,13 @@ import numpy as np
 from pydrake.solvers import SnoptSolver
 
 from benchmarks.collections.staged_programs import StagedProblem, staged_problems
-from benchmarks.local_peers import casadi
+from benchmarks.local_peers import casadi, sum_blocks
+from benchmarks.peers import time_solve
 from benchmarks.robots.ipopt import COLD, WARM, prepare
 from benchmarks.script import machine, read_flags, run_all, run_as
 from drake_aigto.arrays import Floats
 from drake_aigto.solver import AigoOptions, AigoProgram, AigoSolver, StagedProgram, read_program
-from drake_aigto.terms import FunctionKind
+from drake_aigto.terms import Factor, FunctionKind
 
 FEASIBLE = 1e-6
 GLOBAL = 1e-2
@@ -114,10 +115,7 @@ def warm_up() -> None:
 
 def run_ours(problem: StagedProblem, seed: int) -> tuple[float, float]:
     """Returns our cost, and seconds."""
-    prog = problem.prog()
-    begin = time.process_time()
-    result = AigoSolver(AigoOptions(seed=seed)).Solve(prog)
-    seconds = time.process_time() - begin
+    result, seconds = time_solve(problem.prog(), AigoOptions(seed=seed))
     return (result.get_optimal_cost() if result.is_success() else np.inf), seconds
 
 
@@ -166,11 +164,7 @@ class Ipopt:
         prepare()
         self._staged, nlp = staged, staged.nlp
         y = casadi.SX.sym("y", nlp.num_variables)
-        sums = [
-            sum((_term(term, copy, y) for term in block.terms), casadi.SX(0.0))
-            for block in nlp.blocks
-            for copy in block.variables.tolist()
-        ]
+        sums = sum_blocks(nlp.blocks, lambda factor, i: _factor(factor, y[i]))
         costs, rows = sums[: nlp.num_costs], sums[nlp.num_costs :]
         problem = {"x": y, "f": sum(costs, casadi.SX(0.0)), "g": casadi.vertcat(*rows)}
         self._solvers = [
@@ -209,21 +203,13 @@ class Ipopt:
         return np.array(found["x"]).ravel(), {"lam_x0": found["lam_x"], "lam_g0": found["lam_g"]}
 
 
-def _term(term: Any, copy: list[int], y: Any) -> Any:
-    """Returns a term in CasADi's symbols."""
-    product = casadi.SX(term.coefficient)
-    for factor in term.factors:
-        at = y[copy[factor.variable]]
-        inner = factor.scale * at + factor.offset
-        if factor.kind == FunctionKind.POWER:
-            product *= inner**factor.exponent
-        elif factor.kind == FunctionKind.COSINE:
-            product *= at**factor.exponent * casadi.cos(inner)
-        elif factor.kind == FunctionKind.SINE:
-            product *= at**factor.exponent * casadi.sin(inner)
-        else:
-            raise ValueError(f"{factor} is not written in CasADi")
-    return product
+def _factor(factor: Factor, at: Any) -> Any:
+    """Returns a factor in CasADi's symbols."""
+    inner = factor.scale * at + factor.offset
+    if factor.kind == FunctionKind.POWER:
+        return inner**factor.exponent
+    waves = {FunctionKind.COSINE: casadi.cos, FunctionKind.SINE: casadi.sin}
+    return at**factor.exponent * waves[factor.kind](inner)
 
 
 if __name__ == "__main__":
