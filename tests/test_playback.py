@@ -289,3 +289,18 @@ def test_a_port_in_use_is_refused() -> None:
         with pytest.raises(OptionsError, match=rf"port: got {port}, in use.*Name another port"):
             open_meshcat(port)
     assert open_meshcat(0).port() > 0
+
+
+def test_a_plan_that_is_taken_later_is_not_there_before_and_events_flash(
+    meshcat: Meshcat, world: World, scenario: Scenario
+) -> None:
+    late = dataclasses.replace(MOTIONS[1], times=MOTIONS[1].times + 0.4)
+    publish([MOTIONS[0], late], meshcat, world, scenario, events=[0.4])
+    times, is_shown = clips(meshcat, "visible")[f"{ROOT}/motions/2"]
+    assert [bool(is_shown[times <= time][-1]) for time in (0.0, 0.39, 0.41, 1.4)] == [0, 0, 1, 1]
+    assert f"{ROOT}/motions/1" not in clips(meshcat, "visible")
+    times, sizes = clips(meshcat, "scale")[f"{ROOT}/motions/1/events"]
+    assert times[sizes[:, 0] > 2e-3] == pytest.approx([0.4])
+    places = clips(meshcat)[ball(1)]
+    there = places[1][np.argmin(np.abs(places[0] - 0.4)), 0]
+    assert clips(meshcat)[f"{ROOT}/motions/1/events"][1][0, 0] == pytest.approx(there)

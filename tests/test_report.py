@@ -104,6 +104,20 @@ def test_a_wall_is_drawn_and_an_impact_flashes_for_a_moment(page: Page, plan: Pl
     assert is_yellow(picture).sum() > 10 * is_yellow(show(page, 1.0)).sum() + 100
 
 
+def test_the_clock_ends_with_the_plan(page: Page, plan: Plan) -> None:
+    show(page, 9.9)
+    shown = page.evaluate("document.querySelector('#player-time').textContent")
+    assert shown == "1.00 s of 1.00 s" and plan.trajectory.times[-1] == 1.0
+
+
+def test_the_view_does_not_depend_on_when_meshes_come(page: Page) -> None:
+    before, board = page.evaluate(FIT), f"{VIEWER}.scene_tree.find({BOARD}).object"
+    page.evaluate(f"{{ window.taken = [...{board}.children]; {board}.remove(...taken); 0 }}")
+    page.wait_for(f"{FIT}[1] != {before[1]}")
+    page.evaluate(f"{{ {board}.add(...taken); 0 }}")
+    page.wait_for(f"{FIT}[1] == {before[1]}")
+
+
 def test_nothing_that_moves_is_ever_cut_off(page: Page) -> None:
     # The window changes while nothing reaches far.
     show(page, 1.0)

@@ -1,6 +1,5 @@
 from .board import Board as Board
 from .board import Panel as Panel
-from .board import make_mesh as make_mesh
 from .board import wrap_notes as wrap_notes
 from .box_playback import BoxRun as BoxRun
 from .box_playback import play_boxes as play_boxes
@@ -17,6 +16,10 @@ from .figures import plot_phase_portrait as plot_phase_portrait
 from .figures import plot_plan as plot_plan
 from .figures import plot_positions as plot_positions
 from .figures import plot_velocities as plot_velocities
+from .film import ROOT as ROOT
+from .film import make_mesh as make_mesh
+from .film import open_meshcat as open_meshcat
+from .film import save_html as save_html
 from .motion import PALETTE as PALETTE
 from .motion import PLAN_LABEL as PLAN_LABEL
 from .motion import Motion as Motion
@@ -45,11 +48,8 @@ from .report_figures import has_landscape as has_landscape
 from .report_figures import plot_mind as plot_mind
 from .report_figures import plot_promises as plot_promises
 from .report_figures import plot_run as plot_run
-from .scene import ROOT as ROOT
-from .scene import open_meshcat as open_meshcat
 from .scene import play as play
 from .scene import publish as publish
-from .scene import save_html as save_html
 from .shapes import coordinate_names as coordinate_names
 from .shapes import moves_straight as moves_straight
 from .stage import Stage as Stage

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-import base64
-import io
-import json
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import resources
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
-from PIL import Image
-from pydrake.common import MemoryFile
-from pydrake.geometry import InMemoryMesh, Mesh
+from pydrake.geometry import Mesh
 
 from drake_aigto.arrays import Floats
-from drake_aigto.show.motion import color_of
+from drake_aigto.show.film import ASPECT_RATIO, make_mesh
+from drake_aigto.show.motion import DOT_SECONDS, Motion, color_of, find_legs
+from drake_aigto.show.shapes import find_goal, has_goal
+from drake_aigto.show.stage import Stage
+from drake_aigto.show.text import touch_names
+from drake_aigto.world import Scenario, World
 
 _PIXELS = 3072  # of the longer side
 _INCHES = 6.0  # of figure for a panel's size, so that lines have usual widths
@@ -42,9 +40,10 @@ _HIDDEN, _MOST_HIDDEN = 0.5, 0.06
 _LINE = 1.3  # from line to line, in heights of letters
 _BOLD_WIDTH = 0.67  # of a letter on average, as a part of the font's size
 
-# Of a picture in Meshcat: colors; a color that is off by more than this is another one; as a part
-# of the pixels, how many may be.
-_COLORS, _LOST, _MOST_LOST = 256, 64, 0.01
+_MOST_NAMES = 6  # of contacts on a panel: more would cover each other
+# In heights of what moves along a line: the first leg of its way above its middle, from leg to leg
+# at most, and all of them.
+_FIRST_LEG, _NEXT_LEG, _ALL_LEGS = 0.8, 0.4, 1.0
 
 
 class Panel(NamedTuple):
@@ -217,22 +216,32 @@ class Board:
         axes.plot(*goals.T, "*", color=_INK, markersize=22, zorder=3)
         look: dict[str, Any] = {"color": color, "markerfacecolor": "white", "markeredgewidth": 2.5}
         axes.plot(*touches.T, "o", markersize=12, zorder=4, **look)
+        is_one = np.linalg.norm(goals - starts, axis=1) < self.space
+        ends = [("start, goal" if each else "start") for each in is_one]
         named: list[tuple[str, Floats, Any]] = [
             (f"{name} {end}".strip(), place, _INK)
-            for end, places in (("start", starts), ("goal", goals))
-            for name, place in zip(self.names, places, strict=True)
-            if np.isfinite(place[0])
+            for name, end, place in zip(self.names, ends, starts, strict=True)
+        ]
+        named += [
+            (f"{name} goal".strip(), place, _INK)
+            for name, place, is_there in zip(self.names, goals, is_one, strict=True)
+            if np.isfinite(place[0]) and not is_there
         ]
         names = zip(panel.touch_names, touches, strict=True)
         named += [(name, place, _SHADE * color) for name, place in names]
-        dots = [np.array([place - self.space, place + self.space]) for place in panel.dots + aside]
+        marks, dots = (
+            [np.array([place - self.space, place + self.space]) for place in places]
+            for places in (np.vstack([starts, goals, touches]), panel.dots + aside)
+        )
         for name, place, ink in named:
-            found = self._find_room(place, name, [*taken, *dots], aside)
-            if found := found or self._find_room(place, name, taken, aside):
-                text, box = found
-                taken.append(box)
-                x, y = box.mean(axis=0)
-                self._write(axes, x, y, text, color=ink, ha="center", va="center", zorder=4)
+            # Beside all that is drawn if there is room, or on dots, or even on marks.
+            for others in ([*marks, *dots], marks, []):
+                if found := self._find_room(place, name, [*taken, *others], aside):
+                    text, box = found
+                    taken.append(box)
+                    x, y = box.mean(axis=0)
+                    self._write(axes, x, y, text, color=ink, ha="center", va="center", zorder=4)
+                    break
 
     def _find_room(
         self, place: Floats, name: str, taken: Sequence[Floats], aside: Floats
@@ -247,8 +256,11 @@ class Board:
             lines = text.split("\n")
             size = self.letter * np.array([_BOLD_WIDTH * max(map(len, lines)), _LINE * len(lines)])
             rises = (self.space / 4 + size[1] / 2) * np.array([1, -1, 2.2, -2.2, 3.4, -3.4])
-            for rise, way in ((rise, way) for rise in rises for way in (side, -side)):
-                middle = np.add(place, (way * (self.radius + self.space + size[0] / 2), rise))
+            beside = self.radius + self.space + size / 2
+            steps = [(way * beside[0], rise) for rise in rises for way in (side, -side)]
+            steps[4:4] = [(0.0, -beside[1]), (0.0, beside[1])]
+            for step in steps:
+                middle = np.add(place, step)
                 box = np.array([middle - size / 2, middle + size / 2])
                 is_inside = np.all(box[0] >= low) and np.all(box[1] <= high)
                 covers = (np.all(box[0] < each[1]) and np.all(each[0] < box[1]) for each in taken)
@@ -287,30 +299,54 @@ def wrap_notes(notes: Sequence[str], width: int) -> list[str]:
     return [line.replace("\u00a0", " ").removesuffix(";") for line in lines]
 
 
-def make_mesh(figure: Figure, low: npt.ArrayLike, high: npt.ArrayLike) -> Mesh:
-    """Returns a flat shape with a figure on it, in a frame's x and y.
+def lay_board(
+    stage: Stage, motions: Sequence[Motion], world: World, scenario: Scenario, notes: Sequence[str]
+) -> Board:
+    """Returns the board that the motions need, with the columns at which it is seen largest."""
+    end = find_goal(world, scenario, motions[0].positions[-1])
+    marks = stage.trace(np.array([scenario.initial_position, end]))[..., :2]
+    # A place that a coordinate without weight moves is not asked for.
+    free = ~has_goal(world, scenario)
+    is_free = [np.any(stage.movers_of(body) & free) for body, _ in stage.tracers]
+    marks[is_free, 1] = np.nan
+    board = Board(
+        panels=[_fill_panel(stage, motion, world) for motion in motions],
+        low=stage.low,
+        high=stage.high,
+        depth=stage.depth,
+        radius=stage.radius,
+        names=stage.tracer_names,
+        starts=marks[:, 0],
+        goals=marks[:, 1],
+        notes=[f"dots: every {DOT_SECONDS:g} s", *notes],
+        columns=1,
+        has_lanes=stage.is_line,
+    )
 
-    It is the rectangle from its lower left to its upper right corner, shape (2,) each [m].
-    """
-    gltf = json.loads(resources.files(__package__).joinpath("square.gltf").read_text("utf-8"))
-    (left, bottom), (width, height) = np.array([low, np.subtract(high, low)]).tolist()
-    # glTF is y-up, which Drake turns to z-up: (x, y, z) → (x, −z, y).
-    gltf["nodes"][0] |= {"translation": [left, 0, -bottom], "scale": [width, 1, height]}
-    picture = base64.b64encode(_draw(figure)).decode("ascii")
-    gltf["images"][0]["uri"] = f"data:image/png;base64,{picture}"
-    return Mesh(InMemoryMesh(mesh_file=MemoryFile(json.dumps(gltf), ".gltf", "picture")))
+    def find_scale(board: Board) -> float:
+        """Returns how large a meter is on a board that fills a window, in the window's heights."""
+        width, height = np.subtract(*board.corners[::-1])
+        return float(min(ASPECT_RATIO / width, 1 / height))
+
+    columns = range(1, len(motions) + 1)
+    return max((replace(board, columns=n) for n in columns), key=find_scale)
 
 
-def _draw(figure: Figure) -> bytes:
-    """Returns a figure as a PNG of few colors, a third as large as one of all."""
-    drawn = io.BytesIO()
-    figure.savefig(drawn, format="png")
-    pixels = Image.open(drawn)
-    # Of Pillow's methods the one that keeps transparency.
-    picture = pixels.quantize(_COLORS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    # It loses a color now and then, even that of a large area.
-    error = np.asarray(pixels, dtype=np.int16) - np.asarray(picture.convert("RGBA"))
-    is_lost = np.abs(error).max(axis=2) > _LOST
-    written = io.BytesIO()
-    (pixels if np.mean(is_lost) > _MOST_LOST else picture).save(written, "PNG", optimize=True)
-    return written.getvalue()
+def _fill_panel(stage: Stage, motion: Motion, world: World) -> Panel:
+    """Returns the ways of a motion, of what moves along a line leg beside leg, and its contacts."""
+    legs = find_legs(motion, motion.impacts if stage.is_line else ())
+    dots = [stage.trace(leg)[..., :2] for leg in legs]
+    ways = stage.trace(motion.positions)[..., :2]
+    if stage.is_line:
+        apart = min(_NEXT_LEG, _ALL_LEGS / len(legs))
+        for number, leg in enumerate(dots):
+            leg[..., 1] += (_FIRST_LEG - number * apart) * stage.height
+        ways = np.concatenate(dots, axis=1)
+    touches, names = motion.touches[:_MOST_NAMES], touch_names(world)
+    return Panel(
+        label=motion.label,
+        ways=list(ways),
+        dots=np.vstack([places for leg in dots for places in leg]),
+        touches=stage.place_touches(motion, touches),
+        touch_names=[f"{names[touch.contact]}, {touch.start:.2f} s" for touch in touches],
+    )

@@ -6,7 +6,6 @@ import base64
 import gzip
 import html
 import io
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from os.path import commonprefix
@@ -18,9 +17,6 @@ from matplotlib.figure import Figure
 # The same figure gives the same bytes, and looks the same whatever fonts a reader has.
 _SVG: dict[Any, Any] = {"svg.hashsalt": "drake_aigto", "svg.fonttype": "path"}
 _DPI = 120  # of what is no lines: landscapes of many colors
-# Base64 of 200 letters or more is packed as the bytes that it stands for, which compress better.
-_RUN = re.compile(r"(?<=base64,)[A-Za-z0-9+/]{200,}={0,2}")
-_LENGTH_BYTES = 4
 
 _common_start = commonprefix  # Of any texts: it compares letter by letter.
 
@@ -121,14 +117,5 @@ def _share(pages: Sequence[str]) -> dict[str, str]:
 
 
 def pack(text: str) -> str:
-    """Returns text in Base64, compressed: by turns text and bytes, each after its length."""
-    pieces: list[bytes] = []
-    done = 0
-    for run in _RUN.finditer(text):
-        content = b"" if len(run[0]) % 4 else base64.b64decode(run[0])
-        if base64.b64encode(content).decode("ascii") == run[0]:  # Nothing is lost.
-            pieces += [text[done : run.start()].encode(), content]
-            done = run.end()
-    pieces.append(text[done:].encode())
-    joined = b"".join(len(each).to_bytes(_LENGTH_BYTES, "big") + each for each in pieces)
-    return base64.b64encode(gzip.compress(joined, mtime=0)).decode("ascii")
+    """Returns text compressed, in Base64."""
+    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode("ascii")

@@ -7,29 +7,13 @@
   const MOST_HEIGHT = 560, LEAST_HEIGHT = 180; // of the frame [px]
   const MARGIN = 0.97; // of half a window, that a scene may fill
   const MOST_REACH = 6, MOST_KEYS = 50; // of an object, in half windows; of one of its tracks
-  let animator = null, shown = 0, extent = null;
+  const HOLD = 0.5; // that the end stands before all repeats, which is no time of the motion [s]
+  let animator = null, shown = 0, extent = null, seen = "";
 
-  // By turns text, and bytes that stand in the page as Base64; each after its length.
   const unpack = async (id) => {
     const packed = Uint8Array.from(atob(find(id).textContent), (c) => c.charCodeAt(0));
     const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
-    const all = new Uint8Array(await new Response(stream).arrayBuffer());
-    const view = new DataView(all.buffer), pieces = [];
-    for (let at = 0, isText = true; at < all.length; isText = !isText) {
-      const end = at + 4 + view.getUint32(at);
-      const piece = all.subarray(at + 4, end);
-      pieces.push(isText ? new TextDecoder().decode(piece) : encode(piece));
-      at = end;
-    }
-    return pieces.join("");
-  };
-
-  const encode = (bytes) => {
-    const letters = [];
-    for (let i = 0; i < bytes.length; i += 0x6000) { // A multiple of 3: chunks end with letters.
-      letters.push(btoa(String.fromCharCode(...bytes.subarray(i, i + 0x6000))));
-    }
-    return letters.join("");
+    return new Response(stream).text();
   };
 
   const load = async (scene) => {
@@ -57,18 +41,17 @@
       setTimeout(() => wait(number), 50);
       return;
     }
-    // Commands may still be on their way, and meshes are read in the background.
-    ["handle_command", "set_object"].forEach((name) => {
-      const own = viewer[name].bind(viewer);
-      viewer[name] = (...given) => {
-        own(...given);
-        extent = null;
-      };
-    });
     animator = viewer.animator;
-    slider.max = animator.duration;
+    slider.max = animator.duration - HOLD;
     toggle.disabled = slider.disabled = false;
     requestAnimationFrame(follow);
+  };
+
+  // What is shown from where: meshes and the camera's place come whenever they are ready.
+  const describe = ({ camera, controls, scene_tree }) => {
+    let count = 0;
+    scene_tree.find(["drake_aigto"]).object.traverse((object) => (count += Boolean(object.geometry)));
+    return [count, ...camera.position.toArray(), ...controls.target.toArray()].join();
   };
 
   // The times that show all of a recording: between two keys everything moves straight on.
@@ -138,6 +121,9 @@
 
   const follow = () => {
     if (!animator) return;
+    const look = describe(frame.contentWindow.viewer);
+    if (look !== seen) extent = null;
+    seen = look;
     if (!extent) fit();
     if (animator.playing) slider.value = animator.time;
     toggle.textContent = animator.playing ? "❚❚" : "▶";

@@ -3,86 +3,57 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from matplotlib.colors import to_rgb
-from pydrake.geometry import Meshcat, Rgba
+from pydrake.geometry import Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform
 
-from drake_aigto.arrays import Floats
-from drake_aigto.errors import OptionsError
-from drake_aigto.output import write_text
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.planning import Plan
-from drake_aigto.show.board import Board, Panel
-from drake_aigto.show.effects import Effects, Film
+from drake_aigto.show.board import lay_board
+from drake_aigto.show.film import (
+    ROOT,
+    Film,
+    look_at,
+    put_in_front,
+    shape_arc,
+    shape_arrow,
+    shape_cone,
+)
 from drake_aigto.show.motion import (
-    DOT_SECONDS,
+    Friction,
     Motion,
+    calc_approach_speed,
+    calc_friction,
     color_of,
-    find_legs,
+    find_held,
+    find_row,
     motions_of_plan,
     time_span,
 )
-from drake_aigto.show.page import Page
-from drake_aigto.show.shapes import Actor, find_goal, has_goal, moves_straight
+from drake_aigto.show.shapes import Actor, find_goal, has_goal, moves_straight, moving_joints
 from drake_aigto.show.stage import Stage
-from drake_aigto.show.text import touch_names
 from drake_aigto.world import Scenario, World
-
-# All that is drawn lies below this path.
-ROOT = "/drake_aigto"
 
 # Frames are keyed where a motion has rows; between two of them the browser moves straight on.
 _FRAMES_PER_SECOND = 1000
-# The end is held for a moment [s], then all motions start again, together: one length for all.
-_HOLD = 0.5
-
-# Seen from afar, as walls hide less then; from aside by this; in a window of this width to height;
-# and this much farther back.
-_FIELD_OF_VIEW = 12.0  # vertical [deg]
-_TILT = np.deg2rad(12.0)
-_ASPECT_RATIO = 1.4
-_SLACK = 1.08
+# Seen from afar, as walls hide less then; and from aside by this [rad].
+_VIEW, _TILT = np.deg2rad(12.0), np.deg2rad(12.0)
 _LIFT = 0.1  # of the board from what is farthest back, in radii of what moves
 
 _GRAY = Rgba(0.6, 0.6, 0.6)  # of what has no color of its own
 # Ghosts of the links where they start, and where they should end.
 _GHOSTS = {"start": Rgba(0.3, 0.3, 0.3, 0.25), "goal": Rgba(0.0, 0.62, 0.35, 0.3)}
-_MOST_NAMES = 6  # of contacts on a panel: more would cover each other
-# In heights of what moves along a line: the first leg of its way above its middle, from leg to leg
-# at most, and all of them.
-_FIRST_LEG, _NEXT_LEG, _ALL_LEGS = 0.8, 0.4, 1.0
 
-_PORTS = 1024, 65535  # That any user may listen at.
-
-
-def open_meshcat(port: int | None = None) -> Meshcat:
-    """Returns a Meshcat that browsers of this machine can open (`Meshcat.web_url`).
-
-    Args:
-        port: where it listens: any free one if 0, the first free one from 7000 to 7999 if None.
-
-    Raises:
-        OptionsError: the port is in use, or no user may listen there.
-    """
-    got = "none of 7000 to 7999 that is free" if port is None else f"{port}, in use"
-    cause: RuntimeError | None = None
-    # Drake ends the process below, and takes the port's last 16 bits above.
-    if port and not _PORTS[0] <= port <= _PORTS[1]:
-        got = f"{port}"
-    else:
-        try:
-            return Meshcat(port=port)
-        except RuntimeError as error:
-            cause = error
-    raise OptionsError(
-        "Meshcat's port",
-        got=got,
-        expected=f"a free one, {_PORTS[0]} to {_PORTS[1]}",
-        remedy="Name another port, or 0 for any that is free.",
-    ) from cause
+_INK, _YELLOW = Rgba(0.13, 0.13, 0.13), Rgba(1.0, 0.78, 0.0)
+_MAGENTA, _VIOLET = Rgba(0.75, 0.0, 0.45), Rgba(0.36, 0.1, 0.75)
+_FLASH = 0.045  # radius of the largest flash, in sizes of the window
+_LASTING = 0.3  # that the impulse of an impact is seen [s]
+_LEAST_FLASH = 0.4  # Of the largest flash's radius: that of an impact without speed.
+_FLASH_TIME = 0.15  # from an impact until its flash is gone [s]
 
 
 def play(
@@ -106,151 +77,272 @@ def play(
     publish(motions, meshcat, world, plan.scenario)
 
 
-def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario: Scenario) -> None:
+def publish(
+    motions: Sequence[Motion],
+    meshcat: Meshcat,
+    world: World,
+    scenario: Scenario,
+    events: Sequence[float] = (),
+) -> None:
     """Publishes one recording, with a time slider, of several motions of the same world.
 
     Each motion has a copy of the world, so that none hides another: its links and walls in their
     own colors (balls in that of their motion), before a panel with its planned contacts. Dots are
     where bodies were every 0.05 s. Transparent ghosts are the start (gray) and the goal (green): a
     coordinate whose goal has no weight is there as it ends, and links that no weighted one moves
-    have no ghost. Arrows, arcs and flashes are control, contact and impacts (`Effects`). Friction
-    is shown by its cones in a folder "friction" of each motion, which Meshcat's controls can hide.
+    have no ghost. What moves is there from the first time of its motion on. Arrows, arcs and
+    flashes are control, contact and impacts:
+
+    - Black arrows are forces of the control on links, and black arcs its torques at joints.
+    - Magenta arrows are forces of contacts while they last, friction included; yellow flashes are
+      impacts, larger where they are faster, and violet ones are events, on the first motion.
+    - Where something slides with friction, violet arrows are impulses of rigid impacts, seen for a
+      moment, and both kinds of arrows keep to cones of friction, |f_t| ≤ μ f, of one size: filled
+      ones while it sticks, open ones of ribs while it slips. Cones and impulses are in a folder
+      "friction" of each motion, which Meshcat's controls can hide.
+
     The camera sees all of it. What was shown below `ROOT` before is gone.
+
+    Args:
+        motions: to show, the first of them as it is placed in the world.
+        meshcat: where.
+        world: of the motions.
+        scenario: has start and goal.
+        events: times of kicks and the like [s].
     """
     goals = (find_goal(world, scenario, motion.positions[-1]) for motion in motions)
     rows = [scenario.initial_position, *goals, *(motion.positions for motion in motions)]
     stage = Stage(world, np.vstack(rows))
-    begin, end = time_span(motions)
-    film = Film(meshcat, begin, end + _HOLD, _FRAMES_PER_SECOND)
-    effects = Effects(stage, world, scenario, motions, film)
-    board = _lay_board(stage, motions, world, scenario, effects.notes)
-    clear(meshcat)
+    film = Film(meshcat, *time_span(motions), _FRAMES_PER_SECOND)
+    scene = _Scene(stage, world, scenario, motions, film)
+    notes = scene.notes + ["violet flash: a kick, or another plan"] * bool(events)
+    board = lay_board(stage, motions, world, scenario, notes)
     meshcat.SetObject(f"{ROOT}/board", board.mesh())
     lift = RigidTransform([0.0, 0.0, _LIFT * stage.radius])
     meshcat.SetTransform(f"{ROOT}/board", stage.X_WT @ lift)
-    for index, motion in enumerate(motions):
-        aside = RigidTransform(stage.X_WT.rotation() @ board.offset(index))
-        _add_copy(stage, film, world, scenario, motion, index, aside)
-        effects.add(index, aside, f"{ROOT}/motions/{index + 1}")
+    for index in range(len(motions)):
+        scene.add(index, RigidTransform(stage.X_WT.rotation() @ board.offset(index)))
+    aside = RigidTransform(stage.X_WT.rotation() @ board.offset(0))
+    scene.add_events(events, aside)
     film.play()
-    # Looks at the board's middle, from a little below a level one or above an upright one.
-    low, high = board.corners
-    distance = _SLACK * float(np.max((high - low) / [_ASPECT_RATIO, 1.0])) / 2
-    distance /= np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2)
+    # From a little below a level board, or above an upright one.
     tilt = -_TILT if abs(stage.X_WT.rotation().matrix()[2, 2]) > 0.5 else _TILT
-    middle = np.append((low + high) / 2, 0.0)
-    eye = middle + distance * np.array([0.0, np.sin(tilt), np.cos(tilt)])
-    camera = Meshcat.PerspectiveCamera(fov=_FIELD_OF_VIEW, near=distance / 100, far=2 * distance)
-    meshcat.SetCamera(camera)
-    meshcat.SetCameraPose(stage.X_WT.multiply(eye), stage.X_WT.multiply(middle))
+    look_at(meshcat, stage.X_WT, board.corners, (_VIEW, tilt, 0.0))
 
 
-def save_html(meshcat: Meshcat, path: str | os.PathLike[str]) -> None:
-    """Writes what Meshcat shows to one self-contained page with a slider, whole or not at all.
+class _Scene:
+    """Copies of the world for several motions, and what rides on them, all to one scale.
 
-    Raises:
-        OutputFileError: it can't be written; its folder must exist.
+    Attributes:
+        film: the recording that copies are added to.
+        largest: of all forces of the control on one link [N], of all its torques [N m], of all
+            forces of contacts [N], and of all impulses with friction [N s]; 0 without any.
     """
-    page = Page("A plan and simulations of its control")
-    page.scenes({"Recording": meshcat.StaticHtml()})
-    write_text(path, page.to_html())
+
+    def __init__(
+        self, stage: Stage, world: World, scenario: Scenario, motions: Sequence[Motion], film: Film
+    ) -> None:
+        """Finds the scales."""
+        self._stage, self._world, self._scenario, self.film = stage, world, scenario, film
+        self._motions = list(motions)
+        self._loads = [self._calc_loads(motion) for motion in motions]
+        self._friction = [calc_friction(motion, world, scenario) for motion in motions]
+        self._coefficients = world.friction_coefficients(scenario)
+        vectors: list[list[Floats]] = [
+            *(
+                [v for each in some for _, v in each.values()]
+                for some in zip(*self._loads, strict=True)
+            ),
+            *([np.dstack(each[:2]) for each in some] for some in zip(*self._friction, strict=True)),
+        ]
+        self.largest = [
+            max((np.max(np.linalg.norm(v, axis=-1), initial=0.0) for v in some), default=0.0)
+            for some in vectors
+        ]
+        is_rigid = scenario.contact == "rigid"
+        self._flashes = is_rigid and any(motion.impacts for motion in motions)
+        speeds = (
+            calc_approach_speed(world, motion, touch.start, touch.contact)
+            for motion in motions
+            for touch in motion.impacts
+        )
+        self._largest_speed = max(speeds, default=0.0) or 1.0
+
+    @property
+    def notes(self) -> list[str]:
+        """Explanations of what is shown."""
+        force, torque, push, impulse = self.largest
+        slides = any(np.any(each.largest > 0) for both in self._friction for each in both)
+        free = self._stage.names_without_contact if self._world.contacts else []
+        found = {
+            f"black arrow: control, up to {force:.3g} N": force > 0,
+            f"black arc: control, up to {torque:.3g} N m": torque > 0,
+            f"magenta arrow: contact force, up to {push:.3g} N": push > 0,
+            "yellow flash: impact": self._flashes,
+            f"violet arrow: impulse, up to {impulse:.3g} N s": impulse > 0,
+            "cone of friction: filled sticks, ribs slip": slides,
+            f"touches nothing: {', '.join(free)}": free,
+        }
+        return [note for note, is_shown in found.items() if is_shown]
+
+    def add(self, index: int, aside: RigidTransform) -> None:
+        """Adds a copy of the world for the motion of this number, moved aside.
+
+        It is what stands still, ghosts, links as they move, and what rides on them. Links have
+        their own colors, but balls and what has none that of the motion. Only those have a ghost at
+        the goal that a coordinate asked for moves.
+        """
+        stage, film, motion = self._stage, self.film, self._motions[index]
+        asked_for, (first, last) = has_goal(self._world, self._scenario), motion.positions[[0, -1]]
+        goal, color = find_goal(self._world, self._scenario, last), Rgba(*to_rgb(color_of(index)))
+        # Of several rows in one frame the last one counts.
+        rows = {film.frame(time): q for time, q in zip(motion.times, motion.positions, strict=True)}
+        rows[film.last_frame] = last
+
+        def put(actor: Actor, folder: str, q: Floats, color: Rgba | None) -> str:
+            path = f"{ROOT}/{folder}/{actor.name}"
+            film.meshcat.SetObject(path, actor.shape, color or _GRAY)
+            film.meshcat.SetTransform(path, aside @ stage.pose(actor, q))
+            return path
+
+        folder, start = f"motions/{index + 1}", self._scenario.initial_position
+        for actor in stage.actors:
+            if not actor.moves:
+                put(actor, f"worlds/{index + 1}", first, actor.color)
+                continue
+            put(actor, f"ghosts/{index + 1}/start", start, _GHOSTS["start"])
+            if np.any(stage.movers_of(actor.index) & asked_for):
+                put(actor, f"ghosts/{index + 1}/goal", goal, _GHOSTS["goal"])
+            own = None if moves_straight(self._world) else actor.color
+            path = put(actor, folder, first, own or color)
+            for frame, q in rows.items():
+                film.move(frame, path, aside @ stage.pose(actor, q))
+        if min(rows) > 0:
+            film.show_between(f"{ROOT}/{folder}", min(rows), film.last_frame + 1)
+        self._add_control(index, aside, f"{ROOT}/{folder}/control")
+        self._add_contacts(index, aside, f"{ROOT}/{folder}")
+
+    def add_events(self, times: Sequence[float], aside: RigidTransform) -> None:
+        """Adds flashes where the first motion is at times [s]."""
+        if not times:
+            return
+        motion = self._motions[0]
+        (way, *_), rows = self._stage.trace(motion.positions), [find_row(motion, t) for t in times]
+        places = aside.multiply(self._stage.X_WT.multiply(way[rows].T)).T
+        self._flash(f"{ROOT}/motions/1/events", sorted(times), places, np.ones(len(rows)), _VIOLET)
+
+    def _calc_loads(
+        self, motion: Motion
+    ) -> tuple[dict[str, tuple[Floats, Floats]], dict[str, tuple[Floats, Floats]]]:
+        """Returns forces of the control on links, and its torques at joints, by name.
+
+        Each is places and vectors in the world at each row of a motion, shape (K, 3) [m], [N],
+        [N m].
+        """
+        forces: dict[str, tuple[Floats, Floats]] = {}
+        torques: dict[str, tuple[Floats, Floats]] = {}
+        if motion.controls is None:
+            return forces, torques
+        generalized = (motion.controls @ self._world.actuation.T)[find_held(motion)]
+        for joint in moving_joints(self._world):
+            start = joint.velocity_start()
+            if not np.any(self._world.actuation[start : start + joint.num_velocities()]):
+                continue
+            rows = zip(motion.positions, generalized, strict=True)
+            found = [self._stage.load(joint, q, force) for q, force in rows]
+            places, pushes, moments = np.array(found).transpose(1, 0, 2)
+            torques[joint.name()] = places, moments
+            if np.any(pushes):
+                driven = self._stage.find_driven(joint)
+                name = driven.body if driven else joint.name()
+                # Forces of several joints that drive one link, such as two sliders, add up.
+                before = forces[name][1] if name in forces else 0.0
+                forces[name] = places, pushes + before
+        return forces, torques
+
+    def _add_control(self, index: int, aside: RigidTransform, folder: str) -> None:
+        """Adds arrows and arcs of the control."""
+        frames = list(map(self.film.frame, self._motions[index].times))
+        shapes = {"arrow": shape_arrow, "arc": shape_arc}
+        kinds = zip(shapes.items(), self._loads[index], self.largest, strict=False)
+        for (kind, shape), loads, largest in kinds:
+            for name, (places, vectors) in loads.items():
+                if np.any(vectors):
+                    path = f"{folder}/{name}/{kind}"
+                    shape(path, self._stage.size, self.film.meshcat, _INK)
+                    self.film.ride(path, frames, aside.multiply(places.T).T, vectors / largest)
+
+    def _add_contacts(self, index: int, aside: RigidTransform, folder: str) -> None:
+        """Adds forces, impulses and cones of friction of contacts, and flashes of impacts."""
+        motion, (forces, impulses) = self._motions[index], self._friction[index]
+        keys = [(self.film.frame(time), row, True) for row, time in enumerate(motion.times)]
+        for contact in _find(forces.normals > 0):
+            arrow, cones = f"contacts/{contact}/force", f"friction/{contact}/force"
+            paths = f"{folder}/{arrow}", f"{folder}/{cones}"
+            self._add_push(motion, forces, contact, keys, aside, paths, self.largest[2], _MAGENTA)
+        end = round(_LASTING * self.film.rate)
+        lasting = {-1: False, 0: True, end: True, end + 1: False}
+        for contact in _find(impulses.largest > 0):
+            rows = np.flatnonzero(impulses.largest[:, contact] > 0)
+            moments = self.film.moments(motion.times[rows], lasting)
+            keys = [(frame, int(rows[number]), seen) for frame, number, seen in moments]
+            cones = f"{folder}/friction/{contact}/impulse"
+            paths = f"{cones}/arrow", cones
+            self._add_push(motion, impulses, contact, keys, aside, paths, self.largest[3], _VIOLET)
+        for contact in sorted({touch.contact for touch in motion.impacts}) if self._flashes else ():
+            times = [touch.start for touch in motion.impacts if touch.contact == contact]
+            qs = [motion.positions[find_row(motion, time)] for time in times]
+            places = np.array([aside.multiply(self._stage.touch(contact, q)[0]) for q in qs])
+            speeds = [calc_approach_speed(self._world, motion, time, contact) for time in times]
+            sizes = _LEAST_FLASH + (1 - _LEAST_FLASH) * (np.array(speeds) / self._largest_speed)
+            self._flash(f"{folder}/contacts/{contact}/impacts", times, places, sizes, _YELLOW)
+
+    def _add_push(
+        self,
+        motion: Motion,
+        friction: Friction,
+        contact: int,
+        keys: Sequence[tuple[int, int, bool]],
+        aside: RigidTransform,
+        paths: tuple[str, str],
+        largest: float,
+        color: Rgba,
+    ) -> None:
+        """Adds the arrow of a contact's force or impulse, and its cones if there is friction.
+
+        Keys are a frame, the row of the motion in it, and whether that is seen.
+        """
+        frames, rows, shown = (list(each) for each in zip(*keys, strict=True))
+        touches = [self._stage.touch(contact, q) for q in motion.positions[rows]]
+        places = np.array([aside.multiply(place) for place, _ in touches])
+        normals = np.array([normal for _, normal in touches]) * np.array(shown)[:, np.newaxis]
+        vectors = normals * friction.normals[rows, contact, np.newaxis]
+        slides = (friction.largest[rows, contact] > 0) & shown
+        for row in np.flatnonzero(slides).tolist():
+            along = self._stage.find_tangent(contact, motion.positions[rows[row]])
+            vectors[row] += friction.tangents[rows[row], contact] * along
+        arrow, cones = paths
+        shape_arrow(arrow, self._stage.size, self.film.meshcat, color)
+        self.film.ride(arrow, frames, places, vectors / largest)
+        sticks, mu = friction.sticks[rows, contact], float(self._coefficients[contact])
+        for name, at in (("stick", slides & sticks), ("slip", slides & ~sticks)):
+            if at.any():
+                cone = partial(shape_cone, friction=mu, sticks=name == "stick")
+                cone(f"{cones}/{name}", self._stage.size, self.film.meshcat, color)
+                self.film.ride(f"{cones}/{name}", frames, places, normals * at[:, np.newaxis])
+
+    def _flash(
+        self, path: str, times: Sequence[float], places: Floats, sizes: Floats, color: Rgba
+    ) -> None:
+        """Adds flashes at places (k, 3) at times [s], of relative sizes (k,)."""
+        put_in_front(path, Sphere(_FLASH * self._stage.size), self.film.meshcat, color)
+        fades = round(_FLASH_TIME * self.film.rate)
+        moments = self.film.moments(times, {-1: False, 0: True, fades: False})
+        frames, numbers, shown = (list(each) for each in zip(*moments, strict=True))
+        vectors = np.outer(sizes[numbers] * shown, [0.0, 0.0, 1.0])
+        self.film.ride(path, frames, places[numbers], vectors)
 
 
-def clear(meshcat: Meshcat) -> None:
-    """Removes what was shown below `ROOT`, and hides Meshcat's own grid, axes and background."""
-    meshcat.Delete(ROOT)
-    for path in ("/Background", "/Grid", "/Axes"):
-        meshcat.SetProperty(path, "visible", False)
-
-
-def _lay_board(
-    stage: Stage, motions: Sequence[Motion], world: World, scenario: Scenario, notes: Sequence[str]
-) -> Board:
-    """Returns the board that the motions need, with the columns at which it is seen largest."""
-    end = find_goal(world, scenario, motions[0].positions[-1])
-    marks = stage.trace(np.array([scenario.initial_position, end]))[..., :2]
-    # A place that a coordinate without weight moves is not asked for.
-    free = ~has_goal(world, scenario)
-    is_free = [np.any(stage.movers_of(body) & free) for body, _ in stage.tracers]
-    marks[is_free, 1] = np.nan
-    board = Board(
-        panels=[_fill_panel(stage, motion, world) for motion in motions],
-        low=stage.low,
-        high=stage.high,
-        depth=stage.depth,
-        radius=stage.radius,
-        names=stage.tracer_names,
-        starts=marks[:, 0],
-        goals=marks[:, 1],
-        notes=[f"dots: every {DOT_SECONDS:g} s", *notes],
-        columns=1,
-        has_lanes=stage.is_line,
-    )
-
-    def find_scale(board: Board) -> float:
-        """Returns how large a meter is on a board that fills a window, in the window's heights."""
-        width, height = np.subtract(*board.corners[::-1])
-        return float(min(_ASPECT_RATIO / width, 1 / height))
-
-    columns = range(1, len(motions) + 1)
-    return max((dataclasses.replace(board, columns=n) for n in columns), key=find_scale)
-
-
-def _fill_panel(stage: Stage, motion: Motion, world: World) -> Panel:
-    """Returns the ways of a motion, of what moves along a line leg beside leg, and its contacts."""
-    legs = find_legs(motion, motion.impacts if stage.is_line else ())
-    dots = [stage.trace(leg)[..., :2] for leg in legs]
-    ways = stage.trace(motion.positions)[..., :2]
-    if stage.is_line:
-        apart = min(_NEXT_LEG, _ALL_LEGS / len(legs))
-        for number, leg in enumerate(dots):
-            leg[..., 1] += (_FIRST_LEG - number * apart) * stage.height
-        ways = np.concatenate(dots, axis=1)
-    touches, names = motion.touches[:_MOST_NAMES], touch_names(world)
-    return Panel(
-        label=motion.label,
-        ways=list(ways),
-        dots=np.vstack([places for leg in dots for places in leg]),
-        touches=stage.place_touches(motion, touches),
-        touch_names=[f"{names[touch.contact]}, {touch.start:.2f} s" for touch in touches],
-    )
-
-
-def _add_copy(
-    stage: Stage,
-    film: Film,
-    world: World,
-    scenario: Scenario,
-    motion: Motion,
-    index: int,
-    aside: RigidTransform,
-) -> None:
-    """Adds a copy of the world, moved aside: what stands still, ghosts, and links as they move.
-
-    Links have their own colors, but balls and what has none that of the motion. Only those have a
-    ghost at the goal that a coordinate asked for moves.
-    """
-    has_own_colors, asked_for = not moves_straight(world), has_goal(world, scenario)
-    first, last = motion.positions[[0, -1]]
-    goal, color = find_goal(world, scenario, last), Rgba(*to_rgb(color_of(index)))
-    # Of several rows in one frame the last one counts.
-    rows = {film.frame(time): q for time, q in zip(motion.times, motion.positions, strict=True)}
-    rows[film.last_frame] = last
-
-    def add(actor: Actor, folder: str, q: Floats, color: Rgba | None) -> str:
-        path = f"{ROOT}/{folder}/{actor.name}"
-        film.meshcat.SetObject(path, actor.shape, color or _GRAY)
-        film.meshcat.SetTransform(path, aside @ stage.pose(actor, q))
-        return path
-
-    for actor in stage.actors:
-        if not actor.moves:
-            add(actor, f"worlds/{index + 1}", first, actor.color)
-            continue
-        add(actor, f"ghosts/{index + 1}/start", scenario.initial_position, _GHOSTS["start"])
-        if np.any(stage.movers_of(actor.index) & asked_for):
-            add(actor, f"ghosts/{index + 1}/goal", goal, _GHOSTS["goal"])
-        own = actor.color if has_own_colors else None
-        path = add(actor, f"motions/{index + 1}", first, own or color)
-        for frame, q in rows.items():
-            film.move(frame, path, aside @ stage.pose(actor, q))
+def _find(acts: Bools) -> list[int]:
+    """Returns the contacts that act in any row, of shape (K, m)."""
+    return list(map(int, np.flatnonzero(acts.any(axis=0))))

@@ -206,6 +206,19 @@ class Stage:
         is_shared = len({name[-1] for name in names}) == 1
         return [" ".join(name[:-1] if is_shared else name) for name in names]
 
+    @property
+    def names_without_contact(self) -> list[str]:
+        """The names of bodies that move, and pass through all that they meet."""
+        inspector, plant = self._world.scene_graph.model_inspector(), self._world.plant
+        touching = {
+            plant.GetBodyFromFrameId(inspector.GetFrameId(shape)).index()
+            for pair in self._world.shapes
+            for shape in pair
+        }
+        drawn = {actor.index for actor in self.actors}
+        bodies = [body for body in moving_bodies(self._world) if body.index() in drawn - touching]
+        return [body.name().replace("_", " ") for body in bodies]
+
     def trace(self, positions: Floats) -> Floats:
         """Returns where in T the tracers are, shape (tracers, K, 3), at positions (K, nq)."""
         X_TW, plant = self.X_WT.inverse(), self._world.plant

@@ -11,10 +11,11 @@ from matplotlib.figure import Figure
 from drake_aigto.arrays import Floats
 from drake_aigto.paper import PAPER_COSTS, Cell, Entry, RigidCell, Table1, TableMethod
 from drake_aigto.show.figures import plot_motions
+from drake_aigto.show.film import open_meshcat
 from drake_aigto.show.motion import PLAN_LABEL, SIMULATION_LABELS, Motion
 from drake_aigto.show.page import Page
 from drake_aigto.show.report import PROBLEM, describe_versions
-from drake_aigto.show.scene import open_meshcat, publish
+from drake_aigto.show.scene import publish
 from drake_aigto.show.text import (
     NO_COST,
     WIDTH,
