@@ -16,7 +16,7 @@ from drake_aigto.paper import (
     make_literal_task,
     plan_literal,
 )
-from drake_aigto.planning import Candidate, Origin
+from drake_aigto.planning import Candidate, Origin, ProgramSolution
 from drake_aigto.show import Motion, color_of, cost_text, plot_motions, run_boxes, run_texts
 from drake_aigto.world import Scenario, World
 
@@ -79,7 +79,7 @@ def paper_methods(
     boxes = run_boxes(plan, world)
     center = boxes.problem.pull(boxes.result.box.center, boxes.rung)
     origin = Origin(options.algorithm, boxes.rung)
-    shrunk = boxes.problem.judge(origin, center, boxes.transcription, center)
+    shrunk = boxes.problem.judge(origin, center, ProgramSolution(boxes.transcription, center))
     snopt = dataclasses.replace(options, local_solver="snopt")
     problem = make_literal_task(world, scenario, snopt)
     random = gradient_from_random(problem, np.random.default_rng(seed))

@@ -11,44 +11,23 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from replay_worlds import make_scenario
-from rigid_worlds import Array
 from scipy.optimize import minimize_scalar
 
 from drake_aigto import Scenario, World
-from drake_aigto.local import InteriorPoint, LocalStatus, compile_nlp
+from drake_aigto.local import InteriorPoint, LocalStatus
+from drake_aigto.planning import Arcs, PhaseMotion, PhaseProblem
 from drake_aigto.simulation import Replay, replay_event_driven
-from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import (
-    Facing,
-    PhaseTranscription,
-    Touch,
-    TouchSequence,
-    joint_times,
-)
+from drake_aigto.transcription import Facing, Touch, joint_times
 
 # What the local solver leaves in the rows, which are of the order of 1 m and 1 m/s.
 MET = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Solved:
-    """A multi-phase problem and its local optimum."""
+class Solved(PhaseMotion):
+    """The local optimum of a multi-phase problem."""
 
-    phases: PhaseTranscription
-    x: Array
-    status: LocalStatus
-
-    @property
-    def cost(self) -> float:
-        return self.phases.scenario_cost(self.x)
-
-    @property
-    def trajectory(self) -> Trajectory:
-        return self.phases.trajectory(self.x)
-
-    @property
-    def touches(self) -> TouchSequence:
-        return self.phases.contact_sequence(self.x)
+    status: LocalStatus = LocalStatus.CONVERGED
 
     def replay(self) -> Replay:
         motion = self.trajectory
@@ -57,30 +36,28 @@ class Solved:
         )
 
 
-def solve(phases: PhaseTranscription) -> Solved:
-    """Solves from where the planner starts: straight from wall to wall and on to the goal."""
-    nlp = compile_nlp(phases.prog(), phases.elimination_order())
-    result = InteriorPoint().solve(nlp, phases.vector(phases.guess()))
-    return Solved(phases, result.x, result.status)
+def solve(phases: PhaseProblem) -> Solved:
+    """Solves at all knots, from where the planner starts: from wall to wall and on to the goal."""
+    arcs = Arcs(phases, range(phases.num_steps))
+    result = InteriorPoint().solve(arcs.nlp, arcs.vector(phases.guess()))
+    return Solved(phases, arcs.trajectory(result.x), status=result.status)
 
 
 def optimise(
     world: World, scenario: Scenario, *touches: Touch, facings: Sequence[Facing] | None = None
 ) -> Solved:
     """Solves, and checks what holds of every solution."""
-    solved = solve(PhaseTranscription(world, scenario, touches, facings))
+    solved = solve(PhaseProblem(world, scenario, touches, facings))
     assert solved.status is LocalStatus.CONVERGED
-    assert max(solved.phases.defects(solved.x).values()) < MET
-    prog = solved.phases.prog()
-    assert prog.CheckSatisfied(prog.GetAllConstraints(), solved.x, MET)
+    assert max(solved.defects.values()) < MET
     check_clock(solved)
     return solved
 
 
 def check_clock(solved: Solved) -> None:
     """Steps within a phase are equal, and take T together; what the wall does has its sign."""
-    motion, touches, T = solved.trajectory, solved.touches, solved.phases.scenario.duration
-    turns = (facing.start for facing in solved.phases.facings(solved.x))
+    motion, touches, T = solved.trajectory, solved.sequence, solved.phases.scenario.duration
+    turns = (facing.start for facing in solved.facings)
     joints = sorted({0.0, *joint_times(touches), *turns, T})
     knots = np.searchsorted(motion.times, np.array(joints) - 1e-12 * T)
     np.testing.assert_allclose(motion.times[knots], joints, atol=1e-12 * T)

@@ -14,9 +14,8 @@ from pydrake.symbolic import sin
 from replay_worlds import shipped_world
 
 from drake_aigto.errors import AigtoError, ProgramError, UnsupportedTermError
-from drake_aigto.planning import BallTask
+from drake_aigto.planning import BallTask, PhaseProblem, sample
 from drake_aigto.transcription import (
-    PhaseTranscription,
     RigidTranscription,
     Samples,
     Touch,
@@ -35,11 +34,9 @@ def transcribe() -> RigidTranscription:
 
 def phases_with(boxes: RigidTranscription, sequence: TouchSequence = BOUNCE) -> Any:
     """Returns the solved phases of a contact sequence, and their motion."""
-    phases = PhaseTranscription(shipped_world(), SCENARIO, sequence, additions=boxes.additions())
+    phases = PhaseProblem(shipped_world(), SCENARIO, sequence, additions=boxes.additions())
     found = solve(phases)
-    motion = found.trajectory
-    samples = Samples(motion.times, motion.positions, motion.velocities, motion.controls)
-    return found, samples
+    return found, sample(found.trajectory)
 
 
 @pytest.mark.parametrize("sequence", [(), BOUNCE], ids=["flight", "bounce"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
@@ -15,23 +14,11 @@ from rigid_worlds import indices
 from drake_aigto import Scenario, World
 from drake_aigto.paper import LiteralTranscription
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import (
-    PhaseTranscription,
-    RigidTranscription,
-    Touch,
-    Transcription,
-)
-
-
-def make_phases(world: World, scenario: Scenario) -> PhaseTranscription:
-    return PhaseTranscription(world, scenario, [Touch.bounce(0.2), Touch(0.5, 0.8)])
-
+from drake_aigto.transcription import RigidTranscription, Transcription
 
 KINDS: dict[str, Callable[[World, Scenario], Transcription]] = {
     "literal": LiteralTranscription,
     "rigid": RigidTranscription,
-    "flight": PhaseTranscription,
-    "phases": make_phases,
 }
 PLANTS: list[dict[str, Any]] = [
     {},
@@ -57,14 +44,10 @@ def make_trajectory(transcription: Transcription, seed: int = 0) -> Trajectory:
     """Returns numbers by chance, all different, where the transcription has variables for them."""
     world, rng = transcription.world, np.random.default_rng(seed)
     N = transcription.num_samples() - 1
-    times = np.cumsum(rng.uniform(0.1, 1, N + 1))
-    times = (times - times[0]) / (times[-1] - times[0]) * transcription.scenario.duration
     q, v = rng.normal(size=(2, N + 1, world.num_positions))
     u = rng.normal(size=(N, world.num_actuators))
-    if not (isinstance(transcription, PhaseTranscription) and transcription.sequence):
-        times = transcription.GetSampleTimes()
     none = np.zeros((N + 1, 1))
-    return Trajectory(times, q, v, u, none, none[1:])
+    return Trajectory(transcription.GetSampleTimes(), q, v, u, none, none[1:])
 
 
 def test_vector_undoes_trajectory(transcription: Transcription) -> None:
@@ -81,17 +64,6 @@ def test_vector_undoes_trajectory(transcription: Transcription) -> None:
     for k in (0, 3, 10):
         places = transcription.prog().FindDecisionVariableIndices(transcription.state(k))
         np.testing.assert_array_equal(x[places], np.concatenate([q[k], v[k]]))
-
-
-def test_forces_belong_to_contacts_that_last(plant: tuple[World, Scenario]) -> None:
-    phases = make_phases(*plant)
-    planned = make_trajectory(phases)
-    pushed = dataclasses.replace(planned, forces=1.0 + np.arange(10.0)[:, np.newaxis])
-    found = phases.trajectory(phases.vector(pushed)).forces
-    resting = np.flatnonzero(found)
-    assert 1 <= len(resting) <= 8
-    np.testing.assert_array_equal(found[resting], pushed.forces[resting])
-    assert np.ptp(resting) == len(resting) - 1
 
 
 def test_vector_of_undoes_split(transcription: Transcription) -> None:
@@ -133,7 +105,7 @@ def test_the_elimination_order_counts_all_variables_stage_by_stage(
     assert max(spread) <= 2 * prog.num_vars() / 11 + 2
 
 
-@pytest.mark.parametrize("kind", ["literal", "rigid"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_the_first_box_holds_the_start_the_straight_way_and_bounds(
     kind: str, plant: tuple[World, Scenario]
 ) -> None:

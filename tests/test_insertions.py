@@ -12,8 +12,15 @@ from replay_worlds import make_task, shipped
 from benchmarks.optima import masses_optimum
 from benchmarks.worlds import WORLDS
 from drake_aigto import PlanOptions, Scenario, World, plan
-from drake_aigto.planning import BallSearch, find_insertions, kinds, make_ball_task
-from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
+from drake_aigto.planning import (
+    BallSearch,
+    PhaseMotion,
+    PhaseProblem,
+    find_insertions,
+    kinds,
+    make_ball_task,
+)
+from drake_aigto.transcription import Touch, TouchSequence
 
 QUICK = PlanOptions(confirm=False)
 
@@ -21,8 +28,8 @@ QUICK = PlanOptions(confirm=False)
 def insertions(model: str, q: Sequence[float], touches: Sequence[Touch]) -> list[tuple[float, int]]:
     """Returns time and contact of what is proposed for a guess, which is a motion for this."""
     scenario = dataclasses.replace(make_task(model, q, np.zeros(len(q))), time_step=0.02)
-    phases = PhaseTranscription(shipped(model), scenario, touches)
-    found = find_insertions(phases, phases.vector(phases.guess()))
+    phases = PhaseProblem(shipped(model), scenario, touches)
+    found = find_insertions(PhaseMotion(phases, phases.guess()))
     return [(touch.start, touch.contact) for touch in found]
 
 
@@ -73,9 +80,9 @@ def test_a_polish_passes_the_block_on_the_way_to_the_goal_where_the_box_center_m
     sequence = problem.find_sequences(result, rung)[0]
     center = problem.transcription.split(result.box.center)[0]
     assert np.linalg.norm(center[-1] - scenario.goal_position) > 0.3
-    phases, x = problem.polish(result.box.center, sequence)
+    found = problem.polish(result.box.center, sequence)
     # The best known (`optima.block_optimum`).
-    assert phases.scenario_cost(x) == pytest.approx(3.9686e-4, rel=0.01)
+    assert found.cost == pytest.approx(3.9686e-4, rel=0.01)
 
 
 def test_no_neighbor_is_tried_whose_contacts_a_plan_has_that_holds(

@@ -20,9 +20,9 @@ from drake_aigto import Scenario, World
 from drake_aigto.contact import JointImpact
 from drake_aigto.dynamics import ConstantInertia
 from drake_aigto.errors import OptionsError
+from drake_aigto.planning import PhaseMotion, PhaseProblem
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import (
-    PhaseTranscription,
     Touch,
     TouchSequence,
     joint_times,
@@ -110,8 +110,6 @@ def test_coupled_contacts_push_and_never_pull() -> None:
     # As if there were no right ball, and no left one.
     assert left == pytest.approx(-2 * motion.velocities[k].sum())
     assert between == pytest.approx(-2 * motion.velocities[k, 1])
-    x = found.phases.vector(motion)
-    np.testing.assert_allclose(x, found.x, atol=1e-12)
     # Equal elastic balls end alike if their impacts come one after the other.
     assert found.replay().cost == pytest.approx(found.cost, rel=1e-4)
 
@@ -137,7 +135,7 @@ def test_it_slides_along_a_floor_and_bounces_off_a_wall_meanwhile() -> None:
     ((meets, _),) = flight.bounces()
     assert land < meets < leave
     found = optimise(world, scenario, Touch(0.8, 1.5, 2), Touch.bounce(1.1, 0))
-    slide, bounce = found.touches
+    slide, bounce = found.sequence
     assert found.cost == pytest.approx(vertical + flight.cost, rel=0.01)
     assert (slide.start, slide.end) == pytest.approx((land, leave), abs=0.03)
     assert bounce.start == pytest.approx(meets, abs=0.01)
@@ -171,7 +169,7 @@ def test_touches_overlap_start_and_end_together(
         assert sum(contact in phase.rests for phase in line.phases) == count
     # What they are is read off again, and a guess is at the walls at all joints.
     guess = made.guess()
-    again = made.contact_sequence(made.vector(guess))
+    again = PhaseMotion(made, guess).sequence
     assert [touch.contact for touch in again] == [touch.contact for touch in touches]
     for one, other in zip(again, touches, strict=True):
         assert one.joints == pytest.approx(other.joints, abs=1e-12)
@@ -181,7 +179,7 @@ def test_touches_overlap_start_and_end_together(
             assert distance == pytest.approx(0, abs=1e-15)
 
 
-def make_phases(touches: TouchSequence) -> PhaseTranscription:
+def make_phases(touches: TouchSequence) -> PhaseProblem:
     scenario = Scenario(
         model=MODELS.format("room"),
         initial_position=[0.4, 0.4],
@@ -189,7 +187,7 @@ def make_phases(touches: TouchSequence) -> PhaseTranscription:
         goal_position=[0.3, 0.5],
         time_step=0.025,
     )
-    return PhaseTranscription(load("room"), scenario, touches)
+    return PhaseProblem(load("room"), scenario, touches)
 
 
 def test_joint_times_are_in_order_and_once_each() -> None:

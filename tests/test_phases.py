@@ -21,12 +21,11 @@ from rest_solutions import least_rest
 
 from drake_aigto import Scenario, World
 from drake_aigto.local import LocalStatus
+from drake_aigto.planning import Arcs, PhaseMotion, PhaseProblem, sample, straight_path
 from drake_aigto.transcription import (
-    PhaseTranscription,
     RigidTranscription,
     Touch,
     TouchSequence,
-    straight_path,
 )
 
 # Free flight.
@@ -63,7 +62,7 @@ def test_a_bounce_is_the_continuous_optimum_up_to_the_held_controls(e: float) ->
     for N in (10, 20, 40):
         bounce = optimise(shipped_world(), bouncing(e, N), Touch.bounce(0.4))
         errors.append(bounce.cost / exact - 1)
-        (touch,) = bounce.touches
+        (touch,) = bounce.sequence
         assert touch.start == pytest.approx(time, abs=0.2 / N**2)
         assert bounce.replay().bounce_times == pytest.approx([touch.start], abs=1e-9)
         assert np.max(bounce.trajectory.impulses) == pytest.approx((1 + e) * speed, rel=1 / N**2)
@@ -116,7 +115,7 @@ def test_a_contact_that_lasts_carries_the_weight_and_is_optimal(floor: World, e:
         cost, land, leave = least_rest(0.3, 2.0, e, mass=1.5, gravity=3.0, goal_weight=100.0)
         rest = optimise(floor, scenario, Touch(0.6, 1.4))
         errors.append(rest.cost / cost - 1)
-        (touch,) = rest.touches
+        (touch,) = rest.sequence
         assert touch.joints == pytest.approx((land, leave), abs=1 / N)
         motion, forces = rest.trajectory, rest.trajectory.forces[:, 0]
         lasts = (motion.times[:-1] >= touch.start - 1e-9) & (motion.times[:-1] < touch.end - 1e-9)
@@ -155,7 +154,8 @@ def test_a_flight_on_a_spring_replays_to_second_order() -> None:
         bounce = optimise(sprung, scenario, Touch.bounce(0.3))
         replay = bounce.replay()
         assert len(replay.bounce_times) == 1
-        errors.append([replay.cost - bounce.cost, replay.bounce_times[0] - bounce.touches[0].start])
+        (touch,) = bounce.sequence
+        errors.append([replay.cost - bounce.cost, replay.bounce_times[0] - touch.start])
     rates = np.divide(errors[:-1], errors[1:])
     np.testing.assert_allclose(rates, 4.0, rtol=0.2)
 
@@ -183,7 +183,7 @@ def test_two_joints_replay_as_planned(e: float, touches: TouchSequence) -> None:
     assert replay.cost == pytest.approx(found.cost, rel=1e-7)
     motion = found.trajectory
     ends = np.searchsorted(replay.times, motion.times, side="right") - 1
-    lasting = [touch for touch in found.touches if touch.lasts]
+    lasting = [touch for touch in found.sequence if touch.lasts]
     # Where it hops before it rests, the phases only know how long that takes.
     hops = [each for each in lasting if 0 < e < 1]
     known = np.ones(motion.times.size, dtype=bool)
@@ -195,14 +195,14 @@ def test_two_joints_replay_as_planned(e: float, touches: TouchSequence) -> None:
     for touch in lasting:
         held = motion.forces[:, 0] > 0
         assert np.ptp(motion.positions[:-1][held], axis=0).min() > 0.01
-        np.testing.assert_allclose(found.phases.signed_distances(found.x)[:-1][held], 0, atol=MET)
+        np.testing.assert_allclose(found.distances[:-1][held], 0, atol=MET)
         assert touch.start < motion.times[:-1][held][1] < touch.end
 
 
 def test_a_guess_goes_straight_from_stop_to_stop() -> None:
     world = World.from_diagram(make_diagram(num_joints=2))
     scenario = make_scenario([0.3, 0.6], [-0.4, -1.0], time_step=0.05)
-    phases = PhaseTranscription(world, scenario, (Touch.bounce(0.2), Touch(0.5, 0.9)))
+    phases = PhaseProblem(world, scenario, (Touch.bounce(0.2), Touch(0.5, 0.9)))
     stops = np.array([[0.3, 0.6], [0.1, -0.1], [-0.5, 0.4], [0.2, -0.2], [0.73, 0.73]])
     guess = phases.guess(stops[1:-1])
     _, stops = straight_path(world, scenario, phases.sequence, stops[1:-1])
@@ -216,15 +216,12 @@ def test_a_guess_goes_straight_from_stop_to_stop() -> None:
     tau = np.diff(guess.times)[:-4, np.newaxis]
     np.testing.assert_allclose(np.diff(guess.positions, axis=0)[:-4], tau * guess.velocities[1:-4])
     np.testing.assert_array_equal(guess.controls[:-4], np.zeros((16, 2)))
-    np.testing.assert_array_equal(
-        phases.trajectory(phases.vector(guess)).positions, guess.positions
-    )
 
 
 def test_a_guess_has_the_contacts_that_were_asked_for() -> None:
     sequence = (Touch(0.1, 0.3), Touch.bounce(0.5), Touch(0.6, 0.8), Touch.bounce(0.9))
-    phases = PhaseTranscription(shipped_world(), make_scenario(time_step=0.05), sequence)
-    found = phases.contact_sequence(phases.vector(phases.guess(np.zeros((6, 1)))))
+    phases = PhaseProblem(shipped_world(), make_scenario(time_step=0.05), sequence)
+    found = PhaseMotion(phases, phases.guess(np.zeros((6, 1)))).sequence
     assert [touch.lasts for touch in found] == [True, False, True, False]
     joints = [[t for touch in touches for t in touch.joints] for touches in (found, sequence)]
     assert joints[0] == pytest.approx(joints[1], abs=1e-12)
@@ -235,9 +232,10 @@ def test_a_guess_has_the_contacts_that_were_asked_for() -> None:
 
 @pytest.mark.parametrize("sequence", [(), (Touch.bounce(0.4),)], ids=["flight", "bounce"])
 def test_nothing_pulls_the_end_through_the_wall(sequence: TouchSequence) -> None:
-    phases = PhaseTranscription(shipped_world(), bouncing(0.8, 20), sequence)
-    phases.AddFinalCost(100.0 * (phases.state()[0] + 1.0) ** 2, "behind the wall")
-    found = solve(phases)
+    boxes = RigidTranscription(shipped_world(), bouncing(0.8, 20))
+    boxes.AddFinalCost(100.0 * (boxes.state()[0] + 1.0) ** 2, "behind the wall")
+    added = boxes.additions()
+    found = solve(PhaseProblem(shipped_world(), boxes.scenario, sequence, additions=added))
     assert found.status is LocalStatus.CONVERGED
     assert found.trajectory.positions[-1, 0] == pytest.approx(0.0, abs=1e-6)
     assert np.min(found.trajectory.positions) >= 0.0
@@ -252,7 +250,7 @@ def test_what_was_added_to_boxes_holds_in_phases(sequence: TouchSequence) -> Non
     boxes.AddFinalCost(2.0 * (v - 2.0) ** 2, "rush")
     boxes.AddConstraintToAllKnotPoints(u <= 4.0)
     boxes.AddConstraintToAllKnotPoints(np.array([u >= -3.0, v <= 1.25]))
-    phases = PhaseTranscription(world, scenario, sequence, additions=boxes.additions())
+    phases = PhaseProblem(world, scenario, sequence, additions=boxes.additions())
     found = solve(phases)
     assert found.status is LocalStatus.CONVERGED
     motion = found.trajectory
@@ -261,15 +259,11 @@ def test_what_was_added_to_boxes_holds_in_phases(sequence: TouchSequence) -> Non
     assert np.min(controls) >= -3.0 - MET
     assert np.max(velocities) <= 1.25 + MET
     assert velocities[-1, 0] == pytest.approx(1.25)  # in vain: it would rather end at 2 m/s
-    costs = {
-        name: sum(
-            float(phases.prog().EvalBinding(binding, found.x)[0])
-            for binding in phases.prog().GetAllCosts()
-            if binding.evaluator().get_description() == name
-        )
-        for name in ("stay", "rush", "control effort", "goal")
-    }
-    tau = np.diff(motion.times)
+    costs, tau = boxes.additions().costs(sample(motion)), np.diff(motion.times)
     assert costs["stay"] == pytest.approx(0.3 * tau @ (positions[:-1, 0] - 0.9) ** 2)
     assert costs["rush"] == pytest.approx(2.0 * 0.75**2)
-    assert costs["control effort"] + costs["goal"] == pytest.approx(found.cost)
+    # The program's own cost counts all of it.
+    arcs = Arcs(phases)
+    nlp = arcs.nlp
+    whole, _ = nlp.evaluate(np.clip(arcs.vector(motion), nlp.lower, nlp.upper))
+    assert whole == pytest.approx(found.cost + sum(costs.values()))

@@ -13,7 +13,8 @@ from unfolded_flights import MODELS, Flight
 
 from drake_aigto import Scenario, World
 from drake_aigto.errors import OptionsError
-from drake_aigto.transcription import Facing, PhaseTranscription, Touch, find_facings
+from drake_aigto.planning import PhaseProblem
+from drake_aigto.transcription import Facing, Touch, find_facings
 
 # Contacts of room_with_block: the block keeps q out of [0.4, 0.6]².
 RIGHT, LEFT, BACK, FRONT = 4, 5, 6, 7  # faces towards +x, −x, +y, −y
@@ -94,7 +95,7 @@ def clearances(found: Solved) -> Array:
 def test_a_flight_goes_around_the_block_as_close_as_it_may() -> None:
     scenario = make_scenario([0.1, 0.5], [1.0, 0.0], [0.9, 0.52])
     found = optimise(room(), scenario)
-    facings = found.phases.facings(found.x)
+    facings = found.facings
     assert [facing.contact for facing in facings] == [LEFT, BACK, RIGHT]
     # The turns are free, so that nothing keeps it from passing the corners closely.
     motion = found.trajectory
@@ -119,7 +120,7 @@ def test_a_bounce_off_the_block_unfolds() -> None:
     scenario = make_scenario([0.1, 0.3], [0.5, 0.4], [0.2, 0.6])
     found = optimise(room(), scenario, Touch.bounce(0.5, LEFT))
     assert found.cost == pytest.approx(sum(flight.cost for flight in flights), rel=2e-3)
-    (touch,) = found.touches
+    (touch,) = found.sequence
     assert touch.contact == LEFT
     assert np.min(clearances(found)) > -1e-9
     replay = found.replay()
@@ -131,7 +132,7 @@ def test_a_face_is_touched_within_its_edges() -> None:
     # By itself it would pass the face's height at y = 0.65, above the corner.
     scenario = make_scenario([0.1, 0.65], [0.8, 0.0], [0.1, 0.65])
     found = optimise(room(), scenario, Touch.bounce(0.4, LEFT))
-    (touch,) = found.touches
+    (touch,) = found.sequence
     k = int(np.argmin(np.abs(found.trajectory.times - touch.start)))
     np.testing.assert_allclose(found.trajectory.positions[k], [0.4, 0.6], atol=1e-6)
 
@@ -154,5 +155,5 @@ def test_a_face_is_touched_within_its_edges() -> None:
 def test_faces_that_leave_out_the_box_are_refused(facings: list[Facing], message: str) -> None:
     scenario = make_scenario([0.1, 0.1], [0, 0], [0.2, 0.2])
     with pytest.raises(OptionsError) as error:
-        PhaseTranscription(room(), scenario, [Touch.bounce(0.5, LEFT)], facings)
+        PhaseProblem(room(), scenario, [Touch.bounce(0.5, LEFT)], facings)
     assert str(error.value).startswith(f"facings: {message}")

@@ -22,8 +22,9 @@ from unfolded_flights import (
 
 from benchmarks.optima import walls_optimum
 from drake_aigto import Scenario, World
-from drake_aigto.local import solve_with_drake
-from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
+from drake_aigto.local import as_program, solve_with_drake
+from drake_aigto.planning import Arcs, PhaseProblem
+from drake_aigto.transcription import Touch, TouchSequence, calc_cost
 
 T = 1.5
 place = st.floats(0.15, 0.85)
@@ -70,8 +71,8 @@ def check_replays(found: Solved) -> None:
     replay = found.replay()
     assert replay.cost == pytest.approx(found.cost, rel=1e-6, abs=1e-12)
     assert replay.max_penetration < 1e-9
-    assert replay.bounce_times == pytest.approx([t.start for t in found.touches], abs=1e-7)
-    assert sorted(replay.bounce_contacts) == sorted(touch.contact for touch in found.touches)
+    assert replay.bounce_times == pytest.approx([t.start for t in found.sequence], abs=1e-7)
+    assert sorted(replay.bounce_contacts) == sorted(touch.contact for touch in found.sequence)
 
 
 # A corridor.
@@ -88,7 +89,7 @@ def test_a_corridor_unfolds(bounces: int) -> None:
             load("corridor"), scenario_of("corridor", flight, steps=steps), *evenly(sequence)
         )
         errors.append(found.cost / flight.cost - 1)
-        for touch, exact in zip(found.touches, sequence, strict=True):
+        for touch, exact in zip(found.sequence, sequence, strict=True):
             assert touch.contact == exact.contact
             assert touch.start == pytest.approx(exact.start, abs=2e-3)
         check_unfolds(found, axes=1)
@@ -116,9 +117,10 @@ def test_drakes_solver_finds_the_same(bounces: int, e: float) -> None:
     scenario = scenario_of("corridor", flight, e=e)
     found = optimise(load("corridor"), scenario, *evenly(touches_of(flight)))
     check_replays(found)
-    start = found.phases.vector(found.phases.guess())
-    other = solve_with_drake(found.phases.prog(), start, "snopt")
-    assert found.phases.scenario_cost(other) == pytest.approx(found.cost, rel=1e-4)
+    arcs = Arcs(found.phases, range(found.phases.num_steps))
+    start = arcs.vector(found.phases.guess())
+    other = arcs.trajectory(solve_with_drake(as_program(arcs.nlp), start, "snopt"))
+    assert calc_cost(scenario, other) == pytest.approx(found.cost, rel=1e-4)
 
 
 @pytest.mark.parametrize("model", ["corridor", "floor", "room"])
@@ -140,7 +142,7 @@ def test_the_known_optimum_is_polished_from_its_contacts(model: str, seed: int) 
     found = optimise(load(model), scenario, *sequence)
     assert found.cost == pytest.approx(known.cost, rel=0.01)
     assert found.cost > known.cost * (1 - 1e-9)
-    assert [t.start for t in found.touches] == pytest.approx(
+    assert [t.start for t in found.sequence] == pytest.approx(
         [t.start for t in known.touches], abs=0.01
     )
     check_replays(found)
@@ -227,7 +229,7 @@ def test_a_ball_that_drops_and_bounces_by_itself_costs_nothing(bounces: int, e: 
     guess = [Touch.bounce(0.9 * time) for time in times]
     found = optimise(load("floor"), scenario, *guess)
     assert found.cost == pytest.approx(0.0, abs=1e-10)
-    assert [touch.start for touch in found.touches] == pytest.approx(times, rel=1e-4)
+    assert [touch.start for touch in found.sequence] == pytest.approx(times, rel=1e-4)
     check_replays(found)
 
 
@@ -286,7 +288,7 @@ def test_every_contact_has_its_own_restitution() -> None:
     scenario = scenario_of("corridor", fly(0.4, 0.7, 2, push=0.5), e=0.9)
     found = optimise(lossy, scenario, Touch.bounce(0.4, 1), Touch.bounce(1.0, 0))
     speeds = []
-    for touch in found.touches:
+    for touch in found.sequence:
         k = int(np.argmin(np.abs(found.trajectory.times - touch.start)))
         change = found.trajectory.impulses[k] @ [1.0, -1.0]
         before = found.trajectory.velocities[k, 0]
@@ -294,7 +296,7 @@ def test_every_contact_has_its_own_restitution() -> None:
     (first, second) = speeds
     assert first[1] == pytest.approx(-0.5 * first[0])
     assert second[1] == pytest.approx(-0.9 * second[0])
-    assert max(found.phases.defects(found.x).values()) < MET
+    assert max(found.defects.values()) < MET
 
 
 def test_phases_grow_linearly_in_number_of_rows() -> None:
@@ -302,10 +304,10 @@ def test_phases_grow_linearly_in_number_of_rows() -> None:
     flight = fly(0.4, 0.7, -6, push=0.5)
     sizes = []
     for steps in (20, 40, 60):
-        phases = PhaseTranscription(
+        phases = PhaseProblem(
             load("corridor"), scenario_of("corridor", flight, steps=steps), sequence
         )
-        rows = phases.prog().GetAllConstraints()
-        sizes.append((len(rows), len({id(row.evaluator()) for row in rows})))
+        nlp = Arcs(phases, range(steps)).nlp
+        sizes.append((nlp.num_rows, len(nlp.blocks)))
     (few, _), (some, _), (many, _) = sizes
     assert many - some == some - few

@@ -20,7 +20,14 @@ from drake_aigto.paper import (
     LiteralTranscription,
     plan_literal,
 )
-from drake_aigto.planning import LocalSolverName, Planner, PlanningError, PlanOptions, SearchOptions
+from drake_aigto.planning import (
+    LocalSolverName,
+    Planner,
+    PlanningError,
+    PlanOptions,
+    ProgramSolution,
+    SearchOptions,
+)
 from drake_aigto.simulation import find_contacts
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import World
@@ -152,7 +159,7 @@ def test_costs_and_bounds_of_a_user_count() -> None:
     problem = LiteralTask(transcription, QUICK)
     result = problem.run_aigo(QUICK.ladder[0])
     knots = problem.find_sequences(result, QUICK.ladder[0])[0]
-    _, x = problem.polish(result.box.center, knots)
+    x = problem.polish(result.box.center, knots).x
     assert max(transcription.defects(x).values()) < 1e-8
     _, velocities, controls = transcription.split(x)
     assert np.max(np.abs(controls)) <= 2.0 + 1e-8
@@ -177,7 +184,7 @@ def test_nothing_feasible_is_an_error_that_says_what_was_tried(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def unpolished(problem: LiteralTask, center: Any, knots: Any) -> Any:
-        return problem.transcription, center
+        return ProgramSolution(problem.transcription, center)
 
     monkeypatch.setattr(LiteralTask, "polish", unpolished)
     message = r"no candidate meets .* got \d+ candidates from 2 rungs, the smallest defect"

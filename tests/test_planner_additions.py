@@ -118,10 +118,10 @@ def test_a_plan_moves_its_bounce_past_a_time_that_is_bound() -> None:
     held = BallTask(program)
     path = held.transcription.GetSampleTimes(), held.transcription.split(held.box.center)[0]
     for time in (0.45, 0.5, 0.55):
-        phases, x = held.polish_along(path, (Touch.bounce(time),))
-        (touch,) = phases.contact_sequence(x)
+        found = held.polish_along(path, (Touch.bounce(time),))
+        (touch,) = found.sequence
         assert touch.start == pytest.approx(free_plan().best.contacts[0].time, abs=1e-4)
-        assert held.cost(phases, x) == pytest.approx(free_plan().cost, rel=1e-3)
+        assert held.cost(found) == pytest.approx(free_plan().cost, rel=1e-3)
 
 
 def test_a_spring_is_taken_through_a_waypoint() -> None:

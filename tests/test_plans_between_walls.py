@@ -12,8 +12,8 @@ import pytest
 from benchmarks.optima import walls_optimum
 from benchmarks.worlds import WORLDS, load_unequal
 from drake_aigto import PlanOptions, Scenario, World, plan, scenario_names
-from drake_aigto.planning import BallSearch, Origin, find_grazes, make_ball_task
-from drake_aigto.transcription import PhaseTranscription, Touch
+from drake_aigto.planning import BallSearch, Origin, PhaseProblem, find_grazes, make_ball_task
+from drake_aigto.transcription import Touch
 
 QUICK = PlanOptions(confirm=False)
 NEW = [name for name in scenario_names() if name.partition("/")[0] in WORLDS]
@@ -167,7 +167,7 @@ def test_bounces_in_the_wrong_order_change_places() -> None:
 def test_a_guess_falls_from_stop_to_stop_as_gravity_has_it() -> None:
     scenario = Scenario.named("floor/rebound")
     world = World.from_scenario(scenario)
-    phases = PhaseTranscription(world, scenario, [Touch.bounce(0.4 * scenario.duration)])
+    phases = PhaseProblem(world, scenario, [Touch.bounce(0.4 * scenario.duration)])
     guess = phases.guess()
     t, q, v = guess.times, guess.positions[:, 0], guess.velocities[:, 0]
     g = -float(world.calc_acceleration(np.zeros(1), np.zeros(1), np.zeros(1))[0])
@@ -192,11 +192,11 @@ def test_a_motion_that_keeps_off_a_wall_by_control_grazes_it() -> None:
     )
     world = World.from_scenario(scenario)
     problem = make_ball_task(world, scenario, QUICK)
-    phases, x = problem.polish(problem.box.center, ())
-    (graze,) = find_grazes(phases, x)
+    flight = problem.polish(problem.box.center, ())
+    (graze,) = find_grazes(flight)
     assert graze.contact == 0
-    nearest = np.argmin(phases.signed_distances(x)[:, 0])
-    assert graze.start == pytest.approx(phases.sample_times(x)[nearest], abs=0.1)
+    nearest = np.argmin(flight.distances[:, 0])
+    assert graze.start == pytest.approx(flight.trajectory.times[nearest], abs=0.1)
     # Where it bounces, it does not keep off.
-    phases, x = problem.polish(problem.box.center, (graze,))
-    assert [other.contact for other in find_grazes(phases, x)] in ([], [1])
+    bounce = problem.polish(problem.box.center, (graze,))
+    assert [other.contact for other in find_grazes(bounce)] in ([], [1])

@@ -11,8 +11,8 @@ from phase_solutions import Solved, solve
 from benchmarks.floors import draw, floor_optimum, make_world
 from benchmarks.optima import walls_optimum
 from drake_aigto import PlanOptions, Scenario, World
-from drake_aigto.planning import Planner
-from drake_aigto.transcription import PhaseTranscription, Touch
+from drake_aigto.planning import PhaseProblem, Planner
+from drake_aigto.transcription import Touch
 
 OPTIONS = PlanOptions(confirm=False)
 
@@ -34,7 +34,7 @@ def moon() -> World:
 
 
 def rest(world: World, scenario: Scenario, land: float, leave: float) -> Solved:
-    return solve(PhaseTranscription(world, scenario, [Touch(land, leave)]))
+    return solve(PhaseProblem(world, scenario, [Touch(land, leave)]))
 
 
 @pytest.mark.parametrize("duration", [2.4, 2.0, 1.8])
@@ -46,7 +46,7 @@ def test_hops_end_before_the_jump_however_short_the_time_is(
         on_floor(0.3, 0.0, 0.3, duration, e), time_step=duration / 40, goal_weight=100.0
     )
     found = rest(moon, scenario, 0.3 * duration, 0.65 * duration)
-    (touch,), replay = found.touches, found.replay()
+    (touch,), replay = found.sequence, found.replay()
     motion = found.trajectory
     (k,) = np.flatnonzero(motion.times == touch.start)
     pushed = float(np.diff(motion.times) @ motion.forces[:, 0])
@@ -60,7 +60,7 @@ def test_an_elastic_floor_holds_what_lands_without_speed(moon: World) -> None:
     scenario = dataclasses.replace(on_floor(0.3, 0.0, 0.3, 2.0, 1.0), time_step=0.05)
     found = rest(moon, dataclasses.replace(scenario, goal_weight=100.0), 0.7, 1.3)
     assert found.replay().cost == pytest.approx(found.cost, rel=1e-5)
-    assert found.touches[0].lasts
+    assert found.sequence[0].lasts
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,11 @@ from drake_aigto import Scenario, World
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal, rigid_optimum
 from drake_aigto.planning import (
     BALL_LADDER,
+    Arcs,
     BallTask,
     Origin,
+    PhaseMotion,
+    PhaseProblem,
     Plan,
     Planner,
     PlanOptions,
@@ -25,7 +28,7 @@ from drake_aigto.planning import (
     plan,
 )
 from drake_aigto.show import format_plan
-from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch
+from drake_aigto.transcription import RigidTranscription, Touch
 
 # Of few time steps.
 
@@ -48,7 +51,7 @@ def test_which_contacts_a_plan_has_does_not_depend_on_the_time_step(name: str, s
 def test_a_plan_that_arcs_do_not_lead_to_has_so_many_steps_at_most_and_says_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("drake_aigto.planning.balls.phases.solve_in_arcs", lambda *_: None)
+    monkeypatch.setattr("drake_aigto.planning.balls.task.solve_in_arcs", lambda *_: None)
     monkeypatch.setattr("drake_aigto.planning.balls.task._MOST_GENERAL", 80)
     found = plan(table1(1, time_step=1e-3), UNCONFIRMED, shipped_world())
     assert len(found.trajectory.controls) == 80
@@ -235,11 +238,11 @@ def test_what_users_add_shapes_boxes_and_phases() -> None:
     center = problem.run_aigo(BALL_LADDER[0]).box.center
     (sequence, *_) = problem.find_sequences(problem.run_aigo(BALL_LADDER[0]), BALL_LADDER[0])
     assert len(sequence) == 1
-    phases, x = problem.polish(center, sequence)
-    bounded = phases.trajectory(x)
+    found = problem.polish(center, sequence)
+    bounded = found.trajectory
     assert np.max(np.abs(bounded.controls)) == pytest.approx(limit, abs=1e-6)
     assert abs(bounded.velocities[-1, 0]) < abs(bounce_plan().trajectory.velocities[-1, 0]) - 0.1
-    assert max(phases.defects(x).values()) < 1e-9
+    assert max(found.defects.values()) < 1e-9
 
 
 def test_the_polish_is_a_program_for_any_solver() -> None:
@@ -269,11 +272,12 @@ def test_a_planner_plans_again_with_changed_ends() -> None:
 
 def test_a_plan_with_a_contact_that_lasts_reads_back(tmp_path: Path) -> None:
     scenario = table1(1, restitution=0.0, **COARSE)
-    phases = PhaseTranscription(shipped_world(), scenario, [Touch(0.4, 0.6)])
-    guess = phases.vector(phases.guess([[0.0], [0.0]]))
+    phases = PhaseProblem(shipped_world(), scenario, [Touch(0.4, 0.6)])
+    arcs = Arcs(phases)
     problem = make_ball_task(shipped_world(), scenario, UNCONFIRMED)
-    x = problem.solve_program(phases.prog(), guess)
-    candidate = problem.judge(Origin("by hand"), problem.box.center, phases, x)
+    x = problem.solve_nlp(arcs.nlp, arcs.vector(phases.guess([[0.0], [0.0]])))
+    motion = PhaseMotion(phases, arcs.trajectory(x))
+    candidate = problem.judge(Origin("by hand"), problem.box.center, motion)
     found = dataclasses.replace(bounce_plan(), candidates=(candidate,))
     found.save(tmp_path / "plan.json")
     assert Plan.load(tmp_path / "plan.json") == found

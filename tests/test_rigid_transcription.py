@@ -20,9 +20,9 @@ from drake_aigto.box import BoxPolynomial
 from drake_aigto.contact import JointImpact
 from drake_aigto.dynamics import Contact
 from drake_aigto.errors import ModelError, OptionsError
+from drake_aigto.planning import PhaseProblem
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import (
-    PhaseTranscription,
     RigidTranscription,
     Transcription,
     rigid_defects,
@@ -252,7 +252,7 @@ def test_a_relaxation_that_is_no_size_is_refused(relaxation: float) -> None:
     assert str(error.value) == f"relaxation: got {relaxation}, expected a number, 0 or more."
 
 
-@pytest.mark.parametrize("kind", [RigidTranscription, PhaseTranscription])
+@pytest.mark.parametrize("kind", [RigidTranscription, PhaseProblem])
 def test_a_contact_that_turns_is_refused(
     kind: Callable[[World, Scenario], Transcription],
 ) -> None:

@@ -31,8 +31,8 @@ from drake_aigto.paper import (
     plan_literal,
     rigid_optimum,
 )
-from drake_aigto.planning import make_ball_task
-from drake_aigto.transcription import PhaseTranscription, RigidTranscription
+from drake_aigto.planning import PhaseProblem, make_ball_task
+from drake_aigto.transcription import RigidTranscription
 from drake_aigto.world import Scales, TaskCost
 
 Q_START, V_START, GOAL = [0.3, 0.2], [0.0, 0.0], [-0.2, 3.0]
@@ -231,7 +231,7 @@ DOORS: dict[str, Callable[[World, Scenario], Any]] = {
     "LiteralWithForces": LiteralWithForces,
     "RigidWithForces": RigidWithForces,
     "RigidTranscription": RigidTranscription,
-    "PhaseTranscription": PhaseTranscription,
+    "PhaseProblem": PhaseProblem,
     "rigid_optimum": rigid_optimum,
     "bounce_costs": lambda world, task: bounce_costs(world, task, [0.5], [1.0]),
     "walls_optimum": walls_optimum,

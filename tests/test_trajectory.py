@@ -20,10 +20,11 @@ from hypothesis.extra import numpy as hnp
 from drake_aigto import Scenario, World
 from drake_aigto.errors import DamagedDataError, TrajectoryError
 from drake_aigto.plain import from_plain, to_plain
+from drake_aigto.planning import Arcs, PhaseProblem
 from drake_aigto.show import PALETTE, PLAN_LABEL, Motion, color_of, motions_of_plan
 from drake_aigto.simulation import Replay, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import PhaseTranscription, Touch
+from drake_aigto.transcription import Touch
 
 
 def make_fields(**changes: Any) -> dict[str, Any]:
@@ -237,8 +238,9 @@ def test_phases_are_drawn_as_a_rigid_wall_plays_them(world: World) -> None:
         time_step=0.1,
         restitution=0.5,
     )
-    phases = PhaseTranscription(world, scenario, [Touch.bounce(0.3)])
-    plan = phases.trajectory(phases.vector(phases.guess([[0.0]])))
+    phases = PhaseProblem(world, scenario, [Touch.bounce(0.3)])
+    arcs = Arcs(phases)
+    plan = arcs.trajectory(arcs.vector(phases.guess([[0.0]])))
     assert np.ptp(np.diff(plan.times)) > 0.03  # Knots are not even.
     drawn = Motion.from_trajectory(plan, world)
     played = Motion.from_replay(replay_event_driven(world, scenario, plan.times, plan.controls))

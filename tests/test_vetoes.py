@@ -165,7 +165,7 @@ def test_where_no_polish_succeeds_there_is_still_doing_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(BallTask, "_has_arcs", False)
-    monkeypatch.setattr(BallTask, "solve_program", lambda self, prog, guess, *_: guess)
+    monkeypatch.setattr(BallTask, "solve_nlp", lambda self, nlp, guess, *_: guess)
     found = plan(table1(1, **COARSE))
     assert found.best.is_idle
     assert not any(candidate.is_feasible for candidate in found.candidates[1:])

@@ -113,11 +113,11 @@ def offer_polished(
         cost, path = recorder.cost, start
         try:
             for num_steps in (None, recorder.scenario.num_steps):
-                phases, y = problem.polish_along(path, sequence, num_steps)
-                found = phases.trajectory(y)
-                if recorder.offer(found.times, found.controls) >= cost:
+                found = problem.polish_along(path, sequence, num_steps)
+                motion = found.trajectory
+                if recorder.offer(motion.times, motion.controls) >= cost:
                     break
-                path, sequence = (found.times, found.positions), phases.contact_sequence(y)
+                path, sequence = found.path, found.sequence
         except AigtoError:
             continue  # Touches that no motion has.
 

@@ -11,10 +11,10 @@ from benchmarks.robustness.question import RobustnessQuestion, Task
 from benchmarks.study.study import Call, Study, round_to
 from drake_aigto.control import Feedback
 from drake_aigto.errors import AigtoError
-from drake_aigto.local import solve_with_drake
+from drake_aigto.local import as_program, solve_with_drake
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.plain import from_plain
-from drake_aigto.planning import Planner, PlanOptions
+from drake_aigto.planning import Arcs, PhaseProblem, Planner, PlanOptions
 from drake_aigto.progress import Count
 from drake_aigto.simulation import DRAKE as DRAKES_PLANT
 from drake_aigto.simulation import (
@@ -25,7 +25,6 @@ from drake_aigto.simulation import (
     replay_with,
 )
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import PhaseTranscription
 from drake_aigto.world import Scenario, World
 
 _OPTIONS = PlanOptions(confirm=False, threads=1)
@@ -152,9 +151,10 @@ def plan_without_contact(world: World, scenario: Scenario) -> Trajectory:
 
     It is what gradient solvers find for AIGTO's Table I: brake, turn, accelerate.
     """
-    phases = PhaseTranscription(world, scenario)
-    guess = phases.vector(phases.guess())
-    return phases.trajectory(solve_with_drake(phases.prog(), guess, "ipopt"))
+    phases = PhaseProblem(world, scenario)
+    arcs = Arcs(phases, range(phases.num_steps))
+    guess = arcs.vector(phases.guess())
+    return arcs.trajectory(solve_with_drake(as_program(arcs.nlp), guess, "ipopt"))
 
 
 def _judge(

@@ -277,8 +277,7 @@ def _polish(
         return None
     if solved is None:
         return None
-    phases, x = solved
-    return PlannedMotion(phases.trajectory(x), task.cost(phases, x), phases.contact_sequence(x))
+    return PlannedMotion(solved.trajectory, task.cost(solved), solved.sequence)
 
 
 def _check(planner: Planner) -> None:

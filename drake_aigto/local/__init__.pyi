@@ -1,3 +1,4 @@
+from .drake import as_program as as_program
 from .drake import compile_nlp as compile_nlp
 from .drake import solve_with_drake as solve_with_drake
 from .interior_point import InteriorPoint as InteriorPoint
@@ -13,6 +14,7 @@ from .nlp import LocalStatus as LocalStatus
 from .nlp import Monomial as Monomial
 from .nlp import NlpBuilder as NlpBuilder
 from .nlp import PolynomialNlp as PolynomialNlp
+from .nlp import Summand as Summand
 from .penalty_ladder import Climb as Climb
 from .penalty_ladder import PenaltyLadder as PenaltyLadder
 from .points import PointTables as PointTables

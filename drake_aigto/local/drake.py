@@ -9,12 +9,29 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.solvers import IpoptSolver, MathematicalProgram, SnoptSolver, SolverOptions
+from pydrake.solvers import (
+    ExpressionConstraint,
+    ExpressionCost,
+    IpoptSolver,
+    MathematicalProgram,
+    SnoptSolver,
+    SolverOptions,
+)
+from pydrake.symbolic import Expression, MakeVectorVariable
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.local.nlp import PolynomialNlp, check_bounds
-from drake_aigto.terms import ParsedRow, Term, TermBlock, parse_costs, parse_rows, shared_evaluators
+from drake_aigto.terms import (
+    ParsedRow,
+    Term,
+    TermBlock,
+    evaluate,
+    from_terms,
+    parse_costs,
+    parse_rows,
+    shared_evaluators,
+)
 
 # Rows are multiplied by distances of 1e-4 m near the wall: asked this tight, the true defects end
 # below 1e-8.
@@ -70,6 +87,26 @@ def _equality(row: ParsedRow) -> TermBlock:
         )
     rest = (Term(-row.lower, ()),) if row.lower else ()
     return TermBlock(row.block.name, (*row.block.terms, *rest), row.block.variables)
+
+
+def as_program(nlp: PolynomialNlp) -> MathematicalProgram:
+    """Returns a problem of powers, sines and cosines as Drake's, whose variables are x."""
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(nlp.num_variables, "x")
+    prog.AddBoundingBoxConstraint(nlp.lower, nlp.upper, x)
+    for number, block in enumerate(nlp.blocks):
+        y = MakeVectorVariable(block.variables.shape[1], "y")
+        # NumPy takes Drake's boxed constants for invalid numbers, and warns.
+        with np.errstate(invalid="ignore"):
+            formula = evaluate(from_terms(block.terms), y * Expression(1.0))[()]
+        is_cost = number < len(nlp.costs)
+        each = ExpressionCost(formula) if is_cost else ExpressionConstraint([formula], [0.0], [0.0])
+        places = {variable.get_id(): i for i, variable in enumerate(y)}
+        read = [places[variable.get_id()] for variable in each.vars()]
+        for copy in block.variables:
+            add = prog.AddCost if is_cost else prog.AddConstraint
+            add(each, vars=x[copy[read]])
+    return prog
 
 
 def solve_with_drake(prog: MathematicalProgram, guess: Floats, solver: str) -> Floats:

@@ -22,6 +22,7 @@ from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock, copy_weight
 
 # A coefficient, and the variables that it is multiplied by; one that is there twice is squared.
 Monomial = tuple[float, tuple[int, ...]]
+Summand = Monomial | Term
 
 
 def check_bounds(lower: Floats, upper: Floats, name: Callable[[int], str]) -> None:
@@ -140,7 +141,7 @@ class PolynomialNlp:
 
 
 class NlpBuilder:
-    """Collects variables with bounds, costs and rows that are sums of monomials.
+    """Collects variables with bounds, costs and rows that are sums of monomials or other terms.
 
     Letters: K copies of a sum that has L variables of its own.
     """
@@ -165,13 +166,13 @@ class NlpBuilder:
         """Adds lower ≤ x ≤ upper; the tightest of a variable's bounds count."""
         self._bounds.append((variables, lower, upper))
 
-    def add_cost(self, name: str, monomials: Iterable[Monomial], copies: ArrayLike) -> None:
+    def add_cost(self, name: str, terms: Iterable[Summand], copies: ArrayLike) -> None:
         """Adds a cost over local variables 0 … L−1, once for each row of `copies` (K, L)."""
-        self._costs.append(TermBlock(name, _terms(monomials), copies))
+        self._costs.append(TermBlock(name, _terms(terms), copies))
 
-    def add_row(self, name: str, monomials: Iterable[Monomial], copies: ArrayLike) -> None:
+    def add_row(self, name: str, terms: Iterable[Summand], copies: ArrayLike) -> None:
         """Adds rows sum = 0 over local variables 0 … L−1, one for each row of `copies` (K, L)."""
-        self._rows.append(TermBlock(name, _terms(monomials), copies))
+        self._rows.append(TermBlock(name, _terms(terms), copies))
 
     def bound_sum(
         self,
@@ -241,13 +242,13 @@ def _affine(coefficients: Floats) -> list[Monomial]:
     return [(scale, (i,)) for i, scale in enumerate(coefficients.tolist())]
 
 
-def _terms(monomials: Iterable[Monomial]) -> tuple[Term, ...]:
-    """Returns the monomials that are not zero."""
-    return tuple(
-        Term(float(coefficient), _factors(variables))
-        for coefficient, variables in monomials
-        if coefficient
+def _terms(summands: Iterable[Summand]) -> tuple[Term, ...]:
+    """Returns the summands that are not zero."""
+    terms = (
+        each if isinstance(each, Term) else Term(float(each[0]), _factors(each[1]))
+        for each in summands
     )
+    return tuple(term for term in terms if term.coefficient)
 
 
 @cache

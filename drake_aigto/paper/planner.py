@@ -17,6 +17,7 @@ from drake_aigto.planning import (
     Candidate,
     Origin,
     Plan,
+    ProgramSolution,
     ProgramTask,
     Progress,
     Rung,
@@ -205,14 +206,14 @@ class LiteralTask(ProgramTask):
         center = result.box.center
         return [contact_knots(self.transcription, x) for x in (center, self.pull(center, rung))]
 
-    def polish(self, center: Floats, sequence: Knots) -> tuple[LiteralTranscription, Floats]:
-        """Returns the transcription, and its local optimum next to a contact sequence.
+    def polish(self, center: Floats, sequence: Knots) -> ProgramSolution:
+        """Returns the local optimum next to a contact sequence.
 
         The local solver starts from the ballistic guess: of AIGO's box center only the sequence is
         kept, as its penalized rows are off by far.
         """
         guess = ballistic_guess(self.transcription, center, sequence)
-        return self.transcription, self.solve_locally(guess)
+        return ProgramSolution(self.transcription, self.solve_locally(guess))
 
 
 def contact_knots(transcription: Transcription, x: Floats) -> Knots:
@@ -267,4 +268,4 @@ def random_guess(transcription: Transcription, generator: np.random.Generator) -
 
 def _run(problem: LiteralTask, proposer: str, start: Floats) -> Candidate:
     x = problem.solve_locally(start)
-    return problem.judge(Origin(proposer), start, problem.transcription, x)
+    return problem.judge(Origin(proposer), start, ProgramSolution(problem.transcription, x))

@@ -3,9 +3,10 @@
 from drake_aigto.planning.balls.arc_program import ArcPrograms
 from drake_aigto.planning.balls.arcs import Arcs, solve_in_arcs
 from drake_aigto.planning.balls.neighbors import find_grazes, find_insertions
-from drake_aigto.planning.balls.phases import Path, coarsen
+from drake_aigto.planning.balls.phases import Path, PhaseMotion, PhaseProblem, coarsen
 from drake_aigto.planning.balls.search import BallSearch
 from drake_aigto.planning.balls.task import BallTask, make_ball_task
+from drake_aigto.planning.balls.timeline import straight_path
 from drake_aigto.planning.candidate import (
     COASTING,
     LARGEST_DEFECT,
@@ -13,6 +14,7 @@ from drake_aigto.planning.candidate import (
     Origin,
     Replays,
     Veto,
+    sample,
 )
 from drake_aigto.planning.mechanisms.boxes import Center, MechanismBoxes, StartedBoxes
 from drake_aigto.planning.mechanisms.closing import COARSE, Aim, Launch, find_tight, steady
@@ -38,7 +40,7 @@ from drake_aigto.planning.mechanisms.traces import (
 from drake_aigto.planning.options import LocalSolverName, PlanOptions, SearchOptions
 from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
 from drake_aigto.planning.planner import Planner, needs_shooting, plan, run_search, start_search
-from drake_aigto.planning.program_task import ProgramTask
+from drake_aigto.planning.program_task import ProgramSolution, ProgramTask
 from drake_aigto.planning.rungs import (
     BALL_LADDER,
     MECHANISM_LADDER,
@@ -78,11 +80,14 @@ __all__ = [
     "MechanismTask",
     "Origin",
     "Path",
+    "PhaseMotion",
+    "PhaseProblem",
     "Plan",
     "PlanOptions",
     "PlanStats",
     "Planner",
     "PlanningError",
+    "ProgramSolution",
     "ProgramTask",
     "Progress",
     "Proposal",
@@ -123,9 +128,11 @@ __all__ = [
     "replay_at_knots",
     "retimed",
     "run_search",
+    "sample",
     "solve_in_arcs",
     "start_search",
     "steady",
+    "straight_path",
     "swapped",
     "trace",
 ]

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
-from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.aigo import AigoResult, Algorithm, Box, Iterate, minimize, raise_penalties
 from drake_aigto.arrays import Floats
@@ -20,6 +19,7 @@ from drake_aigto.local import (
     InteriorPoint,
     LocalResult,
     PolynomialNlp,
+    as_program,
     compile_nlp,
     solve_with_drake,
 )
@@ -43,6 +43,7 @@ from drake_aigto.simulation import (
     replay_drake,
     replay_event_driven,
 )
+from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Transcription, largest_defect
 from drake_aigto.world import Scales, World
 
@@ -79,6 +80,45 @@ class Start:
     polynomial: BoxPolynomial
     box: Box
     row_names: tuple[str, ...]
+
+
+class Solution(Protocol):
+    """A motion that solves a program."""
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The motion at its knots."""
+
+    @property
+    def cost(self) -> float:
+        """J, without costs of users."""
+
+    @property
+    def defects(self) -> Mapping[str, float]:
+        """The largest violation of each kind of row, in its unit (m, m/s)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramSolution:
+    """Decision variables (n,) of a transcription, as a motion."""
+
+    transcription: Transcription
+    x: Floats
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The motion at its knots."""
+        return self.transcription.trajectory(self.x)
+
+    @property
+    def cost(self) -> float:
+        """J, without costs of users."""
+        return self.transcription.scenario_cost(self.x)
+
+    @property
+    def defects(self) -> dict[str, float]:
+        """The largest violation of each kind of row, in its unit (m, m/s)."""
+        return self.transcription.defects(self.x)
 
 
 class ProgramTask(ABC):
@@ -260,41 +300,33 @@ class ProgramTask(ABC):
         """Returns the contact sequences that AIGO proposes; () is a free flight."""
 
     @abstractmethod
-    def polish(self, center: Floats, sequence: ContactSequence) -> tuple[Transcription, Floats]:
-        """Returns the local optimum next to a contact sequence that was read off a box center.
-
-        Returns:
-            The transcription that was solved, and all of its decision variables.
-        """
+    def polish(self, center: Floats, sequence: ContactSequence) -> Solution:
+        """Returns the local optimum next to a contact sequence that was read off a box center."""
 
     def solve_locally(self, guess: Floats) -> Floats:
         """Returns the local optimum near a guess, all decision variables (n,)."""
-        x = self.solve_program(self.transcription.prog(), guess, lambda: self._nlp)
+        prog = self.transcription.prog()
+        if self.options.local_solver == "newton":
+            return self.transcription.close_rows(self.solve_nlp(self._nlp, guess))
+        x = solve_with_drake(prog, guess, self.options.local_solver)
         return self.transcription.close_rows(x)
 
     @cached_property
     def _nlp(self) -> PolynomialNlp:
         return compile_nlp(self.transcription.prog())
 
-    def solve_program(
-        self,
-        prog: MathematicalProgram,
-        guess: Floats,
-        compiled: Callable[[], PolynomialNlp] | None = None,
-        max_iterations: int | None = None,
+    def solve_nlp(
+        self, nlp: PolynomialNlp, guess: Floats, max_iterations: int | None = None
     ) -> Floats:
-        """Returns the local optimum of any program near a guess.
+        """Returns the local optimum of a compiled program near a guess.
 
         Args:
-            prog: the program.
+            nlp: the program.
             guess: all its decision variables.
-            compiled: compiles it, if there is a better way than `compile_nlp`; called if the local
-                solver is ours.
             max_iterations: of our local solver, which then only runs once.
         """
         if self.options.local_solver != "newton":
-            return solve_with_drake(prog, guess, self.options.local_solver)
-        nlp = compiled() if compiled else compile_nlp(prog)
+            return solve_with_drake(as_program(nlp), guess, self.options.local_solver)
         for factor in self._cost_units:
             result = self._minimize(nlp, guess, max_iterations or _MAX_ITERATIONS, factor)
             if result.is_success or max_iterations:
@@ -312,17 +344,16 @@ class ProgramTask(ABC):
     def _cost_scale(self) -> float:
         return self.transcription.cost_scale()
 
-    def judge(self, origin: Origin, start: Floats, solved: Transcription, x: Floats) -> Candidate:
-        """Returns the candidate of a local optimum, replayed between rigid walls.
+    def judge(self, origin: Origin, start: Floats, found: Solution) -> Candidate:
+        """Returns the candidate of a motion, replayed between rigid walls.
 
         Args:
             origin: where it came from.
             start: decision variables of this problem's transcription.
-            solved: the transcription that the local solver solved.
-            x: its decision variables.
+            found: the motion.
         """
-        world, scenario = solved.world, solved.scenario
-        trajectory = solved.trajectory(x)
+        world, scenario = self.world, self.transcription.scenario
+        trajectory = found.trajectory
         added = self.additions.costs(sample(trajectory))
         replay = replay_event_driven(world, scenario, trajectory.times, trajectory.controls)
         return Candidate(
@@ -330,9 +361,9 @@ class ProgramTask(ABC):
             start_cost=self.transcription.scenario_cost(start),
             start_defects=self.transcription.defects(start),
             trajectory=trajectory,
-            cost=solved.scenario_cost(x) + sum(added.values()),
+            cost=found.cost + sum(added.values()),
             goal_error=float(np.linalg.norm(trajectory.positions[-1] - scenario.goal_position)),
-            defects=self.defects(solved, x),
+            defects=self.defects(found),
             max_penetration=max_penetration(world, trajectory),
             contacts=find_contacts(world, trajectory),
             replay=add_to_replay(replay, self.additions, trajectory),
@@ -340,16 +371,16 @@ class ProgramTask(ABC):
             added_costs=added,
         )
 
-    def cost(self, solved: Transcription, x: Floats) -> float:
-        """Returns J of a solution, with costs of users."""
-        added = self.additions.costs(sample(solved.trajectory(x))) if self.additions else {}
-        return solved.scenario_cost(x) + sum(added.values())
+    def cost(self, found: Solution) -> float:
+        """Returns J of a motion, with costs of users."""
+        added = self.additions.costs(sample(found.trajectory)) if self.additions else {}
+        return found.cost + sum(added.values())
 
-    def defects(self, solved: Transcription, x: Floats) -> dict[str, float]:
-        """Returns a solution's largest violation of each kind of row, and of users' constraints."""
-        defects = solved.defects(x)
+    def defects(self, found: Solution) -> dict[str, float]:
+        """Returns a motion's largest violation of each kind of row, and of users' constraints."""
+        defects = dict(found.defects)
         if self.additions:
-            for name, missed in self.additions.violations(sample(solved.trajectory(x))).items():
+            for name, missed in self.additions.violations(sample(found.trajectory)).items():
                 defects[name] = max(missed, defects.get(name, 0.0))
         return defects
 

@@ -20,7 +20,7 @@ from drake_aigto.planning.search import Proposal, Search, Stopwatch
 
 _LOG = logging.getLogger(__name__)
 
-Polish = Callable[..., tuple[Any, Any]]
+Polish = Callable[..., Any]
 
 
 class SequenceSearch(Search):
@@ -29,7 +29,7 @@ class SequenceSearch(Search):
     Attributes:
         by_sequence: the candidates so far, in the order that they were found.
         centers: of the boxes that each sequence was read off.
-        solved: the transcription that each polish solved, and its decision variables.
+        solved: the motion of each.
         shown: the rungs so far, each with the contact sequences of its last box, the most literal
             first.
     """
@@ -41,7 +41,7 @@ class SequenceSearch(Search):
         super().__init__(task, clock)
         self.by_sequence: dict[ContactSequence, Candidate] = {}
         self.centers: dict[ContactSequence, Floats] = {}
-        self.solved: dict[ContactSequence, tuple[Any, Floats]] = {}
+        self.solved: dict[ContactSequence, Any] = {}
         self.shown: list[tuple[Rung, list[ContactSequence]]] = []
         self._is_stopped = threading.Event()  # By Ctrl-C, while boxes run in threads.
 
@@ -171,9 +171,9 @@ class SequenceSearch(Search):
     ) -> None:
         """Polishes a sequence to a candidate; it replaces one of equal sequence."""
         with self.clock("polish"):
-            self.solved[sequence] = solved, x = polish(center, sequence)
+            self.solved[sequence] = polish(center, sequence)
         with self.clock("replay"):
-            candidate = self.task.judge(origin, center, solved, x)
+            candidate = self.task.judge(origin, center, self.solved[sequence])
         self.by_sequence[sequence] = candidate
         _LOG.info(
             "  %s: cost %.3e, replayed %.3e, largest defect %.0e, in %d steps",

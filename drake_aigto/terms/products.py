@@ -205,10 +205,11 @@ def _split_affine(total: Sum) -> tuple[list[tuple[int, float]], float]:
 
 
 def evaluate(total: Sum, x: Floats) -> Floats:
-    """Returns a sum of powers, sines and cosines at points (…, n), shape (…)."""
-    values = np.zeros(x.shape[:-1])
+    """Returns a sum of powers, sines and cosines at points (…, n), shape (…), or at Expressions."""
+    kind = np.result_type(x, float)
+    values = np.zeros(x.shape[:-1], dtype=kind)
     for parts, a in total.items():
-        product = np.full(x.shape[:-1], a)
+        product = np.full(x.shape[:-1], a, dtype=kind)
         for part in parts:
             of = x[..., part.variable]
             product *= of**part.exponent

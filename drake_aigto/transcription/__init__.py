@@ -4,11 +4,12 @@ from drake_aigto.transcription.additions import (
     NO_ADDITIONS,
     Addition,
     Additions,
+    Part,
     Place,
     Samples,
 )
 from drake_aigto.transcription.consistency import check_together
-from drake_aigto.transcription.knots import Layout
+from drake_aigto.transcription.knots import Layout, calc_cost
 from drake_aigto.transcription.mechanism_program import (
     COST,
     DISTANCES,
@@ -19,7 +20,6 @@ from drake_aigto.transcription.mechanism_program import (
     soften,
 )
 from drake_aigto.transcription.open_program import MotionProgram, OpenProgram
-from drake_aigto.transcription.phases import PhaseTranscription
 from drake_aigto.transcription.rigid import ImpulseDirections, RigidTranscription
 from drake_aigto.transcription.rows import (
     CONTACT,
@@ -40,10 +40,10 @@ from drake_aigto.transcription.rows import (
     shared_constraint,
     shared_cost,
 )
-from drake_aigto.transcription.timeline import bend, straight_path
 from drake_aigto.transcription.touches import (
     AT_ONCE,
     Facing,
+    Fronts,
     Touch,
     TouchSequence,
     find_facings,
@@ -72,12 +72,13 @@ __all__ = [
     "Bounds",
     "Ends",
     "Facing",
+    "Fronts",
     "ImpulseDirections",
     "Layout",
     "MechanismProgram",
     "MotionProgram",
     "OpenProgram",
-    "PhaseTranscription",
+    "Part",
     "Place",
     "RigidTranscription",
     "Samples",
@@ -85,7 +86,7 @@ __all__ = [
     "TouchSequence",
     "Transcription",
     "as_expression",
-    "bend",
+    "calc_cost",
     "check_together",
     "cut_to",
     "cut_to_bounds",
@@ -98,6 +99,5 @@ __all__ = [
     "shared_constraint",
     "shared_cost",
     "soften",
-    "straight_path",
     "touches_at_once",
 ]

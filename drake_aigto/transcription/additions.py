@@ -119,6 +119,11 @@ class Additions:
         """Returns whether there is anything."""
         return bool(self.running or self.final or self.everywhere or self.at_knots)
 
+    @property
+    def are_everywhere(self) -> bool:
+        """Whether some are about every knot."""
+        return bool(self.running or self.everywhere)
+
     def joined(self, other: Additions) -> Additions:
         """Returns the additions of both, with the knots of this one."""
         return replace(
@@ -136,12 +141,17 @@ class Additions:
         return tuple(sorted({place.knot or 0 for place in places if place.part == "u"}))
 
     @property
-    def instants(self) -> tuple[int, ...]:
-        """The inner knots at whose times another program needs a knot, too."""
+    def knots(self) -> tuple[int, ...]:
+        """The knots at whose times another program needs a knot, too, in order."""
         places = (place for each in self.at_knots for place in each.places)
         knots = {place.knot or 0 for place in places if place.part != "u"}
-        knots |= {k + after for k in self.held for after in (0, 1)}
-        return tuple(sorted(knots - {0, len(self.times) - 1}))
+        return tuple(sorted(knots.union(*((k, k + 1) for k in self.held))))
+
+    @property
+    def instants(self) -> Floats:
+        """The times of these, without start and end, shape (I,) [s]."""
+        ends = 0, len(self.times) - 1
+        return self.times[[k for k in self.knots if k not in ends]]
 
     @property
     def constraints(self) -> tuple[Addition, ...]:

@@ -18,6 +18,13 @@ from drake_aigto.world import Scales, Scenario, World, calc_inertia
 _ON_KNOT = 1e-9
 
 
+def calc_cost(scenario: Scenario, motion: Trajectory) -> float:
+    """Returns J = w_u Σ h_k ‖u_k‖² + w_f ‖q_N − goal‖², without penalties or added costs."""
+    effort = np.diff(motion.times) @ np.sum(motion.controls**2, axis=1)
+    miss = np.sum((motion.positions[-1] - scenario.goal_position) ** 2)
+    return float(scenario.control_weight * effort + scenario.goal_weight * miss)
+
+
 class Layout:
     """Places of decision variables, before there is a program with them.
 

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from pydrake.symbolic import MakeVectorVariable
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.contact import JointImpact
-from drake_aigto.local import Monomial, NlpBuilder
-from drake_aigto.transcription import CONTACT, DYNAMICS, FLIGHT, NONPENETRATION, RESTITUTION
-
-if TYPE_CHECKING:
-    from drake_aigto.dynamics import ConstantDynamics
-    from drake_aigto.transcription import PhaseTranscription
-
-    Mask = NDArray[np.bool_]
+from drake_aigto.dynamics import ConstantDynamics
+from drake_aigto.local import Monomial, NlpBuilder, Summand
+from drake_aigto.planning.balls.added import AddedSums
+from drake_aigto.planning.balls.phases import PhaseProblem
+from drake_aigto.terms import expression_terms
+from drake_aigto.transcription import (
+    CONTACT,
+    DYNAMICS,
+    FLIGHT,
+    NO_ADDITIONS,
+    NONPENETRATION,
+    RESTITUTION,
+    Additions,
+    as_expression,
+)
+from drake_aigto.world import World
 
 # Programs that are kept, at most: searches return to contact sequences.
 _MOST_KEPT = 64
@@ -46,18 +54,18 @@ class ArcShape:
 
     counts: Ints
     phases: Ints
-    rests: Mask
-    lands: Mask
-    starts: Mask
-    struck: Mask
-    held: Mask
-    apart: Mask
-    beside: Mask
+    rests: Bools
+    lands: Bools
+    starts: Bools
+    struck: Bools
+    held: Bools
+    apart: Bools
+    beside: Bools
     restitutions: Floats
     weights: Floats
 
     @classmethod
-    def of(cls, phases: PhaseTranscription, knots: Ints) -> ArcShape:
+    def of(cls, phases: PhaseProblem, knots: Ints) -> ArcShape:
         """Returns the shape of arcs between these knots of the phases."""
         line, scenario, counts = phases.timeline, phases.scenario, np.diff(knots)
         rests = line.rests[knots[:-1]]
@@ -88,23 +96,25 @@ class ArcShape:
 
 
 class ArcPrograms:
-    """Programs of the same constant dynamics, by the shape of their arcs."""
+    """Programs of the same world without additions, by the shape of their arcs."""
 
     def __init__(self) -> None:
         """Starts with none."""
         self._kept: dict[tuple[bytes, ...], ArcProgram] = {}
 
-    def of(self, phases: PhaseTranscription, knots: Ints) -> ArcProgram:
+    def of(self, phases: PhaseProblem, knots: Ints) -> ArcProgram:
         """Returns the program of arcs between these knots of the phases.
 
         Raises:
-            ModelError: the dynamics are not constant.
             UnsupportedTermError: walls leave a joint no place.
         """
-        shape = ArcShape.of(phases, knots)
+        shape, additions = ArcShape.of(phases, knots), phases.additions
+        if additions:
+            at = {k: int(np.searchsorted(knots, phases.knot_of(k))) for k in additions.knots}
+            return ArcProgram(phases.world, shape, additions, at)
         key = shape.key
         if key not in self._kept:
-            program = ArcProgram(phases.world.constant_dynamics, shape)
+            program = ArcProgram(phases.world, shape)
             if len(self._kept) >= _MOST_KEPT:
                 del self._kept[next(iter(self._kept))]
             self._kept[key] = program
@@ -135,7 +145,8 @@ class WallBounds:
 
     def bound(self, lower: Floats, upper: Floats, offset: Floats) -> None:
         """Writes the positions' bounds, given φ(0), shape (m,), into those of all unknowns."""
-        lower[self.positions], upper[self.positions] = -np.inf, np.inf
+        held = self.positions[self.limits[0] == self.limits[1]]  # At another place so far.
+        lower[held], upper[held] = -np.inf, np.inf
         low, high = np.sort((self.limits - offset[self.contacts]) / self.slopes, axis=0)
         np.maximum.at(lower, self.positions, low)
         np.minimum.at(upper, self.positions, high)
@@ -166,14 +177,30 @@ class ArcProgram:
             (`JointImpact`), shapes (c,) and (c, nv).
         walls: bounds of φ that are bounds of one position.
         phases: which phase each arc is a part of, shape (J,).
-        end_forces: λ at both ends of arcs, where contacts last.
+        end_forces: λ at both ends of arcs of several steps, where contacts last.
     """
 
-    def __init__(self, dynamics: ConstantDynamics, shape: ArcShape) -> None:
-        """Builds the problem."""
-        self._dynamics, self._shape, self.phases = dynamics, shape, shape.phases
+    def __init__(
+        self,
+        world: World,
+        shape: ArcShape,
+        additions: Additions = NO_ADDITIONS,
+        joints: Mapping[int, int] | None = None,
+    ) -> None:
+        """Builds the problem.
+
+        Args:
+            world: has M, J and h; arcs are of one step each if h varies.
+            shape: of the arcs.
+            additions: of users; arcs are of one step each if some are about every knot.
+            joints: the joint at the time of each knot that additions read.
+        """
+        self._world, self._inertia = world, world.constant_inertia
+        self._shape, self.phases = shape, shape.phases
         self._builder = NlpBuilder()
         self._make_variables()
+        at = joints or {}
+        self._hold_controls([(at[k], at[k + 1]) for k in additions.held])
         for rests in dict.fromkeys(map(tuple, shape.rests.tolist())):
             self._add_motion(np.array(rests, dtype=bool))
         self._add_costs()
@@ -181,14 +208,16 @@ class ArcProgram:
         self._add_distances()
         self._add_touches()
         self._add_forces()
+        self._added = AddedSums(self._builder)
+        self._added.add(additions, {"q": self.q, "v": self.v, "u": self.a}, self.h, at)
         self.nlp = self._builder.build()
 
     def complete(self, x: Floats) -> Floats:
         """Returns a point (n,) with its sums computed from the other unknowns."""
-        return self._builder.complete(x)
+        return self._added.complete(self._builder.complete(x))
 
     def _make_variables(self) -> None:
-        new, rests, (nq, nu) = self._builder.new, self._shape.rests, self._dynamics.gain.shape
+        new, rests, (nq, nu) = self._builder.new, self._shape.rests, self._inertia.gain.shape
         J, m = rests.shape
         self.q, self.v, self.t = new(J + 1, nq), new(J + 1, nq), new(J + 1)
         self.a, self.b, self.h = new(J, nu), new(J, nu), new(J)
@@ -196,20 +225,27 @@ class ArcProgram:
         # Held unknowns also make all arcs copies of one sum.
         self.half_root, self.goal, self.offset = new(J), new(nq), new(m)
         is_short = (self._shape.counts == 1)[:, np.newaxis]
-        no_forces = self.f[~rests], self.g[~rests | is_short]
+        no_tilts = self.b[is_short[:, 0]], self.g[~rests | is_short]
         ends = self.q[0], self.v[0], self.t[[0, -1]]
-        for held in (*ends, self.half_root, self.goal, self.offset, *no_forces):
+        for held in (*ends, self.half_root, self.goal, self.offset, self.f[~rests], *no_tilts):
             self._builder.bound(held, 0.0, 0.0)
         self.w = self.v[:-1].copy()
         self.impacts: dict[int, tuple[Ints, Ints]] = {}
         for j in np.flatnonzero(np.any(self._shape.struck[:-1], axis=1)).tolist():
             self._add_impact(j, self._impact(j).velocities)
 
+    def _hold_controls(self, spans: Iterable[tuple[int, int]]) -> None:
+        """Makes the arcs from one joint to another share one control."""
+        for first, last in spans:
+            unused = np.append(self.a[first + 1 : last], self.b[first:last], axis=0)
+            self._builder.bound(unused, 0.0, 0.0)
+            self.a[first:last] = self.a[first]
+
     def _impact(self, joint: int) -> JointImpact:
         struck = self._shape.struck[joint]
         restitutions = np.where(self._shape.lands[joint], 0.0, self._shape.restitutions)[struck]
         contacts = tuple(np.flatnonzero(struck).tolist())
-        return JointImpact.of(self._dynamics, contacts, tuple(restitutions.tolist()))
+        return JointImpact.of(self._inertia, contacts, tuple(restitutions.tolist()))
 
     def _add_impact(self, j: int, velocities: Floats) -> None:
         """Adds w = R v at a joint, for the speeds that an impact changes."""
@@ -220,7 +256,7 @@ class ArcProgram:
         for i, row in zip(changed.tolist(), rows, strict=True):
             self.w[j, i] = self._builder.new_product(RESTITUTION, row, self.v[j])
 
-    def _add_motion(self, rests: NDArray[np.bool_]) -> None:
+    def _add_motion(self, rests: Bools) -> None:
         """Adds flight and dynamics of the arcs during which these contacts last."""
         columns = (
             *(self.q[:-1], self.w, self.q[1:], self.v[1:], self.a, self.b),
@@ -232,18 +268,33 @@ class ArcProgram:
         q, w, next_q, next_v, a, b, f, g, (H,), (r,) = (
             places.tolist() for places in np.split(np.arange(ends[-1]), ends[:-1])
         )
-        for i, drift in enumerate(self._dynamics.drift):
-            pushes = [*self._dynamics.gain[i], *self._dynamics.kicks[rests, i]]
+        for i, drift in enumerate(self._express_drifts(H)):
+            pushes = [*self._inertia.gain[i], *self._inertia.kicks[rests, i]]
             flight: list[Monomial] = [(1.0, (next_q[i],)), (-1.0, (q[i],))]
             flight += [(-0.5, (H, speed)) for speed in (w[i], next_v[i])]
             flight += [(push, (r, H, H, x)) for push, x in zip(pushes, [*b, *g], strict=True)]
             self._builder.add_row(FLIGHT, flight, copies)
-            dynamics: list[Monomial] = [(1.0, (next_v[i],)), (-1.0, (w[i],)), (-drift, (H,))]
+            dynamics: list[Summand] = [(1.0, (next_v[i],)), (-1.0, (w[i],)), *drift]
             dynamics += [(-push, (H, x)) for push, x in zip(pushes, [*a, *f], strict=True)]
             self._builder.add_row(DYNAMICS, dynamics, copies)
 
+    def _express_drifts(self, H: int) -> list[Sequence[Summand]]:
+        """Returns −H times the acceleration without control, of each coordinate.
+
+        It is over an arc's q, w, q′ and v′, the first unknowns of its motion, and H.
+        """
+        if isinstance(self._inertia, ConstantDynamics):
+            return [[(-drift, (H,))] for drift in self._inertia.drift.tolist()]
+        names, n = MakeVectorVariable(H + 1, "x"), len(self._inertia.mass_matrix)
+        q, w, next_q, next_v = np.split(names[: 4 * n], 4)
+        # NumPy takes Drake's boxed constants for invalid numbers, and warns.
+        with np.errstate(invalid="ignore"):
+            force = self._world.express_bias((q + next_q) / 2, (w + next_v) / 2)
+            slowed = names[H] * (self._inertia.inverse_mass @ force)
+        return [expression_terms("the bias", as_expression(each), names, True) for each in slowed]
+
     def _add_costs(self) -> None:
-        (w_u, w_f), (nq, nu) = self._shape.weights.tolist(), self._dynamics.gain.shape
+        (w_u, w_f), (nq, nu) = self._shape.weights.tolist(), self._inertia.gain.shape
         effort = [(w_u, (0, i, i)) for i in range(1, 2 * nu + 1)]
         copies = np.column_stack([self.h, self.a, self.b])
         self._builder.add_cost("control effort", effort, copies)
@@ -273,7 +324,7 @@ class ArcProgram:
             (CONTACT, shape.held, 0.0, 0.0),
         ):
             for j, i in np.argwhere(mask[1:]).tolist():
-                J, q = self._dynamics.jacobian[i], self.q[j + 1]
+                J, q = self._inertia.jacobian[i], self.q[j + 1]
                 used = np.flatnonzero(J)
                 if used.size == 1:
                     alone.append((q[used[0]], i, J[used[0]], lower, upper))
@@ -291,7 +342,7 @@ class ArcProgram:
             # An elastic contact must be at rest already to stay.
             stays = shape.lands[j, i] and shape.restitutions[i] == 1
             least = 0.0 if stays else -np.inf
-            builder.bound_sum(RESTITUTION, self._dynamics.jacobian[i], self.v[j], least, 0.0)
+            builder.bound_sum(RESTITUTION, self._inertia.jacobian[i], self.v[j], least, 0.0)
             if shape.lands[j, i] and 0 < shape.restitutions[i] < 1:
                 self._add_settling(j, i)
         for j in np.flatnonzero(np.any(shape.struck, axis=1)).tolist():
@@ -303,15 +354,10 @@ class ArcProgram:
         """Adds that hops end before the contact does: (1 − e) Σ H f_i + 2 e m_i J_i v ≥ 0."""
         e, ends = self._shape.restitutions[i], np.flatnonzero(~self._shape.rests[joint:, i])
         arcs = slice(joint, joint + int(ends[0]) if ends.size else None)
-        hold = np.column_stack([self.h[arcs], self.f[arcs, i]])
-        spare = self._builder.new(1)
-        self._builder.bound(spare, 0.0, np.inf)
-        closing = 2 * e * self._dynamics.masses[i] * self._dynamics.jacobian[i]
-        n = hold.size
-        row: list[Monomial] = [(1 - e, (k, k + 1)) for k in range(0, n, 2)]
-        row += [(speed, (n + k,)) for k, speed in enumerate(closing.tolist())]
-        row += [(-1.0, (n + closing.size,))]
-        self._builder.add_row(CONTACT, row, np.concatenate([hold.ravel(), self.v[joint], spare]))
+        pushed = self._builder.new_product(CONTACT, self.h[arcs], self.f[arcs, i])
+        closing = 2 * e * self._inertia.masses[i] * self._inertia.jacobian[i]
+        row = np.append(closing, 1 - e), np.append(self.v[joint], pushed)
+        self._builder.bound_sum(CONTACT, *row, 0.0, np.inf)
 
     def _add_forces(self) -> None:
         """Adds λ ≥ 0 at both ends of arcs, and that contacts stay at rest."""
@@ -320,13 +366,12 @@ class ArcProgram:
         for j, i in np.argwhere(self._shape.rests).tolist():
             n, both = self._shape.counts[j], np.array([self.f[j, i], self.g[j, i]])
             if n == 1:
-                ends.append(int(both[0]))
-                continue
+                builder.bound(both[0], 0.0, np.inf)
+                continue  # It stays at rest as both ends are at the wall.
             tilt = (n - 1) / n / calc_root(n)
-            ends += [
-                builder.new_sum(CONTACT, np.array([1.0, side]), both) for side in (-tilt, tilt)
-            ]
-            builder.bound_sum(CONTACT, self._dynamics.jacobian[i], self.v[j + 1], 0.0, 0.0)
+            sides = (np.array([1.0, side]) for side in (-tilt, tilt))
+            ends += [builder.new_sum(CONTACT, side, both) for side in sides]
+            builder.bound_sum(CONTACT, self._inertia.jacobian[i], self.v[j + 1], 0.0, 0.0)
         self.end_forces = np.array(ends, dtype=np.int64)
         builder.bound(self.end_forces, 0.0, np.inf)
 

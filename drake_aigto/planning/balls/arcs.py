@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,11 +11,9 @@ from numpy.typing import ArrayLike
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.local import LocalResult, PolynomialNlp
 from drake_aigto.planning.balls.arc_program import ArcPrograms, calc_root
+from drake_aigto.planning.balls.phases import PhaseProblem
 from drake_aigto.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from drake_aigto.transcription import PhaseTranscription
-
+from drake_aigto.world import calc_inertia
 
 # How often arcs are cut, at most, before the general solver is tried instead.
 _MOST_ROUNDS = 6
@@ -27,23 +24,23 @@ _PULL = 1e-6
 
 
 def solve_in_arcs(
-    phases: PhaseTranscription,
+    phases: PhaseProblem,
     guess: Trajectory,
     solve: Callable[[PolynomialNlp, Floats], LocalResult | None],
     programs: ArcPrograms | None = None,
-) -> Floats | None:
-    """Returns a local optimum of a multi-phase problem where the world's h is constant.
+) -> Trajectory | None:
+    """Returns a local optimum of a multi-phase problem that `has_long_arcs`.
 
     Knots inside of walls become ends of arcs, so that they get rows, until there are none.
 
     Args:
-        phases: the problem, as made: what users added would not count.
+        phases: the problem.
         guess: a motion at its knots.
         solve: the local solver; None where it leads to nothing.
         programs: those of the same world that were built so far.
 
     Returns:
-        All decision variables of the phases; None where the solver does not get there.
+        The motion at all knots; None where the solver does not get there.
     """
     motion, cuts = guess, frozenset[int]()
     for _ in range(_MOST_ROUNDS):
@@ -52,32 +49,27 @@ def solve_in_arcs(
         if result is None or not result.is_success or arcs.would_pull(result):
             return None
         motion = arcs.trajectory(result.x)
-        x = phases.vector(motion)
-        x.flags.writeable = False
-        deep = _deepest_knots(phases, x)
+        deep = _deepest_knots(phases, motion.positions)
         if not deep:
-            return x
+            return motion
         cuts |= deep
     return None
 
 
-def _deepest_knots(phases: PhaseTranscription, x: Floats) -> set[int]:
+def _deepest_knots(phases: PhaseProblem, positions: Floats) -> set[int]:
     """Returns the first, the last and the deepest knot of each run of knots inside of a wall."""
-    distances = phases.signed_distances(x)
-    if not np.any(phases.timeline.apart & (distances < 0)):
-        return set()
-    is_inside = phases.timeline.apart & (distances < -_DEPTH * phases.length_scale())
+    distances, apart = phases.world.calc_signed_distance(positions), phases.timeline.apart
+    is_inside = apart & (distances < -_DEPTH * phases.scales.length)
     found: set[int] = set()
-    for inside, distance in zip(is_inside[1:].T, distances[1:].T, strict=True):
-        knots = np.flatnonzero(inside) + 1
+    for contact in np.flatnonzero(np.any(is_inside[1:], axis=0)).tolist():
+        knots, distance = np.flatnonzero(is_inside[1:, contact]) + 1, distances[:, contact]
         for run in np.split(knots, np.flatnonzero(np.diff(knots) > 1) + 1):
-            if run.size:
-                found |= {int(run[0]), int(run[-1]), int(run[np.argmin(distance[run - 1])])}
+            found |= {int(run[0]), int(run[-1]), int(run[np.argmin(distance[run])])}
     return found
 
 
 class Arcs:
-    """A multi-phase problem (`PhaseTranscription`) without its inner knots: the same optimum.
+    """A multi-phase problem (`PhaseProblem`) without its inner knots: the same optimum.
 
     If M and h are constant, the cheapest controls held over n steps of H/n each between two states
     are affine in k, like the costates. With the steps counted by
@@ -103,7 +95,7 @@ class Arcs:
 
     def __init__(
         self,
-        phases: PhaseTranscription,
+        phases: PhaseProblem,
         cuts: Collection[int] = (),
         programs: ArcPrograms | None = None,
     ) -> None:
@@ -111,14 +103,17 @@ class Arcs:
 
         Args:
             phases: the problem.
-            cuts: more joints.
+            cuts: more joints; all knots if the phases have no long arcs.
             programs: those of the same world that were built so far.
         """
         self._phases, line = phases, phases.timeline
+        cuts = cuts if phases.has_long_arcs else range(phases.num_steps)
         self._knots = np.array(sorted({0, *(phase.last for phase in line.phases), *cuts}))
         self._counts = np.diff(self._knots)
         self._roots = calc_root(self._counts)
-        self._dynamics = phases.world.constant_dynamics
+        self._inertia = phases.inertia
+        # Without long arcs, no knot is inside of one.
+        self._drift = getattr(self._inertia, "drift", 0.0)
         self._program = (programs or ArcPrograms()).of(phases, self._knots)
         self._impacts = [
             (rows, phases.impacts[int(self._knots[j])].velocities[changed])
@@ -130,18 +125,21 @@ class Arcs:
         """Returns the program's bounds with this problem's numbers."""
         p, phases, scenario = self._program, self._phases, self._phases.scenario
         lower, upper = p.nlp.lower.copy(), p.nlp.upper.copy()
+        instants = phases.timeline.instants
+        times, knots = list(instants), np.array(list(instants.values()), dtype=int)
         given: list[tuple[Ints, ArrayLike]] = [
             (p.q[0], scenario.initial_position),
             (p.v[0], scenario.initial_velocity),
             (p.t[[0, -1]], [0.0, scenario.duration]),
+            (p.t[np.searchsorted(self._knots, knots)], times),
             (p.half_root, self._roots / 2),
             (p.goal, scenario.goal_position),
-            (p.offset, self._dynamics.offset),
+            (p.offset, self._inertia.offset),
             *self._impacts,
         ]
         for held, value in given:
             lower[held] = upper[held] = value
-        p.walls.bound(lower, upper, self._dynamics.offset)
+        p.walls.bound(lower, upper, self._inertia.offset)
         least = [phases.least_step(phase) for phase in phases.timeline.phases]
         lower[p.h] = self._counts * np.array(least)[p.phases]
         upper[p.h] = scenario.duration
@@ -152,7 +150,8 @@ class Arcs:
         ends, phases = self._program.end_forces, self._phases
         if not ends.size:
             return False
-        force = phases.inertia() * phases.length_scale() / phases.scenario.duration**2
+        inertia = calc_inertia(phases.world, phases.scenario.initial_position)
+        force = inertia * phases.scales.length / phases.scenario.duration**2
         price = force * result.lower_multipliers[ends]
         return bool(np.any(price > _PULL * result.cost))
 
@@ -170,7 +169,7 @@ class Arcs:
         ):
             x[mean] = np.add.reduceat(held, K[:-1]) / n
             x[tilt] = np.add.reduceat(s * held, K[:-1]) / scale
-        x[p.offset] = self._dynamics.offset
+        x[p.offset] = self._inertia.offset
         for rows, values in self._impacts:
             x[rows] = values
         return p.complete(x)
@@ -195,22 +194,25 @@ class Arcs:
         mean, tilt = x[p.a], x[p.b] / roots
         mean_force, tilt_force = x[p.f], x[p.g] / roots
         h = (x[p.h] / self._counts)[arc][:, np.newaxis]
-        mean_rate = (
-            self._dynamics.drift + mean @ self._dynamics.gain.T + mean_force @ self._dynamics.kicks
-        )[arc]
-        tilt_rate = (tilt @ self._dynamics.gain.T + tilt_force @ self._dynamics.kicks)[arc]
+        mean_rate = (self._drift + mean @ self._inertia.gain.T + mean_force @ self._inertia.kicks)[
+            arc
+        ]
+        tilt_rate = (tilt @ self._inertia.gain.T + tilt_force @ self._inertia.kicks)[arc]
         w, s = x[p.w][arc], self._sigma[:, np.newaxis]
         v = w + h * k * (mean_rate + (k - n) / n * tilt_rate)
         bend = k / 2 * mean_rate + (2 * k**2 + 1 - 3 * n * k) / (6 * n) * tilt_rate
         q = x[p.q][arc] + h * k * (w + h * bend)
-        forces = np.maximum(mean_force[arc] + s * tilt_force[arc], 0.0)
+        sizes = [phase.last - phase.first for phase in self._phases.timeline.phases]
+        elapsed = np.cumsum(np.repeat(np.bincount(p.phases, x[p.h]) / sizes, sizes))
+        velocities = self._at_knots(v, x[p.v])
         return Trajectory(
-            times=self._at_knots(x[p.t][arc] + (h * k)[:, 0], x[p.t]),
+            # They increase at any x within bounds.
+            times=np.append(0.0, self._phases.scenario.duration * (elapsed / elapsed[-1])),
             positions=self._at_knots(q, x[p.q]),
-            velocities=self._at_knots(v, x[p.v]),
+            velocities=velocities,
             controls=mean[arc] + s * tilt[arc],
-            impulses=np.zeros((K[-1] + 1, forces.shape[1])),
-            forces=forces,
+            impulses=self._phases.calc_impulses(velocities),
+            forces=np.maximum(mean_force[arc] + s * tilt_force[arc], 0.0),
         )
 
     def _at_knots(self, of_steps: Floats, at_joints: Floats) -> Floats:

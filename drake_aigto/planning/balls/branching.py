@@ -19,7 +19,7 @@ from drake_aigto.planning.balls.neighbors import (
     find_pulls,
     find_rests,
 )
-from drake_aigto.planning.balls.phases import Path, Solved
+from drake_aigto.planning.balls.phases import Path, PhaseMotion
 from drake_aigto.planning.balls.task import BallTask
 from drake_aigto.planning.candidate import LARGEST_DEFECT, ChangeName, Origin
 from drake_aigto.planning.search import Proposal, Stopwatch, scaled
@@ -51,7 +51,7 @@ class Shown(NamedTuple):
     center: Floats
     sequence: TouchSequence
     path: Path | None = None
-    solved: Solved | None = None
+    solved: PhaseMotion | None = None
 
 
 def propose(origin: Origin, shown: Shown) -> Proposal:
@@ -77,7 +77,7 @@ class BranchingSearch(SequenceSearch):
         center: Floats,
         sequence: TouchSequence,
         path: Path | None = None,
-        solved: Solved | None = None,
+        solved: PhaseMotion | None = None,
     ) -> None:
         """Adds the candidate of a sequence (`Shown`)."""
 
@@ -109,12 +109,10 @@ class BranchingSearch(SequenceSearch):
 
     def _branch(self, sequence: TouchSequence) -> Iterator[Sequence[Proposal]]:
         """Yields the neighbors of a sequence whose trial is good."""
-        phases, x = self.solved[sequence]
-        origin = self.by_sequence[sequence].origin
-        path = phases.sample_times(x), phases.split(x)[0]
-        more = [*find_grazes(phases, x), *find_insertions(phases, x)]
-        optimum = phases.contact_sequence(x)
-        others = [*find_rests(phases, x), *retimed(optimum, self._pulling, self._duration)]
+        motion, origin = self.solved[sequence], self.by_sequence[sequence].origin
+        more = [*find_grazes(motion), *find_insertions(motion)]
+        optimum = motion.sequence
+        others = [*find_rests(motion), *retimed(optimum, self._pulling, self._duration)]
         for other in [*others, *neighbors(optimum, more)]:
             # Times of a plan that holds are the best ones, unless something pulls to a wall; those
             # of others may not be.
@@ -122,12 +120,12 @@ class BranchingSearch(SequenceSearch):
             is_pulled = any(touch.contact in self._pulling for touch in other)
             is_new = (is_pulled or kinds(other) not in held) and not self.is_known(other)
             if is_new and len(other) <= MOST_TOUCHES and self.task.fits(other):
-                tried = self._try(other, path)
+                tried = self._try(other, motion.path)
                 if tried and not self._has_optimum(tried):
-                    # If arcs sufficed, the trial was the polish.
-                    solved = tried if tried[0].is_as_made else None
-                    near = origin.changed(_change(sequence, other), sequence)
-                    yield [propose(near, Shown(self.centers[sequence], other, path, solved))]
+                    # If long arcs sufficed, the trial was the polish.
+                    solved = tried if tried.is_of_arcs else None
+                    shown = Shown(self.centers[sequence], other, motion.path, solved)
+                    yield [propose(origin.changed(_change(sequence, other), sequence), shown)]
                 else:
                     self._refused.append(other)
 
@@ -138,18 +136,18 @@ class BranchingSearch(SequenceSearch):
         pulls = find_pulls(transcription.world, transcription.scenario.goal_position)
         return frozenset(np.flatnonzero(pulls > 0).tolist())
 
-    def _try(self, sequence: TouchSequence, path: Path) -> Solved | None:
+    def _try(self, sequence: TouchSequence, path: Path) -> PhaseMotion | None:
         """Returns a trial polish, if it is feasible and costs little more than the best."""
         least = min(candidate.replay.cost for candidate in self.by_sequence.values())
         try:
             with self.clock("polish"):
-                phases, x = self.task.polish_along(path, sequence, _TRIAL_STEPS, _TRIAL_ITERATIONS)
+                found = self.task.polish_along(path, sequence, _TRIAL_STEPS, _TRIAL_ITERATIONS)
         except (OptionsError, TrajectoryError, UnsupportedTermError):
             return None
-        defects = self.task.defects(phases, x)
+        defects = self.task.defects(found)
         is_feasible = largest_defect(defects, self.task.scales) <= LARGEST_DEFECT
-        is_good = self.task.cost(phases, x) <= scaled(GOOD, least)
-        return (phases, x) if is_feasible and is_good else None
+        is_good = self.task.cost(found) <= scaled(GOOD, least)
+        return found if is_feasible and is_good else None
 
     def is_known(self, sequence: TouchSequence) -> bool:
         """Returns whether nearly this sequence was polished, refused, or the result of a polish."""
@@ -159,14 +157,13 @@ class BranchingSearch(SequenceSearch):
 
     def _optimum(self, sequence: TouchSequence) -> TouchSequence:
         """Returns a sequence with its times after the polish."""
-        phases, x = self.solved[sequence]
-        return phases.contact_sequence(x)
+        motion: PhaseMotion = self.solved[sequence]
+        return motion.sequence
 
-    def _has_optimum(self, solved: Solved) -> bool:
+    def _has_optimum(self, solved: PhaseMotion) -> bool:
         """Returns whether a known candidate has these times."""
-        phases, x = solved
         optima = map(self._optimum, self.by_sequence)
-        return self._is_among(phases.contact_sequence(x), optima, SAME_END)
+        return self._is_among(solved.sequence, optima, SAME_END)
 
     def _is_among(
         self, sequence: TouchSequence, others: Iterable[TouchSequence], share: float

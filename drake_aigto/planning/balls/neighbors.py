@@ -9,7 +9,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
+from drake_aigto.planning.balls.phases import PhaseMotion
+from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import World
 
 # A wall is grazed within this part of the length scale.
@@ -24,23 +25,19 @@ _LEAST_GAP = 1e-3
 _FELT = 1e-9
 
 
-def find_insertions(phases: PhaseTranscription, x: Floats) -> list[Touch]:
+def find_insertions(motion: PhaseMotion) -> list[Touch]:
     """Returns one more bounce for each wall and each gap between touches coupled to it.
 
     Contacts are not coupled if no impulse of one changes the other's speed, J_i M⁻¹ J_jᵀ = 0; their
     order makes no difference. The wall of the last or next touch is left out, unless something
     pulls towards it. Each bounce is where the motion comes nearest to the wall; with such a pull
     there is another one soon before the next touch, high and late.
-
-    Args:
-        phases: the multi-phase problem of a motion.
-        x: its decision variables.
     """
-    world, T = phases.world, phases.scenario.duration
-    times, distances = phases.sample_times(x), phases.signed_distances(x)
+    world, T = motion.phases.world, motion.phases.scenario.duration
+    times, distances = motion.trajectory.times, motion.distances
     felt = np.abs(world.constant_inertia.delassus) > _FELT
-    pulls = find_pulls(world, phases.split(x)[0][-1])
-    sequence, found = phases.contact_sequence(x), []
+    pulls = find_pulls(world, motion.trajectory.positions[-1])
+    sequence, found = motion.sequence, []
     for contact in range(world.num_contacts):
         touches = [t for t in sequence if felt[contact, t.contact]]
         starts, ends = [0.0, *(t.end for t in touches)], [*(t.start for t in touches), T]
@@ -59,17 +56,13 @@ def find_insertions(phases: PhaseTranscription, x: Floats) -> list[Touch]:
     return found
 
 
-def find_grazes(phases: PhaseTranscription, x: Floats) -> list[Touch]:
+def find_grazes(motion: PhaseMotion) -> list[Touch]:
     """Returns bounces where the motion keeps off a wall at φ = 0 by its control alone.
 
     A touch may pay there. There is one bounce per run of such knots.
-
-    Args:
-        phases: the multi-phase problem of a motion.
-        x: its decision variables.
     """
-    times, length = phases.sample_times(x), phases.length_scale()
-    near = phases.timeline.apart & (phases.signed_distances(x) < _GRAZE * length)
+    times, length = motion.trajectory.times, motion.phases.scales.length
+    near = motion.phases.timeline.apart & (motion.distances < _GRAZE * length)
     found = []
     for contact, knots in enumerate(near[1:-1].T):
         where = np.flatnonzero(knots) + 1
@@ -88,24 +81,21 @@ def find_pulls(world: World, q: Floats) -> Floats:
 _LEAST_REST = 0.02
 
 
-def find_rests(phases: PhaseTranscription, x: Floats) -> list[TouchSequence]:
+def find_rests(motion: PhaseMotion) -> list[TouchSequence]:
     """Returns sequences with one touch sustained, and no later touches of its wall.
 
     Off an elastic wall no bounce ends in rest. The contact is left in time for the cheapest
     jump to the goal's distance d from the wall, against the acceleration a towards it: from rest,
     of all durations √(6 d/a) takes the least effort, 3 (d + a τ²/2)²/τ³.
-
-    Args:
-        phases: the multi-phase problem of a motion.
-        x: its decision variables.
     """
-    world, scenario, T = phases.world, phases.scenario, phases.scenario.duration
+    world, scenario = motion.phases.world, motion.phases.scenario
+    T, restitutions = scenario.duration, motion.phases.restitutions
     pulls = find_pulls(world, scenario.goal_position)
     heights = world.calc_signed_distance(scenario.goal_position)
-    sequence, found = phases.contact_sequence(x), []
+    sequence, found = motion.sequence, []
     for place, touch in enumerate(sequence):
         i = touch.contact
-        if pulls[i] <= 0 or phases.restitutions[i] == 1:
+        if pulls[i] <= 0 or restitutions[i] == 1:
             continue
         left = min(T - touch.start, math.sqrt(6 * max(heights[i], 0.0) / pulls[i]))
         end = min(max(T - left, touch.start + _LEAST_REST * T), (1 - _LEAST_REST) * T)
@@ -133,17 +123,12 @@ def keep_apart(sequence: TouchSequence, instants: Floats, duration: float) -> To
     return _by_start([_with_joints(touch, *map(move, touch.joints)) for touch in sequence])
 
 
-def moved_past(phases: PhaseTranscription, x: Floats) -> Iterator[TouchSequence]:
-    """Yields the sequence with each touch that an instant blocks on its other side.
-
-    Args:
-        phases: the multi-phase problem.
-        x: its solution.
-    """
-    sequence, T = phases.contact_sequence(x), phases.scenario.duration
+def moved_past(motion: PhaseMotion) -> Iterator[TouchSequence]:
+    """Yields the sequence with each touch that an instant blocks on its other side."""
+    sequence, T = motion.sequence, motion.phases.scenario.duration
     for place, touch in enumerate(sequence):
         for joint, time in enumerate(touch.joints):
-            for instant in phases.timeline.instants:
+            for instant in motion.phases.timeline.instants:
                 if abs(time - instant) <= _HELD * T:
                     joints = [*touch.joints]
                     joints[joint] = instant - np.copysign(_APART * T, time - instant)

@@ -1,37 +1,274 @@
-"""Multi-phase problems of contact sequences, and their optima near a path."""
+"""The multi-phase problem of a contact sequence, motions of it, and what is known without one."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from drake_aigto.arrays import Floats, interpolate
+from drake_aigto.arrays import Floats
+from drake_aigto.contact import JointImpact
 from drake_aigto.dynamics import ConstantDynamics
-from drake_aigto.local import LocalResult, NewtonLagrange, PolynomialNlp
-from drake_aigto.planning.balls.arc_program import ArcPrograms
-from drake_aigto.planning.balls.arcs import solve_in_arcs
-from drake_aigto.planning.options import PlanOptions
-from drake_aigto.planning.program_task import ProgramTask
-from drake_aigto.planning.programs import CompiledPrograms
-from drake_aigto.transcription import (
-    AT_ONCE,
-    Facing,
-    PhaseTranscription,
-    RigidTranscription,
-    TouchSequence,
-    bend,
-    find_facings,
-    joint_times,
+from drake_aigto.planning.balls.timeline import (
+    Phase,
+    check_sequence,
+    make_guess,
+    make_timeline,
     straight_path,
 )
-from drake_aigto.world import Scenario, World
+from drake_aigto.planning.options import PlanOptions
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import (
+    AT_ONCE,
+    NO_ADDITIONS,
+    NONPENETRATION,
+    RESTITUTION,
+    Additions,
+    Facing,
+    RigidTranscription,
+    Touch,
+    TouchSequence,
+    calc_cost,
+    find_facings,
+    rigid_defects,
+    touches_at_once,
+)
+from drake_aigto.world import Scales, Scenario, World
 
+# The least parts of the duration. Flights: times of a trajectory have to increase, and a bounce may
+# come right after the start, or sooner still (`touches_at_once`). Sustained contacts: shorter ones
+# are bounces, and without a bound the solver would chase vanishing contacts.
+_SHORTEST_FLIGHT, _SHORTEST_CONTACT = 1e-7, 1e-3
+# Contacts slower than this part of the velocity scale come to rest without hops.
+_SLOW = 1e-6
 # AIGO's boxes distinguish a bounce from the start's own impulse if this many steps lead to the
 # wall; and the factor by which they may have more steps for that, unless the scenario has more.
 _STEPS_TO_WALL, _MOST_FINER = 3, 4
+
+# Times (K,) [s] and positions (K, nq) [m].
+Path = tuple[Floats, Floats]
+
+
+class PhaseProblem:
+    """Multi-phase problem of a contact sequence, which `Arcs` closes.
+
+    Phases meet where a contact is touched or left. Knots are spread evenly over each phase, whose
+    duration is free, so time steps h_k are unknowns. From the velocity v⁺_k after knot k, with
+    means over the step marked by a bar:
+
+        q_{k+1} = q_k + h_k v̄_k                                                            "flight"
+        M (v_{k+1} − v⁺_k) = h_k (B u_k − h(q̄_k, v̄_k) + Jᵀ λ_k)                          "dynamics"
+        v⁺_k = v_k, but where contacts C are touched
+        φ_i(q_k) = 0,  J_i v_k ≤ 0,  J_C v⁺_k = −E J_C v_k                 "contact", "restitution"
+        while contact i lasts: φ_i(q_{k+1}) = 0, λ_ik ≥ 0; and it starts with J_i v⁺_k = 0
+        elsewhere: λ_ik = 0 and φ_i(q_k) ≥ 0                                       "nonpenetration"
+        h_{k+1} = h_k within a phase,  Σ h_k = T                                             "clock"
+
+    C are all contacts that are touched at that knot, and those that were resting until then: they
+    are struck at once (`JointImpact`), and no impulse pulls. A sustained contact holds its normal
+    only, so that the body slides along the frictionless wall. At elastic walls, contacts are
+    sustained only without approach speed; at others of e > 0 they include the hops that come first.
+    These are of e, e², … of the speed of the touch, without control, and last until the wall's
+    force has the impulse 2 e/(1 − e) m J v, exact for constant λ: Σ h λ + 2 e/(1 − e) m J v ≥ 0,
+    with the effective mass m = (J M⁻¹ Jᵀ)⁻¹ of the contact. Of a box with several faces only the
+    one in force (`Facing`) counts; while it is touched, φ ≤ 0 for the others.
+
+    Held controls make flight exact for a constant h; with springs and dampers this is the implicit
+    midpoint rule. Forces are unknowns here, for the mode is known.
+
+    Args:
+        world: the plant, read; its signed distances have to be affine.
+        scenario: the task; its time step only sets the number of knots.
+        sequence: the contacts in the order of time; () is a free flight.
+        facings: which faces of boxes keep the motion out; if None, those of a straight guess.
+        additions: of users to a transcription with other knots. Phases meet at their times, too,
+            and controls that they read are held as long as there.
+
+    Attributes:
+        sequence: as given.
+        facings: as given, or found.
+        timeline: of its knots.
+        inertia: M and J.
+        impacts: knot → impact of the contacts struck there.
+        restitutions: e of each contact, shape (m,).
+
+    Raises:
+        ScenarioError, ModelError: see `World.check_plain`.
+        OptionsError: times out of order or outside of the duration, unknown contacts, more phases
+            than steps, or facings that leave out a box or a touched face.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        scenario: Scenario,
+        sequence: Sequence[Touch] = (),
+        facings: Sequence[Facing] | None = None,
+        additions: Additions = NO_ADDITIONS,
+    ) -> None:
+        """Spreads the knots by the sequence's times."""
+        world.check_plain(scenario)
+        self.world, self.scenario, self.additions = world, scenario, additions
+        self.sequence: TouchSequence = tuple(sequence)
+        check_sequence(world, self.sequence, scenario.duration)
+        if facings is None:
+            facings = find_facings(world, *straight_path(world, scenario, sequence), sequence)
+        self.facings = tuple(facings)
+        args = world, scenario, self.sequence, self.facings, additions.instants
+        self.timeline = make_timeline(*args)
+        self.inertia, self.restitutions = world.constant_inertia, world.restitutions(scenario)
+        # Where contacts land, they stay.
+        self._returned = np.where(self.timeline.lands, 0.0, self.restitutions)
+        knots = np.flatnonzero(self.timeline.struck.any(axis=1)).tolist()
+        self.impacts = {k: self._impact(k) for k in knots}
+
+    def _impact(self, k: int) -> JointImpact:
+        contacts = np.flatnonzero(self.timeline.struck[k])
+        restitutions = self._returned[k, contacts]
+        return JointImpact.of(self.inertia, tuple(contacts.tolist()), tuple(restitutions.tolist()))
+
+    @cached_property
+    def scales(self) -> Scales:
+        """The task's own units."""
+        return Scales.of(self.world, self.scenario)
+
+    @property
+    def num_steps(self) -> int:
+        """Number of steps, N."""
+        return self.scenario.num_steps
+
+    @property
+    def has_long_arcs(self) -> bool:
+        """Whether the cheapest controls of many steps are affine, so that one arc has them all."""
+        return self.world.has_constant_dynamics and not self.additions.are_everywhere
+
+    @cached_property
+    def _at_once(self) -> TouchSequence:
+        return touches_at_once(self.world, self.scenario)
+
+    def least_step(self, phase: Phase) -> float:
+        """Returns the lower bound of a phase's steps [s]."""
+        least = _SHORTEST_CONTACT if phase.rests else _SHORTEST_FLIGHT
+        shortest = least * self.scenario.duration
+        if self.timeline.phases.index(phase) < len(self._at_once):
+            shortest = min(shortest, self._at_once[0].start / 2)
+        return shortest / (phase.last - phase.first)
+
+    def knot_of(self, k: int) -> int:
+        """Returns the knot at the time of knot k of the transcription that users added to."""
+        times = self.additions.times
+        ends = {0: 0, len(times) - 1: self.num_steps}
+        return ends[k] if k in ends else self.timeline.instants[float(times[k])]
+
+    def guess(self, through: ArrayLike | None = None) -> Trajectory:
+        """Returns a motion from stop to stop of the `straight_path` (`make_guess`)."""
+        stops = straight_path(self.world, self.scenario, self.sequence, through)
+        return make_guess(self.world, self.scenario, self.timeline, *stops)
+
+    def calc_impulses(self, velocities: Floats) -> Floats:
+        """Returns P v_k (`JointImpact`) where contacts are touched, shape (N+1, m) [N s].
+
+        Velocities are those before impacts, shape (N+1, nv) [m/s].
+        """
+        impulses = np.zeros(self.timeline.struck.shape)
+        for k, impact in self.impacts.items():
+            impulses[k, self.timeline.struck[k]] = impact.impulses @ velocities[k]
+        return impulses
+
+    def find_settlings(self, motion: Trajectory) -> list[tuple[float, float]]:
+        """Returns, of each sustained contact at a wall of 0 < e < 1, its approach and its rest.
+
+        That is J v as it is touched [m/s], and the speed that the wall's impulse could still
+        change after the hops, (Σ h λ)/m + 2 e/(1 − e) J v; if negative, they do not end in time
+        [m/s].
+        """
+        found, steps, inertia = [], np.diff(motion.times), self.inertia
+        for touch, (first, last) in zip(self.sequence, self.timeline.spans, strict=True):
+            i = touch.contact
+            e = self.restitutions[i]
+            if touch.lasts and 0 < e < 1:
+                pushed = float(steps[first:last] @ motion.forces[first:last, i])
+                closing = float(inertia.jacobian[i] @ motion.velocities[first])
+                left = pushed / inertia.masses[i] + 2 * e / (1 - e) * closing
+                found.append((closing, left))
+        return found
+
+    def calc_defects(self, motion: Trajectory) -> dict[str, float]:
+        """Returns a motion's largest violation of each kind of row, in its unit (m, m/s).
+
+        Sustained contacts that end before their hops count as restitution.
+        """
+        found = rigid_defects(self.world, self._returned, motion)
+        left = (-left for _, left in self.find_settlings(motion))
+        depth = self.world.calc_clearance(motion.positions[1:])
+        return {
+            **found,
+            RESTITUTION: max(found[RESTITUTION], *left, 0.0),
+            NONPENETRATION: max(0.0, -float(np.min(depth))),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseMotion:
+    """A motion of a multi-phase problem, at its knots.
+
+    Attributes:
+        phases: the problem.
+        trajectory: the motion.
+        is_of_arcs: whether it is the optimum in arcs of many steps, with any number of knots.
+    """
+
+    phases: PhaseProblem
+    trajectory: Trajectory
+    is_of_arcs: bool = False
+
+    @property
+    def path(self) -> Path:
+        """Its times and positions."""
+        return self.trajectory.times, self.trajectory.positions
+
+    @cached_property
+    def distances(self) -> Floats:
+        """φ at the knots, shape (N+1, m) [m]."""
+        return self.phases.world.calc_signed_distance(self.trajectory.positions)
+
+    @cached_property
+    def sequence(self) -> TouchSequence:
+        """The contact sequence, with its times."""
+        t, spans = self.trajectory.times.tolist(), self.phases.timeline.spans
+        return tuple(
+            Touch(t[first], t[last], touch.contact)
+            for touch, (first, last) in zip(self.phases.sequence, spans, strict=True)
+        )
+
+    @property
+    def facings(self) -> tuple[Facing, ...]:
+        """The faces of boxes that keep the motion out, with their times."""
+        t, turns = self.trajectory.times.tolist(), self.phases.timeline.turns
+        return tuple(
+            Facing(t[k], facing.contact)
+            for facing, k in zip(self.phases.facings, turns, strict=True)
+        )
+
+    @property
+    def cost(self) -> float:
+        """J, without costs of users."""
+        return calc_cost(self.phases.scenario, self.trajectory)
+
+    @property
+    def defects(self) -> dict[str, float]:
+        """The largest violation of each kind of row, in its unit (m, m/s)."""
+        return self.phases.calc_defects(self.trajectory)
+
+    @property
+    def hops(self) -> bool:
+        """Whether a sustained contact begins with hops: it is touched at a speed."""
+        closing = [speed for speed, _ in self.phases.find_settlings(self.trajectory)]
+        return bool(closing) and min(closing) < -_SLOW * self.phases.scales.velocity
 
 
 def transcribe(world: World, scenario: Scenario, options: PlanOptions) -> RigidTranscription:
@@ -78,7 +315,7 @@ def least_flight_cost(dynamics: ConstantDynamics, scenario: Scenario) -> float:
     return float(way @ np.linalg.solve(compliance, way))
 
 
-def unfolds(dynamics: ConstantDynamics, world: World, scenario: Scenario) -> bool:
+def unfolds(world: World, scenario: Scenario) -> bool:
     """Returns whether the contacts and their order are expected to determine a plan.
 
     Mirrored at each wall that it bounces off, a motion under controls alone is a free flight to the
@@ -86,6 +323,7 @@ def unfolds(dynamics: ConstantDynamics, world: World, scenario: Scenario) -> boo
     block can be passed on two sides; under gravity a ball bounces high and late or low and early;
     and of two masses the lighter one costs less.
     """
+    dynamics = world.constant_dynamics
     return bool(
         world.num_solids == world.num_contacts
         and np.all(world.restitutions(scenario) > 0)
@@ -105,126 +343,3 @@ def _mirrors_keep_costs(dynamics: ConstantDynamics) -> bool:
         if not np.allclose(mirror @ worth @ mirror.T, worth, atol=1e-9 * np.max(worth)):
             return False
     return True
-
-
-# Times (K,) [s] and positions (K, nq) [m].
-Path = tuple[Floats, Floats]
-# A multi-phase problem, and its decision variables.
-Solved = tuple[PhaseTranscription, Floats]
-
-
-class PhaseTask(ProgramTask):
-    """A task between rigid walls, whose contact sequences have a multi-phase problem each.
-
-    Attributes:
-        asked_steps: time steps of plans.
-        num_steps: those that candidates are judged with, `PlanOptions.aigo_steps` at least: costs
-            with few steps do not show which contacts are best.
-    """
-
-    transcription: RigidTranscription
-    options: PlanOptions
-
-    def __init__(
-        self,
-        transcription: RigidTranscription,
-        options: PlanOptions | None = None,
-        num_steps: int | None = None,
-        programs: CompiledPrograms | None = None,
-    ) -> None:
-        """Compiles, unless there is a program of this structure already.
-
-        Args:
-            transcription: for AIGO.
-            options: numerics.
-            num_steps: time steps of plans; the transcription's if None.
-            programs: of the same world, wherever its walls stand, and the same additions.
-        """
-        options = options or PlanOptions()
-        options.check_for_balls()
-        super().__init__(transcription, options, options.ball_ladder, programs)
-        self.asked_steps = num_steps or transcription.scenario.num_steps
-        self.num_steps = max(self.asked_steps, self.options.aigo_steps)
-        self._arc_programs = ArcPrograms()
-        self._scenarios: dict[int, Scenario] = {}  # By their number of steps.
-
-    def _look_along(self, path: Path, sequence: TouchSequence) -> tuple[Floats, tuple[Facing, ...]]:
-        """Returns the positions of touches on a path, and the sides on which it passes boxes."""
-        world, (times, positions) = self.transcription.world, path
-        through = interpolate(joint_times(sequence), times, positions)
-        if world.num_solids == world.num_contacts:
-            return through, ()
-        # Box centers miss the goal, and neighbors the walls: the side on which a block is passed is
-        # read off a path that does not.
-        stops = straight_path(world, self.transcription.scenario, sequence, through)
-        return through, tuple(find_facings(world, *bend(path, *stops), sequence))
-
-    def _solve_in_arcs(
-        self,
-        through: Floats,
-        facings: Iterable[Facing],
-        sequence: TouchSequence,
-        most: int,
-    ) -> Solved | None:
-        """Returns the local optimum if arcs lead to it."""
-        phases = self._phases(sequence, facings, self.num_steps)
-        x = solve_in_arcs(
-            phases,
-            phases.guess(through),
-            lambda nlp, start: self._settle(nlp, start, most),
-            self._arc_programs,
-        )
-        return None if x is None else (phases, x)
-
-    def _settle(self, nlp: PolynomialNlp, guess: Floats, max_iterations: int) -> LocalResult | None:
-        """Returns the result of plain Newton steps, or else of one run of our local solver.
-
-        For most sequences no bound is active in the optimum: phases have some length.
-        """
-        quick = NewtonLagrange(cost_unit=self._cost_scale)
-        found = quick.solve(nlp, guess)
-        if found is None and max_iterations:
-            return self._minimize(nlp, guess, max_iterations)
-        return found
-
-    @cached_property
-    def least_flight_cost(self) -> float:
-        """Lower bound of the cost without contact; 0 if it has no closed form."""
-        dynamics = self._find_dynamics()
-        return least_flight_cost(dynamics, self.transcription.scenario) if dynamics else 0.0
-
-    @cached_property
-    def unfolds(self) -> bool:
-        """Whether the contacts and their order are expected to determine a plan."""
-        dynamics, world = self._find_dynamics(), self.transcription.world
-        return bool(dynamics and unfolds(dynamics, world, self.transcription.scenario))
-
-    @cached_property
-    def _instants(self) -> Floats:
-        """Times of users' costs and constraints, without the ends, shape (I,) [s]."""
-        return self.additions.times[list(self.additions.instants)]
-
-    @cached_property
-    def _has_arcs(self) -> bool:
-        return self.options.local_solver == "newton" and self._find_dynamics() is not None
-
-    def _find_dynamics(self) -> ConstantDynamics | None:
-        """Returns the dynamics if flights are parabolas without additions of users."""
-        world = self.transcription.world
-        is_known = world.has_constant_dynamics and not self.additions
-        return world.constant_dynamics if is_known else None
-
-    def _phases(
-        self, sequence: TouchSequence, facings: Iterable[Facing], num_steps: int | None
-    ) -> PhaseTranscription:
-        """Returns the multi-phase problem in num_steps or AIGO's, at least one per phase."""
-        coarse, facings = self.transcription, tuple(facings)
-        scenario = coarse.scenario
-        turns = (facing.start for facing in facings)
-        phases = {0.0, *joint_times(sequence), *turns, *self._instants.tolist()}
-        steps = max(num_steps or scenario.num_steps, len(phases))
-        if steps != scenario.num_steps:
-            if steps not in self._scenarios:
-                self._scenarios[steps] = scenario.in_steps(steps)
-            scenario = self._scenarios[steps]
-        return PhaseTranscription(coarse.world, scenario, sequence, facings, self.additions)

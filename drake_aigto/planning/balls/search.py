@@ -20,7 +20,7 @@ from drake_aigto.planning.balls.branching import (
     Shown,
     propose,
 )
-from drake_aigto.planning.balls.phases import Path, Solved
+from drake_aigto.planning.balls.phases import Path, PhaseMotion
 from drake_aigto.planning.balls.task import BallTask
 from drake_aigto.planning.candidate import COASTING, Candidate, Origin
 from drake_aigto.planning.rungs import Rung
@@ -123,7 +123,7 @@ class BallSearch(BranchingSearch):
         center: Floats,
         sequence: TouchSequence,
         path: Path | None = None,
-        solved: Solved | None = None,
+        solved: PhaseMotion | None = None,
     ) -> None:
         """Adds the candidate of a sequence, and one of its replay if that bounces more often.
 
@@ -141,7 +141,7 @@ class BallSearch(BranchingSearch):
             self._leave_flight_out(origin, center)
             return
 
-        def polish(center: Floats, touches: TouchSequence) -> Solved:
+        def polish(center: Floats, touches: TouchSequence) -> PhaseMotion:
             if solved or path is None:
                 return solved or self.task.polish(center, touches)
             return self.task.polish_along(path, touches)
@@ -205,13 +205,12 @@ class BallSearch(BranchingSearch):
 
     def _add_swapped(self, sequence: TouchSequence) -> None:
         """Adds a candidate's sequence with touches swapped that became simultaneous."""
-        candidate, (phases, x) = self.by_sequence[sequence], self.solved[sequence]
+        candidate, motion = self.by_sequence[sequence], self.solved[sequence]
         if candidate.is_feasible:
-            for other in swapped(phases.contact_sequence(x), SAME_END * self._duration):
+            for other in swapped(motion.sequence, SAME_END * self._duration):
                 if not self.is_known(other):
                     origin = candidate.origin.changed("swapped", sequence)
-                    path = phases.sample_times(x), phases.split(x)[0]
-                    self.add(origin, self.centers[sequence], other, path)
+                    self.add(origin, self.centers[sequence], other, motion.path)
 
     def _with_unplanned_bounce(self, sequence: TouchSequence) -> list[TouchSequence]:
         """Returns a sequence with the first bounce that it lacks, cut off there, and whole."""
@@ -281,7 +280,7 @@ class BallSearch(BranchingSearch):
         steps = max(problem.num_steps, 1 + len(joint_times(optimum)))
         # A contact at the very end leaves a vanishing phase: more steps do not help.
         vanishes = optimum and optimum[-1].end > (1 - SAME_END) * self._duration
-        if steps == self.solved[sequence][0].scenario.num_steps or vanishes:
+        if steps == self.solved[sequence].phases.num_steps or vanishes:
             return known
         self.tell(f"polishing {known.describe_contacts()} with {steps} time steps")
         path = known.trajectory.times, known.trajectory.positions

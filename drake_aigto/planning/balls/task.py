@@ -1,4 +1,4 @@
-"""Rigid plans: contact sequences read off AIGO's boxes, polished as multi-phase problems."""
+"""Tasks of balls between rigid walls: contact sequences read off AIGO's boxes, closed in arcs."""
 
 from __future__ import annotations
 
@@ -6,31 +6,43 @@ import copy
 import dataclasses
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from drake_aigto.aigo import AigoResult, Algorithm, Annealing
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.errors import TrajectoryError
-from drake_aigto.local import compile_nlp
+from drake_aigto.local import LocalResult, NewtonLagrange, PolynomialNlp
+from drake_aigto.planning.balls.arc_program import ArcPrograms
+from drake_aigto.planning.balls.arcs import Arcs, solve_in_arcs
 from drake_aigto.planning.balls.neighbors import keep_apart, moved_past
-from drake_aigto.planning.balls.phases import Path, PhaseTask, Solved, coarsen, transcribe
+from drake_aigto.planning.balls.phases import (
+    Path,
+    PhaseMotion,
+    PhaseProblem,
+    coarsen,
+    least_flight_cost,
+    transcribe,
+    unfolds,
+)
+from drake_aigto.planning.balls.timeline import bend, straight_path
 from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Origin, sample
 from drake_aigto.planning.options import PlanOptions
+from drake_aigto.planning.program_task import ProgramTask, Solution
+from drake_aigto.planning.programs import CompiledPrograms
 from drake_aigto.planning.rungs import Rung
 from drake_aigto.planning.sequences import read_sequences
 from drake_aigto.planning.simulated import calc_defects, read_motion
 from drake_aigto.simulation import find_contacts, max_penetration
 from drake_aigto.transcription import (
-    PhaseTranscription,
+    Facing,
     RigidTranscription,
     TouchSequence,
-    Transcription,
+    find_facings,
+    joint_times,
     largest_defect,
     touches_at_once,
 )
-
-if TYPE_CHECKING:
-    from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, World
 
 # Touches closer than this part of the duration to the start or the end do not count.
 _MARGIN = 1e-6
@@ -38,9 +50,9 @@ _MARGIN = 1e-6
 _MOST_MOVES = 20
 # Boxes have an immediate bounce within this many steps.
 _STEPS_OF_START = 3
-# Of the local solver on arcs; the general solver takes over after that.
+# Of the local solver on long arcs; arcs between all knots take over after that.
 _ARC_ITERATIONS = 60
-# The general solver takes minutes for more steps than the first number, which hardly improve a
+# Arcs between all knots take minutes for more steps than the first number, which hardly improve a
 # plan; and seconds for more than the second, before the best candidates are known.
 _MOST_GENERAL, _MOST_COARSE = 1000, 300
 # Last temperature of an anneal, relative to the first. Boxes have a plan's contacts long before
@@ -57,8 +69,17 @@ def make_ball_task(
     return BallTask(transcribe(world, scenario, options), options, scenario.num_steps)
 
 
-class BallTask(PhaseTask):
-    """The rigid transcription: a contact sequence is the times of touches."""
+class BallTask(ProgramTask):
+    """The rigid transcription: a contact sequence is the times of touches (`PhaseProblem`).
+
+    Attributes:
+        asked_steps: time steps of plans.
+        num_steps: those that candidates are judged with, `PlanOptions.aigo_steps` at least: costs
+            with few steps do not show which contacts are best.
+    """
+
+    transcription: RigidTranscription
+    options: PlanOptions
 
     transcription_name: ClassVar[str] = "rigid"
 
@@ -67,6 +88,29 @@ class BallTask(PhaseTask):
 
     # Iterations of polishes after plain Newton steps, in turn; (): no limit.
     _brief: tuple[int, ...] = ()
+
+    def __init__(
+        self,
+        transcription: RigidTranscription,
+        options: PlanOptions | None = None,
+        num_steps: int | None = None,
+        programs: CompiledPrograms | None = None,
+    ) -> None:
+        """Compiles, unless there is a program of this structure already.
+
+        Args:
+            transcription: for AIGO.
+            options: numerics.
+            num_steps: time steps of plans; the transcription's if None.
+            programs: of the same world, wherever its walls stand, and the same additions.
+        """
+        options = options or PlanOptions()
+        options.check_for_balls()
+        super().__init__(transcription, options, options.ball_ladder, programs)
+        self.asked_steps = num_steps or transcription.scenario.num_steps
+        self.num_steps = max(self.asked_steps, self.options.aigo_steps)
+        self._arc_programs = ArcPrograms()
+        self._scenarios: dict[int, Scenario] = {}  # By their number of steps.
 
     @property
     def coast_steps(self) -> int:
@@ -83,21 +127,20 @@ class BallTask(PhaseTask):
     def in_brief(self, most_iterations: int) -> BallTask:
         """Returns the same problem for searches that may not take long.
 
-        With arcs, a polish takes plain Newton steps alone, without the general solver: few plans
+        With long arcs, a polish takes plain Newton steps alone, and tries no others: few plans
         are lost, and most of the time is saved. Up to most_iterations follow these steps if a
         search has found no plan otherwise (`patient`).
         """
-        other = copy.copy(self)
-        other._brief = (0, most_iterations)
-        return other
+        return self._in(0, most_iterations)
 
     @property
     def patient(self) -> BallTask | None:
         """The same problem for searches without a plan so far; None: there is no other."""
-        if len(self._brief) < 2:
-            return None
+        return self._in(*self._brief[1:]) if len(self._brief) > 1 else None
+
+    def _in(self, *brief: int) -> BallTask:
         other = copy.copy(self)
-        other._brief = self._brief[1:]
+        other._brief = brief
         return other
 
     def in_world(self, world: World) -> BallTask:
@@ -171,8 +214,8 @@ class BallTask(PhaseTask):
         joints = (t for touch in sequence for t in touch.joints)
         return all(first < t < (1 - _MARGIN) * T for t in joints)
 
-    def polish(self, center: Floats, sequence: TouchSequence) -> tuple[PhaseTranscription, Floats]:
-        """Returns the multi-phase problem of a contact sequence, and its local optimum.
+    def polish(self, center: Floats, sequence: TouchSequence) -> PhaseMotion:
+        """Returns the local optimum of the multi-phase problem of a contact sequence.
 
         Of AIGO's box center only the sequence, the positions of touches, and the sides on which
         blocks are passed are kept.
@@ -186,7 +229,7 @@ class BallTask(PhaseTask):
         sequence: TouchSequence,
         num_steps: int | None = None,
         max_iterations: int | None = None,
-    ) -> tuple[PhaseTranscription, Floats]:
+    ) -> PhaseMotion:
         """Returns the same, for a contact sequence along any path.
 
         Touches that an instant of users blocks are tried on its other side.
@@ -194,60 +237,30 @@ class BallTask(PhaseTask):
         Args:
             path: times and positions.
             sequence: the contacts.
-            num_steps: of all phases together, without arcs; this problem's if None.
+            num_steps: of all phases together, without long arcs; this problem's if None.
             max_iterations: of a single run of the local solver; None: no limit.
 
         Raises:
             OptionsError, TrajectoryError, UnsupportedTermError: infeasible touches.
         """
-        counts = num_steps, max_iterations
-        if not self._instants.size:
+        counts, instants = (num_steps, max_iterations), self.additions.instants
+        if not instants.size:
             return self._polish_once(path, sequence, *counts)
-        duration = self.transcription.scenario.duration
-        apart = keep_apart(sequence, self._instants, duration)
+        apart = keep_apart(sequence, instants, self.transcription.scenario.duration)
         best = self._polish_once(path, apart, *counts)
         for _ in range(_MOST_MOVES):
-            phases, x = best
-            along = phases.sample_times(x), phases.split(x)[0]
-            others = (self._polish_once(along, moved, *counts) for moved in moved_past(phases, x))
-            merit = self._merit(*best)
-            better = next((other for other in others if self._merit(*other) < merit), None)
+            others = (self._polish_once(best.path, each, *counts) for each in moved_past(best))
+            merit = self._merit(best)
+            better = next((other for other in others if self._merit(other) < merit), None)
             if better is None:
                 break
             best = better
         return best
 
-    def judge(
-        self,
-        origin: Origin,
-        start: Floats,
-        solved: Transcription,
-        x: Floats,
-    ) -> Candidate:
-        """Returns the candidate of a solution; hops that lead to rest are simulated ones.
-
-        The multi-phase problem has their times, not their heights.
-        """
-        found = super().judge(origin, start, solved, x)
-        if not (isinstance(solved, PhaseTranscription) and solved.hops(x)):
-            return found
-        world, planned = solved.world, found.trajectory
-        motion = read_motion(
-            world, found.replay, planned.times, planned.controls, self.scales.length
-        )
-        missed = self.additions.violations(sample(motion)) if self.additions else {}
-        return dataclasses.replace(
-            found,
-            trajectory=motion,
-            defects={**calc_defects(world, motion), **missed},
-            max_penetration=max_penetration(world, motion),
-            contacts=find_contacts(world, motion),
-        )
-
-    def _merit(self, phases: PhaseTranscription, x: Floats) -> tuple[float, float]:
-        """Returns the merit, less for a better solution: its violation of rows, then its cost."""
-        defect = largest_defect(self.defects(phases, x), self.scales)
-        return max(defect, LARGEST_DEFECT), self.cost(phases, x)
+    def _merit(self, motion: PhaseMotion) -> tuple[float, float]:
+        """Returns the merit, less for a better motion: its violation of rows, then its cost."""
+        defect = largest_defect(self.defects(motion), self.scales)
+        return max(defect, LARGEST_DEFECT), self.cost(motion)
 
     def _polish_once(
         self,
@@ -255,19 +268,18 @@ class BallTask(PhaseTask):
         sequence: TouchSequence,
         num_steps: int | None,
         max_iterations: int | None,
-    ) -> Solved:
+    ) -> PhaseMotion:
         """Returns the local optimum of one multi-phase problem.
 
-        Arcs that lead to the optimum have the last polish's steps at once, as their number makes no
-        difference. Otherwise, there are `_MOST_GENERAL` steps at most.
+        Long arcs that lead to the optimum have the last polish's steps at once, as their number
+        makes no difference. Otherwise there are arcs between all knots, `_MOST_GENERAL` at most.
         """
         through, facings = self._look_along(path, sequence)
         if self._has_arcs:
             allowed = self._brief[0] if self._brief else _ARC_ITERATIONS
             most = min(allowed, max_iterations or _ARC_ITERATIONS)
-            solved = self._solve_in_arcs(through, facings, sequence, most)
-            if solved is not None:
-                return solved
+            if found := self._solve_in_arcs(through, facings, sequence, most):
+                return found
             if self._brief:
                 raise TrajectoryError(
                     "touches", f"no motion in {most} iterations", "one that has them"
@@ -275,15 +287,16 @@ class BallTask(PhaseTask):
             coarse = min(self.transcription.scenario.num_steps, _MOST_COARSE)
             num_steps = min(num_steps or coarse, _MOST_GENERAL)
         phases = self._phases(sequence, facings, num_steps)
-        prog, guess = phases.prog(), phases.vector(phases.guess(through))
-        order = phases.elimination_order()
-        x = self.solve_program(prog, guess, lambda: compile_nlp(prog, order), max_iterations)
-        return phases, x
+        arcs = Arcs(phases, range(phases.num_steps))
+        x = self.solve_nlp(arcs.nlp, arcs.vector(phases.guess(through)), max_iterations)
+        return PhaseMotion(phases, arcs.trajectory(x))
 
-    def follow(self, path: Path, sequence: TouchSequence, max_iterations: int) -> Solved | None:
+    def follow(
+        self, path: Path, sequence: TouchSequence, max_iterations: int
+    ) -> PhaseMotion | None:
         """Returns the same for controllers at every tick, or None if iterations do not suffice.
 
-        With arcs, the general solver is not tried; otherwise, infeasible solutions are None.
+        With long arcs, others are not tried; otherwise, infeasible motions are None.
 
         Args:
             path: see `polish_along`, as sequence.
@@ -292,6 +305,96 @@ class BallTask(PhaseTask):
         """
         if self._has_arcs:
             return self._solve_in_arcs(*self._look_along(path, sequence), sequence, max_iterations)
-        solved = self.polish_along(path, sequence, max_iterations=max(max_iterations, 1))
-        missed = largest_defect(self.defects(*solved), self.scales)
-        return solved if missed <= LARGEST_DEFECT else None
+        found = self.polish_along(path, sequence, max_iterations=max(max_iterations, 1))
+        missed = largest_defect(self.defects(found), self.scales)
+        return found if missed <= LARGEST_DEFECT else None
+
+    def _look_along(self, path: Path, sequence: TouchSequence) -> tuple[Floats, tuple[Facing, ...]]:
+        """Returns the positions of touches on a path, and the sides on which it passes boxes."""
+        world, (times, positions) = self.transcription.world, path
+        through = interpolate(joint_times(sequence), times, positions)
+        if world.num_solids == world.num_contacts:
+            return through, ()
+        # Box centers miss the goal, and neighbors the walls: the side on which a block is passed is
+        # read off a path that does not.
+        stops = straight_path(world, self.transcription.scenario, sequence, through)
+        return through, tuple(find_facings(world, *bend(path, *stops), sequence))
+
+    def _solve_in_arcs(
+        self, through: Floats, facings: tuple[Facing, ...], sequence: TouchSequence, most: int
+    ) -> PhaseMotion | None:
+        """Returns the local optimum if long arcs lead to it."""
+        phases = self._phases(sequence, facings, self.num_steps)
+        motion = solve_in_arcs(
+            phases,
+            phases.guess(through),
+            lambda nlp, start: self._settle(nlp, start, most),
+            self._arc_programs,
+        )
+        return None if motion is None else PhaseMotion(phases, motion, is_of_arcs=True)
+
+    def _settle(self, nlp: PolynomialNlp, guess: Floats, max_iterations: int) -> LocalResult | None:
+        """Returns the result of plain Newton steps, or else of one run of our local solver.
+
+        For most sequences no bound is active in the optimum: phases have some length.
+        """
+        quick = NewtonLagrange(cost_unit=self._cost_scale)
+        found = quick.solve(nlp, guess)
+        if found is None and max_iterations:
+            return self._minimize(nlp, guess, max_iterations)
+        return found
+
+    def _phases(
+        self, sequence: TouchSequence, facings: tuple[Facing, ...], num_steps: int | None
+    ) -> PhaseProblem:
+        """Returns the multi-phase problem in num_steps or AIGO's, at least one per phase."""
+        scenario, instants = self.transcription.scenario, self.additions.instants.tolist()
+        turns = (facing.start for facing in facings)
+        phases = {0.0, *joint_times(sequence), *turns, *instants}
+        steps = max(num_steps or scenario.num_steps, len(phases))
+        if steps not in self._scenarios:
+            self._scenarios[steps] = scenario.in_steps(steps)
+        args = self._scenarios[steps], sequence, facings, self.additions
+        return PhaseProblem(self.world, *args)
+
+    @cached_property
+    def _has_arcs(self) -> bool:
+        """Whether flights are parabolas, without additions of users at every knot."""
+        is_exact = self.world.has_constant_dynamics and not self.additions.are_everywhere
+        return self.options.local_solver == "newton" and is_exact
+
+    @property
+    def _is_closed_form(self) -> bool:
+        return self.world.has_constant_dynamics and not self.additions
+
+    @property
+    def least_flight_cost(self) -> float:
+        """Lower bound of the cost without contact; 0 if it has no closed form."""
+        scenario = self.transcription.scenario
+        is_known = self._is_closed_form
+        return least_flight_cost(self.world.constant_dynamics, scenario) if is_known else 0.0
+
+    @cached_property
+    def unfolds(self) -> bool:
+        """Whether the contacts and their order are expected to determine a plan."""
+        return self._is_closed_form and unfolds(self.world, self.transcription.scenario)
+
+    def judge(self, origin: Origin, start: Floats, found: Solution) -> Candidate:
+        """Returns the candidate of a motion; hops that lead to rest are simulated ones.
+
+        The multi-phase problem has their times, not their heights.
+        """
+        judged = super().judge(origin, start, found)
+        if not (isinstance(found, PhaseMotion) and found.hops):
+            return judged
+        planned = judged.trajectory
+        args = judged.replay, planned.times, planned.controls, self.scales.length
+        motion = read_motion(self.world, *args)
+        missed = self.additions.violations(sample(motion)) if self.additions else {}
+        return dataclasses.replace(
+            judged,
+            trajectory=motion,
+            defects={**calc_defects(self.world, motion), **missed},
+            max_penetration=max_penetration(self.world, motion),
+            contacts=find_contacts(self.world, motion),
+        )

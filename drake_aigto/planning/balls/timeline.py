@@ -1,4 +1,4 @@
-"""Knots of a contact sequence, durations of hops, and guesses for motions."""
+"""Knots of a contact sequence, and guesses for motions."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import Bools, Floats, Ints, interpolate
-from drake_aigto.dynamics import ConstantInertia
 from drake_aigto.errors import OptionsError
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription.touches import Facing, Fronts, Touch, TouchSequence, joint_times
+from drake_aigto.transcription import Facing, Fronts, Touch, TouchSequence, joint_times
 from drake_aigto.world import Scenario, World
 
 
@@ -161,51 +160,6 @@ def _spread(durations: Floats, count: int) -> Ints:
     spare = count - len(durations)  # Each gets one first.
     ends = np.round(spare * shares).astype(int)
     return 1 + np.diff(ends, prepend=0)
-
-
-@dataclass(frozen=True)
-class Settling:
-    """A contact of 0 < e < 1 that lasts, and may be touched at a speed.
-
-    Hops of e, e², … that speed follow, without control. They last until the wall's force on a
-    resting ball, λ, has the impulse 2 e/(1 − e) m J v: the momentum p that remains of that is
-
-        p_first = 2 e/(1 − e) m J v_first ≤ 0,    p_{k+1} = p_k + h_k λ_k,    p_last ≥ 0
-
-    exact for constant λ. m = (J M⁻¹ Jᵀ)⁻¹ is the effective mass of the contact.
-
-    Attributes:
-        contact: its index.
-        first: the knot of its start.
-        last: the knot of its end.
-        mass: m [kg].
-        factor: 2 e/(1 − e) m [kg].
-    """
-
-    contact: int
-    first: int
-    last: int
-    mass: float
-    factor: float
-
-    def momenta(self, motion: Trajectory, jacobian: Floats) -> Floats:
-        """Returns p at the knots first … last of a motion, shape (last − first + 1,) [N s]."""
-        steps = slice(self.first, self.last)
-        pushes = np.diff(motion.times)[steps] * motion.forces[steps, self.contact]
-        closing = jacobian[self.contact] @ motion.velocities[self.first]
-        momenta: Floats = self.factor * closing + np.append(0.0, np.cumsum(pushes))
-        return momenta
-
-
-def find_settlings(
-    timeline: Timeline, sequence: TouchSequence, restitutions: Floats, inertia: ConstantInertia
-) -> tuple[Settling, ...]:
-    """Returns those of a sequence."""
-    return tuple(
-        Settling(i, first, last, inertia.masses[i], 2 * e / (1 - e) * inertia.masses[i])
-        for touch, (first, last) in zip(sequence, timeline.spans, strict=True)
-        if touch.lasts and 0 < (e := restitutions[i := touch.contact]) < 1
-    )
 
 
 def straight_path(
