@@ -7,18 +7,27 @@ from typing import Any
 import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
 
 from drake_aigto import Scenario
 from drake_aigto.world import find_model, package_map
 
 
-def close_loop(model: str, controller: LeafSystem, feels: bool = False) -> tuple[Diagram, Any]:
-    """Returns a diagram of a model's continuous plant under a controller, and the plant."""
+def close_loop(
+    model: str, controller: LeafSystem, feels: bool = False, has_camera: bool = False
+) -> tuple[Diagram, Any]:
+    """Returns a diagram of a model's continuous plant under a controller, and the plant.
+
+    A camera is a body that is welded in before the model.
+    """
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     parser = Parser(plant)
     parser.package_map().AddMap(package_map())
+    if has_camera:
+        camera = plant.AddRigidBody("camera", SpatialInertia.SolidSphereWithMass(1.0, 0.1))
+        plant.WeldFrames(plant.world_frame(), camera.body_frame())
     parser.AddModels(find_model(model))
     plant.Finalize()
     builder.AddSystem(controller)

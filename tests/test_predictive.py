@@ -134,6 +134,15 @@ def test_what_is_not_finite_leaves_the_last_plan() -> None:
     assert controls[0, -1] != controls[0, 0]
 
 
+def test_a_simulator_that_is_initialized_again_on_its_way_keeps_its_plan() -> None:
+    run, other = Run(), Run()
+    for each in (run, other):
+        each.advance(0.11)
+    run.simulator.Initialize()
+    np.testing.assert_allclose(run.advance(0.2), other.advance(0.2), atol=1e-6)
+    assert run.statuses[-1].reason == other.statuses[-1].reason
+
+
 def test_a_state_beyond_its_limits_is_planned_from() -> None:
     builder = DiagramBuilder()
     beyond = np.array([1.05, 0.0, 0.3, 0.0])  # The cart's rail ends at 1 m.
@@ -165,7 +174,18 @@ def test_arguments_out_of_range_are_refused(options: dict[str, Any], message: st
         ModelPredictiveController(make_planner(), **{"period": 0.1, **options})
 
 
+def test_numbers_of_numpy_are_numbers() -> None:
+    given: dict[str, Any] = {
+        "period": np.float32(0.5),
+        "iterations": np.int64(5),
+        "search_every": np.int32(9),
+    }
+    assert ModelPredictiveController(make_planner(), **given).period == 0.5
+
+
 def test_what_it_can_not_plan_from_is_refused() -> None:
+    with pytest.raises(ControlError, match=r"^planner: got NoneType, expected a Planner"):
+        ModelPredictiveController(None, 0.1)  # type: ignore[arg-type]
     free = dataclasses.replace(PENDULUM, duration_range=(1.0, 2.0))
     with pytest.raises(ControlError, match="a task whose duration is free"):
         ModelPredictiveController(Planner(free), 0.1)
@@ -173,7 +193,7 @@ def test_what_it_can_not_plan_from_is_refused() -> None:
     planner.transcription.AddFinalCost(planner.transcription.state()[0])
     with pytest.raises(ControlError, match="got costs or constraints that were added"):
         ModelPredictiveController(planner, 0.1)
-    with pytest.raises(ControlError, match=r"estimated_state .* Connect the plant"):
+    with pytest.raises(ControlError, match=r"estimated_state of ModelPredictiveController: got"):
         Simulator(ModelPredictiveController(make_planner(), 0.1)).Initialize()
 
 

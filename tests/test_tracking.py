@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loops import close_loop
+from loops import close_loop, set_start
 from mechanism_tasks import drop_ball
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -138,6 +138,54 @@ def test_no_nan_leaves_a_port() -> None:
         assert np.all(np.isfinite(log.FindLog(simulator.get_context()).data()))
 
 
+def test_where_nothing_is_told_of_a_state_the_plan_plays_on() -> None:
+    plan = make_plan("cart_pole/soft_06")
+    x = np.concatenate([plan.scenario.initial_position, plan.scenario.initial_velocity])
+    told = PiecewisePolynomial.ZeroOrderHold([0.0, 0.05, 9.0], np.array([x, x + np.nan, x]).T)
+    builder = DiagramBuilder()
+    source = builder.AddSystem(TrajectorySource(told))
+    controller = builder.AddSystem(TrackingController(plan))
+    builder.Connect(source.get_output_port(), controller.get_input_port(0))
+    simulator = Simulator(builder.Build())
+    control, times = controller.GetOutputPort("control"), plan.trajectory.times
+    for k in (10, 20, 30):
+        simulator.AdvanceTo((times[k] + times[k + 1]) / 2)
+        u = control.Eval(controller.GetMyContextFromRoot(simulator.get_context()))
+        np.testing.assert_allclose(u, plan.trajectory.controls[k], atol=1e-9)
+
+
+@pytest.mark.parametrize("feels", [False, True])
+def test_a_simulator_that_is_initialized_again_on_its_way_remembers_bounces(feels: bool) -> None:
+    plan = make_plan("table1/1")
+    controller = TrackingController(plan)
+    diagram, _ = close_loop(plan.scenario.model, controller, feels)
+    simulator = make_simulator(World.from_diagram(diagram), plan.scenario)
+    simulator.AdvanceTo(plan.best.contacts[0].time + 0.2)
+    context = controller.GetMyContextFromRoot(simulator.get_context())
+    assert controller.count_bounces(context) == (1,)
+    simulator.Initialize()
+    assert controller.count_bounces(context) == (1,)
+    # From the start on it has happened no more.
+    simulator.get_mutable_context().SetTime(0.0)
+    simulator.Initialize()
+    assert controller.count_bounces(context) == (0,)
+
+
+def test_bounces_are_felt_in_a_plant_that_has_other_bodies_before_the_model() -> None:
+    plan, controller = make_plan("table1/1"), TrackingController(make_plan("table1/1"))
+    diagram, plant = close_loop(plan.scenario.model, controller, feels=True, has_camera=True)
+    simulator = Simulator(diagram)
+    context = set_start(plant, simulator.get_mutable_context(), plan.scenario)
+    plant.SetPositions(context, [1e-3])
+    plant.SetVelocities(context, [-1.0])
+    simulator.get_mutable_integrator().set_maximum_step_size(1e-5)
+    simulator.get_mutable_integrator().request_initial_step_size_target(1e-5)
+    simulator.AdvanceTo(0.01)
+    assert plant.GetVelocities(context)[0] > 0
+    own = controller.GetMyContextFromRoot(simulator.get_context())
+    assert controller.count_bounces(own) == (1,)
+
+
 def test_what_can_not_be_tracked_is_refused_before_it_runs() -> None:
     plan = make_plan("table1/1")
     for period in (0.0, -1.0, np.nan, "1"):
@@ -145,7 +193,8 @@ def test_what_can_not_be_tracked_is_refused_before_it_runs() -> None:
             TrackingController(plan, period=period)  # type: ignore[arg-type]
     with pytest.raises(ModelError, match="the world"):
         TrackingController(plan, drop_ball())
-    with pytest.raises(ControlError, match=r"estimated_state .*: got nothing .* Connect the plant"):
+    assert TrackingController(plan, period=np.float32(0.5)).period == 0.5  # type: ignore[arg-type]
+    with pytest.raises(ControlError, match=r"estimated_state of TrackingController: got nothing"):
         Simulator(TrackingController(plan)).Initialize()
 
 

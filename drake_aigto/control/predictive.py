@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -16,9 +16,9 @@ from drake_aigto.arrays import Floats
 from drake_aigto.control.horizon import Horizon
 from drake_aigto.control.mechanism_horizon import make_horizon
 from drake_aigto.control.touches import PlannedMotion, SeenBounces
-from drake_aigto.control.tracking import check_period, read_start
+from drake_aigto.control.tracking import NUMBERS, check_period, read_start
 from drake_aigto.errors import ControlError
-from drake_aigto.planning import Planner
+from drake_aigto.planning import Plan, Planner
 from drake_aigto.trajectory import Trajectory
 
 # A plan that costs more than the one before met no surprise if that is less than this part of the
@@ -135,7 +135,8 @@ class ModelPredictiveController(LeafSystem):
 
     A state that is not finite, one inside of a rigid wall where no contact lasts, or one from
     which no motion is found, leaves the last plan as it is, and its control goes on. So it does at
-    the end of a horizon that shrinks. No NaN leaves a port.
+    the end of a horizon that shrinks. No NaN leaves a port. A Simulator that is initialized again
+    on its way, at most a period after the last tick, keeps the plan.
 
     Input port: `estimated_state`, q and v. Output ports: `control`, u as the plant's actuation port
     takes it; `planned_state`, a PiecewisePolynomial of q and v over the horizon; and `status`, a
@@ -184,18 +185,23 @@ class ModelPredictiveController(LeafSystem):
                 transcription; or an argument is out of its range.
         """
         super().__init__()
+        given: Any = planner
+        if not isinstance(given, Planner):
+            remedy = "Give it Planner(plan.scenario)." if isinstance(given, Plan) else ""
+            got = type(given).__name__
+            raise ControlError("planner", got=got, expected="a Planner", remedy=remedy)
         counts = {
             "iterations": iterations,
             "search_every": search_every,
             "search_ticks": search_ticks,
         }
         for name, value in counts.items():
-            if value is not None and not (isinstance(value, int) and value >= 1):
+            if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
                 raise ControlError(name, got=value, expected="a count of at least 1")
         if horizon not in ("receding", "shrinking"):
             raise ControlError("horizon", got=horizon, expected="'receding' or 'shrinking'")
         for name, share in (("margin", margin), ("surprise", surprise)):
-            if not (isinstance(share, int | float) and share >= 0):
+            if not (isinstance(share, NUMBERS) and share >= 0):
                 raise ControlError(name, got=share, expected="a number of at least 0")
         self.period = check_period(period)
         self._world, self._every = planner.world, search_every
@@ -207,9 +213,9 @@ class ModelPredictiveController(LeafSystem):
             self._searching = make_horizon(planner, horizon == "receding", iterations, self.period)
             self._thread = ThreadPoolExecutor(1, "search")
         n, nu = self._world.num_positions, self._world.num_actuators
-        nowhere = _Question(0.0, np.zeros(2 * n), SeenBounces(), self._horizon)
+        nowhere = _Question(-np.inf, np.zeros(2 * n), SeenBounces(), self._horizon)
         rest = _Choice(self._horizon.rest(0.0, nowhere.x), "")
-        status = TickStatus(0.0, np.inf, (), "", 0.0, restitution=self._horizon.restitution)
+        status = TickStatus(-np.inf, np.inf, (), "", 0.0, restitution=self._horizon.restitution)
         none = _Moment(rest, np.zeros(nu), status, 0, nowhere, nowhere.seen)
         self._estimate = self.DeclareVectorInputPort("estimated_state", 2 * n)
         self._moment = self.DeclareAbstractState(AbstractValue.Make(none))
@@ -239,8 +245,12 @@ class ModelPredictiveController(LeafSystem):
         return moment
 
     def _start(self, context: Context, state: State) -> EventStatus:
-        """Searches for the first plan."""
-        x = read_start(self, self._estimate, context)
+        """Searches for the first plan; on the way, the one that there is goes on."""
+        x, before = read_start(self, self._estimate, context), self._read(context)
+        elapsed = context.get_time() - before.status.time
+        is_same = elapsed == 0 and np.array_equal(x, before.usable.x)
+        if is_same or 0 < elapsed <= self.period:
+            return EventStatus.DidNothing()
         if self._horizon.is_inside(x):
             raise ControlError(
                 "the state at the start",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.common.value import Value
@@ -27,6 +27,8 @@ from drake_aigto.world import World
 
 # A period of what happens once [s]; and how near to a sample is the same, as a part of the period.
 _ONCE, _SAME = 1e12, 1e-6
+# Types of real numbers: NumPy's scalars may be given, too.
+NUMBERS = int | float | np.integer | np.floating
 # Of a contact: it is touched, or was and is not over yet; it has lasted since the start; none.
 _TOUCHED, _LASTS, _APART = 1.0, -1.0, 0.0
 
@@ -60,7 +62,9 @@ class TrackingController(LeafSystem):
 
     Samples are taken at the plan's own knots as well, where its control changes.
 
-    A state that is not finite changes nothing either: no NaN leaves a port.
+    Where a state is not finite the plan's own control goes on: no NaN leaves a port. A Simulator
+    that is initialized again on its way, at most a period after the last sample, samples anew, and
+    remembers bounces.
 
     Input ports: `estimated_state`, q and v; `contact_results`, which may stay unconnected. Output
     ports: `control`, u as the plant's actuation port takes it, and `desired_state`, q and v of the
@@ -94,7 +98,9 @@ class TrackingController(LeafSystem):
         n, m, nu = world.num_positions, world.num_contacts, world.num_actuators
         self._estimate = self.DeclareVectorInputPort("estimated_state", 2 * n)
         self._results = self.DeclareAbstractInputPort("contact_results", Value(ContactResults()))
-        self._groups = _Groups(*map(self.DeclareDiscreteState, (nu, m, m, 1 + 2 * n)))
+        never = np.append(-np.inf, np.zeros(2 * n))
+        groups = np.zeros(nu), np.zeros(m), np.zeros(m), never
+        self._groups = _Groups(*map(self.DeclareDiscreteState, groups))
         self.DeclareInitializationDiscreteUpdateEvent(self._start)
         self.DeclarePeriodicDiscreteUpdateEvent(self.period, 0.0, self._sample)
         for knot in _find_between(plan.trajectory.times, self.period):
@@ -114,8 +120,12 @@ class TrackingController(LeafSystem):
         return np.array(context.get_discrete_state(group).value())
 
     def _start(self, context: Context, values: DiscreteValues) -> EventStatus:
-        """Forgets what was, and takes the first sample."""
+        """Forgets what was, and takes the first sample; on the way, the next one."""
         x = read_start(self, self._estimate, context)
+        last, *before = self._read(context, self._groups.last)
+        elapsed = context.get_time() - last
+        if 0 < elapsed <= (1 + _SAME) * self.period or (elapsed == 0 and np.array_equal(x, before)):
+            return self._sample(context, values)
         none, (q, v) = 0 * self._read(context, self._groups.bounces), np.split(x, 2)
         lasts = is_at_rest_on(self._world, q, v)
         return self._hold(context, values, x, none, np.where(lasts, _LASTS, _APART))
@@ -124,7 +134,12 @@ class TrackingController(LeafSystem):
         """Takes a sample: touches, bounces that are over, and the control from now on."""
         x = self._estimate.Eval(context)
         if not np.all(np.isfinite(x)):
-            return EventStatus.DidNothing()
+            now = context.get_time()
+            bounces = _list_bounces(self._read(context, self._groups.bounces))
+            planned = self.feedback.find_state(now, bounces)
+            control = self.feedback.sample(now, planned, bounces).control
+            values.set_value(self._groups.control, control)
+            return EventStatus.Succeeded()
         reached = pressed = self._feel(context, x)
         if not self._results.HasValue(context):
             reached = pressed | self._infer(context)
@@ -133,18 +148,22 @@ class TrackingController(LeafSystem):
     def _feel(self, context: Context, x: Floats) -> Bools:
         """Returns which contacts are touched now: as the plant reports, or else φ_i ≤ 0.
 
-        Bodies are known by their indices, which are the same in every plant of one model. Of
-        several contacts between the same two bodies it is the nearest to its wall.
+        Bodies are known by their names. Of several contacts between the same two bodies it is the
+        nearest to its wall.
         """
         phi = self._world.calc_signed_distance(np.split(x, 2)[0])
         if not self._results.HasValue(context):
             return np.asarray(phi <= 0)
         results: ContactResults = self._results.Eval(context)
-        felt = np.zeros(len(phi), dtype=bool)
+        felt, plant = np.zeros(len(phi), dtype=bool), results.plant()
         for k in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(k)
-            pair = {int(info.bodyA_index()), int(info.bodyB_index())}
-            same = [i for i, bodies in enumerate(self._bodies) if bodies == pair]
+            a, b = (_name_body(plant, index) for index in (info.bodyA_index(), info.bodyB_index()))
+            same = [
+                i
+                for i, (one, other) in enumerate(self._bodies)
+                if (a in one and b in other) or (a in other and b in one)
+            ]
             if same:
                 felt[min(same, key=lambda i: phi[i])] = True
         return felt
@@ -222,13 +241,21 @@ def _list_bounces(counts: Floats) -> list[int]:
     return [int(i) for i in np.repeat(np.arange(len(counts)), counts.astype(int))]
 
 
-def _find_bodies(world: World) -> list[set[int]]:
-    """Returns the bodies that meet in each contact, by their indices."""
+def _find_bodies(world: World) -> list[list[set[str]]]:
+    """Returns the names of both bodies that meet in each contact, plain and with their model's."""
     inspector, plant = world.scene_graph.model_inspector(), world.plant
-    return [
-        {int(plant.GetBodyFromFrameId(inspector.GetFrameId(shape)).index()) for shape in pair}
+    bodies = [
+        [plant.GetBodyFromFrameId(inspector.GetFrameId(shape)) for shape in pair]
         for pair in world.shapes
     ]
+    return [[{body.name(), str(body.scoped_name())} for body in pair] for pair in bodies]
+
+
+def _name_body(plant: Any, index: Any) -> str:
+    """Returns a body's name, with its model's if other bodies of the plant have the same."""
+    body = plant.get_body(index)
+    is_alone = plant.NumBodiesWithName(body.name()) == 1
+    return str(body.name() if is_alone else body.scoped_name())
 
 
 def check_period(period: float) -> float:
@@ -237,7 +264,7 @@ def check_period(period: float) -> float:
     Raises:
         ControlError: it is none.
     """
-    if not (isinstance(period, int | float) and 0 < period < np.inf):
+    if not (isinstance(period, NUMBERS) and 0 < period < np.inf):
         raise ControlError("period", got=period, expected="seconds above zero")
     return float(period)
 
@@ -249,8 +276,10 @@ def read_start(system: System, port: InputPort, context: Context) -> Floats:
         ControlError: nothing is connected, or it is not finite.
     """
     if not port.HasValue(context):
+        is_named = system.get_name() and "@" not in system.get_name()  # Else Drake has an address.
+        name = system.GetSystemPathname() if is_named else type(system).__name__
         raise ControlError(
-            f"the input port {port.get_name()} of {system.GetSystemPathname()}",
+            f"the input port {port.get_name()} of {name}",
             got="nothing that is connected to it",
             expected="q and v of the plant",
             remedy="Connect the plant's state output port, or an estimator's.",
