@@ -279,6 +279,8 @@ FIGURES: Mapping[str, Figure] = {
 }
 
 
+# The name by which a page quotes the table of all records.
+AGES = "records"
 MARKED = re.compile(r"(<!-- figure: (\w+) -->).*?(<!-- end -->)", re.DOTALL)
 PAGES = (CHECKOUT / "README.md", *sorted((CHECKOUT / "docs").glob("*.md")))
 
@@ -342,11 +344,25 @@ def quote(text: str) -> str:
 
 
 def _read_figure(name: str) -> str:
+    if name == AGES:
+        return f"\n\n```text\n{list_ages()}\n```\n\n"
     record, pattern = FIGURES[name]
     found = re.search(pattern, read_output(record), re.MULTILINE)
     if not found:
         raise LookupError(f"figure {name!r}: record {record!r} has nothing like {pattern!r}")
     return f"\n\n```text\n{found[1]}\n```\n\n" if "\n" in found[1] else found[1]
+
+
+def list_ages() -> str:
+    """Returns a table of all records: the day, the commit and the seconds of each, oldest first."""
+    rows = []
+    for record in RECORDS:
+        head = path_of(record).read_text(encoding="utf-8").splitlines()[2]
+        commit, day, seconds, _ = head.removeprefix("# commit ").split(", ")
+        rows.append((day, commit, seconds, record))
+    return "\n".join(
+        f"{day}  {commit:13} {seconds:>7}  {name}" for day, commit, seconds, name in sorted(rows)
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

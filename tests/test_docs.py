@@ -129,6 +129,14 @@ def test_a_record_was_made_by_the_command_that_is_shown(name: str) -> None:
     assert re.match(r"# commit \w+, \d{4}-\d\d-\d\d, \d+ s, exit status [01]$", lines[2])
 
 
+def test_a_page_lists_the_age_of_every_record() -> None:
+    rows = [row.split() for row in records.list_ages().splitlines()]
+    assert sorted(row[-1] for row in rows) == sorted(records.RECORDS)
+    assert [row[0] for row in rows] == sorted(row[0] for row in rows)
+    pages = [page.read_text(encoding="utf-8") for page in records.PAGES]
+    assert sum(records.list_ages() in page for page in pages) == 1
+
+
 def test_every_record_has_a_file_and_every_file_a_record() -> None:
     assert {path.stem for path in records.FOLDER.glob("*.txt")} == set(records.RECORDS)
 
