@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
-from drake_aigto import Scenario, World
+from drake_aigto import Scenario, World, plan
 from drake_aigto.errors import ModelError, ScenarioError
 
 GRAVITY = 9.81
@@ -392,3 +393,66 @@ def test_limits_of_a_scenario_and_a_model_are_told_apart(arm: Any) -> None:
     scenario = Scenario(model=world.model or "", control_upper=4.0, **ends)
     items = world.limits.control_items(world.plant, scenario)
     assert items == ["arm_motor from -10 (model) to 4 (scenario) N m"]
+
+
+def test_a_capsule_touches_a_floor_with_its_two_ends(tmp_path: Path) -> None:
+    text = ARM.replace(' contype="0" conaffinity="0"', "").replace('pos="0 0 2"', 'pos="0 0 0.9"')
+    model = write(tmp_path / "arm.xml", text)
+    ends = {"initial_position": [1.5, 0.0], "goal_position": [1.5, 0.1]}
+    world = make(model, ignored_shapes=["rod"], **ends)
+    names = [contact.name for contact in world.contacts]
+    assert names == ["stick_end1 against floor", "stick_end2 against floor"]
+    q = np.array([0.7, -0.4])
+    elbow = np.array([-np.sin(0.7), 0.9 - np.cos(0.7)])
+    tip = elbow + 0.5 * np.array([-np.sin(0.3), -np.cos(0.3)])
+    distances = sorted(world.calc_signed_distance(q))
+    np.testing.assert_allclose(distances, sorted([elbow[1] - 0.04, tip[1] - 0.04]), atol=1e-9)
+    everywhere = make(model)
+    assert everywhere.notes == ("nothing can touch: shapes that would are ignored",)
+
+
+def test_pairs_that_are_not_planned_for_are_listed_at_once_and_left_out_if_allowed(
+    tmp_path: Path,
+) -> None:
+    text = """<mujoco model="m"><option gravity="0 0 0"/><worldbody>
+      <geom name="wall" type="box" size="0.1 1 1" pos="-9 0 0"/>
+      <body name="a"><joint name="x" type="slide" axis="1 0 0"/>
+        <geom name="pill" type="capsule" size="0.1 0.2"/></body>
+      <body name="b" pos="3 0 0"><joint name="y" type="slide" axis="1 0 0"/>
+        <geom name="can" type="cylinder" size="0.1 0.2"/></body>
+      </worldbody><actuator><motor joint="x"/></actuator></mujoco>"""
+    model = tmp_path / "m.xml"
+    model.write_text(text, encoding="utf-8")
+    names: dict[str, Any] = {"ignored_shapes": ()}
+    message = (
+        "contacts: got .*Box against Capsule; .*; .*ignored_shapes: .m::pill, m::can.*: .pairs"
+    )
+    with pytest.raises(ModelError, match=message):
+        make(str(model), **names)
+    world = make(str(model), allow_ignored=["pairs"], **names)
+    assert len(world.ignored) == 3 and not world.contacts
+
+
+def test_all_that_is_wrong_comes_with_one_answer_that_works(tmp_path: Path) -> None:
+    text = GANTRY.replace('link="world"', 'link="cart"').replace('name="world"', 'name="cart"')
+    mesh = MESH.replace("NAME", "hook").replace("FILE", "hook.stl")
+    mimic = text.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="x"/>')
+    model = write(tmp_path / "gantry.urdf", mimic, MORE="", COLLISION=mesh)
+    with pytest.raises(ModelError) as caught:
+        make(model)
+    remedy = caught.value.remedy or ""
+    text = remedy.partition("answer that: ")[2].partition(", or change")[0]
+    answers = yaml.safe_load(text)
+    assert set(answers) == {"collisions", "allow_ignored", "actuators", "weld"}
+    assert make(model, **answers).num_actuators == 2
+
+
+@pytest.mark.parametrize("limits", ["model", "ignore"])
+@pytest.mark.parametrize("damping", ["0.0", "0.3"])
+def test_a_gantry_that_touches_nothing_is_planned_for(
+    tmp_path: Path, limits: str, damping: str
+) -> None:
+    text = GANTRY.replace('damping="0.3" friction="0.7"', f'damping="{damping}"')
+    fields: dict[str, Any] = {"initial_position": [0.0, 0.0], "initial_velocity": [0.0, 0.0]}
+    fields |= {"goal_position": [0.5, 0.2], "time_step": 0.05, "actuators": ["y"], "limits": limits}
+    assert plan(Scenario(model=write(tmp_path / "gantry.urdf", text), **fields)).holds

@@ -187,10 +187,10 @@ def needs_shooting(world: World, scenario: Scenario) -> bool:
     """Returns whether a task is more than one of balls between rigid walls.
 
     It is where a joint turns or has limits, M or J depends on q, there is friction, contact is
-    compliant, or the task is not AIGTO's (`Scenario.is_plain`). Balls without walls are balls, as
-    a user with AIGTO's task has forgotten a wall.
+    compliant, nothing can touch, or the task is not AIGTO's (`Scenario.is_plain`).
     """
-    is_free = world.has_constant_inertia and not (world.limits.are_any or world.is_hinge.any())
+    is_ball = bool(world.contacts) and world.has_constant_inertia and not world.is_hinge.any()
+    is_free = is_ball and not world.limits.are_any
     has_friction = scenario.contact == "rigid" and world.friction_coefficients(scenario).any()
     return not (is_free and not has_friction and scenario.is_plain)
 

@@ -22,6 +22,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
+from drake_aigto.world.model_facts import FixableError
 
 # By how much positions differ from their defaults where nothing cancels by chance.
 _ANYWHERE = 0.37
@@ -109,11 +110,12 @@ def find_hinges(plant: MultibodyPlant) -> list[bool]:
         if joint.num_positions() == 0:
             continue
         if joint.type_name() not in _HINGES:
-            raise ModelError(
+            raise FixableError(
                 f"joint {joint.name()!r} ({joint.type_name()})",
                 got="a motion that is neither a slider's nor a hinge's",
                 expected=f"one of {', '.join(_HINGES)}",
-                remedy="Use one of these, or weld it.",
+                remedy="Use one of these, or fix it by the scenario's fixed_joints.",
+                fields={"fixed_joints": [joint.name()]},
             )
         start = joint.position_start()
         found[start : start + joint.num_positions()] = _HINGES[joint.type_name()]
@@ -222,14 +224,18 @@ def _check_velocities(plant: MultibodyPlant) -> None:
         block = N[joint.position_start() :, joint.velocity_start() :][:nq, :nv]
         if nq == nv and np.allclose(block, np.eye(nq)):
             continue
+        link, answer = joint.child_body().name(), {}
         what = f"joint {joint.name()!r} ({joint.type_name()})"
+        remedy = "Attach the link by prismatic, revolute or planar joints"
         if joint.is_ephemeral():
-            what = f"no joint attaches link {joint.child_body().name()!r}, so it floats"
-        raise ModelError(
+            what, answer = f"no joint attaches link {link!r}, so it floats", {link: [0.0] * 3}
+            remedy += f", or hold it by the scenario's weld: {{{link}: [0, 0, 0]}}"
+        raise FixableError(
             what,
             got="velocities v that are not q̇",
             expected="q̇ = v",
-            remedy="Attach the link by prismatic, revolute or planar joints.",
+            remedy=f"{remedy}.",
+            fields={"weld": answer} if answer else {"fixed_joints": [joint.name()]},
         )
 
 

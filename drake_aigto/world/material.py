@@ -22,11 +22,13 @@ _COMPLIANCE = ("hydroelastic", "compliance_type")
 _UNGIVEN = {
     STIFFNESS: (
         "so Drake's default, which hardly rebounds",
-        "Give both shapes theirs: 2e9 N/m for a nearly rigid wall, less for a soft one.",
+        "Give both shapes theirs, in the model or by the scenario's material: {'*': {stiffness: "
+        "2e9}}: 2e9 N/m for a nearly rigid wall, less for a soft one.",
     ),
     DISSIPATION: (
         "so Drake's default, 50 s/m",
-        "Give both shapes theirs: 0 s/m, for a wall that returns all energy.",
+        "Give both shapes theirs, in the model or by the scenario's material: {'*': {dissipation: "
+        "0}}: 0 s/m for a wall that returns all energy.",
     ),
 }
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
 
 from drake_aigto.errors import ModelError
@@ -15,6 +16,26 @@ from drake_aigto.world.model_fields import ModelFields
 
 # Meshes that Drake reads.
 MESHES = (".obj", ".vtk", ".gltf")
+
+
+class FixableError(ModelError):
+    """A model that fields of a scenario make fit to be read.
+
+    Attributes:
+        fields: that do, or begin to.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        got: object = None,
+        expected: object = None,
+        remedy: str | None = None,
+        fields: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
+        """Stores the fields beside the parts of the message."""
+        super().__init__(what, got, expected, remedy)
+        self.fields = dict(fields)
 
 
 class Spring(NamedTuple):
@@ -79,8 +100,9 @@ class ModelFacts:
         Raises:
             ModelError: there is something; lists it, and the field that leaves it out.
         """
-        got, remedies = [], []
+        got, remedies, answer = [], [], dict[str, Any]()
         if self.unread:
+            answer["collisions"] = "none"
             got.append(f"meshes that can't be read: {', '.join(self.unread)}")
             remedies.append(
                 "Name the shapes that may touch by the scenario's collisions: [...], or take "
@@ -90,12 +112,14 @@ class ModelFacts:
         if self.refused:
             words = ", ".join(dict.fromkeys(word for word, _, _ in self.refused))
             parts = dict.fromkeys(f"{what} ({cost})" for _, what, cost in self.refused)
+            answer["allow_ignored"] = list(dict.fromkeys(word for word, _, _ in self.refused))
             got.append(f"what is not planned for: {'; '.join(parts)}")
             remedies.append(
                 f"Change the model, or leave it out by the scenario's allow_ignored: [{words}]."
             )
         if got:
-            raise ModelError(f"model {path}", got="; and ".join(got), remedy=" ".join(remedies))
+            remedy = " ".join(remedies)
+            raise FixableError(f"model {path}", "; and ".join(got), None, remedy, answer)
 
 
 def fits(name: str, glob: str) -> bool:

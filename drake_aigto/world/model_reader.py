@@ -11,12 +11,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.geometry import (
+    Capsule,
     CollisionFilterDeclaration,
     GeometryId,
     GeometrySet,
+    HalfSpace,
     ProximityProperties,
     RoleAssign,
     SceneGraph,
+    Sphere,
 )
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import PackageMap, Parser
@@ -34,10 +37,13 @@ from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import check_plant, refuse_loop
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
-from drake_aigto.world.model_facts import ModelFacts, fits, pick
+from drake_aigto.world.model_facts import FixableError, ModelFacts, fits, pick
 from drake_aigto.world.model_fields import ModelFields
 from drake_aigto.world.model_text import read_model_text
+from drake_aigto.world.pairs import list_pairs, order_pair
 
+# Ends of a capsule, after its name.
+END = "_end"
 # What Drake says of joints that form a loop.
 _LOOP = "loops in the system graph"
 # What Drake's reader says and nothing depends on, or what is read here in its place.
@@ -120,6 +126,7 @@ def read_model(
     for name, spring in facts.springs.items():
         _add_spring(plant, plant.GetJointByName(name), *spring)
     _set_materials(plant, scene_graph, fields)
+    ends = _add_ends(plant, scene_graph)
     try:
         plant.Finalize()
     except RuntimeError as error:
@@ -129,6 +136,7 @@ def read_model(
     check_plant(plant)
     plant.set_stiction_tolerance(stiction_speed)
     _keep_apart(plant, scene_graph, facts)
+    _choose_ends(scene_graph, ends, facts)
     friction = _find_friction(plant, facts) if dry_friction is None else dry_friction
     if friction is not None:
         check_size("dry_friction", friction, plant.num_velocities())
@@ -238,11 +246,13 @@ def _drive(plant: MultibodyPlant, path: Path, facts: ModelFacts) -> None:
         idle = sorted(facts.no_effort & set(moving))
         first = (idle or sorted(moving))[0]
         remedy = f"effort_limits: {{{first}: ...}}" if idle else f"actuators: [{first}, ...]"
-        raise ModelError(
+        answer = {"effort_limits": dict.fromkeys(idle, 1.0)} if idle else {"actuators": "all"}
+        raise FixableError(
             "the model lacks an actuator",
             got=f"limits of effort of 0 at {', '.join(idle)}" if idle else f"none in {path}",
             expected="a joint that is driven",
             remedy=f"Drive joints by the scenario's {remedy}, or in the model.",
+            fields=answer,
         )
 
 
@@ -285,7 +295,10 @@ def name_shapes(
         for shape in plant.GetCollisionGeometriesForBody(body):
             full = inspector.GetName(shape)
             model, _, name = full.rpartition("::")
-            found[shape] = full, f"{model}::{body.name()}::{name}"
+            found[shape] = (
+                full.partition(END)[0],
+                f"{model}::{body.name()}::{name}".partition(END)[0],
+            )
     return found
 
 
@@ -303,7 +316,7 @@ def pick_shapes(
         fitting = [each for each, names in shapes.items() if any(fits(n, glob) for n in names)]
         if not fitting and glob != "*":
             raise ModelError(what, got=repr(glob), expected=f"of the collision shapes {known}")
-        if len(fitting) > 1 and not set(glob) & set("*?["):
+        if len({shapes[each] for each in fitting}) > 1 and not set(glob) & set("*?["):
             raise ModelError(
                 what,
                 got=f"{glob!r}, which fits {', '.join(shapes[each][1] for each in fitting)}",
@@ -332,6 +345,65 @@ def _keep_apart(plant: MultibodyPlant, scene_graph: SceneGraph, facts: ModelFact
         filtered = CollisionFilterDeclaration().ExcludeBetween(
             GeometrySet([shape]), GeometrySet(others)
         )
+        scene_graph.collision_filter_manager().Apply(filtered)
+
+
+def _add_ends(plant: MultibodyPlant, scene_graph: SceneGraph) -> dict[GeometryId, list[GeometryId]]:
+    """Adds a sphere at both ends of each capsule, as far as it may touch; returns them by capsule.
+
+    A capsule touches a half space with its ends alone, whatever its pose.
+    """
+    inspector: Any = scene_graph.model_inspector()
+    found = {}
+    for body in _list_bodies(plant):
+        for shape in list(plant.GetCollisionGeometriesForBody(body)):
+            capsule = inspector.GetShape(shape)
+            if not isinstance(capsule, Capsule):
+                continue
+            properties = ProximityProperties(inspector.GetProximityProperties(shape))
+            name = inspector.GetName(shape).rpartition("::")[2]
+            found[shape] = [
+                plant.RegisterCollisionGeometry(
+                    body,
+                    inspector.GetPoseInFrame(shape)
+                    @ RigidTransform([0.0, 0.0, sign * capsule.length() / 2]),
+                    Sphere(capsule.radius()),
+                    f"{name}{END}{number}",
+                    properties,
+                )
+                for number, sign in ((1, -1.0), (2, 1.0))
+            ]
+    return found
+
+
+def _choose_ends(
+    scene_graph: SceneGraph, ends: dict[GeometryId, list[GeometryId]], facts: ModelFacts
+) -> None:
+    """Lets the ends of a capsule touch half spaces, and the capsule all else.
+
+    Pairs that can't be planned for are kept apart if that is allowed.
+    """
+    inspector: Any = scene_graph.model_inspector()
+    capsule_of = {end: capsule for capsule, pair in ends.items() for end in pair}
+    apart = []
+    for pair in list_pairs(inspector):
+        kinds = [type(inspector.GetShape(shape)) for shape in pair]
+        is_end = any(shape in capsule_of for shape in pair)
+        if HalfSpace in kinds and (is_end or Capsule in kinds):
+            is_kept = is_end
+        elif is_end:
+            is_kept = False
+        else:
+            is_kept = order_pair(inspector, *pair) is not None
+            if not is_kept:
+                if "pairs" not in facts.fields.allow_ignored:
+                    continue
+                names = " and ".join(map(inspector.GetName, pair))
+                facts.refuse("pairs", f"contact of {names}", "they pass through each other")
+        if not is_kept:
+            apart.append(pair)
+    for pair in apart:
+        filtered = CollisionFilterDeclaration().ExcludeBetween(*map(GeometrySet, pair))
         scene_graph.collision_filter_manager().Apply(filtered)
 
 

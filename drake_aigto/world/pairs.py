@@ -22,6 +22,7 @@ from pydrake.symbolic import Expression
 from drake_aigto.arrays import Floats
 from drake_aigto.dynamics import Contact, evaluate, is_constant, tidy
 from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.world.model_facts import FixableError
 from drake_aigto.world.plant_reader import PlantReader
 
 # Where a scene graph keeps the restitution of a shape, if its maker put it there.
@@ -122,21 +123,18 @@ def find_reach(
         without friction only push that way.
 
     Raises:
-        ModelError: no motion brings any two shapes together that may collide, or a pair of shapes
-            is not supported.
+        ModelError: pairs of shapes are not supported; lists all of them.
     """
     found, stuck = list[ReachableFace](), list[SphereAndFace]()
     solid, default = 0, plant.GetDefaultPositions()
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, default)  # A clone's context forgets them.
     inspector: Any = scene_graph.model_inspector()
-    pairs = [
-        _read_pair(plant, inspector, *_order(inspector, first, second), context)
-        for first, second in sorted(
-            inspector.GetCollisionCandidates(), key=lambda ids: [i.get_value() for i in ids]
-        )
-        if first not in ignored and second not in ignored
-    ]
+    candidates = [pair for pair in list_pairs(inspector) if not set(pair) & set(ignored)]
+    if unread := [pair for pair in candidates if order_pair(inspector, *pair) is None]:
+        raise _refuse_pairs(inspector, unread)
+    ordered = (order_pair(inspector, *pair) for pair in candidates)
+    pairs = [_read_pair(plant, inspector, *pair, context) for pair in ordered if pair]
     for pair in pairs:
         places = [_read_place(reader, face) for face in pair]
         chosen, fixed = _choose(places, reader.q, default)
@@ -149,12 +147,6 @@ def find_reach(
             reach = 0.0 if is_constant(jacobian) else face.sum_of_radii
             found.append(ReachableFace(face, places[i][:2], contact, reach))
         solid += bool(chosen)
-    if pairs and not found:
-        raise _refuse(
-            got=f"no motion that brings together {' or '.join(pair[0].pair for pair in pairs)}",
-            remedy="Move a shape into the other's way: distances that no joint changes are no "
-            "contact.",
-        )
     return tuple(found), tuple(stuck)
 
 
@@ -181,24 +173,24 @@ def find_sphere_body(plant: MultibodyPlant, reachable: Sequence[ReachableFace]) 
     raise ModelError("mass", got, expected, f"Edit the {masses} in the model instead.")
 
 
-def refuse_no_contact(scene_graph: SceneGraph) -> ModelError:
-    """Returns the error of a model in which no two shapes may collide, with the reason."""
-    inspector = scene_graph.model_inspector()
-    if len(shapes := inspector.GetAllGeometryIds(Role.kProximity)) < 2:
-        got = f"{len(shapes)} collision shape{'s' if len(shapes) != 1 else ''}"
-        remedy = "Add <collision> shapes to both links."
-    else:
-        got = f"{len(shapes)} collision shapes, of which Drake lets no two collide"
-        remedy = (
-            "Shapes that are welded together, or anchored, or on links that a joint connects, "
-            "don't collide, nor those that a <drake:collision_filter_group> excludes."
+def explain_no_contact(scene_graph: SceneGraph, are_ignored: bool = False) -> str | None:
+    """Returns why nothing can touch, of a model that has collision shapes."""
+    inspector: Any = scene_graph.model_inspector()
+    if not (count := len(inspector.GetAllGeometryIds(Role.kProximity))):
+        return None
+    if count == 1:
+        why = "there is one collision shape"
+    elif not inspector.GetCollisionCandidates():
+        why = (
+            f"Drake lets no two of {count} collision shapes collide (those that are welded "
+            "together, or anchored, or on links that a joint connects, or excluded by a "
+            "<drake:collision_filter_group>)"
         )
-    return _refuse(got, remedy)
-
-
-def _refuse(got: str, remedy: str) -> ModelError:
-    expected = "a sphere, and a box, half space or sphere that it can touch"
-    return ModelError("the model lacks a contact", got, expected, remedy)
+    elif are_ignored:
+        why = "shapes that would are ignored"
+    else:
+        why = f"no motion brings together any two of {count} collision shapes"
+    return f"nothing can touch: {why}"
 
 
 def refuse_inside(
@@ -215,17 +207,6 @@ def refuse_inside(
         got=f"a signed distance of {distance:g} m",
         expected="more than 0 m",
         remedy=remedy if num_faces == 1 else "Start and goal must both be outside.",
-    )
-
-
-def refuse_out_of_reach(face: SphereAndFace, distance: float) -> ModelError:
-    """Returns the error of a wall that stays at least so far from all that could touch it."""
-    return ModelError(
-        f"a wall is out of reach ({face.pair})",
-        got=f"at least {distance:.3g} m between them, wherever joints go within their limits",
-        expected="a wall that a sphere can touch",
-        remedy="Move the wall, widen the joints' limits, or leave the shape out by the scenario's "
-        "ignored_shapes.",
     )
 
 
@@ -255,20 +236,53 @@ def _choose(
     return ([], [nearest]) if nearest in fixed else ([nearest], [])
 
 
-def _order(inspector: Any, first: GeometryId, second: GeometryId) -> tuple[GeometryId, GeometryId]:
-    """Returns the sphere first."""
-    shapes = inspector.GetShape(first), inspector.GetShape(second)
-    if isinstance(shapes[0], Sphere) and isinstance(shapes[1], Box | HalfSpace | Sphere):
-        return first, second
-    if isinstance(shapes[1], Sphere) and isinstance(shapes[0], Box | HalfSpace):
-        return second, first
-    raise ModelError(
-        f"contact of {inspector.GetName(first)} with {inspector.GetName(second)}",
-        got=" against ".join(type(shape).__name__ for shape in shapes),
-        expected="Sphere against Box, HalfSpace or Sphere",
-        remedy="Change the collision shapes, leave one out by the scenario's ignored_shapes, or "
-        "exclude the pair with a <drake:collision_filter_group>.",
+def list_pairs(inspector: Any) -> list[tuple[GeometryId, GeometryId]]:
+    """Returns all pairs of shapes that may collide, always in the same order."""
+    pairs = inspector.GetCollisionCandidates()
+    return sorted(pairs, key=lambda pair: [shape.get_value() for shape in pair])
+
+
+def order_pair(
+    inspector: Any, first: GeometryId, second: GeometryId
+) -> tuple[GeometryId, GeometryId] | None:
+    """Returns the sphere first, or None of a pair that is not supported."""
+    for sphere, wall in ((first, second), (second, first)):
+        shapes = inspector.GetShape(sphere), inspector.GetShape(wall)
+        if isinstance(shapes[0], Sphere) and isinstance(shapes[1], Box | HalfSpace | Sphere):
+            return sphere, wall
+    return None
+
+
+def _refuse_pairs(inspector: Any, pairs: list[tuple[GeometryId, GeometryId]]) -> ModelError:
+    """Returns the error of pairs that are not supported, with the fewest shapes to leave out."""
+    names = [" with ".join(map(inspector.GetName, pair)) for pair in pairs]
+    kinds = [
+        " against ".join(type(inspector.GetShape(shape)).__name__ for shape in pair)
+        for pair in pairs
+    ]
+    left, out = list(pairs), list[str]()
+    while left:
+        shapes = [shape for pair in left for shape in pair]
+        worst = max(
+            dict.fromkeys(shapes), key=lambda s: (shapes.count(s), not _is_wall(inspector, s))
+        )
+        out.append(inspector.GetName(worst))
+        left = [pair for pair in left if worst not in pair]
+    return FixableError(
+        f"contact of {names[0]}" if len(pairs) == 1 else "contacts",
+        got="; ".join(f"{name}: {kind}" for name, kind in zip(names, kinds, strict=True))
+        if len(pairs) > 1
+        else kinds[0],
+        expected="Sphere against Box, HalfSpace or Sphere, or Capsule against HalfSpace",
+        remedy=f"Leave shapes out by the scenario's ignored_shapes: [{', '.join(out)}], or the "
+        "pairs by allow_ignored: [pairs]; or change the collision shapes, or exclude pairs with a "
+        "<drake:collision_filter_group>.",
+        fields={"allow_ignored": ["pairs"]},
     )
+
+
+def _is_wall(inspector: Any, shape: GeometryId) -> bool:
+    return isinstance(inspector.GetShape(shape), Box | HalfSpace)
 
 
 def _read_pair(

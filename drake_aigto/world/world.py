@@ -16,6 +16,7 @@ from pydrake.systems.framework import Context, Diagram
 from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.dynamics import STICTION_SPEED, EquationsOfMotion, SumMap
 from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.world.answers import gather
 from drake_aigto.world.diagram import (
     check_friction_acts,
     check_plant,
@@ -29,17 +30,17 @@ from drake_aigto.world.fields import as_number
 from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.limits import Limits, check_sizes
 from drake_aigto.world.material import SpringMaterial, read_materials, read_springs, read_stiffness
+from drake_aigto.world.model_facts import FixableError
 from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
 from drake_aigto.world.model_reader import name_shapes, pick_shapes, read_model
 from drake_aigto.world.pairs import (
     ReachableFace,
     SphereAndFace,
+    explain_no_contact,
     find_reach,
     find_sphere_body,
     refuse_beside,
     refuse_inside,
-    refuse_no_contact,
-    refuse_out_of_reach,
 )
 from drake_aigto.world.plant_reader import PlantReader
 from drake_aigto.world.rubbing import Rubbing
@@ -92,9 +93,17 @@ class World(EquationsOfMotion):
         The plant's default position is the scenario's start.
 
         Raises:
-            ModelError: the model can't be found, parsed, or planned for.
+            ModelError: the model can't be found, parsed, or planned for; says all that fields of
+                the scenario would change about that.
             ScenarioError: the scenario does not fit the model (`check`).
         """
+        try:
+            return cls._read(scenario)
+        except FixableError as error:
+            raise gather(cls._read, scenario, error) from error
+
+    @classmethod
+    def _read(cls, scenario: Scenario) -> World:
         friction = scenario.dry_friction, scenario.stiction_speed
         found = read_model(scenario.model, *friction, scenario.model_fields)
         plant, _ = find_plant(found.diagram)
@@ -102,14 +111,15 @@ class World(EquationsOfMotion):
         check_sizes(plant, scenario)
         plant.SetDefaultPositions(scenario.initial_position)
         friction = found.dry_friction, scenario.stiction_speed
-        world = cls.from_diagram(found.diagram, scenario.mass, scenario.ignored_shapes, *friction)
+        given = scenario.mass, scenario.ignored_shapes, *friction, scenario.limits
+        world = cls.from_diagram(found.diagram, *given)
         world = dataclasses.replace(
             world,
             model=scenario.model,
             model_fields=scenario.model_fields,
             limits=Limits.of(plant, found.efforts, scenario.limits),
             ignored=found.ignored,
-            notes=found.notes,
+            notes=(*found.notes, *world.notes),
         )
         world.check(scenario)
         return world
@@ -178,7 +188,7 @@ class World(EquationsOfMotion):
             dry_friction=dry_friction,
             stiction_speed=stiction_speed,
             model_fields=ModelFields(limits=limits),
-        )
+        )._within_reach()
 
     def of_diagram(self, diagram: Diagram) -> World:
         """Returns the world of another diagram with a copy of its plant, all else as it is here.
@@ -187,7 +197,8 @@ class World(EquationsOfMotion):
             ModelError: the plant there can't be planned for.
         """
         friction = self.dry_friction, self.stiction_speed
-        other = World.from_diagram(diagram, self.mass, self.ignored_shapes, *friction)
+        given = self.mass, self.ignored_shapes, *friction, self.model_fields.limits
+        other = World.from_diagram(diagram, *given)
         mine = {
             name: getattr(self, name) for name in ("limits", "model_fields", "ignored", "notes")
         }
@@ -322,7 +333,12 @@ class World(EquationsOfMotion):
         self.check_frictionless(scenario)
         self.limits.check_none(self.plant)
         if not self.contacts:
-            raise refuse_no_contact(self.scene_graph)
+            raise ModelError(
+                "the model lacks a contact",
+                got=explain_no_contact(self.scene_graph) or "no collision shapes",
+                expected="a sphere, and a box, half space or sphere that it can touch",
+                remedy="Add <collision> shapes to both links.",
+            )
 
     def check(self, scenario: Scenario) -> None:
         """Checks that a scenario can be asked of this world.
@@ -332,7 +348,7 @@ class World(EquationsOfMotion):
                 cost makes no sense here (`TaskCost.of`), or start or goal touches the wall, is
                 inside or behind it, or beside its face, or is beyond joint limits.
             ModelError: friction acts where a sphere can slide in two directions, or is stuck in a
-                shape; a wall is out of reach of all spheres; or the model lacks what compliant
+                shape; or the model lacks what compliant
                 contact takes (`springs`).
         """
         check_sizes(self.plant, scenario)
@@ -342,8 +358,6 @@ class World(EquationsOfMotion):
         if scenario.contact == "compliant":
             _ = self.springs
         self.friction_coefficients(scenario)
-        if self._out_of_reach:
-            raise refuse_out_of_reach(*self._out_of_reach)
         self.rubbing.check(scenario.friction)
         for name in ("initial_position", "goal_position"):
             self._check_place(name, getattr(scenario, name), scenario)
@@ -380,16 +394,25 @@ class World(EquationsOfMotion):
                 remedy = "The world was made with that; make it of this scenario."
                 raise ScenarioError(name, got, expected or "none", remedy)
 
-    @cached_property
-    def _out_of_reach(self) -> tuple[SphereAndFace, float] | None:
-        """A wall that is farther off than the model's joints go, as far as bounds tell, or None."""
+    def _within_reach(self) -> World:
+        """Returns this world without walls that are farther off than its joints go, with notes.
+
+        That is known where the model's joints have limits.
+        """
         least, _ = self._signed_distance_map.calc_range(*self.limits.position)
-        walls: dict[GeometryId, list[tuple[float, SphereAndFace]]] = {}
+        far: dict[str, float] = {}
         for faces in self.solids:
-            face = self._reachable[faces[0]].face
-            walls.setdefault(face.shapes[1], []).append((max(least[i] for i in faces), face))
-        nearest = ((solids[0][1], min(away for away, _ in solids)) for solids in walls.values())
-        return next((found for found in nearest if found[1] > 0), None)
+            if (distance := max(least[i] for i in faces)) > 0:
+                far |= {self._reachable[i].face.pair: distance for i in faces}
+        near = tuple(each for each in self._reachable if each.face.pair not in far)
+        notes = [f"{pair} can't touch: they stay {gap:.3g} m apart" for pair, gap in far.items()]
+        why = explain_no_contact(self.scene_graph, bool(self.ignored_shapes))
+        if not self._reachable and why:
+            notes.append(why)
+        contacts = tuple(each.contact for each in near)
+        return dataclasses.replace(
+            self, _reachable=near, contacts=contacts, notes=(*self.notes, *notes)
+        )
 
     def _check_place(self, name: str, q: Floats, scenario: Scenario) -> None:
         """Refuses a position inside or against a solid, or beside the one face that it has.
