@@ -398,7 +398,7 @@ def test_limits_of_a_scenario_and_a_model_are_told_apart(arm: Any) -> None:
 def test_a_capsule_touches_a_floor_with_its_two_ends(tmp_path: Path) -> None:
     text = ARM.replace(' contype="0" conaffinity="0"', "").replace('pos="0 0 2"', 'pos="0 0 0.9"')
     model = write(tmp_path / "arm.xml", text)
-    ends = {"initial_position": [1.5, 0.0], "goal_position": [1.5, 0.1]}
+    ends: dict[str, Any] = {"initial_position": [1.5, 0.0], "goal_position": [1.5, 0.1]}
     world = make(model, ignored_shapes=["rod"], **ends)
     names = [contact.name for contact in world.contacts]
     assert names == ["stick_end1 against floor", "stick_end2 against floor"]

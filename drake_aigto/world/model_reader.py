@@ -360,18 +360,20 @@ def _add_ends(plant: MultibodyPlant, scene_graph: SceneGraph) -> dict[GeometryId
             capsule = inspector.GetShape(shape)
             if not isinstance(capsule, Capsule):
                 continue
+            # What the inspector returns lives until the next shape is registered.
+            half, radius = capsule.length() / 2, capsule.radius()
+            X_BG = RigidTransform(inspector.GetPoseInFrame(shape))
             properties = ProximityProperties(inspector.GetProximityProperties(shape))
             name = inspector.GetName(shape).rpartition("::")[2]
             found[shape] = [
                 plant.RegisterCollisionGeometry(
                     body,
-                    inspector.GetPoseInFrame(shape)
-                    @ RigidTransform([0.0, 0.0, sign * capsule.length() / 2]),
-                    Sphere(capsule.radius()),
+                    X_BG @ RigidTransform([0.0, 0.0, z]),
+                    Sphere(radius),
                     f"{name}{END}{number}",
                     properties,
                 )
-                for number, sign in ((1, -1.0), (2, 1.0))
+                for number, z in ((1, -half), (2, half))
             ]
     return found
 
