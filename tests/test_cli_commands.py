@@ -299,11 +299,13 @@ def test_control_says_that_it_was_interrupted(
     ("words", "message"),
     [
         (["table1/1", "--kick-time", "0.2"], "--kick-time: got no --kick"),
+        (["table1/1", "--kick", "0.3"], "--kick: got no --kick-time above 0, expected --kick-time"),
+        (["table1/1", "--kick", "0.3", "--kick-time", "0"], "--kick: got no --kick-time above 0"),
         (["table1/1", "--noise-seed", "2"], "--noise-seed: got no --noise"),
         (["table1/1", "--renewals", "4"], "renewals: got 4 for balls between rigid walls"),
         (["table1/1", "--port", "0"], "--port: got no --live"),
         (["table1/1", "--method", "tracking", "--search-every", "3"], "--search-every: got"),
-        (["table1/1", "--kick", "1", "2"], "kick: got 2 numbers, expected 1"),
+        (["table1/1", "--kick", "1", "2", "--kick-time", "0.1"], "kick: got 2 numbers, expected 1"),
     ],
 )
 def test_what_can_not_be_done_is_refused_by_name(

@@ -159,10 +159,11 @@ def test_ctrl_c_keeps_what_is_there(tmp_path: Path) -> None:
     ("changes", "message"),
     [
         ({"mass_factor": 0.0}, r"^mass_factor: got 0\.0, expected a number above 0"),
-        ({"kick": [1.0, 2.0]}, "^kick: got 2 numbers, expected 1, or none"),
+        ({"kick": [1.0, 2.0], "kick_time": 0.1}, "^kick: got 2 numbers, expected 1, or none"),
         ({"noise": [-1.0, 0.0]}, "^noise: got .*, expected standard deviations"),
         ({"start_offset": [np.nan]}, "^start_offset: got .*, expected a row of finite numbers"),
-        ({"kick": [1.0], "kick_time": 9.0}, r"^kick_time: got 9\.0, expected before the run ends"),
+        ({"kick": [1.0], "kick_time": 9.0}, r"^kick_time: got 9\.0, expected after the start, bef"),
+        ({"kick": [1.0], "kick_time": 0.0}, r"^kick_time: got 0\.0, expected after the start, bef"),
         ({"restitution_factor": 1.2}, "^restitution_factor: got 1.2 times 1, expected"),
         ({"friction_factor": 1.2}, "^friction_factor: got nothing that rubs, expected friction in"),
     ],

@@ -13,10 +13,10 @@ from .flags import add_common as add_common
 from .flags import add_confirm as add_confirm
 from .flags import add_json as add_json
 from .flags import add_workers as add_workers
+from .flags import load_scenario as load_scenario
 from .flags import positive as positive
 from .flags import read_workers as read_workers
 from .flags import share as share
 from .progress import show_progress as show_progress
-from .scenario_flags import load_scenario as load_scenario
 
 __all__: list[str]

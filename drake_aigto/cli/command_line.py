@@ -36,7 +36,7 @@ _COMMANDS = {
     "replay": "drake_aigto.cli.plan",
     "play": "drake_aigto.cli.play",
     "report": "drake_aigto.cli.play",
-    "control": "drake_aigto.cli.control",
+    "control": "drake_aigto.cli.play",
 }
 # Command that is gone → where it is now.
 _MOVED = {"bench": "python -m benchmarks, in a checkout of drake_aigto"}

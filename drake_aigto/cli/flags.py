@@ -1,16 +1,26 @@
-"""How commands are parsed, what several of them take, and exit statuses."""
+"""How commands are parsed, what several of them take, and exit statuses.
+
+Flags that set the fields of a dataclass, such as a scenario's, are made of the class.
+"""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import inspect
 import re
 import sys
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager
 from functools import partial
-from typing import Any, NoReturn
+from pathlib import Path
+from typing import Any, Literal, NoReturn, get_args, get_origin, get_type_hints
+
+import yaml
+
+from drake_aigto.world import Scenario, scenario_names
 
 # Exit statuses.
 FINE, NOTHING_HOLDS, BAD_INPUT, INTERRUPTED, UNREAD = 0, 1, 2, 130, 141
@@ -76,6 +86,102 @@ def add_confirm(command: Any) -> None:
     """Adds --no-confirm."""
     text = "leave out the replay on Drake's plant"
     command.add_argument("--no-confirm", dest="confirm", action="store_false", help=text)
+
+
+def add_scenario(command: Any) -> None:
+    """Adds the scenario to a command, and flags that change its fields."""
+    text = f"a YAML file, or one of {', '.join(scenario_names())}"
+    command.add_argument("scenario", metavar="SCENARIO", help=text)
+    title, notes = "change the scenario's fields", "A row of a matrix or a table is 1,2,3."
+    add_fields(command.add_argument_group(title, notes), Scenario)
+
+
+def load_scenario(options: argparse.Namespace) -> Scenario:
+    """Returns the named or loaded scenario with the fields that flags change."""
+    changes = read_fields(options, Scenario)
+    for name, value in changes.items():  # All and none are no names.
+        if value in (["all"], ["none"]):
+            changes[name] = value[0]
+    return dataclasses.replace(read_scenario(options.scenario), **changes)
+
+
+def is_file(name: str) -> bool:
+    """Returns whether a scenario is named by its file, not as one that is shipped."""
+    return Path(name).suffix in (".yaml", ".yml")
+
+
+def read_scenario(name: str) -> Scenario:
+    """Returns the scenario of a YAML file, or a shipped one."""
+    return Scenario.load(name) if is_file(name) else Scenario.named(name)
+
+
+def add_fields(group: Any, kind: type[Any], *skipped: str, note: str = "") -> None:
+    """Adds a flag for each field of a dataclass but those that are skipped.
+
+    Its help is the first sentence of the field's description, after a note; its kind is that of its
+    annotation. Flags that are left out are not in the options (`read_fields`).
+    """
+    about: dict[str, str] = {}
+    for each in kind.__mro__[:-1]:
+        about |= _read_attributes(each)
+    for field in dataclasses.fields(kind):
+        if field.name not in skipped:
+            text, look = about.get(field.name, ""), _look(get_type_hints(kind)[field.name])
+            if isinstance(field.default, int | float | str) and kind is not Scenario:
+                text = f"{text} (default: {field.default})"
+            look |= {"help": f"{note}{text}", "default": argparse.SUPPRESS}
+            group.add_argument(name_flag(field.name), **look)
+
+
+def read_fields(options: argparse.Namespace, kind: type[Any]) -> dict[str, Any]:
+    """Returns the fields of a dataclass that were given as flags."""
+    given = vars(options)
+    return {f.name: given[f.name] for f in dataclasses.fields(kind) if f.name in given}
+
+
+def name_flag(name: str) -> str:
+    """Returns the flag of a field."""
+    return f"--{name.replace('_', '-')}"
+
+
+def _read_attributes(kind: type[Any]) -> dict[str, str]:
+    """Returns the first sentence about each attribute that a class's docstring describes."""
+    _, _, section = inspect.cleandoc(kind.__dict__.get("__doc__") or "").partition("Attributes:\n")
+    items = re.findall(r"^    (\w+): (.*(?:\n     +.*)*)", section.split("\n\n")[0], re.MULTILINE)
+    texts = {name: " ".join(text.split()).replace("`", "") for name, text in items}
+    first = {name: re.split(r"\.(?: |$)|; None", text)[0] for name, text in texts.items()}
+    return {name: text.replace("%", "%%") for name, text in first.items()}
+
+
+def _look(hint: Any) -> dict[str, Any]:
+    """Returns how argparse reads a field of this type."""
+    names = {getattr(each, "__name__", str(each)) for each in _parts(hint)}
+    if get_origin(hint) is Literal:
+        return {"choices": get_args(hint)}
+    if hint is bool:
+        return {"action": argparse.BooleanOptionalAction}
+    if "Named" in names:
+        return {"type": yaml.safe_load, "metavar": "{NAME: …}"}
+    if "str" in names:
+        return {"metavar": "NAME", "nargs": "+"} if "tuple" in names else {"metavar": "URI"}
+    if names & {"ndarray", "Any"}:
+        return {"type": _read_row, "metavar": "X", "nargs": "+"}
+    if "int" in names:
+        return {"type": int, "metavar": "N"}
+    pair: dict[str, Any] = {"nargs": 2} if "tuple" in names else {}
+    return {"type": float, "metavar": "X", **pair}
+
+
+def _parts(hint: Any) -> Iterator[Any]:
+    """Yields all types that a type is made of."""
+    yield get_origin(hint) or hint
+    for each in get_args(hint):
+        yield from _parts(each)
+
+
+def _read_row(text: str) -> float | list[float]:
+    """Returns a number, or the numbers between commas."""
+    return [float(item) for item in text.split(",")] if "," in text else float(text)
 
 
 def add_json(command: Any, text: str) -> None:

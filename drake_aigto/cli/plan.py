@@ -7,7 +7,7 @@ import json
 import sys
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from drake_aigto.cli.flags import (
     FINE,
@@ -15,20 +15,25 @@ from drake_aigto.cli.flags import (
     NOTHING_HOLDS,
     add_command,
     add_confirm,
+    add_fields,
     add_json,
+    add_scenario,
     add_workers,
+    is_file,
+    load_scenario,
+    name_flag,
     natural,
     positive,
+    read_fields,
+    read_scenario,
     read_workers,
 )
 from drake_aigto.cli.progress import show_progress
-from drake_aigto.cli.scenario_flags import add_scenario, is_file, load_scenario, read_scenario
 from drake_aigto.errors import OptionsError
 from drake_aigto.output import check_writable, write_text
-from drake_aigto.paper import ROWS, AlgorithmName, LiteralOptions, plan_literal, run_table1
+from drake_aigto.paper import ROWS, LiteralOptions, plan_literal, run_table1
 from drake_aigto.plain import to_plain
 from drake_aigto.planning import (
-    LocalSolverName,
     Plan,
     Planner,
     PlanningError,
@@ -37,23 +42,8 @@ from drake_aigto.planning import (
 from drake_aigto.show import cost_text, format_plan, format_replays
 from drake_aigto.world import Scenario, World
 
-# Option → what it is; for balls between rigid walls, any other task, or the paper's plans.
-_NUMERICS = {
-    "local_solver": "balls, literal: what refines AIGO's results",
-    "finalists": "how many of the best candidates are improved",
-    "threads": "how many starts of AIGO run at once (default: more than one where it pays)",
-    "relaxation": "balls: how much walls push from afar while boxes shrink",
-    "aigo_steps": "balls: the most time steps that boxes have",
-    "certify": "say how far at most the plan is above any other",
-    "exhaustive": "balls: also run starts, and polish flights, that can hardly win",
-    "renewals": "mechanisms: the most times that motions are opened to boxes again, or begun anew",
-    "patience": "mechanisms: after how many of these that find nothing better the search ends",
-    "search_steps": "mechanisms: the most time steps that motions are searched with",
-    "seed": "mechanisms: of what is drawn",
-    "nonpenetration": "literal: ask for φ(q) ≥ 0 at the knots",
-    "algorithm": "literal: how boxes shrink",
-}
-_CHOICES = {"local_solver": get_args(LocalSolverName), "algorithm": get_args(AlgorithmName)}
+# Options that are no flags: lists, and what has a flag of its own.
+_NO_FLAGS = ("ladder", "knot_steps", "branches", "confirm")
 
 _PLAN_EXAMPLES = """\
 drake-aigto plan table1/1 --json plan.json
@@ -106,21 +96,9 @@ def add_replay(commands: Any) -> None:
 def _add_numerics(group: Any) -> None:
     text = "literal: plan as the paper does; left out: as the world asks for"
     group.add_argument("--transcription", metavar="literal", help=text)
-    kinds = LiteralOptions(), PlanOptions()
-    defaults = {name: value for each in kinds for name, value in vars(each).items()}
-    for name, text in _NUMERICS.items():
-        flag, default = f"--{name.replace('_', '-')}", defaults[name]
-        known = "" if default is None else f" (default: {default})"
-        # Left out, it is not given, so that what is given to the other transcription is refused.
-        more: dict[str, Any] = {"default": argparse.SUPPRESS, "help": text + known}
-        if isinstance(default, bool):
-            more["action"] = argparse.BooleanOptionalAction
-        elif name in _CHOICES:
-            more["choices"] = _CHOICES[name]
-        else:
-            kind = float if isinstance(default, float) else int
-            more |= {"type": kind, "metavar": "X" if kind is float else "N"}
-        group.add_argument(flag, **more)
+    add_fields(group, PlanOptions, *_NO_FLAGS)
+    shared = (field.name for field in fields(PlanOptions))
+    add_fields(group, LiteralOptions, *_NO_FLAGS, *shared, note="literal: ")
 
 
 def _read_options(options: argparse.Namespace) -> PlanOptions | LiteralOptions:
@@ -137,16 +115,17 @@ def _read_options(options: argparse.Namespace) -> PlanOptions | LiteralOptions:
             remedy="Leave it out: whether balls or a mechanism are planned for, the world says.",
         )
     literal = "--transcription literal"
-    kind: type[PlanOptions | LiteralOptions] = PlanOptions
+    kinds: list[type[PlanOptions | LiteralOptions]] = [PlanOptions, LiteralOptions]
     got, expected = f"no {literal}", f"{literal}, whose option it is"
     if options.transcription:
-        kind, got, expected = LiteralOptions, literal, "another plan, whose option it is"
-    known = {field.name for field in fields(kind)}
-    given = {name: value for name, value in vars(options).items() if name in _NUMERICS}
-    for option in given:
-        if option not in known:
-            raise OptionsError(f"--{option.replace('_', '-')}", got=got, expected=expected)
-    return kind(confirm=options.confirm, **given)
+        kinds.reverse()
+        got, expected = literal, "another plan, whose option it is"
+    kind, other = kinds
+    given = read_fields(options, kind)
+    for option in read_fields(options, other):
+        if option not in given:
+            raise OptionsError(name_flag(option), got=got, expected=expected)
+    return kind(**given)
 
 
 def _plan(options: argparse.Namespace) -> int:

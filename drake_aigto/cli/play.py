@@ -1,4 +1,4 @@
-"""``drake-aigto play`` and ``drake-aigto report``."""
+"""``drake-aigto play``, ``drake-aigto report`` and ``drake-aigto control``."""
 
 from __future__ import annotations
 
@@ -7,18 +7,39 @@ import sys
 import threading
 from typing import TYPE_CHECKING, Any
 
-from drake_aigto.cli.flags import FINE, add_command, add_port
+from drake_aigto import show
+from drake_aigto.cli.flags import (
+    FINE,
+    INTERRUPTED,
+    add_command,
+    add_fields,
+    add_json,
+    add_port,
+    add_scenario,
+    load_scenario,
+    name_flag,
+    natural,
+    positive,
+    read_fields,
+    seconds,
+)
 from drake_aigto.cli.progress import show_progress
-from drake_aigto.control import ClosedLoopRun, is_run
-from drake_aigto.errors import OptionsError, PlanFileError
+from drake_aigto.control import (
+    ClosedLoopRun,
+    Disturbance,
+    ModelPredictiveController,
+    TrackingController,
+    is_run,
+    run_in_loop,
+)
+from drake_aigto.errors import ControlError, OptionsError, PlanFileError
 from drake_aigto.output import check_writable, write_text
 from drake_aigto.plain import read_json
-from drake_aigto.planning import Plan
+from drake_aigto.planning import Plan, Planner, PlanOptions
+from drake_aigto.world import World
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
-
-    from drake_aigto.world import World
 
 _ANY_PORT = 0
 _FILE = "a plan file, or the log of a run in the loop (`drake-aigto control --json`)"
@@ -36,6 +57,16 @@ drake-aigto report plan.json --html plan.html
 drake-aigto report run.json --html run.html         # the log of `drake-aigto control`
 """
 
+_LIVE = "visualizer"  # where Drake's own visualizer draws what moves
+
+_CONTROL_EXAMPLES = """\
+drake-aigto control cart_pole/soft_06                                 # plan again as it moves
+drake-aigto control cart_pole/soft_06 --kick 0.3 1.5 --kick-time 0.5 --html run.html
+drake-aigto control cart_pole/soft_06 --method tracking --mass-factor 1.1 --json run.json
+drake-aigto control table1/1 --wall-shift 0.01 --live                 # in Meshcat
+"""
+_DEFAULT_PERIOD = 0.01  # [s]
+
 
 def add_play(commands: Any) -> None:
     """Adds the command that plays."""
@@ -52,8 +83,6 @@ def add_play(commands: Any) -> None:
 
 
 def _play(options: argparse.Namespace) -> int:
-    from drake_aigto.show import open_meshcat, save_html, show_run
-
     check_writable(options.html)
     shown = _load(options.plan)
     if isinstance(shown, ClosedLoopRun):
@@ -61,13 +90,15 @@ def _play(options: argparse.Namespace) -> int:
         for flag in (flag for flag, is_given in only_plans.items() if is_given):
             raise OptionsError(flag, got="the log of a run in the loop", expected="a plan file")
     # A page needs Meshcat, too, but nobody looks for it at a port.
-    meshcat = open_meshcat(_ANY_PORT if options.html and options.port is None else options.port)
+    meshcat = show.open_meshcat(
+        _ANY_PORT if options.html and options.port is None else options.port
+    )
     if isinstance(shown, Plan):
         _publish(options, shown, meshcat, shown.find_world())
     else:
-        show_run(shown, meshcat)
+        show.show_run(shown, meshcat)
     if options.html:
-        save_html(meshcat, options.html)
+        show.save_html(meshcat, options.html)
         print(f"wrote {options.html}")
     else:
         wait_at(meshcat)
@@ -81,19 +112,17 @@ def _load(path: str) -> Plan | ClosedLoopRun:
 
 
 def _publish(options: argparse.Namespace, plan: Plan, meshcat: Meshcat, world: World) -> None:
-    from drake_aigto.show import gradient_motions, play, play_boxes
-
     if options.optimization:
         with show_progress(options, "running AIGO again"):
-            play_boxes(plan, meshcat, world)
+            show.play_boxes(plan, meshcat, world)
     elif options.beside:
         with show_progress(options, "running the gradient solver"):
-            play(plan, meshcat, world, gradient_motions(world, plan.scenario))
+            show.play(plan, meshcat, world, show.gradient_motions(world, plan.scenario))
         if plan.additions:
             print(f"SNOPT plans without what was added: {', '.join(plan.additions)}")
     else:
         with show_progress(options, "simulating"):
-            play(plan, meshcat, world)
+            show.play(plan, meshcat, world)
 
 
 def wait_at(meshcat: Meshcat) -> None:
@@ -113,14 +142,135 @@ def add_report(commands: Any) -> None:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from drake_aigto.show import report_plan, report_run
-
     check_writable(options.html)
     shown = _load(options.plan)
     with show_progress(options) as say:
-        page = (
-            report_plan(shown, progress=say) if isinstance(shown, Plan) else report_run(shown, say)
-        )
+        if isinstance(shown, Plan):
+            page = show.report_plan(shown, progress=say)
+        else:
+            page = show.report_run(shown, say)
     write_text(options.html, page)
     print(f"wrote {options.html}, {len(page.encode()) / 1e6:.1f} MB")
     return FINE
+
+
+def add_control(commands: Any) -> None:
+    """Adds the command that closes the loop."""
+    text = "simulate a plant under a controller that plans again, or tracks a plan, in Drake"
+    control = add_command(commands, "control", _control, text, _CONTROL_EXAMPLES)
+    add_scenario(control)
+    _add_controller(control.add_argument_group("controller"))
+    unknown = control.add_argument_group("what the controller does not know")
+    add_fields(unknown, Disturbance, "seed")
+    text = "of the noise (default: 0)"
+    unknown.add_argument("--noise-seed", type=natural, metavar="N", dest="seed", help=text)
+    add_json(control, "write the log: motion, controls, ticks, plans at switches")
+    control.add_argument("--html", metavar="FILE", help="write one self-contained page")
+    text = "show the plant in Meshcat as it moves, in real time, and wait"
+    control.add_argument("--live", action="store_true", help=text)
+    add_port(control)
+
+
+def _add_controller(group: Any) -> None:
+    text = "plan again at every tick, or track one plan (default: the first where it can be done)"
+    group.add_argument("--method", choices=["replanning", "tracking"], help=text)
+    text = "how long to simulate (default: the scenario's duration) [s]"
+    group.add_argument("--seconds", type=seconds, metavar="X", help=text)
+    text = (
+        f"between ticks [s] (default: {_DEFAULT_PERIOD:g}; of tracking, the scenario's time step)"
+    )
+    group.add_argument("--period", type=seconds, metavar="X", help=text)
+    text = "replanning: ticks from one search to the next (default: only where costs rise)"
+    group.add_argument("--search-every", type=positive, metavar="N", help=text)
+    text = (
+        "replanning: ends with the scenario, or always lasts as long "
+        "(default: receding, if it is simulated for longer)"
+    )
+    group.add_argument("--horizon", choices=["shrinking", "receding"], help=text)
+    text = "how many renewals a search has at most (default: the planner's)"
+    group.add_argument("--renewals", type=natural, metavar="N", help=text)
+
+
+def _control(options: argparse.Namespace) -> int:
+    check_writable(options.json)
+    check_writable(options.html)
+    scenario = load_scenario(options)
+    given = {
+        k: value for k, value in read_fields(options, Disturbance).items() if value is not None
+    }
+    disturbance = Disturbance(**given)
+    _check_flags(options, disturbance)
+    world = World.from_scenario(scenario)
+    disturbance.apply(world, scenario)  # Refused before long work.
+    numerics = None if options.renewals is None else PlanOptions(renewals=options.renewals)
+    planner = Planner(scenario, numerics, world)
+    meshcat = None
+    if options.live:  # A browser may look at it from the start on.
+        meshcat = show.open_meshcat(options.port)
+        print(f"Meshcat shows it at {meshcat.web_url()}", flush=True)
+    with show_progress(options, "planning") as progress:
+        controller = _make_controller(options, planner)
+        duration = options.seconds or scenario.duration
+        if options.seconds is None and isinstance(controller, TrackingController):
+            duration = float(controller.plan.trajectory.times[-1])
+        run = run_in_loop(controller, scenario, world, disturbance, duration, meshcat, progress)
+    status = _answer_run(options, run, meshcat)
+    if isinstance(controller, TrackingController) and controller.plan.is_interrupted:
+        print(f"of the plan: {show.INTERRUPTED}", flush=True)
+        return INTERRUPTED
+    return status
+
+
+def _check_flags(options: argparse.Namespace, disturbance: Disturbance) -> None:
+    """Refuses flags that nothing would come of."""
+    needs = {
+        "--kick": (not disturbance.kick.any() or disturbance.kick_time > 0, "--kick-time above 0"),
+        "--kick-time": ("kick_time" not in options or disturbance.kick.any(), "--kick"),
+        "--noise-seed": (options.seed is None or disturbance.noise.any(), "--noise"),
+        "--port": (options.port is None or options.live, "--live"),
+    }
+    for flag, (is_fine, other) in needs.items():
+        if not is_fine:
+            raise OptionsError(flag, got=f"no {other}", expected=f"{other} with it")
+    if options.method == "tracking":
+        for name in ("search_every", "horizon"):
+            if getattr(options, name) is not None:
+                expected = "--method replanning, whose flag it is"
+                raise OptionsError(name_flag(name), got="--method tracking", expected=expected)
+
+
+def _make_controller(
+    options: argparse.Namespace, planner: Planner
+) -> ModelPredictiveController | TrackingController:
+    """Returns what was asked for; without a word, what plans again where that can be done."""
+    if options.method != "tracking":
+        end = planner.scenario.duration
+        is_longer = options.seconds is not None and options.seconds > end
+        try:
+            return ModelPredictiveController(
+                planner,
+                period=options.period or _DEFAULT_PERIOD,
+                horizon=options.horizon or ("receding" if is_longer else "shrinking"),
+                search_every=options.search_every,
+            )
+        except ControlError:
+            if options.method or options.search_every or options.horizon:
+                raise
+    return TrackingController(planner.plan(), planner.world, options.period)
+
+
+def _answer_run(options: argparse.Namespace, run: ClosedLoopRun, meshcat: Meshcat | None) -> int:
+    """Writes and prints a run, and returns the exit status."""
+    if options.json:
+        run.save(options.json)
+    print(show.format_run(run), flush=True)
+    if options.html:
+        with show_progress(options, "making the page") as progress:
+            page = show.report_run(run, progress)
+        write_text(options.html, page)
+        print(f"wrote {options.html}", flush=True)
+    if meshcat is not None:
+        meshcat.Delete(_LIVE)
+        show.show_run(run, meshcat)
+        wait_at(meshcat)
+    return INTERRUPTED if run.is_interrupted else FINE

@@ -223,8 +223,8 @@ def _check_duration(duration: float | None, scenario: Scenario, disturbance: Dis
     end = scenario.duration if duration is None else duration
     if not 0 < end < np.inf:
         raise ControlError("duration", got=end, expected="seconds above zero")
-    if disturbance.kick.any() and not disturbance.kick_time < end:
-        got, expected = disturbance.kick_time, f"before the run ends, at {end:g} s"
+    if disturbance.kick.any() and not 0 < disturbance.kick_time < end:
+        got, expected = disturbance.kick_time, f"after the start, before the end at {end:g} s"
         raise ControlError("kick_time", got=got, expected=expected)
     return float(end)
 
