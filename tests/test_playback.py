@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from meshcat_pages import BALL, MOTIONS, ball, clips, messages, objects, position, recording
+from meshcat_pages import BALL, MOTIONS, ball, clips, messages, objects, position
 from pydrake.geometry import Meshcat
 
 from drake_aigto import Scenario, World
@@ -71,15 +71,6 @@ def test_each_motion_plays_at_real_speed_in_its_own_lane(
     # The first is the highest, none covers another, and the middle one is where its world is.
     assert np.all(np.diff(heights) <= -4 * RADIUS)
     assert heights[1] == pytest.approx(0)
-
-
-def test_all_motions_repeat_together(meshcat: Meshcat, world: World, scenario: Scenario) -> None:
-    publish(MOTIONS, meshcat, world, scenario)
-    ends = {times[-1] for times, _ in clips(meshcat).values()}
-    assert ends == {1.5}
-    loop_repeat = 2201  # three.js
-    options = recording(meshcat)["options"]
-    assert options["play"] and options["loopMode"] == loop_repeat and options["repetitions"] > 1000
 
 
 def test_a_ball_turns_round_at_the_wall_in_the_frame_of_its_impact(
@@ -157,25 +148,17 @@ def make_plan() -> Any:
     )
 
 
-def paths_of(meshcat: Meshcat, name: str) -> set[str]:
-    """Returns what moves and has this name at the end of its path."""
-    return {path for path in clips(meshcat) if path.endswith(name)}
-
-
-def test_a_plan_is_played_beside_its_simulations(meshcat: Meshcat) -> None:
-    play(make_plan(), meshcat)
-    assert paths_of(meshcat, BALL) == {ball(lane) for lane in (1, 2, 3)}
-    # The simulations are of the plan's control, so that they have its arrow.
-    assert paths_of(meshcat, "/arrow") == {
-        f"{ROOT}/motions/{lane}/control/point_mass_and_wall/ball/arrow" for lane in (1, 2, 3)
-    }
-
-
-def test_a_plan_is_played_beside_others(
+def test_a_plan_is_played_beside_its_simulations_and_others(
     meshcat: Meshcat, world: World, painted: list[Board]
 ) -> None:
+    play(make_plan(), meshcat)
+    moving = set(clips(meshcat))
+    assert {path for path in moving if path.endswith(BALL)} == {ball(lane) for lane in (1, 2, 3)}
+    # The simulations are of the plan's control, so that they have its arrow.
+    assert {path for path in moving if path.endswith("/arrow")} == {
+        f"{ROOT}/motions/{lane}/control/point_mass_and_wall/ball/arrow" for lane in (1, 2, 3)
+    }
     play(make_plan(), meshcat, world, beside=MOTIONS[:2])
-    assert paths_of(meshcat, BALL) == {ball(lane) for lane in (1, 2, 3, 4)}
     assert [panel.label for panel in painted[-1].panels] == [
         "AIGTO: plan (not a simulation)",
         "AIGTO: simulation: compliant (Drake)",

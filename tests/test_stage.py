@@ -272,27 +272,26 @@ def test_an_arrow_has_the_size_and_the_direction_of_the_control(meshcat: Meshcat
     assert np.all(sizes[keys > 0.605] < GONE) and keys[-1] == 1.5
 
 
-def test_an_arrow_in_a_plane_is_the_sum_of_its_actuators(meshcat: Meshcat) -> None:
-    scenario = Scenario.named("room/two_walls")
-    q = np.array([[0.2, 0.3], [0.5, 0.5]])
-    motion = Motion("plan", np.array([0.0, 1.0]), q, np.zeros((2, 2)))
-    motion = motion.under(motion.times, np.array([[3.0, -4.0]]))
-    publish([motion], meshcat, World.from_scenario(scenario), scenario)
-    arrow = f"{ROOT}/motions/1/control/room/ball/arrow"
-    np.testing.assert_allclose(along(meshcat, arrow)[0], [0.6, -0.8, 0], atol=1e-12)
-
-
-def test_each_of_two_masses_has_its_own_arrow(meshcat: Meshcat) -> None:
-    scenario = Scenario.named("two_masses/apart")
+@pytest.mark.parametrize(
+    ("name", "controls", "expected"),
+    [
+        ("room/two_walls", [3.0, -4.0], [[3.0, -4.0]]),  # one link, whose actuators add up
+        ("two_masses/apart", [1.0, -0.5], [[1.0, 0.0], [-0.5, 0.0]]),
+    ],
+)
+def test_each_link_has_an_arrow_which_is_the_sum_of_its_actuators(
+    meshcat: Meshcat, name: str, controls: list[float], expected: list[list[float]]
+) -> None:
+    scenario = Scenario.named(name)
     q = np.array([scenario.initial_position] * 2)
     motion = Motion("plan", np.array([0.0, 1.0]), q, np.zeros((2, 2)))
-    motion = motion.under(motion.times, np.array([[1.0, -0.5]]))
+    motion = motion.under(motion.times, np.array([controls]))
     publish([motion], meshcat, World.from_scenario(scenario), scenario)
     arrows = sorted(path for path in clips(meshcat) if path.endswith("/arrow"))
-    assert ["left" in path for path in arrows] == [True, False]
-    directions = [along(meshcat, path)[0, 0] for path in arrows]
-    assert directions == pytest.approx([1, -1])
-    assert [scales(meshcat, path)[1][0] for path in arrows] == pytest.approx([1, 0.5])
+    lengths = np.linalg.norm(expected, axis=1)
+    for path, force, length in zip(arrows, expected, lengths, strict=True):
+        assert along(meshcat, path)[0, :2] == pytest.approx(force / length)
+        assert scales(meshcat, path)[1][0] == pytest.approx(length / np.max(lengths))
 
 
 def test_without_control_there_is_no_arrow(meshcat: Meshcat) -> None:
@@ -331,8 +330,11 @@ def test_all_parts_have_one_length_so_that_they_repeat_together(meshcat: Meshcat
     motion = dataclasses.replace(make_motion("plan", 0.7), impacts=(Touch.bounce(0.97),))
     motion = motion.under(np.array([0.0, 1.0]), np.ones((1, 1)))
     publish([motion], meshcat, World.from_scenario(scenario), scenario)
+    message = recording(meshcat)
     ends = [
         max(key["time"] for track in each["clip"]["tracks"] for key in track["keys"])
-        for each in recording(meshcat)["animations"]
+        for each in message["animations"]
     ]
     assert len(ends) == 3 and set(ends) == {1500}
+    options, loop_repeat = message["options"], 2201  # three.js
+    assert options["play"] and options["loopMode"] == loop_repeat and options["repetitions"] > 1000

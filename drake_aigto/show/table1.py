@@ -54,8 +54,8 @@ optimum  of a point mass on a rigid wall, over all controls; the planner does no
 _ANY_PORT = 0
 _FRAME = 0.5  # What is shown beside simulations, in parts of their range.
 _HEADER = (
-    *("", "cost J", "dynamics defect", "deepest penetration", "energy ratio"),
-    *("J simulated, rigid", "off the goal there", "J simulated, Drake", "verdict"),
+    *("", "verdict", "cost J", "dynamics defect", "deepest penetration", "energy ratio"),
+    *("J simulated, rigid", "off the goal there", "J simulated, Drake"),
 )
 
 
@@ -219,11 +219,12 @@ def _add_row(page: Page, table: Table1, row: int) -> None:
         "defects or simulations."
     )
     cells = [cell for cell in _cells(table) if cell.row == row]
-    bounds = [f", {_bound(cell)}" if isinstance(cell, Cell) else "" for cell in cells]
-    named = zip(cells, bounds, strict=True)
-    rows = (
-        (f"{e.label}{bound}", *_numbers(e)) for cell, bound in named for e in entries_of([cell])
-    )
+    rows = []
+    for cell in cells:
+        bound = f", {_bound(cell)}" if isinstance(cell, Cell) else ""
+        for entry in entries_of([cell]):
+            *numbers, verdict = _numbers(entry)
+            rows.append((f"{entry.label}{bound}", verdict, *numbers))
     page.table(_HEADER, rows)
     for cell in cells:
         if isinstance(cell, RigidCell):
