@@ -53,7 +53,8 @@ def make_boxes(
     world: World, ends: Ends, law: CompliantLaw, num_steps: int = N, most: float = 3.0
 ) -> MechanismBoxes:
     bounds = np.array([np.full(world.num_actuators, side) for side in (-most, most)])
-    return MechanismBoxes(MechanismProgram(world, ends.cost, law, DURATION, num_steps), bounds)
+    program = MechanismProgram(world, ends.cost, law, DURATION, num_steps)
+    return MechanismBoxes(program, bounds, ends)
 
 
 def drop_ball() -> World:

@@ -11,7 +11,9 @@ import pytest
 from mechanisms import build
 from pydrake.solvers import IpoptSolver, MathematicalProgram
 from pydrake.symbolic import Formula, cos, exp, sin
-from test_shooting import pose, soft, weigh
+from shooting_problems import pose
+from shooting_problems import weigh as weigh_effort
+from test_shooting import soft, weigh
 from test_shooting_phases import RESTITUTION, ball
 from test_shooting_phases import pose as pose_phases
 
@@ -67,9 +69,7 @@ def add(world: World, knots: Any = (), **functions: list[Any]) -> AddedTerms:
 
 def pose_room(added: AddedTerms, **more: Any) -> ShootingProblem:
     mechanism = Mechanism.of(room(), RigidLaw(np.ones(4)))
-    cost = weigh(
-        [0.8, 0.6], R=np.full(2, 0.05), Q=np.zeros(2), Qv=np.zeros(2), QTv=np.zeros((2, 2))
-    )
+    cost = weigh_effort([0.8, 0.6], np.full(2, 0.05), QT=20 * np.eye(2))
     return pose(mechanism, cost, [0.1, 0.2, 0.0, 0.0], N, T, added=added, **more)
 
 

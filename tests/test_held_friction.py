@@ -8,7 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 from rubbing_worlds import RADIUS, make_discs
-from test_shooting_phases import weigh
+from shooting_problems import differ, weigh
+from shooting_problems import pose as pose_shooting
 
 from drake_aigto import PlanOptions, Scenario, World, plan
 from drake_aigto.arrays import Floats
@@ -79,31 +80,20 @@ def test_what_sticks_or_slips_moves_as_coulomb_says_and_its_derivatives_are_thos
     wanted = Closed(world, held, kinds, np.full(len(modes), MU)).calc_push(x, u)
     np.testing.assert_allclose(acceleration, wanted.acceleration, rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(forces, [*wanted.normal, *wanted.tangent], rtol=1e-8, atol=1e-9)
-    for c in range(2 * n + len(u)):
-        step = np.zeros(2 * n + len(u))
-        step[c] = 1e-6
-        ends = [
-            press(mechanism, modes, x + s * step[: 2 * n], u + s * step[2 * n :]) for s in (1, -1)
-        ]
-        slope = (ends[0][1] - ends[1][1]) / 2e-6
-        np.testing.assert_allclose(slopes[:, c], slope, rtol=1e-4, atol=1e-5)
-        by = (ends[0][0] - ends[1][0])[: len(modes)] / 2e-6
-        np.testing.assert_allclose(by_force[: len(modes), c], by, rtol=1e-4, atol=1e-5)
+    differences = differ(
+        lambda y: np.concatenate(press(mechanism, modes, y[: 2 * n], y[2 * n :])[:2]),
+        np.concatenate([x, u]),
+    )
+    np.testing.assert_allclose(slopes, differences[2 * len(modes) :], rtol=1e-4, atol=1e-5)
+    by, m = differences[: len(modes)], len(modes)
+    np.testing.assert_allclose(by_force[:m], by, rtol=1e-4, atol=1e-5)
 
 
 def pose(world: World, state: list[float], phases: Phases, N: int) -> ShootingProblem:
     n, nu = world.num_positions, world.num_actuators
-    free = np.array([[-np.inf], [np.inf]])
-    return ShootingProblem(
-        mechanize(world),
-        weigh(n, nu, np.zeros(n)),
-        times=np.linspace(0.0, phases.total[1], N + 1),
-        start=np.array(state),
-        scales=np.ones(2 * n),
-        state_bounds=np.tile(free, 2 * n),
-        control_bounds=np.zeros((2, nu)),
-        hard_goal=np.full(2 * n, np.nan),
-        phases=phases,
+    cost, none = weigh(np.zeros(n), np.ones(nu)), np.zeros((2, nu))
+    return pose_shooting(
+        mechanize(world), cost, state, N, phases.total[1], control_bounds=none, phases=phases
     )
 
 

@@ -69,7 +69,7 @@ def test_points_cost_what_the_worlds_numbers_say(name: str, dissipation: float) 
     boxes = make_boxes(world, ends, law)
     program = boxes.program
     q = draw_motion(world, ends, rng)
-    means = mean_by_block(boxes.start(ends).polynomial, program.calc_variables(q, ends), 0.0)
+    means = mean_by_block(boxes.polynomial, program.calc_variables(q, ends), 0.0)
     J, forces = transcribe(world, program.coordinates.contacts, law, ends, q)
     assert means[COST] == pytest.approx(J, rel=1e-9)
     assert means.get(DISTANCES, 0.0) == pytest.approx(0.0, abs=1e-6)
@@ -88,7 +88,7 @@ def test_a_reference_is_followed_at_every_knot() -> None:
     boxes = make_boxes(world, ends, law)
     q = draw_motion(world, ends, rng)
     z = boxes.program.calc_variables(q, ends)
-    got = mean_by_block(boxes.start(ends).polynomial, z, 0.0)[COST]
+    got = mean_by_block(boxes.polynomial, z, 0.0)[COST]
     J, _ = transcribe(world, boxes.program.coordinates.contacts, law, ends, q)
     assert got == pytest.approx(J, rel=1e-9)
 
@@ -125,7 +125,7 @@ def test_boxes_come_nearer_to_a_hard_goal_than_to_one_without_weight() -> None:
     errors = []
     for is_hard in (None, np.array([True, True])):
         program = MechanismProgram(world, cost, make_law(world), DURATION, 20, is_hard)
-        started = MechanismBoxes(program, bounds).start(ends)
+        started = MechanismBoxes(program, bounds, ends)
         center = started.run(MechanismRung(temperature=0.01), started.rest())
         errors.append(abs(center.positions[-2, 0] - 0.5))
     assert errors[1] < 0.5 * errors[0]
@@ -141,7 +141,7 @@ def test_turns_that_do_not_count_cost_nothing() -> None:
         boxes = make_boxes(world, ends, make_law(world))
         q = start + np.linspace(0, 4.0, N + 2)[:, np.newaxis]
         z = boxes.program.calc_variables(q, ends)
-        found.append(mean_by_block(boxes.start(ends).polynomial, z, 0.0)[COST])
+        found.append(mean_by_block(boxes.polynomial, z, 0.0)[COST])
     np.testing.assert_allclose(found, found[0], rtol=1e-9)
 
 
@@ -157,7 +157,7 @@ def differentiate(f: BoxPolynomial, center: Any, half_width: Any, e: Any) -> tup
 def test_gradient_and_curvature_of_the_mean_are_those_of_differences(name: str) -> None:
     world, rng = read(name), np.random.default_rng(4)
     ends = make_ends(world, rng)
-    f = make_boxes(world, ends, make_law(world, 0.1)).start(ends).polynomial
+    f = make_boxes(world, ends, make_law(world, 0.1)).polynomial
     center = 0.5 * rng.normal(size=f.num_variables)
     half_width = rng.uniform(0.2, 0.5, f.num_variables)
     e = rng.normal(size=f.num_variables)
@@ -244,8 +244,8 @@ def test_the_order_of_coordinates_does_not_matter() -> None:
         ends = Ends(q0[::side], v0[::side], make_cost(world, goal[::side], **weights))
         boxes = make_boxes(world, ends, make_law(world))
         z = boxes.program.calc_variables(q[:, ::side], ends)
-        wide = np.where(boxes.is_free, 0.3, 0.0)
-        means.append(mean_by_block(boxes.start(ends).polynomial, z, wide))
+        wide = np.where(boxes.program.is_free, 0.3, 0.0)
+        means.append(mean_by_block(boxes.polynomial, z, wide))
     assert means[0] == pytest.approx(means[1], rel=1e-9)
 
 

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from mechanisms import MECHANISMS, build
 from scipy.optimize import minimize
+from shooting_problems import differ, pose
+from shooting_problems import weigh as weigh_effort
 
 from drake_aigto.contact import CompliantLaw, RigidLaw
 from drake_aigto.planning import MechanismTask, PlanOptions
@@ -35,37 +37,8 @@ def soft(name: str, dissipation: float = DISSIPATION) -> Mechanism:
 
 def weigh(goal: Any, effort: float = 0.05, **weights: Any) -> TaskCost:
     n = len(goal)
-    values: dict[str, Any] = {
-        "R": np.full(1, effort),
-        "Q": np.full(n, 2.0),
-        "Qv": np.full(n, 0.1),
-        "QT": 20 * np.eye(n),
-        "QTv": np.eye(n),
-        "goal": np.array(goal, dtype=float),
-        "goal_velocity": np.zeros(n),
-        "is_modulo": np.zeros(n, dtype=bool),
-        "is_chordal": np.zeros(n, dtype=bool),
-        "times": np.zeros(1),
-        "positions": np.array([goal], dtype=float),
-        "velocities": np.zeros((1, n)),
-    }
-    return TaskCost(**(values | weights))
-
-
-def pose(
-    mechanism: Mechanism, cost: TaskCost, start: Any, N: int = 30, T: float = 1.5, **more: Any
-) -> ShootingProblem:
-    n, nu = mechanism.num_positions, mechanism.num_controls
-    free = np.array([[-np.inf], [np.inf]])
-    values: dict[str, Any] = {
-        "times": np.linspace(0, T, N + 1),
-        "start": np.array(start, dtype=float),
-        "scales": np.ones(2 * n),
-        "state_bounds": np.tile(free, 2 * n),
-        "control_bounds": np.tile(free, nu),
-        "hard_goal": np.full(2 * n, np.nan),
-    }
-    return ShootingProblem(mechanism, cost, **(values | more))
+    usual = {"Q": np.full(n, 2.0), "Qv": np.full(n, 0.1), "QT": 20 * np.eye(n), "QTv": np.eye(n)}
+    return weigh_effort(goal, effort, **(usual | weights))
 
 
 def push(world: World, q: Any, v: Any) -> Any:
@@ -84,7 +57,7 @@ def test_the_acceleration_is_the_worlds_and_its_derivatives_are_those_of_differe
     name: str,
 ) -> None:
     world, mechanism, rng = read(name), soft(name), np.random.default_rng(3)
-    n, nu, step = world.num_positions, world.num_actuators, 1e-6
+    n, nu = world.num_positions, world.num_actuators
     for _ in range(5):
         x = rng.normal(size=2 * n + nu)
         got, slopes = mechanism.calc_acceleration(x[: 2 * n], x[2 * n :], SMOOTHING)
@@ -93,11 +66,9 @@ def test_the_acceleration_is_the_worlds_and_its_derivatives_are_those_of_differe
         force = world.actuation @ u - world.calc_bias(q, v) + pushed
         expected = np.linalg.solve(world.calc_mass_matrix(q), force)
         np.testing.assert_allclose(got, expected, rtol=1e-10, atol=1e-10)
-        ends = [
-            mechanism.calc_acceleration(y[: 2 * n], y[2 * n :], SMOOTHING)[0]
-            for y in np.concatenate([x + step * np.eye(len(x)), x - step * np.eye(len(x))])
-        ]
-        differences = np.subtract(ends[: len(x)], ends[len(x) :]).T / (2 * step)
+        differences = differ(
+            lambda y: mechanism.calc_acceleration(y[: 2 * n], y[2 * n :], SMOOTHING)[0], x
+        )
         # Rounding of 1e-16 times the values by the step, and the step squared times their bends.
         np.testing.assert_allclose(slopes, differences, rtol=1e-6, atol=1e-6 * np.abs(got).max())
 

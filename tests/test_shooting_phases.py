@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from mechanisms import after, box, build, build_world, joint, link, plane, sphere, wall
 from scipy.optimize import minimize
+from shooting_problems import pose as pose_shooting
+from shooting_problems import weigh
 
 from drake_aigto.contact import RigidLaw
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting import Mechanism, Phases, ShootingOptions, ShootingProblem, ShootingResult
-from drake_aigto.world import TaskCost, World
+from drake_aigto.world import World
 
 RESTITUTION, TOTAL = 0.6, 2.0
 
@@ -30,38 +32,14 @@ def ball() -> World:
     return build_world(BALL)
 
 
-def weigh(n: int, nu: int, goal: Any, final: float = 0.0) -> TaskCost:
-    return TaskCost(
-        R=np.ones(nu),
-        Q=np.zeros(n),
-        Qv=np.zeros(n),
-        QT=final * np.eye(n),
-        QTv=np.zeros((n, n)),
-        goal=np.array(goal),
-        goal_velocity=np.zeros(n),
-        is_modulo=np.zeros(n, dtype=bool),
-        is_chordal=np.zeros(n, dtype=bool),
-        times=np.zeros(1),
-        positions=np.array([goal]),
-        velocities=np.zeros((1, n)),
-    )
-
-
 def pose(world: World, start: Any, goal: Any, phases: Phases, N: int) -> ShootingProblem:
     """Returns the problem of least effort from a place at rest to another, by way of a wall."""
-    n, nu = world.num_positions, world.num_actuators
-    free = np.array([[-np.inf], [np.inf]])
-    return ShootingProblem(
-        Mechanism.of(world, RigidLaw(np.full(world.num_contacts, RESTITUTION))),
-        weigh(n, nu, goal),
-        times=np.linspace(0, TOTAL, N + 1),
-        start=np.concatenate([start, np.zeros(n)]),
-        scales=np.ones(2 * n),
-        state_bounds=np.tile(free, 2 * n),
-        control_bounds=np.tile(free, nu),
-        hard_goal=np.concatenate([goal, np.full(n, np.nan)]),
-        phases=phases,
-    )
+    n, m = world.num_positions, world.num_contacts
+    goals = np.concatenate([goal, np.full(n, np.nan)])
+    mechanism = Mechanism.of(world, RigidLaw(np.full(m, RESTITUTION)))
+    cost = weigh(goal, np.ones(world.num_actuators))
+    start = np.concatenate([start, np.zeros(n)])
+    return pose_shooting(mechanism, cost, start, N, TOTAL, hard_goal=goals, phases=phases)
 
 
 def bounce(N: int, total: tuple[float, float] = (TOTAL, TOTAL)) -> ShootingResult:

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from shooting_problems import differ
 
 from drake_aigto import Planner, Scenario, World
 from drake_aigto.contact import CompliantLaw, calc_drag, calc_pushes, contact_law
@@ -75,7 +76,7 @@ def test_shooting_has_the_law_and_its_derivatives() -> None:
         drag = calc_drag(world, law, q, v, forces)
         expected = world.calc_acceleration(q, v, u, forces, drag)
         np.testing.assert_allclose(got, expected, rtol=1e-10)
-        differences = differ(mechanism, z, 3, step)
+        differences = differ(lambda y: mechanism.calc_acceleration(y[:6], y[6:])[0], z, step)
         largest = np.abs(slopes).max()
         np.testing.assert_allclose(slopes, differences, rtol=1e-5, atol=1e-7 * largest)
 
@@ -121,15 +122,6 @@ def test_a_replay_on_the_way_is_that_of_the_controls_that_were_held() -> None:
     assert steady(read(), kinked, problem.shooting(6), found).replay is None
 
 
-def differ(mechanism: Mechanism, z: np.ndarray, n: int, step: float) -> np.ndarray:
-    """Returns ∂v̇/∂(q, v, u) by central differences."""
-    nudges = step * np.eye(len(z))
-    ends = [
-        mechanism.calc_acceleration(y[: 2 * n], y[2 * n :])[0] for y in (*z + nudges, *z - nudges)
-    ]
-    return np.subtract(ends[: len(z)], ends[len(z) :]).T / (2 * step)
-
-
 def test_spheres_that_move_about_each_other_rub_as_in_drakes_plant_and_in_shooting() -> None:
     scenario = Scenario.named("spinner/two_radians")
     world, rng = World.from_scenario(scenario), np.random.default_rng(0)
@@ -156,7 +148,7 @@ def test_spheres_that_move_about_each_other_rub_as_in_drakes_plant_and_in_shooti
         drake = world.plant.EvalTimeDerivatives(context).CopyToVector()[3:]
         # The arm at which friction acts is off by (r − R/2)/2 (φ/R)³, of an arm of r = 0.05 m.
         assert np.abs(own - drake).max() <= 1e-4 * np.abs(drake).max()
-        differences = differ(mechanism, z, 3, 1e-7)
+        differences = differ(lambda y: mechanism.calc_acceleration(y[:6], y[6:])[0], z, 1e-7)
         np.testing.assert_allclose(slopes, differences, atol=1e-6 * np.abs(slopes).max())
     assert touched >= 4
 

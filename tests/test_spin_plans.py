@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from rubbing_worlds import make_discs
-from test_shooting_phases import weigh
+from shooting_problems import pose, weigh
 
 from drake_aigto import Plan, PlanOptions, Scenario, World, plan
 from drake_aigto.arrays import Floats
@@ -40,24 +40,16 @@ def hit(state: Floats, mode: int) -> ShootingProblem:
     """Returns a problem of a touch right after the start."""
     world = tilted()
     n, nu, m = world.num_positions, world.num_actuators, world.num_contacts
-    free = np.array([[-np.inf], [np.inf]])
-    return ShootingProblem(
-        Mechanism.of(world, RigidLaw(np.full(m, RESTITUTION), np.full(m, FRICTION))),
-        weigh(n, nu, np.zeros(n)),
-        times=np.array([0.0, SOON, BRIEFLY]),
-        start=state,
-        scales=np.ones(2 * n),
-        state_bounds=np.tile(free, 2 * n),
-        control_bounds=np.tile(free, nu),
-        hard_goal=np.full(2 * n, np.nan),
-        phases=Phases(
-            np.zeros(1, dtype=np.int64),
-            np.array([1]),
-            np.array([SOON, BRIEFLY - SOON]),
-            (BRIEFLY, BRIEFLY),
-            modes=np.array([[0] * m, [mode] * m]),
-        ),
+    phases = Phases(
+        np.zeros(1, dtype=np.int64),
+        np.array([1]),
+        np.array([SOON, BRIEFLY - SOON]),
+        (BRIEFLY, BRIEFLY),
+        modes=np.array([[0] * m, [mode] * m]),
     )
+    mechanism = Mechanism.of(world, RigidLaw(np.full(m, RESTITUTION), np.full(m, FRICTION)))
+    times = np.array([0.0, SOON, BRIEFLY])
+    return pose(mechanism, weigh(np.zeros(n), np.ones(nu)), state, times=times, phases=phases)
 
 
 def draw(seed: int) -> tuple[Floats, Mobility, float, float]:

@@ -18,7 +18,6 @@ from drake_aigto.planning import (
     lay_onto,
     make_mechanism_task,
     make_trajectory,
-    start_search,
 )
 from drake_aigto.shooting import ShootingOptions, ShootingResult, Smoothing
 from drake_aigto.trajectory import Trajectory
@@ -84,8 +83,7 @@ class _ShootingHorizon(Horizon):
 
     def _search(self, asked: Scenario) -> ShootingResult | None:
         """Returns the best motion that boxes, renewals and neighbors lead to, from time 0 on."""
-        search = start_search(self._task.again(asked))
-        assert isinstance(search, MechanismSearch)
+        search = MechanismSearch(self._task.again(asked))
         search.explore()
         return search.motions[0].result if search.motions else None
 

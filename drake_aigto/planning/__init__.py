@@ -16,7 +16,7 @@ from drake_aigto.planning.candidate import (
     Veto,
     sample,
 )
-from drake_aigto.planning.mechanisms.boxes import Center, MechanismBoxes, StartedBoxes
+from drake_aigto.planning.mechanisms.boxes import Center, MechanismBoxes
 from drake_aigto.planning.mechanisms.closing import COARSE, Aim, Launch, find_tight, steady
 from drake_aigto.planning.mechanisms.phases import (
     find_deepest,
@@ -39,7 +39,7 @@ from drake_aigto.planning.mechanisms.traces import (
 )
 from drake_aigto.planning.options import LocalSolverName, PlanOptions, SearchOptions
 from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
-from drake_aigto.planning.planner import Planner, needs_shooting, plan, run_search, start_search
+from drake_aigto.planning.planner import Planner, needs_shooting, plan, run_search
 from drake_aigto.planning.program_task import ProgramSolution, ProgramTask
 from drake_aigto.planning.rungs import (
     BALL_LADDER,
@@ -98,7 +98,6 @@ __all__ = [
     "Search",
     "SearchOptions",
     "SequenceSearch",
-    "StartedBoxes",
     "Stopwatch",
     "Veto",
     "add_impulses",
@@ -130,7 +129,6 @@ __all__ = [
     "run_search",
     "sample",
     "solve_in_arcs",
-    "start_search",
     "steady",
     "straight_path",
     "swapped",

@@ -180,7 +180,9 @@ class Planner:
         else:
             with clock("build"):
                 task = task.again(scenario)
-        return start_search(task, clock)
+        return (
+            BallSearch(task, clock) if isinstance(task, BallTask) else MechanismSearch(task, clock)
+        )
 
 
 def needs_shooting(world: World, scenario: Scenario) -> bool:
@@ -193,11 +195,6 @@ def needs_shooting(world: World, scenario: Scenario) -> bool:
     is_free = is_ball and not world.limits.are_any
     has_friction = scenario.contact == "rigid" and world.friction_coefficients(scenario).any()
     return not (is_free and not has_friction and scenario.is_plain)
-
-
-def start_search(task: BallTask | MechanismTask, clock: Stopwatch | None = None) -> Search:
-    """Returns the search of a task, which has not begun."""
-    return BallSearch(task, clock) if isinstance(task, BallTask) else MechanismSearch(task, clock)
 
 
 def _check_friction(world: World, scenario: Scenario) -> None:

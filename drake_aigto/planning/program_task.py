@@ -30,12 +30,13 @@ from drake_aigto.planning.candidate import (
     Origin,
     Replays,
     add_to_replay,
+    calc_defects,
+    read_motion,
     sample,
 )
 from drake_aigto.planning.options import SearchOptions
 from drake_aigto.planning.programs import CompiledPrograms, check_added_rows
 from drake_aigto.planning.rungs import Rung, StartName
-from drake_aigto.planning.simulated import calc_defects, read_motion
 from drake_aigto.simulation import (
     Replay,
     find_contacts,

@@ -19,7 +19,7 @@ _STARTS: tuple[MechanismStart, ...] = ("rest", "coast", "line")
 
 _COOLING = 0.2
 _TOLERANCE = 0.05  # Of boxes: another method closes their centers, however near these are.
-_FAR = 0.5  # largest shift of a slider's path, in `StartedBoxes.widths`; of a hinge's: π
+_FAR = 0.5  # largest shift of a slider's path, in `MechanismBoxes.widths`; of a hinge's: π
 
 
 @dataclass(frozen=True)
@@ -78,9 +78,9 @@ class Shrinking:
     """How boxes shrink.
 
     Attributes:
-        weight: W of rows that no control can meet, in `StartedBoxes.weight_unit`.
-        temperature: first μ, in `StartedBoxes.temperature_unit`.
-        half_width: of the first box, in `StartedBoxes.widths`; 0: points, without temperature.
+        weight: W of rows that no control can meet, in `MechanismBoxes.weight_unit`.
+        temperature: first μ, in `MechanismBoxes.temperature_unit`.
+        half_width: of the first box, in `MechanismBoxes.widths`; 0: points, without temperature.
         temperatures: their number, each a fifth of the one before.
         newton_steps: at each temperature, at most.
     """
@@ -113,7 +113,7 @@ class MechanismRung(Shrinking):
         start: the path at the center of the first box: "rest", standing still; "coast", the
             uncontrolled motion; "line", the straight line to the goal.
         num_steps: N of its program.
-        shift: of the middle of that path, per coordinate, in `StartedBoxes.widths`; empty: none.
+        shift: of the middle of that path, per coordinate, in `MechanismBoxes.widths`; empty: none.
     """
 
     start: MechanismStart = "rest"
@@ -148,7 +148,7 @@ class Renewal(Shrinking):
     Attributes:
         first: its first knot, 1 or more.
         count: its number of knots; those beyond the last one do not count.
-        shift: of its middle, in `StartedBoxes.widths`, shape (n,).
+        shift: of its middle, in `MechanismBoxes.widths`, shape (n,).
     """
 
     first: int

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any, NamedTuple, TypeAlias
+
 import numpy as np
+from numpy.typing import NDArray
+from pydrake.symbolic import Expression
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.contact import calc_share, find_gap
+from drake_aigto.contact import CompliantLaw, ContactLaw, calc_share, find_gap
 from drake_aigto.kernels import inner, kernel, pasted
 from drake_aigto.shooting.tables import (
+    BRAKE,
     COEFFICIENT,
     PACE,
     SOURCE,
@@ -15,6 +21,10 @@ from drake_aigto.shooting.tables import (
     Mechanics,
     MechanicsMemory,
 )
+from drake_aigto.world import World
+
+# Expressions of q, shape (n,).
+Row: TypeAlias = NDArray[Any]
 
 
 @inner
@@ -143,7 +153,7 @@ def accelerate(
         acceleration[0, i] = total
     _push(mechanics, x, eps, memory)
     if frictions.shape[0] > 0:
-        add_friction(mechanics, x, eps, memory)
+        _add_friction(mechanics, x, eps, memory)
     divide_by_mass(n, factor, acceleration)
     if has_slopes:
         _differentiate(mechanics, x, memory)
@@ -214,7 +224,7 @@ def _differentiate(mechanics: Mechanics, x: Floats, memory: MechanicsMemory) -> 
         if force[i, 0] != 0.0:
             _differentiate_force(i, mechanics, x, memory)
     if frictions.shape[0] > 0:
-        differentiate_friction(mechanics, x, memory)
+        _differentiate_friction(mechanics, x, memory)
     divide_by_mass(n, memory.factor, slopes)
 
 
@@ -246,8 +256,8 @@ def find_friction(frictions: Floats, contact: int) -> int:
     return -1
 
 
-@inner
-def add_friction(mechanics: Mechanics, x: Floats, eps: float, memory: MechanicsMemory) -> None:
+@pasted
+def _add_friction(mechanics: Mechanics, x: Floats, eps: float, memory: MechanicsMemory) -> None:
     """Computes friction and its derivatives by s and N, and adds Tᵀ times it to v̇, times M."""
     frictions, sums, force, drag = mechanics.frictions, memory.sums, memory.force, memory.drag
     n, m = memory.acceleration.shape[1], force.shape[0]
@@ -269,8 +279,8 @@ def add_friction(mechanics: Mechanics, x: Floats, eps: float, memory: MechanicsM
         row += n
 
 
-@inner
-def differentiate_friction(mechanics: Mechanics, x: Floats, memory: MechanicsMemory) -> None:
+@pasted
+def _differentiate_friction(mechanics: Mechanics, x: Floats, memory: MechanicsMemory) -> None:
     """Adds ∂(Tᵀ times friction)/∂(q, v), transposed."""
     frictions, sums, force, drag = mechanics.frictions, memory.sums, memory.force, memory.drag
     slopes, m, count = memory.slopes, force.shape[0], frictions.shape[0]
@@ -298,3 +308,67 @@ def differentiate_friction(mechanics: Mechanics, x: Floats, memory: MechanicsMem
                 slopes[c, j] += by_position * sums[row + j]
                 slopes[n + c, j] += by_velocity * sums[row + j]
         row, turn = row + n, turn + n * n
+
+
+class FrictionTerm(NamedTuple):
+    """Friction of a joint or contact, −Tᵀ c N σ(s / w), with s = T(q) v (`calc_friction_share`).
+
+    Of two spheres that move about each other, s is T v R/l (see `CompliantLaw`).
+
+    Its stiction speed w is that of the world, smoothed over a length ε as contact forces are, and
+    no slower than its change of s in one Runge-Kutta step h, lest steps oscillate about rest: w² =
+    max(v_s, a h)² + (ε/T)², with T the duration.
+
+    Attributes:
+        row: T(q).
+        numbers: the contact of the force N, or −1 for N = 1; c; v_s [m/s, rad/s]; deceleration a
+            of s [m/s², rad/s²], for contacts per speed of approach [1/s]; 1/T [1/s], which a
+            program sets (`fit_to_steps`).
+    """
+
+    row: Row
+    numbers: tuple[float, ...]
+
+
+def list_friction(world: World, law: ContactLaw) -> list[FrictionTerm]:
+    """Returns the friction of a world's joints and walls; that of rigid walls is for impacts."""
+    frictions = [] if world.dry_friction is None else list(_list_dry(world, world.dry_friction))
+    if isinstance(law, CompliantLaw) and law.has_friction:
+        frictions += _list_touching(world, law)
+    elif law.has_friction:
+        for i in np.flatnonzero(law.friction).tolist():
+            numbers = float(i), law.friction[i], world.stiction_speed, 0.0, 0.0
+            frictions.append(FrictionTerm(world.rubbing.tangents[i], numbers))
+    return frictions
+
+
+def _list_dry(world: World, friction: Floats) -> Iterator[FrictionTerm]:
+    along = np.vectorize(Expression)(np.eye(len(friction)))
+    mobility = np.diag(np.linalg.inv(world.calc_mass_matrix(world.plant.GetDefaultPositions())))
+    for i in np.flatnonzero(friction > 0).tolist():
+        F = friction[i]
+        yield FrictionTerm(along[i], (-1.0, F, world.stiction_speed, F * mobility[i], 0.0))
+
+
+def _list_touching(world: World, law: CompliantLaw) -> Iterator[FrictionTerm]:
+    """Yields the friction of compliant contacts, decelerations per speed of approach."""
+    q = world.plant.GetDefaultPositions()
+    J, T = world.calc_contact_jacobian(q), world.rubbing.calc_tangent_jacobian(q, is_compliant=True)
+    M = world.calc_mass_matrix(q)
+    along, across = (np.einsum("ij,ji->i", A, np.linalg.solve(M, A.T)) for A in (T, J))
+    rates = law.friction * np.sqrt(law.stiffness) * along / np.sqrt(np.maximum(across, along))
+    for i in np.flatnonzero(law.friction > 0).tolist():
+        numbers = float(i), law.friction[i], world.stiction_speed, rates[i], 0.0
+        yield FrictionTerm(world.rubbing.soft_tangents[i], numbers)
+
+
+def fit_to_steps(frictions: Floats, step: float, duration: float, speed: float) -> Floats:
+    """Returns the numbers of frictions, shape (R, 5), for Runge-Kutta steps of a length [s].
+
+    Contacts are approached at about the speed [m/s].
+    """
+    fitted, is_dry = frictions.copy(), frictions[:, SOURCE] < 0
+    brakes = frictions[:, BRAKE] * np.where(is_dry, 1.0, speed)
+    fitted[:, STICTION] = np.maximum(frictions[:, STICTION], brakes * step)
+    fitted[:, PACE] = 1 / duration
+    return fitted

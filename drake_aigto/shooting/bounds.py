@@ -13,16 +13,14 @@ from drake_aigto.shooting.acceleration import (
     run_tape,
     triangle,
 )
-from drake_aigto.shooting.cones import measure_modes
+from drake_aigto.shooting.flow import clear
+from drake_aigto.shooting.hold import measure_modes
 from drake_aigto.shooting.tables import FLOW, Added, Bounds, Memory, Program
 
 # Returns the penalties, adds their derivatives to the expansion, or returns the largest violation
 # √w dist(s, [a, b]) and has multipliers become ρw (s + y/ρw − its projection on [a, b]), Hestenes'
 # and Powell's rule.
 PENALIZE, EXPAND, MEASURE, UPDATE = range(4)
-# Jacobi's rotations of all pairs after which matrices of ten rows are diagonal to rounding: errors
-# are squared each time.
-_SWEEPS = 8
 
 
 @inner
@@ -207,16 +205,16 @@ def _evaluate_added(added: Added, z: Floats, u: Floats, memory: Memory) -> None:
 def add_costs(
     program: Program, k: int, z: Floats, u: Floats, has_slopes: bool, memory: Memory
 ) -> float:
-    """Returns the costs of users at knot k; adds their derivatives if asked, Hessians ≥ 0."""
-    added, sums, gradient = program.added, memory.added.sums, memory.added.gradient
-    A, V, positive = memory.added.tables[0], memory.added.tables[1], memory.added.tables[2]
+    """Returns the costs of users at knot k; adds their derivatives if asked, Hessians ≥ 0.
+
+    The Hessian has its negative eigenvalues set to 0. If it overflows, the cost is infinite.
+    """
+    added, sums = program.added, memory.added.sums
+    gradient, A = memory.added.gradient, memory.added.hessian
     R, C, nx, cost = added.is_running.size, memory.added.x.size, memory.flow.points.shape[1], 0.0
     has_phases, l1, l2 = z.size > nx, memory.expansion.l1[k], memory.expansion.l2[k]
     _evaluate_added(added, z, u, memory)
-    for c in range(C + 1):
-        gradient[c] = 0.0
-        for d in range(C + 1):
-            A[c, d] = 0.0
+    clear(gradient, A)
     for r in range(R):
         factor, stretches = added.factors[k, r], has_phases and added.is_running[r]
         length = factor * z[nx] if stretches else factor
@@ -226,61 +224,25 @@ def add_costs(
             slope = sums[R + r * C + c]
             gradient[c] += length * slope
             if stretches:
-                A[c, C] += factor * slope
+                A[C, c] += factor * slope
             for d in range(c, C):
-                A[c, d] += length * sums[at]
+                A[d, c] += length * sums[at]
                 at += 1
         if stretches:
             gradient[C] += factor * sums[r]
     if has_slopes:
-        size = C + 1 if has_phases else C
-        _make_positive(size, A, V, positive)
+        size = gradient.size
+        if not np.isfinite(A).all():
+            return np.inf
+        squares, V = np.linalg.eigh(A)  # Of which it reads the lower triangle.
         for c in range(size):
             i = nx if c == C else c if c < nx else z.size + c - nx
             l1[i] += gradient[c]
             for d in range(c, size):
                 j = nx if d == C else d if d < nx else z.size + d - nx
-                l2[min(i, j), max(i, j)] += positive[c, d]
+                for e in range(size):
+                    l2[min(i, j), max(i, j)] += max(squares[e], 0.0) * V[c, e] * V[d, e]
     return cost
-
-
-@inner
-def _make_positive(size: int, A: Floats, V: Floats, positive: Floats) -> None:
-    """Computes the upper triangle of a symmetric matrix with negative eigenvalues set to 0.
-
-    They are found by Jacobi's rotations (Golub & Van Loan, *Matrix Computations*, 8.5).
-
-    Args:
-        size: of the matrix.
-        A: its upper triangle; is overwritten.
-        V: room for its eigenvectors.
-        positive: becomes the result.
-    """
-    for i in range(size):
-        for j in range(size):
-            A[i, j], V[i, j] = A[min(i, j), max(i, j)], 1.0 if i == j else 0.0
-    for _ in range(_SWEEPS):
-        for p in range(size):
-            for q in range(p + 1, size):
-                if A[p, q] != 0.0:
-                    ratio = (A[q, q] - A[p, p]) / (2 * A[p, q])
-                    tangent = 1 / (abs(ratio) + np.sqrt(ratio * ratio + 1))
-                    tangent = tangent if ratio >= 0.0 else -tangent
-                    cosine = 1 / np.sqrt(tangent * tangent + 1)
-                    sine = tangent * cosine
-                    for i in range(size):
-                        a, b, v, w = A[i, p], A[i, q], V[i, p], V[i, q]
-                        A[i, p], A[i, q] = cosine * a - sine * b, sine * a + cosine * b
-                        V[i, p], V[i, q] = cosine * v - sine * w, sine * v + cosine * w
-                    for i in range(size):
-                        a, b = A[p, i], A[q, i]
-                        A[p, i], A[q, i] = cosine * a - sine * b, sine * a + cosine * b
-                    A[p, q] = A[q, p] = 0.0
-    for i in range(size):
-        for j in range(i, size):
-            positive[i, j] = 0.0
-            for e in range(size):
-                positive[i, j] += max(A[e, e], 0.0) * V[i, e] * V[j, e]
 
 
 @inner

@@ -12,7 +12,7 @@ from drake_aigto.shooting.tables import CHORDAL, MODULO, CostTable, FlowMemory, 
 
 
 @inner
-def _clear(vector: Floats, matrix: Floats) -> None:
+def clear(vector: Floats, matrix: Floats) -> None:
     """Makes both zero, in loops: slices take seconds to compile."""
     for i in range(vector.size):
         vector[i] = 0.0
@@ -92,14 +92,14 @@ def flow(
     for i in range(nx):
         x[i] = z[i]
     if has_slopes:
-        _clear(l1, l2)
-        _clear(by_column, X)
+        clear(l1, l2)
+        clear(by_column, X)
         for i in range(nx):
             X[i, i] = 1.0
     for s in range(substeps):
         for i in range(n):
             slope[i], slope[n + i] = x[n + i], 0.0
-        _clear(total, sum_K)
+        clear(total, sum_K)
         if has_slopes:
             for i in range(n):
                 for c in range(columns):
@@ -239,8 +239,8 @@ def jump(
         after[i] = z[i]
     after[nx] = u[0]
     if has_slopes:
-        _clear(l1, l2)
-        _clear(l1, F)
+        clear(l1, l2)
+        clear(l1, F)
         for i in range(nz):
             F[i, i] = 1.0
         F[nx, nx], F[nx, nz] = 0.0, 1.0
@@ -262,7 +262,7 @@ def measure_end(task: CostTable, z: Floats, has_slopes: bool, memory: Memory) ->
     weights, errors, squares = task.final, memory.flow.points[4], memory.flow.points[5]
     l1, l2 = memory.expansion.l1[K], memory.expansion.l2[K]
     if has_slopes:
-        _clear(l1, l2)
+        clear(l1, l2)
     for i in range(nx):
         errors[i], squares[i] = _find_error(task.errors[i], z[i] - task.goal[i])
     for i in range(nx):

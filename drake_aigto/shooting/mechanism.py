@@ -13,8 +13,7 @@ from drake_aigto.contact import ContactLaw, RigidLaw
 from drake_aigto.dynamics import EquationsOfMotion
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.kernels import kernel
-from drake_aigto.shooting.acceleration import accelerate, evaluate_tape
-from drake_aigto.shooting.friction import Row, list_friction
+from drake_aigto.shooting.acceleration import Row, accelerate, evaluate_tape, list_friction
 from drake_aigto.shooting.hold import hold
 from drake_aigto.shooting.tables import (
     COEFFICIENT,

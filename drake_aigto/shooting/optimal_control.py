@@ -9,8 +9,8 @@ import numpy as np
 
 from drake_aigto.arrays import ArrayRecord, Bools, Floats, Ints, read_only
 from drake_aigto.errors import ProgramError
+from drake_aigto.shooting.acceleration import fit_to_steps
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
-from drake_aigto.shooting.friction import fit_to_steps
 from drake_aigto.shooting.mechanism import Mechanism
 from drake_aigto.shooting.tables import FLOW, START, STICTION
 from drake_aigto.world import TaskCost

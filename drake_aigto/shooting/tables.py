@@ -71,7 +71,7 @@ class Bounds(NamedTuple):
     """Bounds at knots and their multipliers; equal ones are equations. K stages.
 
     The row s in [a, b], with weight w and multiplier y, adds ρw/2 dist(s + y/ρw, [a, b])². Rows are
-    z, φ, R functions of users, −φ̇ before an impact, and inequalities of contact modes (`cones`).
+    z, φ, R functions of users, −φ̇ before an impact, and inequalities of modes (`measure_modes`).
     """
 
     lower: Floats  # of z, φ and users' functions at each knot, shape (K + 1, nz + m + R)
@@ -131,7 +131,7 @@ class FlowMemory(NamedTuple):
 
 
 class ModeMemory(NamedTuple):
-    """Inequalities of contact modes at a knot (`cones`)."""
+    """Inequalities of contact modes at a knot (`measure_modes`)."""
 
     values: Floats  # at least 0, shape (m, 3)
     slopes: Floats  # of the same by (q, v, u), shape (m, 3, 2n + nu)
@@ -145,8 +145,8 @@ class AddedMemory(NamedTuple):
     x: Floats  # (q, v, u)
     values: Floats  # of the tape
     sums: Floats  # of the tape
-    gradient: Floats  # of costs by x and τ, shape (C + 1,)
-    tables: Floats  # their Hessian, its eigenvectors and its positive part, shape (3, C + 1, C + 1)
+    gradient: Floats  # of costs by x, and in phases by τ, shape (C,) or (C + 1,)
+    hessian: Floats  # the same, the lower triangle
 
 
 class Expansion(NamedTuple):
@@ -255,8 +255,8 @@ def make_memory(program: Program) -> Memory:
             x=np.zeros(C),
             values=np.zeros(1 + C + 2 * code[0] + code[1]),
             sums=program.added.constants.copy(),
-            gradient=np.zeros(C + 1),
-            tables=np.zeros((3, C + 1, C + 1)),
+            gradient=np.zeros(C + (nz > nx)),
+            hessian=np.zeros((C + (nz > nx), C + (nz > nx))),
         ),
         Expansion(*map(np.zeros, ((K, nz, nc), (K + 1, nc), (K + 1, nc, nc), (K, nz)))),
         SweepMemory(

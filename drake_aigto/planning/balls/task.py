@@ -25,13 +25,19 @@ from drake_aigto.planning.balls.phases import (
     unfolds,
 )
 from drake_aigto.planning.balls.timeline import bend, straight_path
-from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Origin, sample
+from drake_aigto.planning.candidate import (
+    LARGEST_DEFECT,
+    Candidate,
+    Origin,
+    calc_defects,
+    read_motion,
+    sample,
+)
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.program_task import ProgramTask, Solution
 from drake_aigto.planning.programs import CompiledPrograms
 from drake_aigto.planning.rungs import Rung
 from drake_aigto.planning.sequences import read_sequences
-from drake_aigto.planning.simulated import calc_defects, read_motion
 from drake_aigto.simulation import find_contacts, max_penetration
 from drake_aigto.transcription import (
     Facing,

@@ -25,7 +25,7 @@ from drake_aigto.transcription import (
     Ends,
     MechanismProgram,
 )
-from drake_aigto.world import TaskCost, World
+from drake_aigto.world import World
 
 _POINT_STEPS, _POINT_TOLERANCE = 30, 1e-3
 _GOAL_WEIGHT = 10.0  # of a hard goal, in the cost of standing still: 10 at a distance of L
@@ -88,41 +88,34 @@ def _bump(count: int) -> Floats:
 
 
 class MechanismBoxes:
-    """The program of a mechanism, compiled once for all of its starts and goals.
+    """Boxes of a mechanism's motion from one start to one goal.
 
     Args:
         program: of positions.
         control_bounds: of u, shape (2, nu) [N, N m]; only used in `Center.controls`.
-    """
-
-    def __init__(self, program: MechanismProgram, control_bounds: Floats) -> None:
-        """Compiles the program."""
-        self.program, self.control_bounds = program, control_bounds
-        n, order = self.program.num_variables, (Order.MEAN, Order.CENTERS, Order.BOXES)
-        self.polynomial = ParametricPolynomial(
-            n, self.program.num_parameters, self.program.blocks, np.arange(n), order
-        )
-        self.is_free = self.program.is_free
-
-    def start(self, ends: Ends) -> StartedBoxes:
-        """Returns the boxes from a start to a goal."""
-        return StartedBoxes(self, ends)
-
-
-class StartedBoxes:
-    """Boxes from one start to one goal.
-
-    Args:
-        boxes: the program.
         ends: start and goal.
+        compiled: the program's polynomial, which serves all ends; None: compiled here.
     """
 
-    def __init__(self, boxes: MechanismBoxes, ends: Ends) -> None:
+    def __init__(
+        self,
+        program: MechanismProgram,
+        control_bounds: Floats,
+        ends: Ends,
+        compiled: ParametricPolynomial | None = None,
+    ) -> None:
         """Sets the program's parameters."""
-        self.program, self.ends = boxes.program, ends
-        self._bounds, self._is_free = boxes.control_bounds, boxes.is_free
-        self._num_free = np.count_nonzero(self._is_free)
-        self.polynomial = boxes.polynomial.at(boxes.program.parameters(ends))
+        self.program, self.ends, self._bounds = program, ends, control_bounds
+        n, order = program.num_variables, (Order.MEAN, Order.CENTERS, Order.BOXES)
+        self._compiled = compiled or ParametricPolynomial(
+            n, program.num_parameters, program.blocks, np.arange(n), order
+        )
+        self._num_free = np.count_nonzero(program.is_free)
+        self.polynomial = self._compiled.at(program.parameters(ends))
+
+    def start(self, ends: Ends) -> MechanismBoxes:
+        """Returns the boxes from another start to another goal."""
+        return MechanismBoxes(self.program, self._bounds, ends, self._compiled)
 
     def rest(self) -> Floats:
         """Returns the path of standing still, shape (2, n)."""
@@ -189,7 +182,7 @@ class StartedBoxes:
         if rung.shift:
             q[1:] += _bump(len(q) - 1) * np.array(rung.shift) * self.widths[: q.shape[1]]
         q[-1] = 2 * q[-2] - q[-3]
-        return self._shrink(rung, program.calc_variables(q, self.ends), self._is_free)
+        return self._shrink(rung, program.calc_variables(q, self.ends), program.is_free)
 
     def renew(self, positions: Floats, renewal: Renewal) -> Center:
         """Returns the center after a stretch of a motion is perturbed and opened.
@@ -204,22 +197,7 @@ class StartedBoxes:
         is_open = np.zeros((len(positions), len(self.widths)), dtype=bool)
         is_open[knots] = True
         z = self.program.calc_variables(q, self.ends)
-        return self._shrink(renewal, z, self._is_free & is_open.ravel())
-
-    def find_touches(self, center: Center) -> tuple[tuple[float, int], ...]:
-        """Returns when [s] and which contacts touch in a center, by time.
-
-        A contact touches once per stretch of knots at which its spring pushes, where that is
-        pressed deepest.
-        """
-        found = []
-        for i in self.program.coordinates.contacts:
-            phi = self.program.world.calc_signed_distance(center.positions[1:-1])[:, i]
-            inside = np.flatnonzero(phi < 0)
-            for knots in np.split(inside, 1 + np.flatnonzero(np.diff(inside) > 1)):
-                if len(knots):
-                    found.append((float(center.times[1 + knots[np.argmin(phi[knots])]]), i))
-        return tuple(sorted(found))
+        return self._shrink(renewal, z, self.program.is_free & is_open.ravel())
 
     def _shrink(self, how: Shrinking, z: Floats, is_open: Bools) -> Center:
         W, waiting = how.weight * self.weight_unit, self.temperature_unit * self._num_free
@@ -248,7 +226,7 @@ class CompiledMechanism:
 
     Attributes:
         mechanism: the world as shooting has it.
-        boxes: the last programs of boxes, by the weights, bounds, duration and steps they have.
+        boxes: the last boxes, by the weights, bounds, duration and steps of their programs.
         additions: costs and constraints of users.
         added: these, compiled for shooting.
     """
@@ -271,21 +249,22 @@ class CompiledMechanism:
     def find_boxes(
         self,
         world: World,
-        task: TaskCost,
+        ends: Ends,
         springs: CompliantLaw,
         duration: float,
         num_steps: int,
         is_hard: Bools,
         control_bounds: Floats,
     ) -> MechanismBoxes:
-        """Returns boxes for any start and goal (`MechanismProgram`), compiled if need be."""
+        """Returns boxes (`MechanismProgram`), compiled if no others have their program."""
+        task = ends.cost
         weights = task.R, task.Q, task.Qv, task.QT, task.QTv, task.is_chordal, task.is_modulo
         arrays = *weights, is_hard, control_bounds, springs.stiffness, springs.dissipation
         key = num_steps, duration, *(each.tobytes() for each in arrays)
-        boxes = self.boxes.get(key)
-        if boxes is None:
-            program = MechanismProgram(world, task, springs, duration, num_steps, is_hard)
-            if len(self.boxes) >= _MOST_PROGRAMS:
-                self.boxes.pop(next(iter(self.boxes)), None)
-            boxes = self.boxes[key] = MechanismBoxes(program, control_bounds)
+        if (known := self.boxes.get(key)) is not None:
+            return known.start(ends)
+        program = MechanismProgram(world, task, springs, duration, num_steps, is_hard)
+        if len(self.boxes) >= _MOST_PROGRAMS:
+            self.boxes.pop(next(iter(self.boxes)), None)
+        boxes = self.boxes[key] = MechanismBoxes(program, control_bounds, ends)
         return boxes

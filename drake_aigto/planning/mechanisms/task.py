@@ -21,7 +21,7 @@ from drake_aigto.planning.candidate import (
 from drake_aigto.planning.mechanisms.boxes import (
     Center,
     CompiledMechanism,
-    StartedBoxes,
+    MechanismBoxes,
     round_duration,
     sample_cubic,
 )
@@ -222,13 +222,13 @@ class MechanismTask:
         time_step = self.scenario.duration / self.search_steps
         return soften(self.world, self.law, time_step, self.scales.velocity)
 
-    def _start_boxes(self, num_steps: int, duration: float) -> StartedBoxes:
+    def _start_boxes(self, num_steps: int, duration: float) -> MechanismBoxes:
         """Returns boxes from this start; their programs serve any start."""
-        task, is_hard = self.task, np.isfinite(self.task.hard_goal(self.scenario))
-        boxes = self._compiled.find_boxes(
-            self.world, task, self._springs, duration, num_steps, is_hard, self.bounds.control
+        ends = Ends(self.launch.position, self.launch.velocity, self.task)
+        is_hard, limits = np.isfinite(self.task.hard_goal(self.scenario)), self.bounds.control
+        return self._compiled.find_boxes(
+            self.world, ends, self._springs, duration, num_steps, is_hard, limits
         )
-        return boxes.start(Ends(self.launch.position, self.launch.velocity, task))
 
     def run_aigo(self, rung: MechanismRung) -> Center:
         """Returns the box center that a rung leads to."""

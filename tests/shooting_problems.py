@@ -1,0 +1,51 @@
+"""Problems of shooting whose weights and bounds tests choose, and differences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.shooting import Mechanism, ShootingProblem
+from drake_aigto.world import TaskCost
+
+
+def weigh(goal: Any, effort: Any, **weights: Any) -> TaskCost:
+    """Returns the cost of a control of this weight, one number or nu, and other weights."""
+    n = len(goal)
+    values: dict[str, Any] = {
+        "R": np.atleast_1d(effort),
+        **dict.fromkeys(("Q", "Qv", "goal_velocity"), np.zeros(n)),
+        **dict.fromkeys(("QT", "QTv"), np.zeros((n, n))),
+        "goal": np.array(goal, dtype=float),
+        **dict.fromkeys(("is_modulo", "is_chordal"), np.zeros(n, dtype=bool)),
+        "times": np.zeros(1),
+        "positions": np.array([goal], dtype=float),
+        "velocities": np.zeros((1, n)),
+    }
+    return TaskCost(**(values | weights))
+
+
+def pose(
+    mechanism: Mechanism, cost: TaskCost, start: Any, N: int = 30, T: float = 1.5, **more: Any
+) -> ShootingProblem:
+    """Returns a problem without bounds, but for what is given."""
+    n, nu = mechanism.num_positions, mechanism.num_controls
+    free = np.array([[-np.inf], [np.inf]])
+    values: dict[str, Any] = {
+        "times": np.linspace(0, T, N + 1),
+        "start": np.array(start, dtype=float),
+        "scales": np.ones(2 * n),
+        "state_bounds": np.tile(free, 2 * n),
+        "control_bounds": np.tile(free, nu),
+        "hard_goal": np.full(2 * n, np.nan),
+    }
+    return ShootingProblem(mechanism, cost, **(values | more))
+
+
+def differ(calc: Callable[[Floats], Floats], x: Floats, step: float = 1e-6) -> Floats:
+    """Returns central differences of a function ℝⁿ → ℝᵐ, shape (m, n)."""
+    nudges = step * np.eye(len(x))
+    return np.array([(calc(x + e) - calc(x - e)) / (2 * step) for e in nudges]).T
