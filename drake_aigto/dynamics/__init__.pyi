@@ -1,10 +1,10 @@
 from .constant import ConstantDynamics as ConstantDynamics
 from .constant import ConstantInertia as ConstantInertia
+from .equations import STICTION_SPEED as STICTION_SPEED
 from .equations import Contact as Contact
 from .equations import EquationsOfMotion as EquationsOfMotion
-from .friction import STICTION_SPEED as STICTION_SPEED
-from .friction import calc_friction_share as calc_friction_share
-from .friction import smooth_sign as smooth_sign
+from .equations import calc_friction_share as calc_friction_share
+from .equations import smooth_sign as smooth_sign
 from .sum_kernels import divide_by_masses as divide_by_masses
 from .sum_kernels import evaluate_sums as evaluate_sums
 from .sums import SumMap as SumMap

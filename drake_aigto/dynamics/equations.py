@@ -10,11 +10,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.multibody.plant import MultibodyPlantConfig
 from pydrake.symbolic import Expression
 
 from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.dynamics.constant import ConstantDynamics, ConstantInertia, read_constant
-from drake_aigto.dynamics.friction import STICTION_SPEED, calc_friction_share
 from drake_aigto.dynamics.sums import SumMap, calc_turning, is_constant, load_kernels
 from drake_aigto.errors import ModelError
 
@@ -29,6 +29,9 @@ _PLACELESS = (
     *("solids", "has_constant_inertia", "has_constant_dynamics"),
     *("_mass_map", "_bias_map", "_jacobian", "_jacobian_map", "rubbing"),
 )
+
+# Drake's default stiction tolerance. A plant's can be set, but not read.
+STICTION_SPEED: float = MultibodyPlantConfig().stiction_tolerance  # [m/s, rad/s]
 
 _Self = TypeVar("_Self", bound="EquationsOfMotion")
 
@@ -363,3 +366,24 @@ class EquationsOfMotion:
     @cached_property
     def _jacobian_map(self) -> SumMap:
         return SumMap(self._jacobian, self.positions)
+
+
+def calc_friction_share(speeds: Floats, stiction_speed: float) -> Floats:
+    """Returns σ(s / v_s), the part of the largest friction that acts at a sliding speed s.
+
+        σ(x) = x³ (10 − 15 |x| + 6 x²)    for |x| ≤ 1,    sign(x)    elsewhere
+
+    That is the regularization of Drake's point contact, whose first two derivatives are continuous.
+    Sticking contacts creep, slower than v_s.
+
+    Args:
+        speeds: s [m/s, rad/s].
+        stiction_speed: v_s > 0 [m/s, rad/s].
+    """
+    x = np.clip(speeds / stiction_speed, -1.0, 1.0)
+    return np.asarray(smooth_sign(x), dtype=np.float64)
+
+
+def smooth_sign(x: Any) -> Any:
+    """Returns σ(x) of a number, an array, or an expression, |x| ≤ 1; Numba compiles it, too."""
+    return x**3 * (10.0 - 15.0 * abs(x) + 6.0 * x**2)
