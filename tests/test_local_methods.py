@@ -1,6 +1,6 @@
 """Plain Newton steps end in what the interior point finds, or in nothing.
 
-Values, derivatives and ladders of penalties at points.
+Derivatives and ladders of penalties.
 
 The local solver where f or its rows are small sums of large terms, so that rounding shows.
 """
@@ -10,10 +10,10 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import warnings
-from typing import Any
 
 import numpy as np
 import pytest
+from box_programs import dense
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from local_problems import Problem, add_cost
@@ -23,7 +23,8 @@ from pydrake.symbolic import cos, exp, sin
 from benchmarks.collections.global_functions import planar_problems
 from benchmarks.collections.known_optimum import GlobalProblem
 from drake_aigto import Scenario
-from drake_aigto.kernels import kernel
+from drake_aigto.box import System, add_means
+from drake_aigto.linear import factorize_band, solve_band
 from drake_aigto.local import (
     InteriorPoint,
     LocalStatus,
@@ -33,12 +34,7 @@ from drake_aigto.local import (
     PolynomialNlp,
     Progress,
     compile_nlp,
-    differentiate,
-    evaluate,
-    factorize_band,
-    make_point_system,
-    make_point_tables,
-    solve_band,
+    make_penalty_tables,
 )
 from drake_aigto.planning import PlanOptions, make_ball_task
 from drake_aigto.transcription import Touch
@@ -152,63 +148,48 @@ def chain(num_stages: int = 12) -> PolynomialNlp:
     return compile_nlp(prog)
 
 
-@kernel
-def values_at(tables: Any, x: Any, values: Any, rows: Any) -> float:
-    return evaluate(tables, x, values, rows)
-
-
-@kernel
-def derivatives_at(tables: Any, x: Any, scale: float, multipliers: Any, system: Any) -> None:
-    differentiate(tables, x, scale, multipliers, system)
-
-
-@kernel
-def solution(band: Any, right: Any) -> bool:
-    is_definite = factorize_band(band)
-    if is_definite:
-        solve_band(band, right)
-    return is_definite
-
-
-def test_values_are_those_of_the_program() -> None:
-    nlp = chain()
-    tables = make_point_tables(nlp)
-    rows, values = np.empty(nlp.num_rows), np.empty(tables.functions.size)
-    for seed in range(5):
-        x = np.random.default_rng(seed).uniform(-2, 2, nlp.num_variables)
-        f, expected = nlp.evaluate(x)
-        assert values_at(tables, x, values, rows) == pytest.approx(f, rel=1e-12)
-        np.testing.assert_allclose(rows, expected, atol=1e-12)
-
-
-def test_derivatives_are_those_of_finite_differences() -> None:
+def test_derivatives_of_penalties_are_those_of_finite_differences() -> None:
     nlp, step = chain(4), 1e-6
-    tables = make_point_tables(nlp)
-    system, rng = make_point_system(tables), np.random.default_rng(1)
-    x, multipliers = rng.uniform(-2, 2, nlp.num_variables), rng.normal(size=nlp.num_rows)
+    tables, rng = make_penalty_tables(nlp), np.random.default_rng(1)
+    x, weights = rng.uniform(-2, 2, nlp.num_variables), rng.uniform(1, 3, nlp.num_rows)
+    multipliers = rng.normal(size=nlp.num_rows)
     free = np.flatnonzero(tables.places >= 0)
-    places = tables.places[free]
 
-    def slopes(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        derivatives_at(tables, at, 3.0, multipliers, system)
-        jacobian = np.zeros((nlp.num_rows, tables.size))
-        rows = np.repeat(np.arange(nlp.num_rows), np.diff(tables.first_entries))
-        jacobian[rows, tables.entry_places] = system.jacobian
-        return system.gradient.copy(), jacobian
+    def value(at: np.ndarray) -> float:
+        f, rows = nlp.evaluate(at)
+        return float(3.0 * f + multipliers @ rows + weights @ rows**2 / 2)
 
-    gradient, jacobian = slopes(x)
-    hessian = np.zeros((tables.size, tables.size))
-    for d in range(tables.bandwidth + 1):
-        column = np.arange(tables.size - d)
-        hessian[column, column + d] = hessian[column + d, column] = system.hessian[column, d]
-    for i, place in zip(free, places, strict=True):
+    def slopes(at: np.ndarray) -> System:
+        costs, none = np.full(nlp.num_costs, 3.0), np.zeros(nlp.num_costs)
+        first = np.append(costs, multipliers + weights * nlp.evaluate(at)[1])
+        system = System(
+            *(first, tables.places, np.full(first.size, -1), np.zeros(tables.size)),
+            *(np.zeros((tables.size, tables.bandwidth + 1)), None),
+            np.array([first, np.append(none, weights)]),
+        )
+        values = np.empty(first.size)
+        add_means(tables.derivatives, tables.weights, at, np.zeros(at.size), values, system)
+        return system
+
+    system = slopes(x)
+    hessian = dense(system.band.T)
+    for i, place in zip(free, tables.places[free], strict=True):
         ends = [x + sign * step * (np.arange(x.size) == i) for sign in (1, -1)]
-        (f, c), (g, e) = (nlp.evaluate(end) for end in ends)
-        assert gradient[place] == pytest.approx(3.0 * (f - g) / (2 * step), rel=1e-6, abs=1e-6)
-        np.testing.assert_allclose(jacobian[:, place], (c - e) / (2 * step), atol=1e-6)
-        (upper, above), (lower, below) = (slopes(end) for end in ends)
-        change = (upper + multipliers @ above - lower - multipliers @ below) / (2 * step)
-        np.testing.assert_allclose(hessian[:, place], change, atol=1e-5, rtol=1e-6)
+        above, below = map(value, ends)
+        assert system.gradient[place] == pytest.approx((above - below) / (2 * step), abs=1e-5)
+        upper, lower = (slopes(end).gradient for end in ends)
+        np.testing.assert_allclose(hessian[:, place], (upper - lower) / (2 * step), atol=1e-5)
+
+
+def test_a_penalty_of_a_row_that_reads_a_variable_twice_is_squared_whole() -> None:
+    builder = NlpBuilder()
+    builder.new(1)
+    builder.add_row("3 x", [(1.0, (0,)), (2.0, (1,))], [[0, 0]])
+    tables = make_penalty_tables(builder.build())
+    one, band = np.ones(1), np.zeros((1, 1))
+    system = System(one, tables.places, np.full(1, -1), np.zeros(1), band, None, np.ones((2, 1)))
+    add_means(tables.derivatives, tables.weights, one, np.zeros(1), np.empty(1), system)
+    assert (system.gradient[0], band[0, 0]) == (3.0, 9.0)
 
 
 @pytest.mark.parametrize("bandwidth", [0, 1, 4])
@@ -216,22 +197,22 @@ def test_bands_are_solved_unless_they_are_indefinite(bandwidth: int) -> None:
     rng = np.random.default_rng(bandwidth)
     band = rng.uniform(-1, 1, (9, bandwidth + 1))
     band[:, 0] = 2.5 * (bandwidth + 1)
-    matrix = np.zeros((9, 9))
-    for d in range(bandwidth + 1):
-        matrix += np.diag(band[: 9 - d, d], -d)
-    matrix += np.tril(matrix, -1).T
+    band[np.add.outer(np.arange(9), np.arange(bandwidth + 1)) >= 9] = 0.0
+    matrix = dense(band.T)
     x = rng.uniform(-1, 1, 9)
     right = matrix @ x
-    assert solution(band.copy(), right)
+    factors = band.copy()
+    assert factorize_band(factors)
+    solve_band(factors, right)
     np.testing.assert_allclose(right, x, atol=1e-12)
     band[5, 0] = -1.0
-    assert not solution(band, right)
+    assert not factorize_band(band)
 
 
 def test_a_ladder_leads_from_anywhere_to_a_feasible_point_near_an_optimum() -> None:
     nlp = chain()
     center, half_width = np.zeros(nlp.num_variables), np.full(nlp.num_variables, 2.0)
-    tables, none = make_point_tables(nlp), np.empty(0, dtype=np.int64)
+    tables, none = make_penalty_tables(nlp), np.empty(0, dtype=np.int64)
     ladder = PenaltyLadder(nlp, tables, center, half_width, none, np.zeros(nlp.num_rows, bool))
     rng = np.random.default_rng(2)
     for _ in range(5):
@@ -248,7 +229,7 @@ def test_a_ladder_leads_from_anywhere_to_a_feasible_point_near_an_optimum() -> N
 def test_a_ladder_to_a_point_too_dear_is_given_up() -> None:
     nlp = chain()
     center, half_width = np.zeros(nlp.num_variables), np.full(nlp.num_variables, 2.0)
-    tables, none = make_point_tables(nlp), np.empty(0, dtype=np.int64)
+    tables, none = make_penalty_tables(nlp), np.empty(0, dtype=np.int64)
     ladder = PenaltyLadder(nlp, tables, center, half_width, none, np.zeros(nlp.num_rows, bool))
     whole = ladder.climb(center, 0.01, 1e3)
     cut = ladder.climb(center, 0.01, 1e3, most=whole.cost - 10.0)

@@ -15,7 +15,7 @@ from numba import objmode
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import Lanes, System, add_means
 from drake_aigto.kernels import inner, kernel, njit, pasted
-from drake_aigto.linear import Pattern, factorize
+from drake_aigto.linear import Pattern, factorize, factorize_band, solve_band
 
 _ARMIJO = 1e-4  # share of the linear decrease that a step must reach
 _HARDER, _SOFTER = 4.0, 0.25  # factors on the damping after a failed and an immediate success
@@ -81,7 +81,8 @@ def _evaluate(
     gradient[:] = 0.0
     band[:] = 0.0
     system = System(
-        problem.multipliers, free_places, problem.copy_places, gradient, band, problem.pattern
+        *(problem.multipliers, free_places, problem.copy_places, gradient, band),
+        *(problem.pattern, None),
     )
     mean = add_means(problem.lanes, problem.weights, center, half_width, problem.values, system)
     entropy = 0.0
@@ -289,51 +290,6 @@ def _dominate(pattern: Pattern | None, band: Floats, raised: Floats) -> None:
             beside[j + d] += abs(band[j, d])
     for j in range(size):
         raised[j, 0] = max(abs(band[j, 0]), 1.1 * beside[j])
-
-
-@njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def factorize_band(band: Floats) -> bool:
-    """Overwrites a matrix with its LDLᵀ factors, L and in place of its ones D⁻¹.
-
-    For half bandwidths up to some 50 this is quicker than LAPACK's `dpbtrf`, which calls BLAS for
-    every column, on a few numbers; beyond some 60 it is slower.
-
-    Args:
-        band: In LAPACK's lower band storage, transposed: entry (i, j), i ≥ j, at [j, i − j].
-
-    Returns:
-        Whether it is positive definite; if not, it is spoilt.
-    """
-    size, width = band.shape
-    for j in range(size):
-        if not band[j, 0] > 0.0:
-            return False
-        inverse = 1.0 / band[j, 0]
-        below = min(width, size - j)
-        while below > 1 and band[j, below - 1] == 0.0:
-            below -= 1
-        for a in range(1, below):
-            factor = inverse * band[j, a]
-            for d in range(below - a):
-                band[j + a, d] -= factor * band[j, a + d]
-        for a in range(1, below):
-            band[j, a] *= inverse
-        band[j, 0] = inverse
-    return True
-
-
-@njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def solve_band(factors: Floats, x: Floats) -> None:
-    """Overwrites a right-hand side (size,) with the solution."""
-    size, width = factors.shape
-    for j in range(size):
-        for a in range(1, min(width, size - j)):
-            x[j + a] -= factors[j, a] * x[j]
-    for j in range(size - 1, -1, -1):
-        value = factors[j, 0] * x[j]
-        for a in range(1, min(width, size - j)):
-            value -= factors[j, a] * x[j + a]
-        x[j] = value
 
 
 @inner

@@ -21,19 +21,24 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints, Records
-from drake_aigto.box.functions import factor_mean
+from drake_aigto.box.functions import factor_mean, trigonometric_means
 from drake_aigto.box.lanes import Lanes
 from drake_aigto.box.tapes import MEAN, ONES
 from drake_aigto.kernels import inner, kernel
 from drake_aigto.linear import Pattern, find_entry
+from drake_aigto.terms import FunctionKind
 
 _PARTS = 6  # of a factor's mean: value and derivatives
+_COSINE = int(FunctionKind.COSINE)
 
 
 class System(NamedTuple):
     """Sums that derivatives of means are added to: the KKT matrix [W Aᵀ; A 0] and the gradient.
 
         W = Σ multiplier · weight · ∇²mean,      A's row of a copy: weight · ∇mean
+
+    Copies with penalties λ r + ρ/2 r², r = weight · mean, have no rows: W gets ρ ∇r ∇rᵀ as well,
+    and the gradient λ ∇r.
 
     Attributes:
         multipliers: Factor of each copy's Hessian (C,).
@@ -43,6 +48,7 @@ class System(NamedTuple):
         gradient: weight · ∇mean of the copies of place −1 is added (size,).
         band: The matrix is added (size, number of diagonals), or (E, 1).
         pattern: Of the matrix, if it is no band.
+        penalties: λ and ρ of each copy (2, C), if they have penalties.
     """
 
     multipliers: Floats
@@ -51,12 +57,13 @@ class System(NamedTuple):
     gradient: Floats
     band: Floats
     pattern: Pattern | None
+    penalties: Floats | None
 
 
 # For tables of order MEAN. Not read-only, for which Numba would compile once more.
 NO_SYSTEM = System(
     *(np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64)),
-    *(np.empty(0), np.empty((0, 0)), None),
+    *(np.empty(0), np.empty((0, 0)), None, None),
 )
 
 
@@ -117,17 +124,42 @@ def _load_functions(
     rows: Floats,
     row: int,
 ) -> int:
-    """Sets the rows of a tape's functions, from `row` on; returns the next row."""
+    """Sets the rows of a tape's functions, from `row` on; returns the next row.
+
+    Without derivatives of the tape, those of functions are left out.
+    """
+    num_needed = _PARTS if tape.first_slope < after.first_slope else 1
     for f in range(tape.first_function, after.first_function):
         it = functions[f]
+        is_pair = it.kind == _COSINE
         for k in range(count):
             i = variables[it.variable, k]
             box = center[i], half_width[i]
-            factor_mean(it.kind, it.exponent, it.scale, it.offset, *box, parts, transcendental)
-            for part in range(_PARTS):
+            _fill_parts(it.kind, it.exponent, it.scale, it.offset, *box, parts, transcendental)
+            for part in range(num_needed):
                 rows[row + part, k] = parts[part]
-        row += _PARTS
+            for part in range(_PARTS, _PARTS + (num_needed if is_pair else 0)):
+                rows[row + part, k] = parts[part]
+        row += 2 * _PARTS if is_pair else _PARTS
     return row
+
+
+@inner
+def _fill_parts(
+    kind: int,
+    exponent: int,
+    scale: float,
+    offset: float,
+    center: float,
+    half_width: float,
+    parts: Floats,
+    transcendental: bool | None,
+) -> None:
+    """Fills the mean of a function and its derivatives, of a cosine with the sine's behind."""
+    if transcendental is None or kind != _COSINE:
+        factor_mean(kind, exponent, scale, offset, center, half_width, parts, transcendental)
+    else:
+        trigonometric_means(exponent, scale, offset, center, half_width, parts)
 
 
 @inner
@@ -211,6 +243,44 @@ def _add_slopes(
 
 
 @inner
+def _add_penalties(
+    penalties: Floats | None,
+    slopes: Records,
+    tape: Any,
+    after: Any,
+    lanes: Records,
+    chosen: Ints,
+    count: int,
+    rows: Floats,
+    places: Ints,
+    gradient: Floats,
+    band: Floats,
+    pattern: Pattern | None,
+) -> None:
+    """Adds first derivatives of the lanes' penalties to the gradient, and their squares to W.
+
+    Nothing where there are none; otherwise as `_add_slopes`, which adds nothing then.
+    """
+    if penalties is None:
+        return
+    for s in range(tape.first_slope, after.first_slope):
+        slope = slopes[s]
+        row, variable, unknown = slope.row, slope.variable, slope.unknown
+        for k in range(count):
+            if places[variable, k] >= 0:
+                first = penalties[0, lanes[chosen[k]].copy]
+                gradient[places[variable, k] + unknown] += first * rows[row, k]
+        for t in range(tape.first_slope, s + 1):
+            other = slopes[t]
+            for k in range(count):
+                i, j = places[variable, k] + unknown, places[other.variable, k] + other.unknown
+                if min(places[variable, k], places[other.variable, k]) >= 0:
+                    second = penalties[1, lanes[chosen[k]].copy]
+                    value = second * rows[row, k] * rows[other.row, k]
+                    _add_entry(pattern, band, i, j, 2.0 * value if i == j and t < s else value)
+
+
+@inner
 def _add_curvatures(
     curvatures: Records,
     tape: Any,
@@ -259,7 +329,7 @@ def add_means(
     """
     lanes, tapes, most_lanes = tables.lanes, tables.tapes, tables.most_lanes
     rows, factors = np.empty((tables.most_rows, most_lanes)), np.empty(most_lanes)
-    parts = np.empty(_PARTS)
+    parts = np.empty(2 * _PARTS)
     chosen, ends = np.empty(most_lanes, np.int64), np.empty(most_lanes, np.int64)
     variables = np.empty((tables.most_variables, most_lanes), np.int64)
     values[:] = 0.0
@@ -302,9 +372,14 @@ def add_means(
                 for v in range(tape.num_variables):
                     variables[v, k] = system.variable_places[variables[v, k]]
             band, pattern = system.band, system.pattern
-            _add_slopes(
-                *(tables.slopes, tape, after, count, rows, variables, ends),
-                *(system.gradient, band, pattern),
+            if system.penalties is None:
+                _add_slopes(
+                    *(tables.slopes, tape, after, count, rows, variables, ends),
+                    *(system.gradient, band, pattern),
+                )
+            _add_penalties(
+                *(system.penalties, tables.slopes, tape, after, lanes, chosen, count, rows),
+                *(variables, system.gradient, band, pattern),
             )
             _add_curvatures(
                 tables.curvatures, tape, after, count, rows, variables, factors, band, pattern

@@ -165,7 +165,9 @@ class BoxPolynomial:
         size = order.num_unknowns * self.num_variables
         no_places = np.full(self.copy_weights.size, -1)
         multipliers = np.ones_like(self.copy_weights)
-        return System(multipliers, places, no_places, np.zeros(size), np.zeros(shape), pattern)
+        return System(
+            multipliers, places, no_places, np.zeros(size), np.zeros(shape), pattern, None
+        )
 
     def _add_means(
         self,

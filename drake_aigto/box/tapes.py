@@ -69,8 +69,8 @@ class MeanTape:
     """The program of one sum, for many copies of it.
 
     Rows are, one after the other: ones; the mean; y and (scale · w)² of each argument; the six of
-    each function that the kernel evaluates; each term's coefficient; and others that operations
-    set.
+    each function that the kernel evaluates, of a cosine also the sine's; each term's coefficient;
+    and others that operations set.
 
     Attributes:
         operations: Records of `OPERATION` in their order, read-only.
@@ -127,7 +127,10 @@ class _Writer:
         self._num_rows = MEAN + 1
         powers = [factor for factor in factors if _is_power(factor)]
         self._arguments = self._new_rows(dict.fromkeys(map(_argument, powers)), 2)
-        self._functions = self._new_rows((f for f in factors if not _is_power(f)), 6)
+        functions = dict.fromkeys(_evaluated(f) for f in factors if not _is_power(f))
+        pairs = [function for function in functions if function[1] == FunctionKind.COSINE]
+        self._functions = self._new_rows(pairs, 12)
+        self._functions |= self._new_rows((f for f in functions if f not in self._functions), 6)
         self._coefficients = self._new_rows(range(len(members)))
         self._scratch = self._new_rows(range(2 + max(map(len, members), default=0)))
         self._monomials: dict[tuple[Argument, int, int], int] = {}
@@ -181,7 +184,9 @@ class _Writer:
         """Returns the value and derivatives of a factor, those left out being 0 or not needed."""
         needed = VALUE, *self._order.value
         if not _is_power(factor):
-            return {part: (1.0, self._functions[factor] + part) for part in needed}
+            first = self._functions[_evaluated(factor)]
+            first += 6 if factor[1] == FunctionKind.SINE else 0
+            return {part: (1.0, first + part) for part in needed}
         y, p, scale = _argument(factor), factor[2], factor[3]
         makers: dict[int, tuple[float, int, int]] = {
             VALUE: (1.0, p, 0),
@@ -286,6 +291,12 @@ class _Writer:
 def _is_power(factor: Function) -> bool:
     """Returns whether a tape evaluates it, rather than the kernel."""
     return factor[1] == FunctionKind.POWER and factor[2] <= _LARGEST_POWER
+
+
+def _evaluated(factor: Function) -> Function:
+    """Returns what the kernel evaluates for a factor: of sines the cosine, which brings them."""
+    variable, kind, *others = factor
+    return (variable, FunctionKind.COSINE if kind == FunctionKind.SINE else kind, *others)
 
 
 def _argument(factor: Function) -> Argument:

@@ -1,3 +1,10 @@
+from .direct import factor_in_place as factor_in_place
+from .direct import factorize_band as factorize_band
+from .direct import solve_band as solve_band
+from .direct import solve_factored as solve_factored
+from .direct import solve_factors as solve_factors
+from .multifrontal import factorize_indefinite as factorize_indefinite
+from .multifrontal import solve_indefinite as solve_indefinite
 from .sparse import Pattern as Pattern
 from .sparse import SparseFactors as SparseFactors
 from .sparse import count_fill as count_fill
@@ -12,8 +19,5 @@ from .storage import as_order as as_order
 from .storage import choose_storage as choose_storage
 from .storage import narrow_band as narrow_band
 from .storage import spread as spread
-from .triangular import factor_in_place as factor_in_place
-from .triangular import solve_factored as solve_factored
-from .triangular import solve_factors as solve_factors
 
 __all__: list[str]

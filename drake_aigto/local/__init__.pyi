@@ -17,12 +17,7 @@ from .nlp import PolynomialNlp as PolynomialNlp
 from .nlp import Summand as Summand
 from .penalty_ladder import Climb as Climb
 from .penalty_ladder import PenaltyLadder as PenaltyLadder
-from .points import PointTables as PointTables
-from .points import differentiate as differentiate
-from .points import evaluate as evaluate
-from .points import factorize_band as factorize_band
-from .points import make_point_system as make_point_system
-from .points import make_point_tables as make_point_tables
-from .points import solve_band as solve_band
+from .penalty_newton import PenaltyTables as PenaltyTables
+from .penalty_newton import make_penalty_tables as make_penalty_tables
 
 __all__: list[str]

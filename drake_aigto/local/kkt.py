@@ -22,10 +22,11 @@ from drake_aigto.linear import (
     Storage,
     choose_storage,
     factorize,
+    factorize_indefinite,
     multiply,
     narrow_band,
+    solve_indefinite,
 )
-from drake_aigto.local import multifrontal
 from drake_aigto.terms import StackedTerms
 
 _LOG = logging.getLogger(__name__)
@@ -97,7 +98,7 @@ class SymmetricFactors(ABC):
 
 
 class BandFactors(SymmetricFactors):
-    """LDLᵀ that keeps the band: O(n b²) work, O(n b) memory (`multifrontal`)."""
+    """LDLᵀ that keeps the band: O(n b²) work, O(n b) memory (`linear.factorize_indefinite`)."""
 
     def __init__(self, size: int, bandwidth: int) -> None:
         """Allocates, which costs as much as filling the arrays."""
@@ -113,11 +114,11 @@ class BandFactors(SymmetricFactors):
 
     def _factorize(self, matrix: Floats) -> int:
         front, active = self._work
-        return multifrontal.factorize(matrix, front, active, *self._columns)
+        return factorize_indefinite(matrix, front, active, *self._columns)
 
     def _solve(self, right: Floats) -> Floats:
         solution = right.copy()
-        multifrontal.solve(*self._columns, solution)
+        solve_indefinite(*self._columns, solution)
         return solution
 
 
@@ -314,7 +315,8 @@ class KktStructure:
         factors = np.ones(self._copy_weights.size)
         factors[self._num_costs + self.rows] = multipliers
         system = System(
-            factors, self._place_of_variable, self._place_of_copy, gradient, band, pattern
+            *(factors, self._place_of_variable, self._place_of_copy, gradient, band, pattern),
+            penalties=None,
         )
         if values is None:
             values = np.empty(factors.size)
@@ -338,16 +340,25 @@ class KktStructure:
             diagonal[:last][is_variable[:last] & is_variable[d:]] = 0.0
         return matrix
 
-    def steepest_slopes(self, matrix: Floats) -> Floats:
-        """Returns the largest entry of each row of A in absolute value (ma,)."""
+    def steepest_slopes(self, matrix: Floats, units: Floats | float = 1.0) -> Floats:
+        """Returns the largest entry of each row of A in absolute value, per unit (ma,).
+
+        Args:
+            matrix: The KKT matrix.
+            units: Factor of each unknown's column, 1 for those of rows (size,).
+        """
         largest, pattern = np.zeros(self.size), self.storage.pattern
+        units = np.broadcast_to(units, self.size)
         if pattern is not None:
-            for ends in (pattern.rows, pattern.columns):
-                np.maximum.at(largest, ends, np.abs(matrix[0]))
+            i, j = pattern.rows, pattern.columns
+            entries = np.abs(matrix[0]) * units[i] * units[j]
+            np.maximum.at(largest, i, entries)
+            np.maximum.at(largest, j, entries)
             return largest[self.row_places]
         for d in range(self.bandwidth + 1):
-            entries = np.abs(matrix[d, : self.size - d])
-            for places in (slice(self.size - d), slice(d, None)):
+            first, last = slice(self.size - d), slice(d, None)
+            entries = np.abs(matrix[d, first]) * units[first] * units[last]
+            for places in (first, last):
                 largest[places] = np.maximum(largest[places], entries)
         return largest[self.row_places]
 

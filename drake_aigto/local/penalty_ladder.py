@@ -13,10 +13,9 @@ from drake_aigto.local.penalty_newton import (
     PenaltyIterate,
     PenaltyProgram,
     PenaltyRung,
+    PenaltyTables,
     descend,
-    differentiate_at,
 )
-from drake_aigto.local.points import PointTables, make_point_system
 
 _PUSH = 1e-2  # of the distance between two bounds, or of a unit: a start's least slack
 _PROBES, _REACH = 4, 0.6  # points, within this part of the box, where slopes are looked at
@@ -93,7 +92,7 @@ class PenaltyLadder:
     def __init__(
         self,
         nlp: PolynomialNlp,
-        tables: PointTables,
+        tables: PenaltyTables,
         center: Floats,
         half_width: Floats,
         relaxed: Ints,
@@ -112,29 +111,24 @@ class PenaltyLadder:
         self._nlp = nlp
         self._units = np.where(half_width > 0.0, half_width, 1.0)
         self._places = tables.places
-        self._relaxed, self._system = relaxed, make_point_system(tables)
+        self._relaxed, self._tables = relaxed, tables
         self._program = PenaltyProgram(
-            *(tables, np.array([nlp.lower, nlp.upper]), self._units),
+            *(tables.places, np.array([nlp.lower, nlp.upper]), self._units),
             *(np.ones(nlp.num_rows), is_upper.copy(), 1.0),
         )
         self._scale(center, np.random.default_rng(0))
 
     def _scale(self, center: Floats, rng: np.random.Generator) -> None:
         """Sets the scales of the rows and of the cost."""
-        tables, num_rows = self._program.tables, self._program.row_scales.size
-        by_place = np.ones(self._system.gradient.size)
-        by_place[self._places[self._places >= 0]] = self._units[self._places >= 0]
-        rows = np.repeat(np.arange(num_rows), np.diff(tables.first_entries))
-        slopes, steepness = np.zeros(num_rows), 0.0
+        structure, slopes, steepness = self._nlp.kkt_structure, np.zeros(self._nlp.num_rows), 0.0
+        units = structure.join(self._units[structure.free], 1.0)
+        ones, no_multipliers = np.ones(self._nlp.copy_weights.size), np.zeros(structure.rows.size)
         for _ in range(_PROBES):
             x = center + _REACH * self._units * rng.uniform(-1.0, 1.0, center.size)
             x = np.where(self._places < 0, center, x)
-            differentiate_at(tables, x, self._system)
-            entries = np.abs(self._system.jacobian) * by_place[tables.entry_places]
-            found = np.zeros(num_rows)
-            np.maximum.at(found, rows, entries)
-            slopes += found**2 / _PROBES
-            steepness += np.sum((self._system.gradient * by_place) ** 2) / _PROBES
+            gradient, matrix = structure.assemble(x, ones, no_multipliers)
+            slopes[structure.rows] += structure.steepest_slopes(matrix, units) ** 2 / _PROBES
+            steepness += np.sum((gradient * self._units[structure.free]) ** 2) / _PROBES
         self.sizes = np.sqrt(slopes)
         self.sizes[~(self.sizes > 0.0) | ~np.isfinite(self.sizes)] = 1.0
         scales = 1.0 / self.sizes
@@ -178,7 +172,7 @@ class PenaltyLadder:
         total, cost, residual = 0, np.inf, np.inf
         for rung in rungs(relaxation, weight):
             targets[self._relaxed] = rung.relaxation * self.sizes[self._relaxed]
-            steps, cost = descend(program, targets, rung, iterate, self._system, rows)
+            steps, cost = descend(self._tables, program, targets, rung, iterate, rows)
             total, residual = total + steps, self._residual(rows)
             if rung.weight >= _FINE and cost > most:
                 residual = np.inf

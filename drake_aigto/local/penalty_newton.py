@@ -16,17 +16,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_array
 
-from drake_aigto.arrays import Bools, Floats
+from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.box import NO_SYSTEM, Lanes, Order, System, add_means, make_lanes
 from drake_aigto.kernels import borrow, inner, kernel
-from drake_aigto.local.points import (
-    PointSystem,
-    PointTables,
-    differentiate,
-    evaluate,
-    factorize_band,
-    solve_band,
-)
+from drake_aigto.linear import factorize_band, narrow_band, solve_band
+from drake_aigto.local.nlp import PolynomialNlp
 
 _TAU = 0.995  # of any slack that a step may use
 _KAPPA = 1e3  # largest factor between multipliers of bounds and μ/slack
@@ -38,11 +34,60 @@ _HARDER, _SOFTER, _AFTER_FAILURE = 5.0, 0.3, 1e-2
 _CONVEX_STEPS = 3
 
 
+class PenaltyTables(NamedTuple):
+    """Costs and, behind them, the m rows of a program, for kernels.
+
+    Letters: C copies of its sums, n variables, nf of them free, half bandwidth b.
+
+    Attributes:
+        values: for values.
+        derivatives: for derivatives.
+        weights: factor of each copy (C,).
+        places: place of each variable in the band, −1 where it is held (n,).
+        size: nf.
+        bandwidth: b.
+    """
+
+    values: Lanes
+    derivatives: Lanes
+    weights: Floats
+    places: Ints
+    size: int
+    bandwidth: int
+
+
+def make_penalty_tables(nlp: PolynomialNlp) -> PenaltyTables:
+    """Returns the tables of a program, its free variables in an order of narrow band.
+
+    Variables of a row are coupled, as rows are squared.
+    """
+    free = np.flatnonzero(nlp.lower != nlp.upper)
+    position = np.full(nlp.num_variables, -1)
+    position[free] = np.arange(free.size)
+    copies, pairs = nlp.terms.couplings()
+    found = position[pairs].T
+    are_free = np.all(found >= 0, axis=0)
+    is_read = are_free & (copies >= nlp.num_costs) & (found[0] == found[1])
+    rows, columns = copies[is_read] - nlp.num_costs, found[0, is_read]
+    shape = nlp.num_rows, free.size
+    jacobian = coo_array((np.ones(rows.size), (rows, columns)), shape=shape).tocsr()
+    coupled = (jacobian.T @ jacobian).tocoo()
+    edges = np.hstack([np.vstack(coupled.coords), found[:, are_free]])
+    order = narrow_band(free.size, edges)
+    places = np.full(nlp.num_variables, -1)
+    places[free] = order
+    return PenaltyTables(
+        *(make_lanes(nlp.terms, Order.MEAN), make_lanes(nlp.terms, Order.CENTERS)),
+        *(np.array(nlp.copy_weights), places, free.size),
+        bandwidth=int(np.max(np.abs(order[edges[0]] - order[edges[1]]), initial=0)),
+    )
+
+
 class PenaltyProgram(NamedTuple):
     """A program as the kernel reads it.
 
     Attributes:
-        tables: of its costs and rows.
+        places: of the tables: place of each variable in the band, −1 where it is held (n,).
         bounds: lower and upper ones, infinite where there is none (2, n).
         units: a distance that matters, of each variable (n,).
         row_scales: w, of each row (m,).
@@ -50,7 +95,7 @@ class PenaltyProgram(NamedTuple):
         cost_scale: s.
     """
 
-    tables: PointTables
+    places: Ints
     bounds: Floats
     units: Floats
     row_scales: Floats
@@ -101,6 +146,7 @@ def _inactive(program: PenaltyProgram, weight: float, multipliers: Floats, i: in
 
 @inner
 def _merit(
+    tables: PenaltyTables,
     program: PenaltyProgram,
     targets: Floats,
     rung: PenaltyRung,
@@ -109,16 +155,19 @@ def _merit(
     values: Floats,
     rows: Floats,
 ) -> tuple[float, float]:
-    """Fills rows r(x) (m,), and the functions' values; returns Φ and f."""
-    weight, cost = rung.weight, evaluate(program.tables, x, values, rows)
+    """Fills rows r(x) (m,), and weighted values of all copies (C,); returns Φ and f."""
+    weight, num_costs = rung.weight, values.size - rows.size
+    add_means(tables.values, tables.weights, x, np.zeros(x.size), values, NO_SYSTEM)
+    cost = np.sum(values[:num_costs])
     total = program.cost_scale * cost
     for i in range(rows.size):
-        rows[i] = max(rows[i] - targets[i], _inactive(program, weight, multipliers, i))
+        inactive = _inactive(program, weight, multipliers, i)
+        rows[i] = max(values[num_costs + i] - targets[i], inactive)
         scaled = program.row_scales[i] * rows[i]
         total += multipliers[i] * rows[i] + 0.5 * weight * scaled * scaled
     for i in range(x.size):
         for side in range(2):
-            if program.tables.places[i] >= 0 and math.isfinite(program.bounds[side, i]):
+            if program.places[i] >= 0 and math.isfinite(program.bounds[side, i]):
                 total -= rung.barrier * math.log(_slack(program.bounds, side, i, x[i]))
     return total, cost
 
@@ -131,37 +180,16 @@ def _slack(bounds: Floats, side: int, i: int, x: float) -> float:
 
 @inner
 def _add_bounds(
-    program: PenaltyProgram, iterate: PenaltyIterate, barrier: float, system: PointSystem
+    program: PenaltyProgram, iterate: PenaltyIterate, barrier: float, system: System
 ) -> None:
     """Adds the barrier's gradient and primal-dual Hessian."""
     for i in range(iterate.x.size):
-        place = program.tables.places[i]
+        place = program.places[i]
         for side in range(2):
             if place >= 0 and math.isfinite(program.bounds[side, i]):
                 slack = _slack(program.bounds, side, i, iterate.x[i])
                 system.gradient[place] -= (1 - 2 * side) * barrier / slack
-                system.hessian[place, 0] += iterate.of_bounds[side, i] / slack
-
-
-@inner
-def _add_rows(
-    program: PenaltyProgram, weight: float, multipliers: Floats, system: PointSystem
-) -> None:
-    """Adds the rows' gradient, and the convex part of their penalty's Hessian."""
-    tables = program.tables
-    for row in range(multipliers.size):
-        if program.is_upper[row] and multipliers[row] == 0.0:
-            continue
-        scale = weight * program.row_scales[row] * program.row_scales[row]
-        first, last = tables.first_entries[row], tables.first_entries[row + 1]
-        for i in range(first, last):
-            place, slope = tables.entry_places[i], system.jacobian[i]
-            system.gradient[place] += multipliers[row] * slope
-            for j in range(first, last):
-                other = tables.entry_places[j]
-                if other >= place:
-                    product = scale * slope * system.jacobian[j]
-                    system.hessian[place, other - place] += product
+                system.band[place, 0] += iterate.of_bounds[side, i] / slack
 
 
 @inner
@@ -171,7 +199,7 @@ def _factorize(program: PenaltyProgram, hessian: Floats, factor: Floats, shift: 
         factor[:] = hessian
         if shift > 0.0:
             for i in range(program.units.size):
-                place = program.tables.places[i]
+                place = program.places[i]
                 if place >= 0:
                     factor[place, 0] += shift / (program.units[i] * program.units[i])
         if factorize_band(factor):
@@ -206,7 +234,7 @@ def _move(
 ) -> None:
     """Moves the point, and the multipliers of bounds."""
     for i in range(step.size):
-        if program.tables.places[i] < 0:
+        if program.places[i] < 0:
             continue
         for side in range(2):
             if math.isfinite(program.bounds[side, i]):
@@ -220,73 +248,79 @@ def _move(
 
 @inner
 def _differentiate(
+    tables: PenaltyTables,
     program: PenaltyProgram,
     iterate: PenaltyIterate,
     rung: PenaltyRung,
     rows: Floats,
-    estimates: Floats,
     is_convex: bool,
-    system: PointSystem,
+    values: Floats,
+    system: System,
 ) -> None:
     """Fills Φ's gradient and Hessian, the latter without the rows' curvature if it is convex."""
-    weight = rung.weight
+    weight, num_costs = rung.weight, values.size - rows.size
+    multipliers, penalties = system.multipliers, system.penalties
     for i in range(rows.size):
-        estimates[i] = 0.0
-        if rows[i] > _inactive(program, weight, iterate.multipliers, i):
-            scale = program.row_scales[i]
-            estimates[i] = iterate.multipliers[i] + weight * scale * scale * rows[i]
-    curved = np.zeros(rows.size) if is_convex else estimates
-    differentiate(program.tables, iterate.x, program.cost_scale, curved, system)
+        copy, scale = num_costs + i, program.row_scales[i]
+        is_active = rows[i] > _inactive(program, weight, iterate.multipliers, i)
+        estimate = iterate.multipliers[i] + weight * scale * scale * rows[i] if is_active else 0.0
+        penalties[0, copy] = estimate
+        multipliers[copy] = 0.0 if is_convex else estimate
+        counts = not program.is_upper[i] or estimate != 0.0
+        penalties[1, copy] = weight * scale * scale if counts else 0.0
+    multipliers[:num_costs] = penalties[0, :num_costs] = program.cost_scale
+    system.gradient[:] = 0.0
+    system.band[:] = 0.0
+    x = iterate.x
+    add_means(tables.derivatives, tables.weights, x, np.zeros(x.size), values, system)
     _add_bounds(program, iterate, rung.barrier, system)
-    _add_rows(program, weight, estimates, system)
-
-
-@kernel
-def differentiate_at(tables: PointTables, x: Floats, system: PointSystem) -> None:
-    """Fills a system at a point (n,), without curvature of rows."""
-    num_rows = tables.first_entries.size - 1
-    differentiate(borrow(tables), x, 1.0, np.zeros(num_rows), borrow(system))
 
 
 @kernel
 def descend(
+    tables: PenaltyTables,
     program: PenaltyProgram,
     targets: Floats,
     rung: PenaltyRung,
     iterate: PenaltyIterate,
-    system: PointSystem,
     rows: Floats,
 ) -> tuple[int, float]:
     """Minimizes Φ from an iterate, which is overwritten, and moves the multipliers of rows.
 
     Args:
-        program: the program.
+        tables: costs and rows of the program.
+        program: all else of it.
         targets: ε of each row (m,).
         rung: weights, and when to stop.
         iterate: the start, strictly within its bounds.
-        system: room for derivatives.
         rows: filled with r (m,).
 
     Returns:
         The number of steps, and f.
     """
-    program, iterate, system = borrow(program), borrow(iterate), borrow(system)
-    x, size = iterate.x, system.gradient.size
+    # Two tuples, as functions that take one count references of all its arrays.
+    tables, program, iterate = borrow(tables), borrow(program), borrow(iterate)
+    x, places, size = iterate.x, program.places, tables.size
     tried, step, right = np.empty(x.size), np.zeros(x.size), np.empty(size)
-    new_rows, estimates = np.empty(rows.size), np.empty(rows.size)
-    factor = np.empty_like(system.hessian)
-    places, multipliers = program.tables.places, iterate.multipliers
-    merit, cost = _merit(program, targets, rung, multipliers, x, system.values, rows)
+    values, new_rows = np.empty(tables.weights.size), np.empty(rows.size)
+    band = np.empty((size, tables.bandwidth + 1))
+    factor = np.empty_like(band)
+    system = System(
+        *(np.empty(values.size), places, np.full(values.size, -1), np.empty(size), band, None),
+        penalties=np.zeros((2, values.size)),
+    )
+    multipliers = iterate.multipliers
+    merit, cost = _merit(tables, program, targets, rung, multipliers, x, values, rows)
     shift, convex_steps, steps = 0.0, 0, 0
     while steps < rung.max_steps and shift <= _LARGEST_SHIFT:
         is_convex = convex_steps > 0
-        _differentiate(program, iterate, rung, rows, estimates, is_convex, system)
+        _differentiate(tables, program, iterate, rung, rows, is_convex, values, system)
         if is_convex:
             convex_steps -= 1
             shift = _SOFTER * shift if shift > _LEAST_SHIFT else 0.0
-            shift = _factorize(program, system.hessian, factor, shift)
+            shift = _factorize(program, band, factor, shift)
         else:
-            factor[:] = system.hessian
+            factor[:] = band
             if not factorize_band(factor):
                 convex_steps = _CONVEX_STEPS
                 continue
@@ -302,7 +336,7 @@ def descend(
         for _ in range(_HALVINGS):
             tried[:] = x + length * step
             new_merit, new_cost = _merit(
-                program, targets, rung, multipliers, tried, system.values, new_rows
+                tables, program, targets, rung, multipliers, tried, values, new_rows
             )
             is_lower = new_merit <= merit + _ARMIJO * length * slope
             if is_lower:

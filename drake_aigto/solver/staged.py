@@ -16,9 +16,9 @@ from drake_aigto.local import (
     InteriorPoint,
     LocalResult,
     PenaltyLadder,
-    PointTables,
+    PenaltyTables,
     PolynomialNlp,
-    make_point_tables,
+    make_penalty_tables,
 )
 from drake_aigto.solver.complementarity import (
     TightenedProgram,
@@ -112,9 +112,9 @@ class StagedProgram:
         return self.tightened.solve(local, y, self._least)
 
     @cached_property
-    def tables(self) -> PointTables:
+    def tables(self) -> PenaltyTables:
         """Tables of `nlp` that penalty ladders read."""
-        return make_point_tables(self.nlp)
+        return make_penalty_tables(self.nlp)
 
     @cached_property
     def _is_chain(self) -> bool:

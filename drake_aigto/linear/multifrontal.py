@@ -135,7 +135,7 @@ def _eliminate_pair(
 
 
 @kernel
-def factorize(
+def factorize_indefinite(
     band: Floats,
     front: Floats,
     active: Ints,
@@ -197,10 +197,10 @@ def factorize(
 
 
 @kernel
-def solve(
+def solve_indefinite(
     pivots: Ints, inverses: Floats, starts: Ints, indices: Ints, entries: Floats, x: Floats
 ) -> None:
-    """Overwrites a right-hand side (size,) with the solution; arguments as in `factorize`."""
+    """Overwrites a right-hand side (size,) with the solution; see `factorize_indefinite`."""
     size, k = pivots.size, 0
     while k < size:
         if pivots[k] >= 0:
