@@ -62,8 +62,13 @@ class System(NamedTuple):
 
 # For tables of order MEAN. Not read-only, for which Numba would compile once more.
 NO_SYSTEM = System(
-    *(np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64)),
-    *(np.empty(0), np.empty((0, 0)), None, None),
+    multipliers=np.empty(0),
+    variable_places=np.empty(0, np.int64),
+    copy_places=np.empty(0, np.int64),
+    gradient=np.empty(0),
+    band=np.empty((0, 0)),
+    pattern=None,
+    penalties=None,
 )
 
 

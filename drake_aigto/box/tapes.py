@@ -295,8 +295,9 @@ def _is_power(factor: Function) -> bool:
 
 def _evaluated(factor: Function) -> Function:
     """Returns what the kernel evaluates for a factor: of sines the cosine, which brings them."""
-    variable, kind, *others = factor
-    return (variable, FunctionKind.COSINE if kind == FunctionKind.SINE else kind, *others)
+    variable, kind, exponent, scale, offset = factor
+    kind = FunctionKind.COSINE if kind == FunctionKind.SINE else kind
+    return variable, kind, exponent, scale, offset
 
 
 def _argument(factor: Function) -> Argument:

@@ -77,8 +77,11 @@ def make_penalty_tables(nlp: PolynomialNlp) -> PenaltyTables:
     places = np.full(nlp.num_variables, -1)
     places[free] = order
     return PenaltyTables(
-        *(make_lanes(nlp.terms, Order.MEAN), make_lanes(nlp.terms, Order.CENTERS)),
-        *(np.array(nlp.copy_weights), places, free.size),
+        values=make_lanes(nlp.terms, Order.MEAN),
+        derivatives=make_lanes(nlp.terms, Order.CENTERS),
+        weights=np.array(nlp.copy_weights),
+        places=places,
+        size=free.size,
         bandwidth=int(np.max(np.abs(order[edges[0]] - order[edges[1]]), initial=0)),
     )
 
@@ -260,6 +263,7 @@ def _differentiate(
     """Fills Φ's gradient and Hessian, the latter without the rows' curvature if it is convex."""
     weight, num_costs = rung.weight, values.size - rows.size
     multipliers, penalties = system.multipliers, system.penalties
+    assert penalties is not None
     for i in range(rows.size):
         copy, scale = num_costs + i, program.row_scales[i]
         is_active = rows[i] > _inactive(program, weight, iterate.multipliers, i)
