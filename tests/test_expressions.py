@@ -19,8 +19,20 @@ from box_programs import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.solvers import ExpressionCost, MathematicalProgram
-from pydrake.symbolic import Expression, Variable, cos, exp, log, pow, sin
+from pydrake.symbolic import (
+    Expression,
+    Variable,
+    cos,
+    exp,
+    if_then_else,
+    log,
+    pow,
+    sin,
+    sqrt,
+    tan,
+)
 from pydrake.symbolic import max as smax
+from pydrake.symbolic import min as smin
 
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import UnsupportedTermError
@@ -67,6 +79,25 @@ FORMS: dict[str, ExpressionOf] = {
     "a hinge of another variable": lambda x: (2 * smax(0.0, x[0] - 1)) ** 2 * cos(x[1]),
     "half a hinge": lambda x: (-smax(0.0, x[0]) / 2) ** 2 + sin(x[0]),
     "divided": lambda x: (sin(x[0]) - log(x[2])) / 4,
+    "a constant beside a cubic": lambda x: x[0] ** 3 + 7.5,
+    "a product of affine sums": lambda x: (x[0] + 2 * x[1]) ** 2 * (1 - x[2]) / 3,
+    "a hinge": lambda x: smax(0.0, -x[0]) ** 2,
+    "a hinge, zero second": lambda x: smax(-x[0], 0.0) ** 2,
+    "an upper bound": lambda x: smax(x[1] - 0.75, 0.0) ** 2,
+    "an upper bound, zero first": lambda x: 2.5 * smax(0.0, 3 * x[1] - 0.75) ** 2,
+    "a hinge times itself": lambda x: smax(0.0, -x[0]) * smax(0.0, -x[0]),
+    "a scaled hinge squared": lambda x: (2 * smax(0.0, x[0] - 1)) ** 2,
+    "a hinge of a polynomial that is affine": lambda x: (
+        smax(0.0, (x[0] - 1) ** 2 - x[0] ** 2 + 0.5) ** 2
+    ),
+    "a hinge with a minus": lambda x: -3 * smax(0.0, x[0]) ** 2,
+    "a barrier": lambda x: -log(x[2]),
+    "a barrier of an upper bound": lambda x: -0.1 * log(4.0 - 0.5 * x[2]),
+    "a barrier divided": lambda x: -log(x[2]) / 2,
+    "a weighed sum of all": lambda x: (
+        0.5 * (x[0] ** 2 * x[1] - log(x[2]) + smax(0.0, 1 - x[0]) ** 2 + 4)
+    ),
+    "a nested sum": lambda x: 2 * (x[0] - 3 * (log(x[2]) - x[1] ** 4)) - x[0] * (x[1] + 1),
     "Levy": levy,
     "Rastrigin": rastrigin,
 }
@@ -170,6 +201,9 @@ def test_any_product_keeps_its_value_and_slopes(
 
 
 TWICE: dict[str, ExpressionOf] = {
+    "powers and a hinge": lambda v: (
+        v[0] * v[1] ** 2 * v[2] + 2 * v[0] * v[1] - v[2] + smax(0.0, v[0]) ** 2
+    ),
     "x sin y": lambda v: v[0] * sin(v[1]),
     "waves": lambda v: sin(v[0]) * cos(2 * v[1] + 1) * v[2] ** 2,
     "three waves": lambda v: sin(v[0]) * sin(v[1]) * cos(v[2]),
@@ -187,14 +221,18 @@ def test_a_variable_bound_twice_is_integrated_as_one(form: str, places: Sequence
     prog, x = program()
     bound = {name: x[i] for name, i in zip("abc", places, strict=True)}
     prog.AddCost(shared, vars=[bound[a.get_name()] for a in shared.vars()])
+    prog.AddCost(shared, vars=list(x[: len(shared.vars())]))  # a copy whose variables all differ
     plain = MathematicalProgram()
     plain.AddDecisionVariables(x)
     substituted = formula.Substitute({a: Expression(bound[a.get_name()]) for a in v})
+    apart = formula.Substitute({a: Expression(x[i]) for i, a in enumerate(shared.vars())})
     add(plain, substituted)
+    add(plain, apart)
     f, g = compile_program(prog), compile_program(plain)
     box = np.array([2.0, 3.0, -1.0]), np.array([1.0, 0.5, 2.0])
     assert f.mean(*box) == pytest.approx(g.mean(*box), rel=1e-13, abs=1e-14)
-    value = substituted.Evaluate(dict(zip(x, box[0], strict=True)))
+    assert f.newton_system(*box).value == pytest.approx(g.mean(*box), rel=1e-13, abs=1e-14)
+    value = (substituted + apart).Evaluate(dict(zip(x, box[0], strict=True)))
     assert f(box[0]) == pytest.approx(value, rel=1e-13, abs=1e-14)
 
 
@@ -252,6 +290,23 @@ REFUSED: dict[str, tuple[ExpressionOf, str]] = {
         lambda x: -log(x[0] + x[1]),
         r"where log\(.*\) is a function of 2 variables at once",
     ),
+    "rational": (lambda x: x[0] + 1 / x[1], r"\(1 / x\(1\)\)"),
+    "a cancelled fraction": (lambda x: x[0] ** 2 / x[0], r"pow\(x\(0\), 2\) / x\(0\)"),
+    "tangent": (lambda x: x[1] ** 4 + tan(x[0]), r"tan\(x\(0\)\), where tan"),
+    "absolute value": (lambda x: x[0] ** 3 + 2 * abs(x[0]), r"\(2 \* abs\(x\(0\)\)\)"),
+    "square root": (lambda x: sqrt(x[0]), r"sqrt\(x\(0\)\)"),
+    "broken power": (lambda x: pow(x[0], 1.5), r"pow\(x\(0\), 1.5\)"),
+    "a case": (lambda x: if_then_else(x[0] > 1, x[0], x[1]), "if"),
+    "max of two variables": (lambda x: smax(x[0], x[1]) ** 2, r"max\(x\(0\), x\(1\)\)"),
+    "a hinge, not squared": (lambda x: smax(0.0, x[0]), r"max\(0, x\(0\)\)"),
+    "a hinge, cubed": (lambda x: smax(0.0, x[0]) ** 3, r"pow\(max\(0, x\(0\)\), 3\)"),
+    "a hinge from another floor": (lambda x: smax(1.0, x[0]) ** 2, r"max\(1, x\(0\)\)"),
+    "a minimum": (lambda x: smin(0.0, x[0]) ** 2, r"min\(0, x\(0\)\)"),
+    "a hinge of two variables": (lambda x: smax(0.0, x[0] - x[1]) ** 2, r"max\(0, \(x\(0\)"),
+    "a hinge of a square": (lambda x: smax(0.0, 1 - x[0] ** 2) ** 2, r"max\(0, \(1 - pow"),
+    "a barrier of two variables": (lambda x: -log(x[0] + x[1]), r"log\(\(x\(0\) \+ x\(1\)\)\)"),
+    "a barrier of a square": (lambda x: -log(x[0] ** 2), r"log\(pow\(x\(0\), 2\)\)"),
+    "a barrier times a variable": (lambda x: -x[1] * log(x[0]), r"\* log\(x\(0\)\)"),
 }
 
 
@@ -259,6 +314,7 @@ REFUSED: dict[str, tuple[ExpressionOf, str]] = {
 def test_a_term_without_a_closed_form_is_refused_by_cost_term_and_reason(case: str) -> None:
     expression_of, term = REFUSED[case]
     prog, x = program()
+    add(prog, x[0] ** 2 + x[1] ** 4, "fine")
     add(prog, expression_of(x) + sin(x[2]), "troublesome")
     with pytest.raises(
         UnsupportedTermError, match=rf"cost 'troublesome' of x\(0\).*the term .*{term}.*equality"
