@@ -51,7 +51,7 @@ def legs_of(line: Line, bounces: Sequence[LineBounce]) -> list[Leg]:
         wall = line.walls[bounce.wall]
         legs.append(Leg(x, v, wall.place, -wall.side * bounce.speed, bounce.time - time))
         time, x, v = bounce.time, wall.place, wall.side * wall.restitution * bounce.speed
-    left = 1.0 - time
+    left = max(1.0 - time, 1e-6)  # A bounce may be the end.
     coast = x + v * left - line.gravity * left**2 / 2
     # A force c (1 − t) moves the end by c left³/3, at an effort of c² left³/3.
     c = 3 * line.weight * (line.goal - coast) / (3 + line.weight * left**3)

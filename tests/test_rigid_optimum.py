@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from line_rivals import cost_of, legs_of, transcribe
 from replay_worlds import make_diagram, make_scenario, shipped_world
-from rigid_rivals import follow, make_rivals, optimal_control, transcribe
 
+from benchmarks.optima.line_optimum import Line, LineBounce, Wall
 from drake_aigto.dynamics import Contact
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.paper import RigidOptimum, rigid_optimum
@@ -46,6 +48,23 @@ scenarios = st.builds(
     restitution=st.one_of(st.sampled_from([0.0, 0.5, 0.8, 1.0]), st.floats(0, 1)),
     goal_weight=st.sampled_from([0.0, 1e-3, 1.0, 1e6]),
 )
+
+
+def line_of(scenario: Scenario) -> Line:
+    """Returns the same problem on a line with one wall, at a cost of 1 / w_u."""
+    return Line(
+        position=scenario.initial_position[0],
+        velocity=scenario.initial_velocity[0],
+        goal=scenario.goal_position[0],
+        weight=scenario.goal_weight / scenario.control_weight,
+        gravity=0.0,
+        walls=(Wall(0.0, 1, scenario.restitution),),
+    )
+
+
+def bounces_of(optimum: RigidOptimum) -> list[LineBounce]:
+    touches = zip(optimum.bounce_times, optimum.impact_velocities, strict=True)
+    return [LineBounce(time, 0, -velocity) for time, velocity in touches]
 
 
 def set_goal(scenario: Scenario, goal: float) -> Scenario:
@@ -114,21 +133,38 @@ def test_the_optimum_is_a_motion_that_costs_as_much(scenario: Scenario, goal: fl
     optimum = solve(scenario)
     assert all(0 < time <= 1 for time in optimum.bounce_times)
     assert all(velocity < 0 for velocity in optimum.impact_velocities)
-    assert follow(scenario, optimum) == pytest.approx(optimum.cost, rel=1e-8, abs=1e-16)
+    cost = scenario.control_weight * cost_of(line_of(scenario), bounces_of(optimum))
+    assert cost == pytest.approx(optimum.cost, rel=1e-8, abs=1e-16)
 
 
 # Rivals: motions made by chance, of one touch, two touches, or a rest at the wall.
+
+
+def costs_by_chance(line: Line, touches: int, rng: np.random.Generator) -> Iterator[float]:
+    """Yields the costs of motions that touch so often; infinite where they leave the line."""
+    p, v = line.position, line.velocity
+    for number in range(120):
+        times = np.sort(rng.uniform(0.01, 0.99, touches))
+        if number % 2:  # Half of the first touches are about when it would come by itself.
+            times[0] = min(0.9, p / max(p, -v)) * np.exp(0.1 * rng.normal())
+        # Some come gently: with two of them in a row, contact lasts.
+        gentle = rng.random(touches) < 0.7
+        speeds = rng.uniform(0, 1.5, touches) * gentle * max(abs(v), p)
+        if np.min(np.diff(times, prepend=0.0, append=1.0)) > 1e-4:
+            yield cost_of(
+                line, [LineBounce(t, 0, speed) for t, speed in zip(times, speeds, strict=True)]
+            )
 
 
 @settings(max_examples=60)
 @given(scenarios, lengths, st.integers(0, 2**32 - 1))
 def test_no_motion_by_chance_is_cheaper(scenario: Scenario, goal: float, seed: int) -> None:
     scenario = set_goal(scenario, goal)
-    cost = solve(scenario).cost
+    cost = solve(scenario).cost / scenario.control_weight
     for touches in (1, 2):
-        rivals = make_rivals(scenario, touches, np.random.default_rng(seed), 400)
-        assert np.sum(np.isfinite(rivals)) > 10
-        assert np.all(rivals >= cost * (1 - 1e-9))
+        rivals = list(costs_by_chance(line_of(scenario), touches, np.random.default_rng(seed)))
+        assert np.sum(np.isfinite(rivals)) > 3
+        assert min(rivals) >= cost * (1 - 1e-9)
 
 
 # A direct transcription, solved by SNOPT.
@@ -142,14 +178,13 @@ def random_scenario(rng: np.random.Generator) -> Scenario:
     )
 
 
-def guess_touches(
-    scenario: Scenario, touches: int, rng: np.random.Generator
-) -> list[tuple[float, float]]:
-    """Returns times and speeds of up to two touches, the first near where it comes by itself."""
+def guess_touches(scenario: Scenario, touches: int, rng: np.random.Generator) -> list[LineBounce]:
+    """Returns up to two touches, the first near where it comes by itself."""
     p, v = scenario.initial_position[0], scenario.initial_velocity[0]
     first = rng.uniform(0.8, 1.1) * min(0.7, p / max(p, -v))
     speeds = max(p, -v) * rng.uniform(0.3, 1.2, 2)
-    return list(zip((first, rng.uniform(first, 0.95)), speeds, strict=True))[:touches]
+    times = (first, rng.uniform(first, 0.95))
+    return [LineBounce(t, 0, speed) for t, speed in zip(times, speeds, strict=True)][:touches]
 
 
 def transcribed_costs(
@@ -159,7 +194,8 @@ def transcribed_costs(
     best = []
     for touches, (count, intervals) in enumerate(zip(guesses, K, strict=True)):
         tries = [guess_touches(scenario, touches, rng) for _ in range(count)]
-        best.append(min(transcribe(scenario, guess, intervals) for guess in tries))
+        costs = (transcribe(line_of(scenario), guess, intervals) for guess in tries)
+        best.append(scenario.control_weight * min(costs))
     return best
 
 
@@ -178,6 +214,17 @@ def test_snopt_finds_the_optimum_and_nothing_below() -> None:
 
 
 # The optimal control, replayed.
+
+
+def optimal_control(scenario: Scenario, optimum: RigidOptimum, K: int = 100) -> tuple[Any, Any]:
+    """Returns knots and held forces: means of the optimal control in K intervals a phase."""
+    time, parts = 0.0, (np.arange(K) + 0.5) / K
+    knots, controls = [np.zeros(1)], []
+    for leg in legs_of(line_of(scenario), bounces_of(optimum)):
+        controls.append(leg.a + leg.b * leg.time * parts)
+        knots.append(time + leg.time * np.arange(1, K + 1) / K)
+        time += leg.time
+    return np.concatenate(knots), np.concatenate(controls)[:, None]
 
 
 @pytest.mark.parametrize("e", [1.0, 0.8, 0.5, 0.0])
