@@ -58,9 +58,9 @@ def test_unknown_names_and_useless_weights_are_refused() -> None:
         ),
         ([Term(1.0, (X0, X1))], [(0, 1), (2, 2)], "copy 1 with variable 2 twice.*x·x is x²"),
         ([Term(math.nan, (X0,))], (0, 1), r"the term nan \* x0\^1, expected finite numbers"),
-        ([Term(1.0, (dataclasses.replace(X0, offset=math.inf),))], (0, 1), r"\(1\*x0 \+ inf\)\^1"),
+        ([Term(1.0, (X0._replace(offset=math.inf),))], (0, 1), r"\(1\*x0 \+ inf\)\^1"),
         (
-            [Term(1.0, (dataclasses.replace(X0, exponent=-1),))],
+            [Term(1.0, (X0._replace(exponent=-1),))],
             (0, 1),
             "exponent -1, expected whole",
         ),
@@ -135,7 +135,7 @@ def test_couplings_are_the_pairs_within_a_term(f: BoxPolynomial) -> None:
 
 
 def test_equal_sums_are_stored_once() -> None:
-    product, square = Term(2.0, (X0, X1)), Term(1.0, (dataclasses.replace(X0, exponent=2),))
+    product, square = Term(2.0, (X0, X1)), Term(1.0, (X0._replace(exponent=2),))
     blocks = (
         block(product, square, variables=[(0, 1), (1, 2)]),
         block(square, variables=(2,)),

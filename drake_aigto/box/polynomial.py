@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -318,7 +317,7 @@ def _take_apart(
         powers, kept = [0] * num_parameters, []
         for factor in term.factors:
             if places[factor.variable] < 0:
-                kept.append(dataclasses.replace(factor, variable=local[factor.variable]))
+                kept.append(factor._replace(variable=local[factor.variable]))
             elif (factor.kind, factor.scale, factor.offset) == (FunctionKind.POWER, 1.0, 0.0):
                 powers[places[factor.variable]] = factor.exponent
             else:

@@ -16,8 +16,8 @@ from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp
 from drake_aigto.solver.program import AigoProgram
 from drake_aigto.solver.ranges import sum_range
 from drake_aigto.terms import (
+    Factor,
     FunctionKind,
-    Part,
     Sum,
     TermBlock,
     add,
@@ -35,7 +35,7 @@ _TIGHTENED, _LAST, _STEPS = 0.01, 1e-5, 100  # how ε falls, its last value, and
 _BARRIER, _PUSH = 1e-4, 1e-6  # from a point of a larger ε
 
 # The terms of a sum without its constant, divided by the first one's coefficient.
-_Form = frozenset[tuple[tuple[Part, ...], float]]
+_Form = frozenset[tuple[tuple[Factor, ...], float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +195,7 @@ class _ComplementaritySearch:
             scale = unit / side.unit
             if abs(scale * side.bound + rest.get((), 0.0)) <= rounding:
                 # scale · (s − bound) of the slack variable s
-                total: Sum = {(Part(side.slack, FunctionKind.POWER),): scale}
+                total: Sum = {(Factor(side.slack, FunctionKind.POWER),): scale}
                 bound = side.bound + side.constant
                 total |= {(): -scale * bound} if bound else {}
                 yield math.copysign(1.0, scale) * side.sign, total
@@ -240,7 +240,7 @@ class TightenedProgram:
         self._size, count = nlp.num_variables, len(found)
         self._allowed = np.array([each.allowed for each in found])
         rows = [
-            each.product_row({(Part(number, FunctionKind.POWER),): -1.0})
+            each.product_row({(Factor(number, FunctionKind.POWER),): -1.0})
             for number, each in enumerate(found, self._size)
         ]
         self._nlp = PolynomialNlp(

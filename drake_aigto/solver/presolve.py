@@ -15,10 +15,10 @@ from drake_aigto.arrays import Floats, Ints
 from drake_aigto.solver.program import AigoProgram, Definition, ParsedProgram
 from drake_aigto.solver.ranges import sum_range
 from drake_aigto.terms import (
+    Factor,
     FunctionKind,
     NoClosedFormError,
     ParsedRow,
-    Part,
     Sum,
     TermBlock,
     TooManyTermsError,
@@ -236,7 +236,7 @@ def _define(row: BoundedSum) -> Iterator[Definition]:
     counts = Counter(part.variable for parts in row.total for part in parts)
     largest = max((abs(a) for parts, a in row.total.items() if parts), default=0.0)
     for parts, a in row.total.items():
-        if len(parts) != 1 or parts[0] != Part(j := parts[0].variable, FunctionKind.POWER):
+        if len(parts) != 1 or parts[0] != Factor(j := parts[0].variable, FunctionKind.POWER):
             continue
         if counts[j] == 1 and abs(a) >= _LEAST_PIVOT * largest:
             rest = {others: -b / a for others, b in row.total.items() if others != parts}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -178,7 +177,7 @@ def find_quantities(nlp: PolynomialNlp, places: Ints) -> list[Ints]:
         is_cost = number < len(nlp.costs)
         for term in block.terms:
             for factor in term.factors:
-                form = replace(factor, variable=0)
+                form = factor._replace(variable=0)
                 role = hash((is_cost, term.coefficient, len(term.factors), form))
                 for variable in block.variables[:, factor.variable].tolist():
                     roles[variable].append(role)

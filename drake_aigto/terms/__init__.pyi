@@ -6,7 +6,6 @@ from .hidden_polynomials import is_hidden_polynomial as is_hidden_polynomial
 from .hidden_polynomials import read_polynomial as read_polynomial
 from .products import MAX_TERMS as MAX_TERMS
 from .products import NoClosedFormError as NoClosedFormError
-from .products import Part as Part
 from .products import Sum as Sum
 from .products import TooManyTermsError as TooManyTermsError
 from .products import add as add

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -52,18 +52,8 @@ class TooManyTermsError(Exception):
         )
 
 
-class Part(NamedTuple):
-    """A `Factor` whose scale and offset are exact: fractions where a float can't be."""
-
-    variable: int
-    kind: FunctionKind
-    exponent: int = 1
-    scale: Fraction | float = 1.0
-    offset: Fraction | float = 0.0
-
-
-# Parts in the order of their variables ↦ coefficient.
-Sum = dict[tuple[Part, ...], float]
+# Factors in the order of their variables ↦ coefficient.
+Sum = dict[tuple[Factor, ...], float]
 
 
 def constant(value: float) -> Sum:
@@ -76,10 +66,10 @@ def function(
 ) -> Sum:
     """Returns the function that a `Factor` of these attributes is, times 1."""
     if kind == _POWER:
-        return {(Part(variable, kind, exponent),): 1.0} if exponent else constant(1.0)
+        return {(Factor(variable, kind, exponent),): 1.0} if exponent else constant(1.0)
     if kind in (FunctionKind.HINGE, FunctionKind.SQUARED_HINGE, FunctionKind.NEG_LOG):
-        return {(Part(variable, kind, exponent, scale, offset),): 1.0}
-    coefficient, part = _wave(Part(variable, kind, exponent, scale, offset))
+        return {(Factor(variable, kind, exponent, scale, offset),): 1.0}
+    coefficient, part = _wave(Factor(variable, kind, exponent, scale, offset))
     return {() if part is None else (part,): coefficient}
 
 
@@ -157,7 +147,7 @@ def compose(total: Sum, values: Sequence[Sum] | Mapping[int, Sum]) -> Sum:
 
 
 def _compose_term(
-    parts: tuple[Part, ...], coefficient: float, values: Sequence[Sum] | Mapping[int, Sum]
+    parts: tuple[Factor, ...], coefficient: float, values: Sequence[Sum] | Mapping[int, Sum]
 ) -> Sum:
     product = constant(coefficient)
     for part in parts:
@@ -172,7 +162,7 @@ def _compose_term(
     return product
 
 
-def _compose_function(part: Part, value: Sum) -> Sum:
+def _compose_function(part: Factor, value: Sum) -> Sum:
     """Returns a wave, hinge or logarithm of an affine sum in place of its variable."""
     scales, offset = _split_affine(value)
     if scales == [(scales[0][0], 1.0)] and not offset:
@@ -193,7 +183,7 @@ def _split_affine(total: Sum) -> tuple[list[tuple[int, float]], float]:
     for parts, coefficient in total.items():
         if not parts:
             offset = coefficient
-        elif len(parts) == 1 and parts[0] == Part(parts[0].variable, _POWER):
+        elif len(parts) == 1 and parts[0] == Factor(parts[0].variable, _POWER):
             scales.append((parts[0].variable, coefficient))
         else:
             raise NoClosedFormError(
@@ -247,8 +237,8 @@ def with_own_variables(total: Sum) -> tuple[tuple[Term, ...], list[int]]:
     return with_own_numbers(to_terms(total))
 
 
-def _sum(a: Fraction | float, b: Fraction | float) -> Fraction | float:
-    """Returns the exact sum, as a float where one has its value."""
+def _sum(a: Any, b: Any) -> Any:
+    """Returns the exact sum of floats or fractions, as a float where one has its value."""
     if isinstance(a, float) and isinstance(b, float):
         total = a + b
         shift = total - a
@@ -259,21 +249,21 @@ def _sum(a: Fraction | float, b: Fraction | float) -> Fraction | float:
     return rounded if rounded == exact else exact
 
 
-def _add_into(total: Sum, terms: Iterable[tuple[tuple[Part, ...], float]]) -> None:
+def _add_into(total: Sum, terms: Iterable[tuple[tuple[Factor, ...], float]]) -> None:
     for parts, coefficient in terms:
         total[parts] = total.get(parts, 0.0) + coefficient
 
 
 def _times(
-    first: tuple[Part, ...], second: tuple[Part, ...], coefficient: float
-) -> Iterator[tuple[tuple[Part, ...], float]]:
+    first: tuple[Factor, ...], second: tuple[Factor, ...], coefficient: float
+) -> Iterator[tuple[tuple[Factor, ...], float]]:
     """Yields the terms of a product of two terms: two for each variable with waves in both."""
     of_first = {part.variable: part for part in first}
     shared = [part for part in second if part.variable in of_first]
     apart = {part.variable: part for part in (*first, *second)}
     for part in shared:
         del apart[part.variable]
-    products: list[tuple[dict[int, Part], float]] = [(apart, coefficient)]
+    products: list[tuple[dict[int, Factor], float]] = [(apart, coefficient)]
     for part in shared:
         options = list(_times_part(of_first[part.variable], part))
         products = [
@@ -285,7 +275,7 @@ def _times(
         yield tuple(parts[variable] for variable in sorted(parts)), a
 
 
-def _times_part(a: Part, b: Part) -> Iterator[tuple[float, Part | None]]:
+def _times_part(a: Factor, b: Factor) -> Iterator[tuple[float, Factor | None]]:
     """Yields the terms of a product of two functions of one variable; None for a constant."""
     kinds = {a.kind, b.kind}
     if FunctionKind.HINGE in kinds:
@@ -299,7 +289,7 @@ def _times_part(a: Part, b: Part) -> Iterator[tuple[float, Part | None]]:
         yield 1.0, wave._replace(exponent=exponent)
     elif kinds == {_EXPONENTIAL}:
         scale, offset = _sum(a.scale, b.scale), _sum(a.offset, b.offset)
-        yield _wave(Part(a.variable, _EXPONENTIAL, exponent, scale, offset))
+        yield _wave(Factor(a.variable, _EXPONENTIAL, exponent, scale, offset))
     elif _EXPONENTIAL in kinds:
         raise NoClosedFormError(
             "an exponential and a sine or cosine of one variable are multiplied"
@@ -311,11 +301,11 @@ def _times_part(a: Part, b: Part) -> Iterator[tuple[float, Part | None]]:
         for sign in (-1.0, 1.0):
             scale, offset = _sum(a.scale, sign * b.scale), _sum(a.offset, sign * b.offset)
             negative = b.kind == _SINE and sign == (1 if same else -1)
-            coefficient, part = _wave(Part(a.variable, kind, exponent, scale, offset))
+            coefficient, part = _wave(Factor(a.variable, kind, exponent, scale, offset))
             yield (-0.5 if negative else 0.5) * coefficient, part
 
 
-def _times_hinge(a: Part, b: Part) -> Iterator[tuple[float, Part | None]]:
+def _times_hinge(a: Factor, b: Factor) -> Iterator[tuple[float, Factor | None]]:
     """Yields the terms of a product with h = max(0, −y), y = scale·x + offset.
 
     x h = −(h² + offset h)/scale. The product of two that are never both above 0 is 0.
@@ -335,13 +325,13 @@ def _times_hinge(a: Part, b: Part) -> Iterator[tuple[float, Part | None]]:
         raise NoClosedFormError("max(0, y) is multiplied by that function of its variable")
 
 
-def _wave(part: Part) -> tuple[float, Part | None]:
+def _wave(part: Factor) -> tuple[float, Factor | None]:
     """Returns the coefficient and canonical part of x^p times a cosine, sine or exponential.
 
     A scale of 0 leaves the power; a cosine's and sine's scale is made positive.
     """
     if part.scale == 0:
-        alone = Part(part.variable, _POWER, part.exponent) if part.exponent else None
+        alone = Factor(part.variable, _POWER, part.exponent) if part.exponent else None
         with np.errstate(over="ignore", invalid="ignore"):  # Refused with the term's formula.
             return float(_WAVES[part.kind](float(part.offset))), alone
     if part.kind in _TRIGONOMETRIC and part.scale < 0:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -48,16 +48,15 @@ class FunctionKind(IntEnum):
 WAVES = (FunctionKind.COSINE, FunctionKind.SINE, FunctionKind.EXPONENTIAL)
 
 
-@dataclass(frozen=True)
-class Factor:
+class Factor(NamedTuple):
     """A one-variable function of the local variable `variable` of a block, see `FunctionKind`.
 
     Attributes:
         variable: Local index of x.
         kind: Which g.
         exponent: The power p ≥ 0, of kinds that have one.
-        scale: Factor inside g.
-        offset: Term inside g.
+        scale: Factor inside g; in a `Sum`, a Fraction where no float is exact.
+        offset: Term inside g; likewise.
     """
 
     variable: int
@@ -97,8 +96,7 @@ def with_own_numbers(terms: Sequence[Term]) -> tuple[tuple[Term, ...], list[int]
         return tuple(terms), read
     number = {variable: i for i, variable in enumerate(read)}
     renumbered = (
-        tuple(replace(factor, variable=number[factor.variable]) for factor in term.factors)
-        for term in terms
+        tuple(f._replace(variable=number[f.variable]) for f in term.factors) for term in terms
     )
     return tuple(map(Term, (term.coefficient for term in terms), renumbered)), read
 

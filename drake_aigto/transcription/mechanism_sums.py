@@ -12,9 +12,9 @@ from pydrake.symbolic import Expression
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.terms import (
+    Factor,
     FunctionKind,
     NoClosedFormError,
-    Part,
     Sum,
     add,
     compose,
@@ -109,7 +109,7 @@ class BoxCoordinates:
         taken = {reading.variable for reading in self.readings}
         for j in range(self.num_positions):
             readers = [parts for parts in distance if any(part.variable == j for part in parts)]
-            if j not in taken and readers == [(Part(j, FunctionKind.POWER),)]:
+            if j not in taken and readers == [(Factor(j, FunctionKind.POWER),)]:
                 return self._with_substitution(j, distance)
         return self._with_variable(distance)
 
@@ -133,7 +133,7 @@ class BoxCoordinates:
     def _with_substitution(self, j: int, distance: Sum) -> BoxCoordinates:
         """Returns the same with y_j such that a distance is c y_j + b."""
         varying, offset = _split_constant(distance)
-        scale = varying.pop((Part(j, FunctionKind.POWER),))
+        scale = varying.pop((Factor(j, FunctionKind.POWER),))
         values = list(variables(range(self.num_positions)))
         values[j] = add(values[j], {parts: -a / scale for parts, a in varying.items()})
         return replace(
