@@ -10,6 +10,7 @@ import math
 import operator
 from collections.abc import Callable
 from fractions import Fraction
+from types import SimpleNamespace
 from typing import Any
 
 import mpmath
@@ -159,6 +160,77 @@ def test_enclosures_hold_derivatives_in_high_precision(function: Callable[..., A
 def is_within(value: Any, ends: np.ndarray) -> bool:
     low, high = ends.tolist()
     return bool(low <= value <= high)
+
+
+UNARY = (
+    lambda m, a: m.sin(a),
+    lambda m, a: m.cos(2.0 * a),
+    lambda m, a: m.tanh(a),
+    lambda m, a: m.atan(a),
+    lambda m, a: m.exp(m.sin(a)),
+    lambda m, a: m.log(1.0 + a * a),
+    lambda m, a: m.pow(2.0 + m.cos(a), 1.3),
+    lambda m, a: m.sqrt(0.5 + a**2),
+    lambda m, a: m.abs(a),
+    lambda m, a: a**2 - 0.5 * a,
+    lambda m, a: a**3,
+    lambda m, a: 1.0 / (1.5 + m.sin(a)),
+)
+BINARY = (
+    lambda m, a, b: a + b,
+    lambda m, a, b: a - 3.0 * b,
+    lambda m, a, b: a * b,
+    lambda m, a, b: m.max(a, b),
+    lambda m, a, b: m.min(a, b),
+    lambda m, a, b: a / (1.0 + b * b),
+)
+
+
+def random_function(rng: np.random.Generator, size: int, depth: int) -> Callable[..., Any]:
+    """Returns a function of a namespace of functions, and of numbers or Expressions."""
+    if depth == 0:
+        i, scale = int(rng.integers(size)), float(rng.choice([1.0, -2.0, 0.3]))
+        return lambda m, x: scale * x[i]
+    first, last = (random_function(rng, size, depth - 1) for _ in range(2))
+    if rng.random() < 0.5:
+        one = UNARY[int(rng.integers(len(UNARY)))]
+        return lambda m, x: one(m, first(m, x))
+    both = BINARY[int(rng.integers(len(BINARY)))]
+    return lambda m, x: both(m, first(m, x), last(m, x))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_feasible_point_is_never_excluded(seed: int) -> None:
+    """Rows and bounds that a point meets just about, fixed variables and rows twice among them."""
+    rng, exact = np.random.default_rng([7, seed]), SimpleNamespace(**HIGH_PRECISION)
+    for trial in range(40):
+        size = int(rng.integers(1, 6))
+        point = rng.normal(size=size) * 10.0 ** rng.choice([-8.0, 0.0, 0.0, 0.0, 4.0])
+        reach = np.abs(point) * rng.choice([0.0, 1e-9, 1.0, 30.0], (2, size))
+        reach[rng.random((2, size)) < 0.1] = np.inf
+        prog = MathematicalProgram()
+        x = prog.NewContinuousVariables(size, "x")
+        prog.AddBoundingBoxConstraint(point - reach[0], point + reach[1], x)
+        cost = random_function(rng, size, 3)
+        add_cost(prog, cost(sym, x))
+        for _ in range(int(rng.integers(0, 4))):
+            row = random_function(rng, size, 3)
+            with mpmath.workdps(40):
+                value = float(row(exact, list(map(mpmath.mpf, point.tolist()))))
+            slack = 1e-12 * (1e-3 + abs(value))
+            ends = [
+                [value - slack, value + slack],
+                [value - slack, np.inf],
+                [-np.inf, value + slack],
+            ]
+            for _ in range(int(rng.integers(1, 3))):
+                low, high = ends[int(rng.integers(3))]
+                prog.AddConstraint(sym.Expression(0.0) + row(sym, x), low, high)
+        with mpmath.workdps(40):
+            least = float(cost(exact, list(map(mpmath.mpf, point.tolist()))))
+        found = certify(prog, point if trial % 2 else None, cells=int(rng.integers(1, 80)))
+        assert not found.is_infeasible
+        assert found.lower_bound <= least + 1e-12 * (1e-3 + abs(least))
 
 
 def test_no_bound_of_a_random_program_is_above_the_best_value() -> None:

@@ -12,11 +12,16 @@ from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.cells import CellSearch
-from drake_aigto.certify.cliques import MOST_VARIABLES, CliqueSearch, elimination
+from drake_aigto.certify.cliques import MOST_VARIABLES, CliqueSearch
 from drake_aigto.certify.contraction import contract_box
 from drake_aigto.certify.enclosures import SumOfFormulas
-from drake_aigto.certify.formulas import Formulas, formula_of, make_tape, read_formulas
-from drake_aigto.certify.squares import SquaresBound, bound_by_squares
+from drake_aigto.certify.formulas import (
+    Formulas,
+    formula_of,
+    make_tape,
+    read_formulas,
+)
+from drake_aigto.certify.squares import SquaresBound, bound_by_squares, elimination
 
 # A point → a feasible one near it, if there is one.
 Improve = Callable[[Floats], Floats | None]
@@ -26,6 +31,7 @@ _MOST_VARIABLES = 10
 # Of up to this many variables, cells of all of them converge faster than trees of cliques.
 _FEW = 4
 _FIRST_CHUNK = 500
+_FIRST_CELLS = 2000  # before sums of squares
 # Costs below it are lost in what rounding adds to numbers that may underflow.
 _LEAST_SCALE = 1e-290
 # Polynomials of more variables are too many to multiply out.
@@ -161,7 +167,7 @@ class Certifier:
         read = [each.variables for each in (*formulas.summands, *formulas.rows)]
         if max(map(len, read), default=0) > MOST_VARIABLES:
             return None
-        return elimination(size, read)
+        return elimination(size, read, MOST_VARIABLES)
 
     def offer(self, x: Floats) -> None:
         """Takes a point that meets all constraints, if it is the best so far."""
@@ -179,13 +185,20 @@ class Certifier:
             cells: number of cells at most.
             improve: called with points of the lowest cells; returns a feasible one nearby, or None.
         """
+        # Squares may prove at once what many cells would be spent on.
+        first = min(cells, _FIRST_CELLS) if isinstance(self._search, CellSearch) else cells
+        self._run_search(first, improve)
+        if self._squares is None and self._gap_of(self._bound) > self._gap:
+            self._run_squares(improve)
+        if self._gap_of(self._bound) > self._gap:
+            self._run_search(cells - first, improve)
+        return self._certificate()
+
+    def _run_search(self, cells: int, improve: Improve) -> None:
         if isinstance(self._search, CellSearch):
             self._run_cells(self._search, cells, improve)
         elif isinstance(self._search, CliqueSearch):
             self._run_cliques(self._search, cells, improve)
-        if self._squares is None and self._gap_of(self._cells_bound) > self._gap:
-            self._run_squares(improve)
-        return self._certificate()
 
     @property
     def _cells_bound(self) -> float:
@@ -193,6 +206,10 @@ class Certifier:
         if self._search is None:
             return self.least_sum
         return math.inf if self._search.is_empty else self._search.lower_bound
+
+    @property
+    def _bound(self) -> float:
+        return max(self._cells_bound, self._squares.lower_bound if self._squares else -math.inf)
 
     def _gap_of(self, bound: float) -> float:
         """Returns how far the best cost is above a bound; 0 if there is no feasible point."""
@@ -245,9 +262,8 @@ class Certifier:
 
     def _certificate(self) -> Certificate:
         formulas, search = self._formulas, self._search
-        bound, method = self._cells_bound, self._method
-        if self._squares is not None and self._squares.lower_bound > bound:
-            bound, method = self._squares.lower_bound, Method.SQUARES
+        bound = self._bound
+        method = self._method if bound == self._cells_bound else Method.SQUARES
         hull = None if search is None else search.hull
         return Certificate(
             lower_bound=bound,

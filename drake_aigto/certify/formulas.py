@@ -234,15 +234,8 @@ class _NoEnclosureError(Exception):
 
 
 _FUNCTIONS = {
-    ExpressionKind.Exp: Operation.EXP,
-    ExpressionKind.Log: Operation.LOG,
-    ExpressionKind.Sin: Operation.SIN,
-    ExpressionKind.Cos: Operation.COS,
-    ExpressionKind.Abs: Operation.ABS,
-    ExpressionKind.Tanh: Operation.TANH,
-    ExpressionKind.Atan: Operation.ATAN,
-    ExpressionKind.Max: Operation.MAX,
-    ExpressionKind.Min: Operation.MIN,
+    getattr(ExpressionKind, name): Operation[name.upper()]
+    for name in ("Exp", "Log", "Sin", "Cos", "Abs", "Tanh", "Atan", "Max", "Min")
 }
 
 
@@ -369,19 +362,15 @@ def _powers_of_one(parts: Sequence[Expression]) -> tuple[Expression, dict[int, f
     for part in parts:
         is_product = part.get_kind() == ExpressionKind.Mul
         number, factors = _split_number(operands(part) if is_product else [part], 1.0)
-        exponent = 0
-        for factor in factors:
-            x, p = factor, 1
-            if factor.get_kind() == ExpressionKind.Pow:
-                x, power = operands(factor)
-                p = int(power.Evaluate()) if power.get_kind() == ExpressionKind.Constant else -1
-                if p < 0 or p != power.Evaluate():
-                    return None
-            is_other = base is not None and not base.EqualTo(x)
-            if x.get_kind() != ExpressionKind.Var or exponent or is_other:
+        exponent = 0.0
+        for x in factors:
+            power = operands(x) if x.get_kind() == ExpressionKind.Pow else [x, Expression(1.0)]
+            is_number = power[1].get_kind() == ExpressionKind.Constant
+            is_other = base is not None and not base.EqualTo(power[0])
+            if exponent or is_other or not is_number or power[0].get_kind() != ExpressionKind.Var:
                 return None
-            base, exponent = x, p
-        if exponent in found:
+            base, exponent = power[0], power[1].Evaluate()
+        if exponent < 0.0 or exponent != int(exponent) or int(exponent) in found:
             return None
-        found[exponent] = number
+        found[int(exponent)] = number
     return None if base is None else (base, found)

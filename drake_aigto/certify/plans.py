@@ -238,7 +238,7 @@ def _touch_bound(line: Line, wall: Wall, most: float) -> float:
     v, goal = wall.side * line.velocity, wall.side * (line.goal - wall.position)
     # Faster touches cost more than the most by the change of speed alone.
     fastest = math.sqrt(most) * (1.0 + 1e-9) - v
-    if fastest < 0.0:
+    if fastest < 0.0 or most <= 0.0:
         return most
     prog = MathematicalProgram()
     s, a = prog.NewContinuousVariables(1, "time")[0], prog.NewContinuousVariables(1, "speed")[0]
@@ -251,9 +251,9 @@ def _touch_bound(line: Line, wall: Wall, most: float) -> float:
         if other is not wall:
             distance = abs(other.position - wall.position)
             rest = sym.min(rest, 3.0 * sym.max(0.0, distance - after) ** 2 / left**3)
-    cost = ExpressionCost(before + rest)
+    cost = ExpressionCost((before + rest) / most)
     prog.AddCost(cost, vars=cost.vars())
-    return certify(prog, gap=_GAP, cells=_CELLS).lower_bound
+    return most * certify(prog, gap=_GAP, cells=_CELLS).lower_bound
 
 
 def out_of_reach(world: World, scenario: Scenario) -> str:

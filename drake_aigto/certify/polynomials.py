@@ -36,7 +36,7 @@ _TINY = 1e-9
 
 
 class NoSquaresError(Exception):
-    """A program has no bound by squares of polynomials; its message says why."""
+    """A program without a bound by squares of polynomials; its message says why."""
 
 
 def plus(p: Polynomial, q: Polynomial, factor: int = 1) -> Polynomial:

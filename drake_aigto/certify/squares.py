@@ -14,6 +14,7 @@ some Σ r_α y^α, which is −Σ |r_α| at least. Hence the bound is rigorous, 
 
 from __future__ import annotations
 
+import heapq
 import itertools
 import math
 from collections import defaultdict
@@ -24,7 +25,6 @@ import numpy as np
 from pydrake.solvers import Binding, ClarabelSolver, MathematicalProgram, MathematicalProgramResult
 
 from drake_aigto.arrays import Floats
-from drake_aigto.certify.cliques import elimination
 from drake_aigto.certify.formulas import Formulas
 from drake_aigto.certify.intervals import UNIT
 from drake_aigto.certify.polynomials import (
@@ -98,54 +98,72 @@ class Block:
                 yield i, j, times(self.factor, {_product(own, self.basis[j]): ONE})
 
 
-class _Relaxation:
-    """Squares, and products of squares with rows, that the cost less its bound is a sum of.
+class _Moments:
+    """The least mean of the cost over moments of y.
 
-    They are of order 2 where cliques are small, else of order 1.
+    Its other side are squares, and products of squares with rows, that the cost less its bound is a
+    sum of. They are of order 2 where cliques are small, else of order 1.
 
     Args:
         program: the cost and the rows.
 
-    Attributes:
-        blocks: squares, and products of squares with rows.
-        rows: 0 or more, with a factor λ ≥ 0 each.
-        equalities: 0, with any factor each.
-
     Raises:
-        NoSquaresError: matrices would be too large.
+        NoSquaresError: matrices would be too large, or there is nothing to choose.
     """
 
     def __init__(self, program: BoxProgram) -> None:
-        self._program, self._cliques = program, _cliques(program)
-        orders = [
-            2 if math.comb(len(c) + 2, 2) <= _WIDEST_OF_PRODUCTS else 1 for c in self._cliques
-        ]
+        self._program, self._prog = program, MathematicalProgram()
+        self._cliques = _cliques(program)
+        sizes = [math.comb(len(clique) + 2, 2) for clique in self._cliques]
+        orders = [2 if size <= _WIDEST_OF_PRODUCTS else 1 for size in sizes]
         bases = self._bases(orders)
         if _work(bases) > _MOST_WORK:
             orders = [1] * len(orders)
             bases = self._bases(orders)
         if _work(bases) > _MOST_WORK:
             raise _too_wide(max(map(len, self._cliques)))
-        known = _products(bases)
-        self.blocks = [Block(number(1), basis) for basis in bases]
-        rows = list(program.inequalities)
+        own = sorted({_product(a, b) for basis in bases for a in basis for b in basis} - {()})
+        if not own:
+            raise NoSquaresError("all variables are fixed")
+        y = self._prog.NewContinuousVariables(len(own), "moment")
+        self._moments = dict(zip(own, y, strict=True))
+        constant, factors, moments = self._linear(program.cost)
+        self._prog.AddLinearCost(factors, constant, moments)
+        blocks, rows = [Block(number(1), basis) for basis in bases], list(program.inequalities)
         for clique, order in zip(self._cliques, orders, strict=True):
             if order == 2:
-                self.blocks += self._localized(clique)
+                blocks += self._localized(clique)
             else:
                 rows += _products_of_bounds(clique)
-        self.rows = [p for p in rows if self._is_of(p, known)]
-        self.equalities = [p for p in self._multiplied(bases) if self._is_of(p, known)]
+        self._blocks = [(block, self._add_block(block)) for block in blocks]
+        # Rows that are 0 or more have a factor λ ≥ 0, those that are 0 any factor.
+        sides = [(p, False) for p in rows] + [(p, True) for p in self._multiplied(bases)]
+        self._rows = [(p, eq, self._add_row(p, eq)) for p, eq in sides if self._has_moments(p)]
 
-    def _is_of(self, p: Polynomial, known: set[Monomial]) -> bool:
-        """Returns whether p has only these monomials, except for tiny ones."""
-        own = self._program.main(p)
-        return any(own) and own.keys() <= known
+    def solve(self) -> MathematicalProgramResult:
+        return ClarabelSolver().Solve(self._prog)
+
+    def identity(self, cost: Polynomial, result: MathematicalProgramResult) -> Identity:
+        """Returns a cost less all that is 0 or more, with the multipliers of an answer."""
+        identity = Identity(cost)
+        for block, binding in self._blocks:
+            # The dual has the columns of Z's lower triangle, one after the other.
+            matrix = np.zeros((len(block.basis), len(block.basis)))
+            columns, rows = np.triu_indices(len(matrix))
+            matrix[rows, columns] = matrix[columns, rows] = result.GetDualSolution(binding)
+            identity.take_squares(block, matrix)
+        for row, is_equal, binding in self._rows:
+            factor = float(result.GetDualSolution(binding)[0])
+            identity.take(row, factor if is_equal else max(0.0, factor))
+        return identity
+
+    def means(self, result: MathematicalProgramResult) -> dict[int, float]:
+        return {m[0]: result.GetSolution(y) for m, y in self._moments.items() if len(m) == 1}
 
     def _bases(self, orders: Sequence[int]) -> list[tuple[Monomial, ...]]:
         """Returns monomials of each clique, and of each term that these have no product for."""
         bases = [_monomials(c, order) for c, order in zip(self._cliques, orders, strict=True)]
-        known = _products(bases)
+        known = {_product(a, b) for basis in bases for a in basis for b in basis}
         high = [m for m in self._program.main(self._program.cost) if m not in known]
         for group in sorted({tuple(sorted(set(m))) for m in high}):
             degree = max(len(m) for m in high if set(m) <= set(group))
@@ -169,6 +187,67 @@ class _Relaxation:
             near = [b for c, b in zip(self._cliques, bases, strict=False) if own <= set(c)]
             for m in sorted({m for basis in near for m in basis} | {()}):
                 yield times(p, {m: ONE})
+
+    def _has_moments(self, p: Polynomial) -> bool:
+        """Returns whether p has only monomials with a moment, except for tiny ones."""
+        own = self._program.main(p)
+        return any(own) and own.keys() - {()} <= self._moments.keys()
+
+    def _linear(self, p: Polynomial) -> tuple[float, list[float], list[object]]:
+        """Returns the constant, the factors of moments, and these moments."""
+        own = {m: float(c) for m, c in self._program.main(p).items()}
+        constant = own.pop((), 0.0)
+        return constant, list(own.values()), [self._moments[m] for m in own]
+
+    def _add_row(self, p: Polynomial, is_equal: bool) -> Binding:
+        """Adds 0 ≤ the mean of p, or 0 = it."""
+        constant, factors, moments = self._linear(p)
+        row, least = np.array([factors]), [-constant]
+        if is_equal:
+            return self._prog.AddLinearEqualityConstraint(row, least, moments)
+        return self._prog.AddLinearConstraint(row, least, [math.inf], moments)
+
+    def _add_block(self, block: Block) -> Binding:
+        size = len(block.basis)
+        matrices: defaultdict[Monomial, Floats] = defaultdict(lambda: np.zeros((size, size)))
+        for i, j, p in block.entries():
+            for m, c in self._program.main(p).items():
+                matrices[m][i, j] = matrices[m][j, i] = float(c)
+        fixed = matrices.pop((), np.zeros((size, size)))
+        moments = [self._moments[m] for m in matrices]
+        return self._prog.AddLinearMatrixInequalityConstraint([fixed, *matrices.values()], moments)
+
+
+def elimination(
+    num_variables: int, cliques: Sequence[tuple[int, ...]], most: int
+) -> list[tuple[int, ...]] | None:
+    """Returns every variable, in the order of elimination, with its neighbors then.
+
+    The next one is one of the fewest neighbors. None if these are more than the most, with it.
+    """
+    beside: list[set[int]] = [set() for _ in range(num_variables)]
+    for clique in cliques:
+        for i in clique:
+            beside[i].update(clique)
+    queue = []
+    for i, others in enumerate(beside):
+        others.discard(i)
+        queue.append((len(others), i))
+    heapq.heapify(queue)
+    order, is_gone = [], [False] * num_variables
+    while queue:
+        degree, i = heapq.heappop(queue)
+        if is_gone[i] or degree != len(beside[i]):
+            continue
+        if degree >= most:
+            return None
+        is_gone[i] = True
+        order.append((i, *sorted(beside[i])))
+        for j in beside[i]:
+            beside[j] |= beside[i]
+            beside[j] -= {i, j}
+            heapq.heappush(queue, (len(beside[j]), j))
+    return order
 
 
 def _cliques(program: BoxProgram) -> list[tuple[int, ...]]:
@@ -215,84 +294,6 @@ def _products_of_bounds(clique: Sequence[int]) -> Iterator[Polynomial]:
 
 def _product(a: Monomial, b: Monomial) -> Monomial:
     return tuple(sorted(a + b))
-
-
-def _products(bases: Sequence[Sequence[Monomial]]) -> set[Monomial]:
-    return {_product(a, b) for basis in bases for a in basis for b in basis}
-
-
-class _Moments:
-    """The least mean of the cost over moments of y.
-
-    Args:
-        program: the cost and the rows.
-
-    Raises:
-        NoSquaresError: matrices would be too large.
-    """
-
-    def __init__(self, program: BoxProgram) -> None:
-        self._program, self._prog = program, MathematicalProgram()
-        relaxation = _Relaxation(program)
-        squares = (block for block in relaxation.blocks if block.factor == {(): ONE})
-        monomials = {m for block in squares for *_, p in block.entries() for m in p}
-        own = sorted(monomials - {()})
-        if not own:
-            raise NoSquaresError("all variables are fixed")
-        y = self._prog.NewContinuousVariables(len(own), "moment")
-        self._moments = dict(zip(own, y, strict=True))
-        constant, factors, moments = self._linear(program.cost)
-        self._prog.AddLinearCost(factors, constant, moments)
-        self._blocks = [(block, self._add_block(block)) for block in relaxation.blocks]
-        self._rows = [(p, self._add_row(p)) for p in relaxation.rows]
-        self._equalities = [(p, self._add_equality(p)) for p in relaxation.equalities]
-
-    def solve(self) -> MathematicalProgramResult:
-        return ClarabelSolver().Solve(self._prog)
-
-    def identity(self, cost: Polynomial, result: MathematicalProgramResult) -> Identity:
-        """Returns a cost less all that is 0 or more, with the multipliers of an answer."""
-        identity = Identity(cost)
-        for block, binding in self._blocks:
-            # The dual has the columns of Z's lower triangle, one after the other.
-            matrix = np.zeros((len(block.basis), len(block.basis)))
-            columns, rows = np.triu_indices(len(matrix))
-            matrix[rows, columns] = matrix[columns, rows] = result.GetDualSolution(binding)
-            identity.take_squares(block, matrix)
-        for row, binding in self._rows:
-            identity.take(row, max(0.0, float(result.GetDualSolution(binding)[0])))
-        for row, binding in self._equalities:
-            identity.take(row, float(result.GetDualSolution(binding)[0]))
-        return identity
-
-    def means(self, result: MathematicalProgramResult) -> dict[int, float]:
-        return {m[0]: result.GetSolution(y) for m, y in self._moments.items() if len(m) == 1}
-
-    def _linear(self, p: Polynomial) -> tuple[float, list[float], list[object]]:
-        """Returns the constant, the factors of moments, and these moments."""
-        own = {m: float(c) for m, c in self._program.main(p).items()}
-        constant = own.pop((), 0.0)
-        return constant, list(own.values()), [self._moments[m] for m in own]
-
-    def _add_row(self, p: Polynomial) -> Binding:
-        """Adds 0 ≤ the mean of p."""
-        constant, factors, moments = self._linear(p)
-        return self._prog.AddLinearConstraint(np.array([factors]), [-constant], [math.inf], moments)
-
-    def _add_equality(self, p: Polynomial) -> Binding:
-        """Adds 0 = the mean of p."""
-        constant, factors, moments = self._linear(p)
-        return self._prog.AddLinearEqualityConstraint(np.array([factors]), [-constant], moments)
-
-    def _add_block(self, block: Block) -> Binding:
-        size = len(block.basis)
-        matrices: defaultdict[Monomial, Floats] = defaultdict(lambda: np.zeros((size, size)))
-        for i, j, p in block.entries():
-            for m, c in self._program.main(p).items():
-                matrices[m][i, j] = matrices[m][j, i] = float(c)
-        fixed = matrices.pop((), np.zeros((size, size)))
-        moments = [self._moments[m] for m in matrices]
-        return self._prog.AddLinearMatrixInequalityConstraint([fixed, *matrices.values()], moments)
 
 
 class Identity:

@@ -105,8 +105,10 @@ class ScaledProblem:
         gradient, band = self.structure.assemble(x, self._scales, no_multipliers)
         steepest = np.max(np.abs(gradient), initial=0.0)
         slopes = self.structure.steepest_slopes(band)
+        # A gradient that overflows leaves a scale above 0.
+        relative = min(steepest / cost_unit, 1e300)
         return (
-            float(_STEEPEST / max(_STEEPEST, steepest / cost_unit) / cost_unit),
+            float(_STEEPEST / max(_STEEPEST, relative) / cost_unit),
             _STEEPEST / np.maximum(_STEEPEST, slopes),
         )
 
