@@ -162,7 +162,7 @@ def is_within(value: Any, ends: np.ndarray) -> bool:
     return bool(low <= value <= high)
 
 
-UNARY = (
+UNARY: tuple[Callable[..., Any], ...] = (
     lambda m, a: m.sin(a),
     lambda m, a: m.cos(2.0 * a),
     lambda m, a: m.tanh(a),
@@ -176,7 +176,7 @@ UNARY = (
     lambda m, a: a**3,
     lambda m, a: 1.0 / (1.5 + m.sin(a)),
 )
-BINARY = (
+BINARY: tuple[Callable[..., Any], ...] = (
     lambda m, a, b: a + b,
     lambda m, a, b: a - 3.0 * b,
     lambda m, a, b: a * b,
