@@ -157,7 +157,7 @@ def test_a_phase_portrait_is_velocity_against_position(
     )
     start = next(line for line in axes.lines if line.get_label() == "start")
     np.testing.assert_array_equal(start.get_xydata(), [[1.0, -2.0]])
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("position [m]", "velocity [m/s]")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("position q [m]", "velocity v [m/s]")
     (wall,) = axes.patches
     low, high = axes.get_xlim()
     box = wall.get_extents().transformed(axes.transData.inverted())

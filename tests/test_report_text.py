@@ -84,6 +84,7 @@ def test_a_report_has_question_answer_verdict_and_how_to_reproduce_it(plan: Plan
         assert command in text
     yaml = text[text.index("model: package") :]
     assert "time_step: 0.05" in yaml and "goal_position:\n- 0.73" in yaml
+    assert "Options: finalists = 1, aigo_steps = 20." in text
     assert text.split().count("touches") >= 2 and "touches cost J" in " ".join(text.split())
     assert len(page.encode()) < 2e6
     assert not re.search(r'(src|href)="(?!data:)', page)

@@ -292,11 +292,11 @@ def line_of(motion: int) -> dict[str, Any]:
     return {"color": color_of(motion), **_LINES[min(motion, len(_LINES) - 1)]}
 
 
-def _label(quantity: Quantity, world: World, coordinate: int, has_symbol: bool = True) -> str:
+def _label(quantity: Quantity, world: World, coordinate: int) -> str:
     """Returns a name for an axis, with the coordinate where there are several."""
     unit = _unit(quantity, world, coordinate)
     if world.num_positions == 1:
-        return f"{quantity}{f' {_QUANTITIES[quantity][0]}' * has_symbol} [{unit}]"
+        return f"{quantity} {_QUANTITIES[quantity][0]} [{unit}]"
     return f"{coordinate_names(world)[coordinate]} {quantity} [{unit}]"
 
 
@@ -371,6 +371,6 @@ def plot_phase_portrait(
         edges = sorted((place, place - side * 2 * size))
         axes.axvspan(*edges, **SOLID_LOOK, label="" if i else "wall")
     axes.set_xlim(np.min(places) - _ROOM * size, np.max(places) + _ROOM * size)
-    axes.set_xlabel(_label("position", world, coordinate, has_symbol=False))
-    axes.set_ylabel(_label("velocity", world, coordinate, has_symbol=False))
+    axes.set_xlabel(_label("position", world, coordinate))
+    axes.set_ylabel(_label("velocity", world, coordinate))
     axes.legend(ncols=2, **ABOVE)

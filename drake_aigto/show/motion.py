@@ -42,6 +42,7 @@ _LONGEST_STEP = 0.01
 DOT_SECONDS = 0.05  # From dot to dot, where bodies were.
 # Impacts that follow sooner than this end no leg: a rest begins with ever smaller ones [s].
 _SHORTEST_LEG = 0.03
+_SAME_TIME = 1e-9  # rounding [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +126,12 @@ class Motion:
     def from_path(cls, label: str, times: Floats, states: Floats) -> Motion:
         """Returns a planned motion through states (K, 2n) at times (K,) [s]."""
         return cls(label, *_fill_in(times, *np.split(states, 2, axis=1)))
+
+    def since(self, time: float) -> Motion:
+        """Returns where it goes from a time on [s]."""
+        kept = self.times >= time - _SAME_TIME
+        rows = {name: getattr(self, name)[kept] for name in ("times", "positions", "velocities")}
+        return dataclasses.replace(self, **rows)
 
     def under(self, times: Floats, controls: Floats) -> Motion:
         """Returns the same motion with the control that it is a simulation of."""

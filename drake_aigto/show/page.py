@@ -84,8 +84,8 @@ class Page:
         return _asset("page.html").format(title=title, style=_asset("page.css"), body=body)
 
 
-def embed_scenes(scenes: Mapping[str, str], height: int = 560) -> str:
-    """Returns HTML that shows Meshcat's pages in a frame [px], with a button for each and a slider.
+def embed_scenes(scenes: Mapping[str, str]) -> str:
+    """Returns HTML that shows Meshcat's pages in a frame, with a button for each and a slider.
 
     Nothing is fetched from anywhere: a script unpacks the chosen page as it is first shown. The
     library that the pages share, by far the most of them, is there once. Scenes are title →
@@ -99,7 +99,7 @@ def embed_scenes(scenes: Mapping[str, str], height: int = 560) -> str:
         f'<button type="button" data-scene="{i}">{html.escape(title)}</button>'
         for i, title in enumerate(scenes)
     )
-    player = _asset("player.html").format(buttons=buttons, height=height)
+    player = _asset("player.html").format(buttons=buttons)
     return f"{player}{stored}<script>\n{_asset('player.js')}</script>\n"
 
 

@@ -17,7 +17,13 @@ from drake_aigto import __version__
 from drake_aigto.control import ClosedLoopRun
 from drake_aigto.errors import OptionsError
 from drake_aigto.plain import to_plain
-from drake_aigto.planning import Candidate, Plan, SearchOptions
+from drake_aigto.planning import (
+    BALL_LADDER,
+    MECHANISM_LADDER,
+    Candidate,
+    Plan,
+    SearchOptions,
+)
 from drake_aigto.show.box_playback import play_boxes, run_boxes
 from drake_aigto.show.facts import (
     Fact,
@@ -241,10 +247,11 @@ def _describe_options(options: SearchOptions | None) -> str:
     """Returns which options of a plan are not the defaults, as a sentence."""
     if options is None:
         return "The plan's file does not say its options."
+    usual = BALL_LADDER, MECHANISM_LADDER
     changed = [
         "a ladder of one's own" if field.name == "ladder" else f"{field.name} = {value}"
         for field in fields(options)
-        if (value := getattr(options, field.name)) != field.default
+        if (value := getattr(options, field.name)) not in usual and value != field.default
     ]
     return f"Options: {', '.join(changed)}." if changed else "All options are the defaults."
 

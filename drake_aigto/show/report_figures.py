@@ -48,7 +48,6 @@ _GIVEN_UP |= {"zorder": 3.5}
 _KICK: dict[str, Any] = {"color": "black", "linewidth": 1.0, "linestyle": (0, (6, 3))}
 _MOMENT: dict[str, Any] = {"marker": "o", "markersize": 6, "linestyle": "none", "zorder": 5}
 _PALE = 0.45  # how much the simulation covers, so that plans on top of it are seen
-_SAME_TIME = 1e-9  # rounding [s]
 _MARGIN = 0.02  # before and after a run, as a part of it
 _MOST_NAMED = 3  # plans that have a name of their own in a legend
 
@@ -209,9 +208,8 @@ def _draw_path(
     axes: Axes, path: PlannedPath, coordinate: int, since: float = 0.0, **look: Any
 ) -> None:
     """Draws a coordinate of a plan from a time on."""
-    motion = Motion.from_path("", path.times, path.states)
-    shown = motion.times >= since - _SAME_TIME
-    axes.plot(motion.times[shown], motion.positions[shown, coordinate], **look)
+    motion = Motion.from_path("", path.times, path.states).since(since)
+    axes.plot(motion.times, motion.positions[:, coordinate], **look)
 
 
 def _find_span(run: ClosedLoopRun) -> tuple[float, float]:
@@ -248,17 +246,11 @@ def plot_mind(row: Sequence[Axes], run: ClosedLoopRun, index: int = 0) -> None:
         ControlError: there was no such moment.
         ModelError: the links keep to no plane.
     """
-    switch, motion = run.switches[index], motion_of_run(run)
-    paths = {
-        "plan that was given up": switch.before,
-        "plan that was taken": switch.after,
-        SIMULATED: PlannedPath(motion.times, np.hstack([motion.positions, motion.velocities])),
-    }
-    world = run.true_world
-    for axes, color, (label, path) in zip(row, (3, 2, 0), paths.items(), strict=True):
-        kept = path.times >= switch.time - _SAME_TIME
-        shown = Motion.from_path(label, path.times[kept], path.states[kept])
-        plot_strobe(axes, shown, world, run.scenario, index=color)
+    switch, world = run.switches[index], run.true_world
+    paths = {"plan that was given up": switch.before, "plan that was taken": switch.after}
+    motions = [Motion.from_path(label, p.times, p.states) for label, p in paths.items()]
+    for axes, color, motion in zip(row, (3, 2, 0), [*motions, motion_of_run(run)], strict=True):
+        plot_strobe(axes, motion.since(switch.time), world, run.scenario, index=color)
 
 
 def figures_of_run(run: ClosedLoopRun) -> Iterator[tuple[Figure, str]]:

@@ -229,7 +229,9 @@ class _Scene:
         motion = self._motions[0]
         (way, *_), rows = self._stage.trace(motion.positions), [find_row(motion, t) for t in times]
         places = aside.multiply(self._stage.X_WT.multiply(way[rows].T)).T
-        self._flash(f"{ROOT}/motions/1/events", sorted(times), places, np.ones(len(rows)), _VIOLET)
+        self._flash(
+            f"{ROOT}/motions/1/events", sorted(times), places, np.full(len(rows), 2.0), _VIOLET
+        )
 
     def _calc_loads(
         self, motion: Motion
