@@ -1,4 +1,4 @@
-"""Processes that work side by side, with Dask and without: what one does is no other's business.
+"""Processes that work side by side: what one does is no other's business.
 
 Studies on Dask's workers: nothing is lost, and what can't be run on is refused by name.
 """
@@ -29,12 +29,6 @@ from drake_aigto.errors import MissingExtraError, OptionsError, StudyError
 from drake_aigto.jobs import ProcessDiedError, open_jobs, open_workers
 
 
-@pytest.fixture(params=["with Dask", "without Dask"])
-def kind(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    if request.param == "without Dask":
-        monkeypatch.setattr("drake_aigto.jobs.workers.find_spec", lambda name: None)
-
-
 def die_unless(path: Path) -> int:
     """Is killed, as if memory ran out, unless the path is there; returns the process's id."""
     if not path.exists():
@@ -55,7 +49,13 @@ def fail() -> None:
 
 def test_a_script_without_a_guard_is_told_what_it_lacks(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
-    script.write_text("from drake_aigto.jobs import open_jobs\nwith open_jobs(): pass\n")
+    lines = (
+        "from drake_aigto.jobs import open_jobs",
+        "with open_jobs() as jobs:",
+        "    jobs.start('one', abs, 1)",
+        "    for _, future in jobs.ended(): future.result()",
+    )
+    script.write_text("\n".join(lines))
     ended = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
     last = ended.stderr.splitlines()[-1]
     assert ended.returncode == 1
@@ -65,7 +65,6 @@ def test_a_script_without_a_guard_is_told_what_it_lacks(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("kind")
 def test_a_killed_worker_is_replaced_and_only_a_job_that_kills_again_fails(tmp_path: Path) -> None:
     with open_jobs(open_workers(1)) as jobs:
         jobs.start("once", die_at_first, tmp_path / "been")
@@ -78,7 +77,6 @@ def test_a_killed_worker_is_replaced_and_only_a_job_that_kills_again_fails(tmp_p
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("kind")
 def test_workers_have_one_thread_outlive_failures_and_see_no_ctrl_c(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -100,7 +98,6 @@ def test_workers_have_one_thread_outlive_failures_and_see_no_ctrl_c(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("kind")
 def test_ctrl_c_ends_all_at_once() -> None:
     with pytest.raises(KeyboardInterrupt), open_workers(1) as executor:
         number = executor.submit(os.getpid).result()
@@ -132,12 +129,6 @@ def test_a_scheduler_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     with pytest.raises(MissingExtraError, match=told), open_workers(None, "tcp://a:1"):
         pass
-
-
-@pytest.mark.slow
-def test_two_clusters_on_one_machine_share_no_port() -> None:
-    with open_workers(1) as one, open_workers(1) as other:
-        assert one.submit(int, "3").result() + other.submit(int, "4").result() == 7
 
 
 PLANS = ScenarioQuestion(

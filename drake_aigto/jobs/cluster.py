@@ -1,4 +1,4 @@
-"""Dask's workers as an executor: some on this machine, or those of any scheduler."""
+"""Workers of a Dask scheduler as an executor."""
 
 from __future__ import annotations
 
@@ -8,25 +8,14 @@ import logging
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 
-import dask
-from distributed import Client, LocalCluster, Security, rpc
+from distributed import Client, Security, rpc
 from distributed.cfexecutor import ClientExecutor
 from distributed.versions import get_package_info
 
 from drake_aigto.errors import StudyError
-from drake_aigto.jobs.processes import kill, without_ctrl_c
 
 # How long a scheduler may take to answer. [s]
 _PATIENCE = 5.0
-_LOCAL = {
-    # `Jobs` tells apart what dies from what waited beside it.
-    "distributed.scheduler.allowed-failures": 0,
-    # A job that waits at a worker is blamed with the one that kills it: let none wait there.
-    "distributed.scheduler.worker-saturation": 1.0,
-    # These take CPU time all along, in processes where it is measured: 5 % and 2 %.
-    "distributed.worker.profile.enabled": False,
-    "distributed.admin.tick.interval": "1s",
-}
 # Versions that have to agree, so that plans are the same on all machines.
 _PACKAGES = ("drake_aigto", "drake")
 
@@ -49,51 +38,6 @@ def _silent() -> Iterator[None]:
         yield
     finally:
         logger.setLevel(level)
-
-
-@contextlib.contextmanager
-def start_cluster(count: int) -> Iterator[Executor]:
-    """Yields processes of this machine, and ends them at once when the block is left."""
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(_silent())
-        with dask.config.set(_LOCAL), without_ctrl_c():
-            cluster = _start(count)
-            stack.callback(_end, cluster)
-        client = stack.enter_context(Client(cluster, set_as_default=False))
-        yield _Dask(client, pure=False)
-
-
-def _start(count: int) -> LocalCluster:
-    try:
-        return LocalCluster(
-            n_workers=count,
-            threads_per_worker=1,
-            memory_limit=0,  # No worker is paused or killed for its memory.
-            dashboard_address=":0",  # No fixed port: a second study warns of nothing.
-            scheduler_kwargs={"dashboard": False},
-            silence_logs=logging.CRITICAL,  # The study tells what matters of it.
-        )
-    except RuntimeError as error:
-        raise StudyError(
-            "workers",
-            got="processes that ended as they started",
-            expected="processes that wait for jobs",
-            remedy='Each imports the script: start them below `if __name__ == "__main__":`.',
-        ) from error
-
-
-def _end(cluster: LocalCluster) -> None:
-    async def end() -> None:
-        nannies = list(cluster.workers.values())
-        closing = asyncio.gather(*(nanny.close() for nanny in nannies), return_exceptions=True)
-        await asyncio.sleep(0)  # From here on none starts its process again.
-        for nanny in nannies:
-            if nanny.pid is not None:  # By itself it would wait for a job that nobody waits for.
-                kill(nanny.pid)
-        await closing
-
-    cluster.sync(end)
-    cluster.close()
 
 
 @contextlib.contextmanager

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import multiprocessing
 import os
+import signal
 import sys
-from collections.abc import Iterator
-from concurrent.futures import Executor
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from importlib.util import find_spec
+from multiprocessing import get_context, resource_tracker
+from typing import Any, ParamSpec, TypeVar
 
-from drake_aigto.errors import MissingExtraError, OptionsError
-from drake_aigto.jobs.processes import Processes
+from drake_aigto.errors import MissingExtraError, OptionsError, StudyError
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
 
 # Read by libraries when they are loaded: processes inherit it.
 _ONE_THREAD = {
@@ -28,8 +36,7 @@ def open_workers(count: int | None = None, scheduler: str | None = None) -> Iter
     machine: the caller has to handle it.
 
     Args:
-        count: of processes on this machine, which are a Dask cluster if the extra "cluster" is
-            installed; None: one per core.
+        count: of processes on this machine; None: one per core.
         scheduler: address of a Dask scheduler whose workers are to run the jobs instead, such as
             "tcp://10.0.0.1:8786".
 
@@ -45,21 +52,18 @@ def open_workers(count: int | None = None, scheduler: str | None = None) -> Iter
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         # A worker that imports a script without a guard. Whoever started it says so, once.
         sys.exit(1)
-    has_dask = find_spec("distributed") is not None
-    if scheduler is not None and not has_dask:
-        raise MissingExtraError(f"scheduler {scheduler}", "distributed", "cluster")
-    with _one_thread_each(), _choose(count or os.cpu_count() or 1, scheduler, has_dask) as executor:
+    with _one_thread_each(), _choose(count or os.cpu_count() or 1, scheduler) as executor:
         yield executor
 
 
-def _choose(
-    count: int, scheduler: str | None, has_dask: bool
-) -> contextlib.AbstractContextManager[Executor]:
-    if not has_dask:
+def _choose(count: int, scheduler: str | None) -> contextlib.AbstractContextManager[Executor]:
+    if scheduler is None:
         return Processes(count)
-    from drake_aigto.jobs import cluster  # Dask takes its time.
+    if find_spec("distributed") is None:
+        raise MissingExtraError(f"scheduler {scheduler}", "distributed", "cluster")
+    from drake_aigto.jobs.cluster import connect  # Dask takes its time.
 
-    return cluster.start_cluster(count) if scheduler is None else cluster.connect(scheduler)
+    return connect(scheduler)
 
 
 @contextlib.contextmanager
@@ -75,3 +79,80 @@ def _one_thread_each() -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+class Processes(Executor):
+    """Runs jobs in processes of this machine; if one dies, only its own job fails.
+
+    That job's future raises BrokenProcessPool, and the next job gets a new process. The processes
+    are spawned, as forking with threads in libraries is not safe, and stay for further jobs, which
+    can use caches of earlier ones.
+    """
+
+    def __init__(self, count: int) -> None:
+        """Starts nothing yet."""
+        self._numbers: dict[ProcessPoolExecutor, int] = {}  # each of one process, and its id
+        self._is_closed = False
+        self._own = threading.local()
+        # Each thread waits for one process at a time.
+        self._threads = ThreadPoolExecutor(count)
+
+    def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
+        """Has a call made by the next process that is free, in the order of submission."""
+        with _without_ctrl_c():
+            return self._threads.submit(self._call, fn, args, kwargs)
+
+    def _call(self, fn: Callable[..., _T], args: Any, kwargs: Any) -> _T:
+        if not hasattr(self._own, "process"):
+            self._own.process = self._start()
+        process = self._own.process
+        try:
+            return process.submit(fn, *args, **kwargs).result()
+        except BrokenProcessPool:
+            del self._own.process, self._numbers[process]
+            raise
+
+    def _start(self) -> ProcessPoolExecutor:
+        # A crash in C++ prints the Python stack.
+        process = ProcessPoolExecutor(1, get_context("spawn"), faulthandler.enable)
+        try:
+            number = process.submit(os.getpid).result()
+        except BrokenProcessPool as error:
+            raise StudyError(
+                "workers",
+                got="processes that ended as they started",
+                expected="processes that wait for jobs",
+                remedy='Each imports the script: start them below `if __name__ == "__main__":`.',
+            ) from error
+        self._numbers[process] = number
+        if self._is_closed:
+            _kill(number)
+        return process
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Ends the processes at once, whatever they do; jobs that have not begun are canceled."""
+        self._is_closed = True
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        processes = dict(self._numbers)
+        for number in processes.values():
+            _kill(number)
+        self._threads.shutdown()
+        for process in processes:
+            process.shutdown()
+
+
+@contextlib.contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Has threads that are started in this block, and processes of theirs, never see Ctrl-C."""
+    resource_tracker.ensure_running()  # Else whatever needs it first would be seeing it again.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _kill(number: int) -> None:
+    """Ends a process, if there is one of this number."""
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(number, signal.SIGKILL)
