@@ -79,7 +79,7 @@ def paper_methods(
     boxes = run_boxes(plan, world)
     center = boxes.problem.pull(boxes.result.box.center, boxes.rung)
     origin = Origin(options.algorithm, boxes.rung)
-    shrunk = boxes.problem.judge(origin, center, ProgramSolution(boxes.transcription, center))
+    shrunk = boxes.problem.judge(origin, center, ProgramSolution.of(boxes.transcription, center))
     snopt = dataclasses.replace(options, local_solver="snopt")
     problem = make_literal_task(world, scenario, snopt)
     random = gradient_from_random(problem, np.random.default_rng(seed))

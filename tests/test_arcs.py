@@ -62,17 +62,14 @@ TASKS: dict[str, tuple[World, Scenario, TouchSequence]] = {
 }
 
 
-@pytest.mark.parametrize("name", TASKS)
-def test_arcs_have_the_optimum_of_all_knots(name: str) -> None:
-    check_same(PhaseProblem(*TASKS[name]))
-
-
-@pytest.mark.parametrize("name", ["bounce", "room", "askew", "lasts"])
+@pytest.mark.parametrize(
+    "name", sorted(TASKS.keys() - {"two masses"})
+)  # Which costs next to nothing.
 def test_it_does_not_matter_where_arcs_are_cut(name: str) -> None:
     phases = PhaseProblem(*TASKS[name])
     rng = np.random.default_rng(3)
-    costs = []
-    for count in (0, 2, 7, phases.num_steps):
+    costs = [check_same(phases).cost]
+    for count in {min(count, phases.num_steps) for count in (0, 2, 7)}:
         cuts = rng.choice(np.arange(1, phases.num_steps + 1), count, replace=False).tolist()
         arcs = Arcs(phases, cuts)
         result = solve_nlp(arcs.nlp, arcs.vector(phases.guess()))

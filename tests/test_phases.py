@@ -21,7 +21,7 @@ from rest_solutions import least_rest
 
 from drake_aigto import Scenario, World
 from drake_aigto.local import LocalStatus
-from drake_aigto.planning import Arcs, PhaseMotion, PhaseProblem, sample, straight_path
+from drake_aigto.planning import Arcs, PhaseProblem, sample, straight_path
 from drake_aigto.transcription import (
     RigidTranscription,
     Touch,
@@ -216,15 +216,6 @@ def test_a_guess_goes_straight_from_stop_to_stop() -> None:
     tau = np.diff(guess.times)[:-4, np.newaxis]
     np.testing.assert_allclose(np.diff(guess.positions, axis=0)[:-4], tau * guess.velocities[1:-4])
     np.testing.assert_array_equal(guess.controls[:-4], np.zeros((16, 2)))
-
-
-def test_a_guess_has_the_contacts_that_were_asked_for() -> None:
-    sequence = (Touch(0.1, 0.3), Touch.bounce(0.5), Touch(0.6, 0.8), Touch.bounce(0.9))
-    phases = PhaseProblem(shipped_world(), make_scenario(time_step=0.05), sequence)
-    found = PhaseMotion(phases, phases.guess(np.zeros((6, 1)))).sequence
-    assert [touch.lasts for touch in found] == [True, False, True, False]
-    joints = [[t for touch in touches for t in touch.joints] for touches in (found, sequence)]
-    assert joints[0] == pytest.approx(joints[1], abs=1e-12)
 
 
 # What users add.

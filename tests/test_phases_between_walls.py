@@ -23,8 +23,8 @@ from unfolded_flights import (
 from benchmarks.optima import walls_optimum
 from drake_aigto import Scenario, World
 from drake_aigto.local import as_program, solve_with_drake
-from drake_aigto.planning import Arcs, PhaseProblem
-from drake_aigto.transcription import Touch, TouchSequence, calc_cost
+from drake_aigto.planning import Arcs, PhaseMotion, PhaseProblem
+from drake_aigto.transcription import Touch, TouchSequence
 
 T = 1.5
 place = st.floats(0.15, 0.85)
@@ -120,7 +120,7 @@ def test_drakes_solver_finds_the_same(bounces: int, e: float) -> None:
     arcs = Arcs(found.phases, range(found.phases.num_steps))
     start = arcs.vector(found.phases.guess())
     other = arcs.trajectory(solve_with_drake(as_program(arcs.nlp), start, "snopt"))
-    assert calc_cost(scenario, other) == pytest.approx(found.cost, rel=1e-4)
+    assert PhaseMotion(found.phases, other).cost == pytest.approx(found.cost, rel=1e-4)
 
 
 @pytest.mark.parametrize("model", ["corridor", "floor", "room"])

@@ -184,7 +184,7 @@ def test_nothing_feasible_is_an_error_that_says_what_was_tried(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def unpolished(problem: LiteralTask, center: Any, knots: Any) -> Any:
-        return ProgramSolution(problem.transcription, center)
+        return ProgramSolution.of(problem.transcription, center)
 
     monkeypatch.setattr(LiteralTask, "polish", unpolished)
     message = r"no candidate meets .* got \d+ candidates from 2 rungs, the smallest defect"

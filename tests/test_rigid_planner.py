@@ -15,9 +15,7 @@ from table1_plans import COARSE, UNCONFIRMED, bounce_plan, table1
 from drake_aigto import Scenario, World
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal, rigid_optimum
 from drake_aigto.planning import (
-    BALL_LADDER,
     Arcs,
-    BallTask,
     Origin,
     PhaseMotion,
     PhaseProblem,
@@ -28,7 +26,7 @@ from drake_aigto.planning import (
     plan,
 )
 from drake_aigto.show import format_plan
-from drake_aigto.transcription import RigidTranscription, Touch
+from drake_aigto.transcription import Touch
 
 # Of few time steps.
 
@@ -225,24 +223,6 @@ def test_a_plan_rests_until_it_is_time_to_jump() -> None:
     np.testing.assert_allclose(held[:5], 9.81 * 1.5, rtol=1e-4)
     flights = [c.cost for c in found.candidates if all(k.time == k.last_time for k in c.contacts)]
     assert found.cost < 0.7 * min(flights)
-
-
-def test_what_users_add_shapes_boxes_and_phases() -> None:
-    scenario, limit = table1(1, **COARSE), 2.0
-    transcription = RigidTranscription(shipped_world(), scenario)
-    (u,), (_, v) = transcription.input(), transcription.state()
-    transcription.AddConstraintToAllKnotPoints(u <= limit)
-    transcription.AddConstraintToAllKnotPoints(u >= -limit)
-    transcription.AddFinalCost(1.0 * v**2, "arrive slowly")
-    problem = BallTask(transcription)
-    center = problem.run_aigo(BALL_LADDER[0]).box.center
-    (sequence, *_) = problem.find_sequences(problem.run_aigo(BALL_LADDER[0]), BALL_LADDER[0])
-    assert len(sequence) == 1
-    found = problem.polish(center, sequence)
-    bounded = found.trajectory
-    assert np.max(np.abs(bounded.controls)) == pytest.approx(limit, abs=1e-6)
-    assert abs(bounded.velocities[-1, 0]) < abs(bounce_plan().trajectory.velocities[-1, 0]) - 0.1
-    assert max(found.defects.values()) < 1e-9
 
 
 def test_the_polish_is_a_program_for_any_solver() -> None:

@@ -284,15 +284,6 @@ def test_penalised_cost_is_cost_plus_weighted_squares() -> None:
     assert f(x) == pytest.approx(sum(shares.values()))
 
 
-def test_the_log_barrier_is_minus_the_logarithm() -> None:
-    prog = MathematicalProgram()
-    x = prog.NewContinuousVariables(2, "x")
-    prog.AddBoundingBoxConstraint(1.0, np.inf, x[0])
-    f = compile_program(penalize(prog, "log barrier", scale=3.0))
-    assert f(np.array([3.0, 0.0])) == pytest.approx(-3.0 * np.log(2.0))
-    assert f(np.array([0.5, 0.0])) == np.inf
-
-
 def test_both_sides_of_an_interval_are_penalised() -> None:
     prog = MathematicalProgram()
     x = prog.NewContinuousVariables(1, "x")

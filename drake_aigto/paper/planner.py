@@ -213,7 +213,7 @@ class LiteralTask(ProgramTask):
         kept, as its penalized rows are off by far.
         """
         guess = ballistic_guess(self.transcription, center, sequence)
-        return ProgramSolution(self.transcription, self.solve_locally(guess))
+        return ProgramSolution.of(self.transcription, self.solve_locally(guess))
 
 
 def contact_knots(transcription: Transcription, x: Floats) -> Knots:
@@ -268,4 +268,4 @@ def random_guess(transcription: Transcription, generator: np.random.Generator) -
 
 def _run(problem: LiteralTask, proposer: str, start: Floats) -> Candidate:
     x = problem.solve_locally(start)
-    return problem.judge(Origin(proposer), start, ProgramSolution(problem.transcription, x))
+    return problem.judge(Origin(proposer), start, ProgramSolution.of(problem.transcription, x))

@@ -2,7 +2,7 @@
 
 from drake_aigto.planning.balls.arc_program import ArcPrograms
 from drake_aigto.planning.balls.arcs import Arcs, solve_in_arcs
-from drake_aigto.planning.balls.neighbors import find_grazes, find_insertions
+from drake_aigto.planning.balls.branching import find_grazes, find_insertions
 from drake_aigto.planning.balls.phases import Path, PhaseMotion, PhaseProblem, coarsen
 from drake_aigto.planning.balls.search import BallSearch
 from drake_aigto.planning.balls.task import BallTask, make_ball_task
@@ -40,7 +40,8 @@ from drake_aigto.planning.mechanisms.traces import (
 from drake_aigto.planning.options import LocalSolverName, PlanOptions, SearchOptions
 from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
 from drake_aigto.planning.planner import Planner, needs_shooting, plan, run_search
-from drake_aigto.planning.program_task import ProgramSolution, ProgramTask
+from drake_aigto.planning.program_task import ProgramTask
+from drake_aigto.planning.programs import ProgramSolution
 from drake_aigto.planning.rungs import (
     BALL_LADDER,
     MECHANISM_LADDER,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Protocol, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -35,7 +35,7 @@ from drake_aigto.planning.candidate import (
     sample,
 )
 from drake_aigto.planning.options import SearchOptions
-from drake_aigto.planning.programs import CompiledPrograms, check_added_rows
+from drake_aigto.planning.programs import CompiledPrograms, Solution, check_added_rows
 from drake_aigto.planning.rungs import Rung, StartName
 from drake_aigto.simulation import (
     Replay,
@@ -45,7 +45,7 @@ from drake_aigto.simulation import (
     replay_event_driven,
 )
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import Transcription, largest_defect
+from drake_aigto.transcription import Transcription, calc_cost, largest_defect
 from drake_aigto.world import Scales, World
 
 _LOG = logging.getLogger(__name__)
@@ -81,45 +81,6 @@ class Start:
     polynomial: BoxPolynomial
     box: Box
     row_names: tuple[str, ...]
-
-
-class Solution(Protocol):
-    """A motion that solves a program."""
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """The motion at its knots."""
-
-    @property
-    def cost(self) -> float:
-        """J, without costs of users."""
-
-    @property
-    def defects(self) -> Mapping[str, float]:
-        """The largest violation of each kind of row, in its unit (m, m/s)."""
-
-
-@dataclass(frozen=True, eq=False)
-class ProgramSolution:
-    """Decision variables (n,) of a transcription, as a motion."""
-
-    transcription: Transcription
-    x: Floats
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """The motion at its knots."""
-        return self.transcription.trajectory(self.x)
-
-    @property
-    def cost(self) -> float:
-        """J, without costs of users."""
-        return self.transcription.scenario_cost(self.x)
-
-    @property
-    def defects(self) -> dict[str, float]:
-        """The largest violation of each kind of row, in its unit (m, m/s)."""
-        return self.transcription.defects(self.x)
 
 
 class ProgramTask(ABC):
@@ -353,29 +314,36 @@ class ProgramTask(ABC):
             start: decision variables of this problem's transcription.
             found: the motion.
         """
-        world, scenario = self.world, self.transcription.scenario
-        trajectory = found.trajectory
-        added = self.additions.costs(sample(trajectory))
+        world, scenario, trajectory = self.world, self.transcription.scenario, found.trajectory
         replay = replay_event_driven(world, scenario, trajectory.times, trajectory.controls)
-        return Candidate(
+        return self._describe(
+            trajectory,
+            add_to_replay(replay, self.additions, trajectory),
             origin=origin,
             start_cost=self.transcription.scenario_cost(start),
             start_defects=self.transcription.defects(start),
-            trajectory=trajectory,
-            cost=found.cost + sum(added.values()),
+            cost=self.cost(found),
             goal_error=float(np.linalg.norm(trajectory.positions[-1] - scenario.goal_position)),
             defects=self.defects(found),
-            max_penetration=max_penetration(world, trajectory),
-            contacts=find_contacts(world, trajectory),
-            replay=add_to_replay(replay, self.additions, trajectory),
+            added_costs=self.additions.costs(sample(trajectory)),
+        )
+
+    def _describe(self, trajectory: Trajectory, replay: Replay, **fields: Any) -> Candidate:
+        """Returns the candidate of a trajectory and its replay, with these fields."""
+        return Candidate(
+            trajectory=trajectory,
+            max_penetration=max_penetration(self.world, trajectory),
+            contacts=find_contacts(self.world, trajectory),
+            replay=replay,
             scales=self.scales,
-            added_costs=added,
+            **fields,
         )
 
     def cost(self, found: Solution) -> float:
         """Returns J of a motion, with costs of users."""
-        added = self.additions.costs(sample(found.trajectory)) if self.additions else {}
-        return found.cost + sum(added.values())
+        motion, scenario = found.trajectory, self.transcription.scenario
+        cost = calc_cost(scenario, motion.times, motion.positions, motion.controls)
+        return cost + sum(self.additions.costs(sample(motion)).values())
 
     def defects(self, found: Solution) -> dict[str, float]:
         """Returns a motion's largest violation of each kind of row, and of users' constraints."""
@@ -410,18 +378,15 @@ class ProgramTask(ABC):
             if largest_defect(defects, self.scales) <= LARGEST_DEFECT:
                 break
         replay = add_to_replay(replay, self.additions, trajectory)
-        return Candidate(
+        return self._describe(
+            trajectory,
+            replay,
             origin=Origin(NO_CONTROL),
             start_cost=replay.cost,
             start_defects=defects,
-            trajectory=trajectory,
             cost=replay.cost,
             goal_error=replay.goal_error,
             defects=defects,
-            max_penetration=max_penetration(world, trajectory),
-            contacts=find_contacts(world, trajectory),
-            replay=replay,
-            scales=self.scales,
             added_costs=replay.added_costs,
         )
 

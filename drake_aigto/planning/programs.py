@@ -1,17 +1,20 @@
-"""Penalized programs, compiled once, and a check that rows of users are feasible."""
+"""Penalized programs, compiled once, their solutions, and a check of rows of users."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from pydrake.solvers import Binding, MathematicalProgram
 
+from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial, ParametricPolynomial
 from drake_aigto.local import compile_nlp
 from drake_aigto.solver import may_be_feasible
 from drake_aigto.terms import parse_costs
+from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Additions, Bounds, Transcription, check_together
 
 _LOG = logging.getLogger(__name__)
@@ -76,6 +79,32 @@ class CompiledPrograms:
             self._kept[key] = CompiledProgram.of(transcription)
         transcription.take_bounds(self._kept[key].bounds)
         return self._kept[key]
+
+
+class Solution(Protocol):
+    """A motion that solves a program."""
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The motion at its knots."""
+
+    @property
+    def defects(self) -> Mapping[str, float]:
+        """The largest violation of each kind of row, in its unit (m, m/s)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramSolution:
+    """A motion of decision variables x (n,) of a transcription (`Solution`)."""
+
+    x: Floats
+    trajectory: Trajectory
+    defects: Mapping[str, float]
+
+    @classmethod
+    def of(cls, transcription: Transcription, x: Floats) -> ProgramSolution:
+        """Returns the motion of all decision variables."""
+        return cls(x, transcription.trajectory(x), transcription.defects(x))
 
 
 def check_added_rows(prog: MathematicalProgram, additions: Additions) -> None:

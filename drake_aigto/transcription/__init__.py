@@ -9,7 +9,7 @@ from drake_aigto.transcription.additions import (
     Samples,
 )
 from drake_aigto.transcription.consistency import check_together
-from drake_aigto.transcription.knots import Layout, calc_cost
+from drake_aigto.transcription.knot_program import Layout
 from drake_aigto.transcription.mechanism_program import (
     COST,
     DISTANCES,
@@ -32,6 +32,7 @@ from drake_aigto.transcription.rows import (
     UNITS,
     Bounds,
     as_expression,
+    calc_cost,
     cut_to,
     cut_to_bounds,
     largest_defect,

@@ -1,93 +1,90 @@
-"""A MathematicalProgram over knots, in the words of Drake's MultipleShooting."""
+"""A MathematicalProgram over knots, in the words of Drake's MultipleShooting, and its motions."""
 
 from __future__ import annotations
 
 import copy
+import math
 import operator
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Hashable, Iterable
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.solvers import BoundingBoxConstraint, Cost, EvaluatorBase, MathematicalProgram
 from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.errors import ProgramError
 from drake_aigto.terms import read_bounds
-from drake_aigto.transcription.knots import Knots
-from drake_aigto.transcription.rows import Bounds, SharedEvaluator, substitutions
-from drake_aigto.world import Scenario, World
-
-
-class Parameters(NamedTuple):
-    """Parameters of a program from a scenario without its start: numbers, or symbols for them.
-
-    Rows divide by none of these, so that programs are polynomials of the symbols.
-
-    Attributes:
-        goal: of q(T), shape (nq,) [m].
-        control_weight: w_u [1/(N² s)].
-        goal_weight: w_f [1/m²].
-        time_step: dt [s].
-        rate: 1/dt [1/s].
-        per_length: 1/L, of the length scale [1/m].
-        restitutions: e of each contact, shape (m,).
-    """
-
-    goal: NDArray[Any]
-    control_weight: Any
-    goal_weight: Any
-    time_step: Any
-    rate: Any
-    per_length: Any
-    restitutions: NDArray[Any]
-
-    @classmethod
-    def of(cls, scenario: Scenario, length_scale: float, restitutions: Floats) -> Parameters:
-        """Returns a scenario's numbers."""
-        return cls(
-            goal=scenario.goal_position,
-            control_weight=scenario.control_weight,
-            goal_weight=scenario.goal_weight,
-            time_step=scenario.time_step,
-            rate=1 / scenario.time_step,
-            per_length=1 / length_scale,
-            restitutions=restitutions,
-        )
-
-    @classmethod
-    def symbols(cls, num_positions: int, num_contacts: int) -> Parameters:
-        """Returns new symbols."""
-        names = cls._fields[1:-1]
-        found = MakeVectorVariable(num_positions + len(names) + num_contacts, "p")
-        goal, scalars, returned = np.split(found, [num_positions, num_positions + len(names)])
-        given = dict(zip(names, scalars.tolist(), strict=True))
-        return cls(goal=goal, **given, restitutions=returned)
-
-    def vector(self) -> NDArray[Any]:
-        """Returns all of them, shape (nq + 5 + m,)."""
-        return np.array([*self.goal, *self[1:-1], *self.restitutions])
-
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription.rows import (
+    Bounds,
+    Parameters,
+    SharedEvaluator,
+    calc_cost,
+    substitutions,
+)
+from drake_aigto.world import Scales, Scenario, World, calc_inertia
 
 _Self = TypeVar("_Self", bound="KnotProgram")
 
 _NUMBERS = ("lower_bound", "upper_bound", "GetDenseA", "Q", "a", "b", "c")
+# A time within this part of the duration is that of a knot: rounding.
+_ON_KNOT = 1e-9
 
 
-class KnotProgram(Knots):
-    """A program over knots, made at its first use; it distinguishes additions of users."""
+class Layout:
+    """Places of decision variables, before there is a program with them.
+
+    Attributes:
+        size: the number of variables.
+    """
+
+    def __init__(self) -> None:
+        """Starts without variables."""
+        self.size = 0
+        self._groups: list[tuple[str, tuple[int, ...]]] = []
+
+    def new(self, name: str, *shape: int) -> Ints:
+        """Returns the indices of new variables, of this shape."""
+        self._groups.append((name, shape))
+        first, self.size = self.size, self.size + math.prod(shape)
+        # Drake counts the variables of a matrix column by column. In C's order, as motions are: the
+        # rounding of products depends on it.
+        return np.ascontiguousarray(np.arange(first, self.size).reshape(shape, order="F"))
+
+    def copy(self) -> Layout:
+        """Returns a layout of the same variables, to which others may be added."""
+        other = Layout()
+        other.size, other._groups = self.size, [*self._groups]
+        return other
+
+    def add_to(self, prog: MathematicalProgram) -> None:
+        """Adds the variables to an empty program."""
+        for name, shape in self._groups:
+            prog.NewContinuousVariables(*shape, name)
+
+
+class KnotProgram(ABC):
+    """A program over knots k = 0 … N, made at its first use; it distinguishes additions of users.
+
+    Its variables are q, v and u, then, for contacts whose φ reads several coordinates, clearances
+    s_k = φ(q_k), and what the subclass adds. Vectors x of all of them are motions and back.
+
+    Shape letters: N time steps, nq positions, nv = nq velocities, nu controls, m contacts.
+    """
 
     def __init__(self, world: World, scenario: Scenario) -> None:
         """Lays out the variables, and makes placeholders for those of a stage."""
         self._forget_program()
         self._symbols: Parameters | None = None  # In place of `parameters`, in a twin.
-        super().__init__(world, scenario)
+        self.world, self.scenario, self._dt = world, scenario, scenario.time_step
+        self._layout = Layout()
+        self._lay_out()
 
     def _forget_program(self) -> None:
-        self._last = None, None
         self._made: MathematicalProgram | None = None
         self._bounds: Bounds | None = None  # If known without it.
         # Placeholder id → decision variable, of each stage that something was bound to.
@@ -95,11 +92,6 @@ class KnotProgram(Knots):
         # The evaluators of all rows and costs that the class bound, as they were, and how often.
         self._own: dict[EvaluatorBase, Hashable] = {}
         self._num_bound = 0
-
-    @property
-    def is_as_made(self) -> bool:
-        """Whether the program has no additions, as it was not used yet."""
-        return self._made is None
 
     @property
     def _prog(self) -> MathematicalProgram:
@@ -170,9 +162,6 @@ class KnotProgram(Knots):
     @abstractmethod
     def _stage(self, k: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
         """Returns pairs of placeholders and their variables at knot k."""
-
-    def _num_variables(self) -> int:
-        return super()._num_variables() if self._made is None else self._made.num_vars()
 
     # Placeholders of a stage; those of its start and control are the world's own.
 
@@ -269,6 +258,130 @@ class KnotProgram(Knots):
         if k not in self._chosen:
             self._chosen[k] = substitutions(*zip(*self._stage(k), strict=True))
         self._attach(shared.evaluator, shared.variables(self._chosen[k]))
+
+    def _lay_out(self) -> None:
+        """Makes the arrays of indices."""
+        N, world, new = self.scenario.num_steps, self.world, self._layout.new
+        self._q = new("q", N + 1, world.num_positions)
+        self._v = new("v", N + 1, world.num_velocities)
+        self._u = new("u", N, world.num_actuators)
+        self._clearance_contacts = [
+            i
+            for i in np.flatnonzero(self._is_bounded()).tolist()
+            if len(world.contacts[i].signed_distance.GetVariables()) > 1
+        ]
+        columns = [new(f"s{i}", N + 1, 1) for i in self._clearance_contacts]
+        self._clearances = np.hstack([np.empty((N + 1, 0), dtype=np.int64), *columns])
+
+    @abstractmethod
+    def _is_bounded(self) -> Bools:
+        """Returns which contacts have bounds on φ at knots k ≥ 1, shape (m,)."""
+
+    @abstractmethod
+    def defects(self, x: Floats) -> dict[str, float]:
+        """Returns the largest violation of each kind of row at x, in that row's unit (m, m/s)."""
+
+    @abstractmethod
+    def impulses(self, x: Floats) -> Floats:
+        """Returns the contact impulses that x implies, shape (N+1, m) [N s]."""
+
+    def close_rows(self, x: Floats) -> Floats:
+        """Returns x without the rounding errors of rows, where these can be removed."""
+        return x
+
+    def _depth(self, x: Floats) -> float:
+        """Returns the penetration of knots after the start, 0 outside [m]."""
+        clearances = self.world.calc_clearance(self.split(x)[0][1:])
+        return max(0.0, -float(np.min(clearances)))
+
+    def num_samples(self) -> int:
+        """Returns the number of knots, N + 1."""
+        return len(self._q)
+
+    def time_step(self, k: int = 0) -> float:
+        """Returns the length of step k [s]; all are equal."""
+        return self._dt
+
+    def GetSampleTimes(self) -> Floats:
+        """Returns the knots' times, shape (N+1,) [s]."""
+        return np.arange(self.num_samples()) * np.float64(self._dt)
+
+    def knot_at(self, time: float) -> int:
+        """Returns the knot at a time [s].
+
+        Raises:
+            ProgramError: there is none; the message has the nearest ones' times.
+        """
+        times = self.GetSampleTimes()
+        nearest = np.argsort(np.abs(times - time))[:2]
+        if not abs(times[nearest[0]] - time) <= _ON_KNOT * times[-1]:
+            raise ProgramError(
+                "time",
+                got=f"{time:g} s",
+                expected=f"a knot's, as {' and '.join(f'{t:g}' for t in np.sort(times[nearest]))}",
+                remedy="The number of knots is PlanOptions.aigo_steps + 1.",
+            )
+        return int(nearest[0])
+
+    def trajectory(self, x: Floats) -> Trajectory:
+        """Returns the trajectory of a vector of all decision variables."""
+        (q, v, u), impulses = self.split(x), self.impulses(x)
+        return Trajectory(self.GetSampleTimes(), q, v, u, impulses, np.zeros_like(impulses[1:]))
+
+    def vector(self, trajectory: Trajectory) -> Floats:
+        """Returns all decision variables of a trajectory at these knots; undoes `trajectory`."""
+        return self.vector_of(trajectory.positions, trajectory.velocities, trajectory.controls)
+
+    def vector_of(self, positions: Floats, velocities: Floats, controls: Floats) -> Floats:
+        """Returns all decision variables, for arrays as `split` returns them."""
+        clearances = self.world.calc_signed_distance(positions)[:, self._clearance_contacts]
+        return self._join(positions, velocities, controls, clearances)
+
+    def _join(self, *parts: Floats) -> Floats:
+        """Returns q, v, u and clearances in the program's order; other variables are 0."""
+        x = np.zeros(self._layout.size if self._made is None else self._made.num_vars())
+        places = self._q, self._v, self._u, self._clearances
+        for indices, values in zip(places, parts, strict=True):
+            x[indices] = values
+        return x
+
+    def split(self, x: Floats) -> list[Floats]:
+        """Returns q (N+1, nq), v (N+1, nv) and u (N, nu) out of all decision variables."""
+        return [x[indices] for indices in (self._q, self._v, self._u)]
+
+    def signed_distances(self, x: Floats) -> Floats:
+        """Returns φ at the knots, shape (N+1, m) [m]."""
+        return self.world.calc_signed_distance(self.split(x)[0])
+
+    def scenario_cost(self, x: Floats) -> float:
+        """Returns J = w_u Σ dt ‖u_k‖² + w_f ‖q_N − goal‖², without penalties or added costs."""
+        q, _, u = self.split(x)
+        return calc_cost(self.scenario, self.GetSampleTimes(), q, u)
+
+    def elimination_order(self) -> Ints:
+        """Returns all decision variables' indices by stage: Newton systems are banded then."""
+        return np.concatenate([self._stage_indices(k) for k in range(self.num_samples())])
+
+    def _stage_indices(self, k: int) -> Ints:
+        """Returns the decision variables of knot k and of the step after it."""
+        return np.concatenate([self._q[k], self._v[k], self._clearances[k], *self._u[k : k + 1]])
+
+    @cached_property
+    def scales(self) -> Scales:
+        """The task's own units."""
+        return Scales.of(self.world, self.scenario)
+
+    def length_scale(self) -> float:
+        """Returns the longest of the ways to the goal and, from both ends, to the wall [m]."""
+        return self.scales.length
+
+    def inertia(self) -> float:
+        """Returns the largest entry of B⁺ M at the start: control per acceleration [kg]."""
+        return calc_inertia(self.world, self.scenario.initial_position)
+
+    def cost_scale(self) -> float:
+        """Returns the unit of penalty weights and temperatures."""
+        return 1.0
 
 
 def numbers_of(evaluator: EvaluatorBase) -> Hashable:

@@ -283,20 +283,16 @@ class OpenProgram(KnotProgram):
 
     def _stage_of(self, addition: Addition, k: int) -> int:
         """Returns the last knot that an addition reads, places of any knot at k."""
-        return max(k if p.knot is None else self._knot(p.knot) for p in addition.places)
+        return max(k if p.knot is None else p.knot for p in addition.places)
 
     def _indices(self, addition: Addition, k: int) -> Ints:
         """Returns the decision variables that an addition reads, places of any knot at k."""
         return np.array(
             [
-                self._parts[part][k if knot is None else self._knot(knot), coordinate]
+                self._parts[part][k if knot is None else knot, coordinate]
                 for part, coordinate, knot in addition.places
             ]
         )
-
-    def _knot(self, k: int) -> int:
-        """Returns the knot at the time of knot k of the transcription that users added to."""
-        return k
 
     def _stage_indices(self, k: int) -> Ints:
         slacks = [row.slacks[row.stages == k] for row in self._rows if row.slacks.size]

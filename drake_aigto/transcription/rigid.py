@@ -24,13 +24,12 @@ from drake_aigto.transcription.rows import (
     FLIGHT,
     NONPENETRATION,
     RESTITUTION,
-    InequalityPenalty,
     as_expression,
     penalize,
     shared_constraint,
 )
 from drake_aigto.transcription.touches import Fronts, find_facings
-from drake_aigto.transcription.transcription import ImpactTranscription
+from drake_aigto.transcription.transcription import Transcription, rigid_defects
 from drake_aigto.world import Scenario, World
 
 # Jacobians are parallel, or directions dependent, within this.
@@ -147,7 +146,7 @@ def _distinct(jacobians: Floats) -> Floats:
     return np.array(kept)
 
 
-class RigidTranscription(ImpactTranscription):
+class RigidTranscription(Transcription):
     """Impulses at knots, exact flight between them, relaxed complementarity, Newton restitution.
 
     The impulse at knot k is the residual of flight, so it is not a decision variable:
@@ -194,8 +193,8 @@ class RigidTranscription(ImpactTranscription):
         """Makes the program."""
         if not 0 <= relaxation < np.inf:
             raise OptionsError("relaxation", got=relaxation, expected="a number, 0 or more")
-        self.relaxation = relaxation
-        self.impulse_directions = ImpulseDirections.of(world.constant_inertia)
+        self.relaxation, self._inertia = relaxation, world.constant_inertia
+        self.impulse_directions = ImpulseDirections.of(self._inertia)
         self._fronts = _find_fronts(world, scenario, path)
         super().__init__(world, scenario)
 
@@ -322,14 +321,20 @@ class RigidTranscription(ImpactTranscription):
         price = effort * miss / (effort + miss) if miss else effort
         return price * self.length_scale() ** 2
 
-    def penalized(self, inequality: InequalityPenalty = "squared hinge") -> MathematicalProgram:
+    def penalized(self) -> MathematicalProgram:
         """Returns `prog` with constraints as costs, each row r_k as N r_k²: r_k²/dt in units of T.
 
         So weights mean the same for every N and T. Distances are in units of L here too: Drake
         makes φ/L ≥ 0 a bound on q, which has no unit left.
         """
         per_unit = dict.fromkeys((NONPENETRATION, CLEARANCE), self._given.per_length)
-        return penalize(self._prog, inequality, scale=self.scenario.num_steps, per_unit=per_unit)
+        return penalize(self._prog, scale=self.scenario.num_steps, per_unit=per_unit)
+
+    def defects(self, x: Floats) -> dict[str, float]:
+        """Returns the largest of each kind, as `rigid_defects`, and nonpenetration [m]."""
+        restitutions = self.world.restitutions(self.scenario)
+        found = rigid_defects(self.world, restitutions, self.trajectory(x))
+        return {**found, NONPENETRATION: self._depth(x)}
 
     def impulses(self, x: Floats) -> Floats:
         """Returns λ_k, shape (N+1, m) [N s]; 0 at the last knot: no step follows."""

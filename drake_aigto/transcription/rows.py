@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pydrake.symbolic as sym
@@ -26,7 +26,7 @@ from pydrake.symbolic import Expression, MakeVectorVariable, Polynomial, Variabl
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.terms import read_bounds
-from drake_aigto.world import Scales
+from drake_aigto.world import Scales, Scenario
 
 NONPENETRATION, CLEARANCE = "nonpenetration", "clearance"
 FLIGHT, DYNAMICS, CONTACT, RESTITUTION = "flight", "dynamics", "contact", "restitution"
@@ -49,6 +49,13 @@ def scaled_defects(defects: Mapping[str, float], scales: Scales) -> dict[str, fl
 def largest_defect(defects: Mapping[str, float], scales: Scales) -> float:
     """Returns the largest of `scaled_defects`."""
     return max(scaled_defects(defects, scales).values())
+
+
+def calc_cost(scenario: Scenario, times: Floats, positions: Floats, controls: Floats) -> float:
+    """Returns J = w_u Σ h_k ‖u_k‖² + w_f ‖q_N − goal‖², without penalties or added costs."""
+    effort = np.diff(times) @ np.sum(controls**2, axis=1)
+    miss = np.sum((positions[-1] - scenario.goal_position) ** 2)
+    return float(scenario.control_weight * effort + scenario.goal_weight * miss)
 
 
 # Constraints that Drake evaluates symbolically.
@@ -164,21 +171,69 @@ def _scratch_program(expression: Expression) -> MathematicalProgram:
     return scratch
 
 
-InequalityPenalty = Literal["squared hinge", "log barrier"]
+class Parameters(NamedTuple):
+    """Parameters of a program from a scenario without its start: numbers, or symbols for them.
+
+    Rows divide by none of these, so that programs are polynomials of the symbols.
+
+    Attributes:
+        goal: of q(T), shape (nq,) [m].
+        control_weight: w_u [1/(N² s)].
+        goal_weight: w_f [1/m²].
+        time_step: dt [s].
+        rate: 1/dt [1/s].
+        per_length: 1/L, of the length scale [1/m].
+        restitutions: e of each contact, shape (m,).
+    """
+
+    goal: NDArray[Any]
+    control_weight: Any
+    goal_weight: Any
+    time_step: Any
+    rate: Any
+    per_length: Any
+    restitutions: NDArray[Any]
+
+    @classmethod
+    def of(cls, scenario: Scenario, length_scale: float, restitutions: Floats) -> Parameters:
+        """Returns a scenario's numbers."""
+        return cls(
+            goal=scenario.goal_position,
+            control_weight=scenario.control_weight,
+            goal_weight=scenario.goal_weight,
+            time_step=scenario.time_step,
+            rate=1 / scenario.time_step,
+            per_length=1 / length_scale,
+            restitutions=restitutions,
+        )
+
+    @classmethod
+    def symbols(cls, num_positions: int, num_contacts: int) -> Parameters:
+        """Returns new symbols."""
+        names = cls._fields[1:-1]
+        found = MakeVectorVariable(num_positions + len(names) + num_contacts, "p")
+        goal, scalars, returned = np.split(found, [num_positions, num_positions + len(names)])
+        given = dict(zip(names, scalars.tolist(), strict=True))
+        return cls(goal=goal, **given, restitutions=returned)
+
+    def vector(self) -> NDArray[Any]:
+        """Returns all of them, shape (nq + 5 + m,)."""
+        return np.array([*self.goal, *self[1:-1], *self.restitutions])
+
+
 # Lower and upper bound of each variable, shape (n,) each.
 Bounds: TypeAlias = "tuple[Floats, Floats]"
 
 
 def penalize(
     prog: MathematicalProgram,
-    inequality: InequalityPenalty = "squared hinge",
     scale: float = 1.0,
     per_unit: Mapping[str, Any] | None = None,
 ) -> MathematicalProgram:
     """Returns a program over the same variables with penalties for constraints as costs.
 
         r(x) = 0     ↦   scale · r(x)²
-        y(x_i) ≥ 0   ↦   scale · max(0, −y)²   or   −scale · log y      (y affine in one variable)
+        y(x_i) ≥ 0   ↦   scale · max(0, −y)²      (y affine in one variable)
 
     Each penalty carries its constraint's description, so that `BoxPolynomial.with_weights` can
     weight it; constraints that share an evaluator share its penalty. A variable with equal bounds
@@ -186,8 +241,6 @@ def penalize(
 
     Args:
         prog: the program; it is not changed.
-        inequality: how inequalities are penalized. A log barrier needs boxes that stay on its
-            feasible side.
         scale: common factor of all penalties.
         per_unit: description → factor of residuals of such constraints: a number, or one of the
             program's variables; 1 if left out.
@@ -210,7 +263,7 @@ def penalize(
         if evaluator not in penalties:
             x = MakeVectorVariable(len(variables), "x")
             factor = factors.get(evaluator.get_description(), Expression(1.0))
-            penalty = _penalty(evaluator, x, inequality, scale, factor)
+            penalty = _penalty(evaluator, x, scale, factor)
             penalties[evaluator] = [each.get_id() for each in x], penalty
         placeholders, penalty = penalties[evaluator]
         if penalty is not None:
@@ -244,11 +297,7 @@ def cut_to(bounds: Bounds, center: ArrayLike, half_width: ArrayLike) -> tuple[Fl
 
 
 def _penalty(
-    constraint: Constraint,
-    x: NDArray[Any],
-    inequality: InequalityPenalty,
-    scale: float,
-    factor: Expression,
+    constraint: Constraint, x: NDArray[Any], scale: float, factor: Expression
 ) -> SharedEvaluator | None:
     """Returns the penalty over placeholders x of lower ≤ g(x) ≤ upper; None if empty."""
     name = constraint.get_description() or type(constraint).__name__
@@ -260,16 +309,14 @@ def _penalty(
             continue
         sides = (y - lower, lower), (upper - y, upper)
         for side in (side for side, bound in sides if np.isfinite(bound)):
-            total += scale * _inequality_penalty(name, as_expression(side), factor, inequality)
+            total += scale * _inequality_penalty(name, as_expression(side), factor)
     if total.EqualTo(Expression(0.0)):
         return None
     return shared_cost(total, name)
 
 
-def _inequality_penalty(
-    name: str, y: Expression, factor: Expression, inequality: InequalityPenalty
-) -> Expression:
-    """Returns max(0, −y)² or −log y, of y times the factor."""
+def _inequality_penalty(name: str, y: Expression, factor: Expression) -> Expression:
+    """Returns max(0, −y)² of y times the factor."""
     if not is_affine_in_one(y):
         raise UnsupportedTermError(
             f"the constraint '{name}' can't be penalized",
@@ -277,6 +324,4 @@ def _inequality_penalty(
             expected="inequalities that are affine in one variable",
             remedy="Give the expression a variable s of its own: expression == s, s ≥ 0.",
         )
-    if inequality == "log barrier":
-        return -sym.log(y * factor)
     return sym.pow(factor, 2) * sym.pow(sym.max(0.0, -y), 2)

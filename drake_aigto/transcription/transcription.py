@@ -21,7 +21,6 @@ from drake_aigto.transcription.rows import (
     FLIGHT,
     NONPENETRATION,
     RESTITUTION,
-    InequalityPenalty,
     as_expression,
     cut_to,
     penalize,
@@ -189,12 +188,12 @@ class Transcription(OpenProgram):
             row.widen(center, half_width)
         return cut_to(self.bounds(), center, half_width)
 
-    def penalized(self, inequality: InequalityPenalty = "squared hinge") -> MathematicalProgram:
+    def penalized(self) -> MathematicalProgram:
         """Returns `prog` with constraints as costs, each row r_k as r_k²/dt.
 
         So weights mean the same for every N.
         """
-        return penalize(self._prog, inequality, scale=1 / self._dt)
+        return penalize(self._prog, scale=1 / self._dt)
 
     def _stage(self, k: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
         """Returns pairs of placeholders and their variables at knot k."""
@@ -209,22 +208,6 @@ class Transcription(OpenProgram):
                 (self._next_v, self._variables_at(self._v[k + 1])),
             ]
         return pairs
-
-
-class ImpactTranscription(Transcription):
-    """A transcription with rigid contacts under Newton's restitution."""
-
-    def __init__(self, world: World, scenario: Scenario) -> None:
-        """Reads M and J, then makes the program."""
-        self._inertia = world.constant_inertia
-        super().__init__(world, scenario)
-
-    def defects(self, x: Floats) -> dict[str, float]:
-        """Returns the largest of each kind, as `rigid_defects`, and nonpenetration [m]."""
-        found = rigid_defects(
-            self.world, self.world.restitutions(self.scenario), self.trajectory(x)
-        )
-        return {**found, NONPENETRATION: self._depth(x)}
 
 
 def rigid_defects(world: World, restitution: ArrayLike, trajectory: Trajectory) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from pydrake.symbolic import MakeVectorVariable
@@ -14,6 +14,7 @@ from drake_aigto.dynamics import ConstantDynamics
 from drake_aigto.local import Monomial, NlpBuilder, Summand
 from drake_aigto.planning.balls.added import AddedSums
 from drake_aigto.planning.balls.phases import PhaseProblem
+from drake_aigto.planning.balls.timeline import Marks
 from drake_aigto.terms import expression_terms
 from drake_aigto.transcription import (
     CONTACT,
@@ -41,12 +42,7 @@ class ArcShape:
         counts: steps of each arc, shape (J,); if no row reads them, 1 for one and 2 for more.
         phases: which phase each arc is a part of, shape (J,).
         rests: which contacts last during each arc, shape (J, m).
-        lands: which contacts last from each joint on, shape (J+1, m).
-        starts: which contacts are touched anew at each joint, shape (J+1, m).
-        struck: as in `Timeline`, shape (J+1, m).
-        held: likewise.
-        apart: likewise.
-        beside: likewise.
+        marks: contacts at the joints.
         restitutions: of contacts that are sustained, or struck with others coupled to them, shape
             (m,); 0 for others, whose impacts bounds fix.
         weights: w_u and w_f.
@@ -55,12 +51,7 @@ class ArcShape:
     counts: Ints
     phases: Ints
     rests: Bools
-    lands: Bools
-    starts: Bools
-    struck: Bools
-    held: Bools
-    apart: Bools
-    beside: Bools
+    marks: Marks
     restitutions: Floats
     weights: Floats
 
@@ -72,19 +63,14 @@ class ArcShape:
         if counts.size == len(line.phases) and not np.any(rests):
             counts = np.minimum(counts, 2)
         ends = [phase.last for phase in line.phases]
-        stays = np.any(line.lands, axis=0)
+        stays = np.any(line.marks.lands, axis=0)
         for knot, impact in phases.impacts.items():
-            stays |= line.struck[knot] & np.any(impact.coupled)
+            stays |= line.marks.struck[knot] & np.any(impact.coupled)
         return cls(
             counts=counts,
             phases=np.searchsorted(ends, knots[:-1], side="right"),
             rests=rests,
-            lands=line.lands[knots],
-            starts=line.starts[knots],
-            struck=line.struck[knots],
-            held=line.held[knots],
-            apart=line.apart[knots],
-            beside=line.beside[knots],
+            marks=line.marks.at(knots),
             restitutions=np.where(stays, phases.restitutions, 0.0),
             weights=np.array([scenario.control_weight, scenario.goal_weight]),
         )
@@ -92,7 +78,8 @@ class ArcShape:
     @property
     def key(self) -> tuple[bytes, ...]:
         """A key that differs between shapes."""
-        return tuple(getattr(self, field.name).tobytes() for field in fields(self))
+        rest = self.counts, self.phases, self.rests, self.restitutions, self.weights
+        return tuple(each.tobytes() for each in (*self.marks, *rest))
 
 
 class ArcPrograms:
@@ -231,7 +218,7 @@ class ArcProgram:
             self._builder.bound(held, 0.0, 0.0)
         self.w = self.v[:-1].copy()
         self.impacts: dict[int, tuple[Ints, Ints]] = {}
-        for j in np.flatnonzero(np.any(self._shape.struck[:-1], axis=1)).tolist():
+        for j in np.flatnonzero(np.any(self._shape.marks.struck[:-1], axis=1)).tolist():
             self._add_impact(j, self._impact(j).velocities)
 
     def _hold_controls(self, spans: Iterable[tuple[int, int]]) -> None:
@@ -242,8 +229,10 @@ class ArcProgram:
             self.a[first:last] = self.a[first]
 
     def _impact(self, joint: int) -> JointImpact:
-        struck = self._shape.struck[joint]
-        restitutions = np.where(self._shape.lands[joint], 0.0, self._shape.restitutions)[struck]
+        struck = self._shape.marks.struck[joint]
+        restitutions = np.where(self._shape.marks.lands[joint], 0.0, self._shape.restitutions)[
+            struck
+        ]
         contacts = tuple(np.flatnonzero(struck).tolist())
         return JointImpact.of(self._inertia, contacts, tuple(restitutions.tolist()))
 
@@ -319,9 +308,9 @@ class ArcProgram:
         shape = self._shape
         alone: list[tuple[int, int, float, float, float]] = []
         for name, mask, lower, upper in (
-            (NONPENETRATION, shape.apart, 0.0, np.inf),
-            (NONPENETRATION, shape.beside, -np.inf, 0.0),
-            (CONTACT, shape.held, 0.0, 0.0),
+            (NONPENETRATION, shape.marks.apart, 0.0, np.inf),
+            (NONPENETRATION, shape.marks.beside, -np.inf, 0.0),
+            (CONTACT, shape.marks.held, 0.0, 0.0),
         ):
             for j, i in np.argwhere(mask[1:]).tolist():
                 J, q = self._inertia.jacobian[i], self.q[j + 1]
@@ -338,14 +327,14 @@ class ArcProgram:
     def _add_touches(self) -> None:
         """Adds approach speeds at walls, and that no wall pulls in an impact."""
         builder, shape = self._builder, self._shape
-        for j, i in np.argwhere(shape.starts).tolist():
+        for j, i in np.argwhere(shape.marks.starts).tolist():
             # An elastic contact must be at rest already to stay.
-            stays = shape.lands[j, i] and shape.restitutions[i] == 1
+            stays = shape.marks.lands[j, i] and shape.restitutions[i] == 1
             least = 0.0 if stays else -np.inf
             builder.bound_sum(RESTITUTION, self._inertia.jacobian[i], self.v[j], least, 0.0)
-            if shape.lands[j, i] and 0 < shape.restitutions[i] < 1:
+            if shape.marks.lands[j, i] and 0 < shape.restitutions[i] < 1:
                 self._add_settling(j, i)
-        for j in np.flatnonzero(np.any(shape.struck, axis=1)).tolist():
+        for j in np.flatnonzero(np.any(shape.marks.struck, axis=1)).tolist():
             impact = self._impact(j)
             for row in impact.impulses[impact.coupled]:
                 builder.bound_sum(RESTITUTION, row, self.v[j], 0.0, np.inf)

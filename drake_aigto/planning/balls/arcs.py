@@ -58,7 +58,7 @@ def solve_in_arcs(
 
 def _deepest_knots(phases: PhaseProblem, positions: Floats) -> set[int]:
     """Returns the first, the last and the deepest knot of each run of knots inside of a wall."""
-    distances, apart = phases.world.calc_signed_distance(positions), phases.timeline.apart
+    distances, apart = phases.world.calc_signed_distance(positions), phases.timeline.marks.apart
     is_inside = apart & (distances < -_DEPTH * phases.scales.length)
     found: set[int] = set()
     for contact in np.flatnonzero(np.any(is_inside[1:], axis=0)).tolist():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
@@ -13,19 +15,14 @@ import numpy as np
 from drake_aigto.aigo import AigoResult
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
-from drake_aigto.planning.balls.neighbors import (
-    find_grazes,
-    find_insertions,
-    find_pulls,
-    find_rests,
-)
 from drake_aigto.planning.balls.phases import Path, PhaseMotion
 from drake_aigto.planning.balls.task import BallTask
 from drake_aigto.planning.candidate import LARGEST_DEFECT, ChangeName, Origin
 from drake_aigto.planning.search import Proposal, Stopwatch, scaled
 from drake_aigto.planning.sequence_search import SequenceSearch
 from drake_aigto.planning.sequences import is_same, kinds, neighbors, retimed
-from drake_aigto.transcription import TouchSequence, largest_defect
+from drake_aigto.transcription import Touch, TouchSequence, largest_defect
+from drake_aigto.world import World
 
 # Times of two sequences of the same contacts differ by at most these parts of the duration if their
 # polish is expected to end in one optimum, and if it has.
@@ -36,6 +33,18 @@ MOST_TOUCHES = 8
 # iterations of the local solver: most are hopeless or infeasible, and infeasible ones take the
 # solver longest.
 GOOD, _TRIAL_STEPS, _TRIAL_ITERATIONS = 3.0, 20, 30
+# A wall is grazed within this part of the length scale.
+_GRAZE = 1e-5
+# Distance of a new touch to those before and after it, as a part of the time between them.
+_ROOM = 0.2
+# The same of a touch that comes soon before the next.
+_LATE = 0.05
+# Shortest time between touches with room for another, as a part of the duration.
+_LEAST_GAP = 1e-3
+# Contacts are coupled if J M⁻¹ Jᵀ is more than this.
+_FELT = 1e-9
+# Rests are tried that last at least this part of the duration, and end as long before its end.
+_LEAST_REST = 0.02
 
 
 class Shown(NamedTuple):
@@ -175,3 +184,80 @@ def _change(sequence: TouchSequence, other: TouchSequence) -> ChangeName:
     if kinds(sequence) == kinds(other):
         return "moved"
     return "dropped" if len(other) < len(sequence) else "added"
+
+
+def find_insertions(motion: PhaseMotion) -> list[Touch]:
+    """Returns one more bounce for each wall and each gap between touches coupled to it.
+
+    Contacts are not coupled if no impulse of one changes the other's speed, J_i M⁻¹ J_jᵀ = 0; their
+    order makes no difference. The wall of the last or next touch is left out, unless something
+    pulls towards it. Each bounce is where the motion comes nearest to the wall; with such a pull
+    there is another one soon before the next touch, high and late.
+    """
+    world, T = motion.phases.world, motion.phases.scenario.duration
+    times, distances = motion.trajectory.times, motion.distances
+    felt = np.abs(world.constant_inertia.delassus) > _FELT
+    pulls = find_pulls(world, motion.trajectory.positions[-1])
+    sequence, found = motion.sequence, []
+    for contact in range(world.num_contacts):
+        touches = [t for t in sequence if felt[contact, t.contact]]
+        starts, ends = [0.0, *(t.end for t in touches)], [*(t.start for t in touches), T]
+        walls = [None, *(t.contact for t in touches), None]
+        for gap, (start, end) in enumerate(zip(starts, ends, strict=True)):
+            is_next_to_itself = contact in walls[gap : gap + 2] and pulls[contact] <= 0
+            if is_next_to_itself or end - start < _LEAST_GAP * T:
+                continue
+            margin = _ROOM * (end - start)
+            inside = np.flatnonzero((times > start + margin) & (times < end - margin))
+            nearest = inside[np.argmin(distances[inside, contact])] if inside.size else None
+            time = (start + end) / 2 if nearest is None else float(times[nearest])
+            found.append(Touch.bounce(time, contact))
+            if pulls[contact] > 0:
+                found.append(Touch.bounce(end - _LATE * (end - start), contact))
+    return found
+
+
+def find_grazes(motion: PhaseMotion) -> list[Touch]:
+    """Returns bounces where the motion keeps off a wall at φ = 0 by its control alone.
+
+    A touch may pay there. There is one bounce per run of such knots.
+    """
+    times, length = motion.trajectory.times, motion.phases.scales.length
+    near = motion.phases.timeline.marks.apart & (motion.distances < _GRAZE * length)
+    found = []
+    for contact, knots in enumerate(near[1:-1].T):
+        where = np.flatnonzero(knots) + 1
+        runs = np.split(where, np.flatnonzero(np.diff(where) > 1) + 1) if where.size else []
+        found += [Touch.bounce(float(np.mean(times[run])), contact) for run in runs]
+    return found
+
+
+def find_pulls(world: World, q: Floats) -> Floats:
+    """Returns the acceleration towards each contact at rest and without control, (m,) [m/s²]."""
+    still = np.zeros(world.num_velocities), np.zeros(world.num_actuators)
+    return -world.constant_inertia.jacobian @ world.calc_acceleration(q, *still)
+
+
+def find_rests(motion: PhaseMotion) -> list[TouchSequence]:
+    """Returns sequences with one touch sustained, and no later touches of its wall.
+
+    Off an elastic wall no bounce ends in rest. The contact is left in time for the cheapest
+    jump to the goal's distance d from the wall, against the acceleration a towards it: from rest,
+    of all durations √(6 d/a) takes the least effort, 3 (d + a τ²/2)²/τ³.
+    """
+    world, scenario = motion.phases.world, motion.phases.scenario
+    T, restitutions = scenario.duration, motion.phases.restitutions
+    pulls = find_pulls(world, scenario.goal_position)
+    heights = world.calc_signed_distance(scenario.goal_position)
+    sequence, found = motion.sequence, []
+    for place, touch in enumerate(sequence):
+        i = touch.contact
+        if pulls[i] <= 0 or restitutions[i] == 1:
+            continue
+        left = min(T - touch.start, math.sqrt(6 * max(heights[i], 0.0) / pulls[i]))
+        end = min(max(T - left, touch.start + _LEAST_REST * T), (1 - _LEAST_REST) * T)
+        if end > touch.start:
+            after = (other for other in sequence[place + 1 :] if other.contact != i)
+            rest = dataclasses.replace(touch, end=end)
+            found.append((*sequence[:place], rest, *after))
+    return found

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -48,6 +49,9 @@ _SLOW = 1e-6
 # AIGO's boxes distinguish a bounce from the start's own impulse if this many steps lead to the
 # wall; and the factor by which they may have more steps for that, unless the scenario has more.
 _STEPS_TO_WALL, _MOST_FINER = 3, 4
+# Parts of the duration: the least distance of first touches to an instant; and the distance at
+# which a polished touch is blocked by it.
+_APART, _HELD = 1e-3, 1e-5
 
 # Times (K,) [s] and positions (K, nq) [m].
 Path = tuple[Floats, Floats]
@@ -122,12 +126,12 @@ class PhaseProblem:
         self.timeline = make_timeline(*args)
         self.inertia, self.restitutions = world.constant_inertia, world.restitutions(scenario)
         # Where contacts land, they stay.
-        self._returned = np.where(self.timeline.lands, 0.0, self.restitutions)
-        knots = np.flatnonzero(self.timeline.struck.any(axis=1)).tolist()
+        self._returned = np.where(self.timeline.marks.lands, 0.0, self.restitutions)
+        knots = np.flatnonzero(self.timeline.marks.struck.any(axis=1)).tolist()
         self.impacts = {k: self._impact(k) for k in knots}
 
     def _impact(self, k: int) -> JointImpact:
-        contacts = np.flatnonzero(self.timeline.struck[k])
+        contacts = np.flatnonzero(self.timeline.marks.struck[k])
         restitutions = self._returned[k, contacts]
         return JointImpact.of(self.inertia, tuple(contacts.tolist()), tuple(restitutions.tolist()))
 
@@ -174,9 +178,9 @@ class PhaseProblem:
 
         Velocities are those before impacts, shape (N+1, nv) [m/s].
         """
-        impulses = np.zeros(self.timeline.struck.shape)
+        impulses = np.zeros(self.timeline.marks.struck.shape)
         for k, impact in self.impacts.items():
-            impulses[k, self.timeline.struck[k]] = impact.impulses @ velocities[k]
+            impulses[k, self.timeline.marks.struck[k]] = impact.impulses @ velocities[k]
         return impulses
 
     def find_settlings(self, motion: Trajectory) -> list[tuple[float, float]]:
@@ -257,7 +261,7 @@ class PhaseMotion:
     @property
     def cost(self) -> float:
         """J, without costs of users."""
-        return calc_cost(self.phases.scenario, self.trajectory)
+        return calc_cost(self.phases.scenario, *self.path, self.trajectory.controls)
 
     @property
     def defects(self) -> dict[str, float]:
@@ -299,7 +303,7 @@ def _count_steps(world: World, scenario: Scenario) -> int:
     return math.ceil(_STEPS_TO_WALL * np.max(counts[counts < 1 / AT_ONCE], initial=0.0))
 
 
-def least_flight_cost(dynamics: ConstantDynamics, scenario: Scenario) -> float:
+def least_flight_cost(world: World, scenario: Scenario) -> float:
     """Returns a lower bound of the cost of motions without contact.
 
     Without walls, and with a control that may change at any time, which then is affine in t:
@@ -309,6 +313,7 @@ def least_flight_cost(dynamics: ConstantDynamics, scenario: Scenario) -> float:
     w_u, w_f, T = scenario.control_weight, scenario.goal_weight, scenario.duration
     if w_f == 0:
         return 0.0
+    dynamics = world.constant_dynamics
     way = scenario.goal_position - scenario.initial_position
     way = way - T * scenario.initial_velocity - T**2 / 2 * dynamics.drift
     compliance = np.eye(way.size) / w_f + T**3 / (3 * w_u) * dynamics.gain @ dynamics.gain.T
@@ -343,3 +348,36 @@ def _mirrors_keep_costs(dynamics: ConstantDynamics) -> bool:
         if not np.allclose(mirror @ worth @ mirror.T, worth, atol=1e-9 * np.max(worth)):
             return False
     return True
+
+
+def keep_apart(sequence: TouchSequence, instants: Floats, duration: float) -> TouchSequence:
+    """Returns a sequence off the instants, shape (I,), I > 0 [s]; touches at one come later."""
+    gap = min([_APART * duration, *(np.diff(instants) / 4)])
+
+    def move(time: float) -> float:
+        nearest = float(instants[np.argmin(np.abs(instants - time))])
+        is_near = abs(time - nearest) < gap
+        return nearest + (gap if time >= nearest else -gap) if is_near else time
+
+    return _by_start([_with_joints(touch, *map(move, touch.joints)) for touch in sequence])
+
+
+def moved_past(motion: PhaseMotion) -> Iterator[TouchSequence]:
+    """Yields the sequence with each touch that an instant blocks on its other side."""
+    sequence, T = motion.sequence, motion.phases.scenario.duration
+    for place, touch in enumerate(sequence):
+        for joint, time in enumerate(touch.joints):
+            for instant in motion.phases.timeline.instants:
+                if abs(time - instant) <= _HELD * T:
+                    joints = [*touch.joints]
+                    joints[joint] = instant - np.copysign(_APART * T, time - instant)
+                    moved = _with_joints(touch, *joints)
+                    yield _by_start([*sequence[:place], moved, *sequence[place + 1 :]])
+
+
+def _with_joints(touch: Touch, *joints: float) -> Touch:
+    return dataclasses.replace(touch, start=float(joints[0]), end=float(joints[-1]))
+
+
+def _by_start(touches: list[Touch]) -> TouchSequence:
+    return tuple(sorted(touches, key=lambda touch: touch.start))

@@ -14,13 +14,14 @@ from drake_aigto.errors import TrajectoryError
 from drake_aigto.local import LocalResult, NewtonLagrange, PolynomialNlp
 from drake_aigto.planning.balls.arc_program import ArcPrograms
 from drake_aigto.planning.balls.arcs import Arcs, solve_in_arcs
-from drake_aigto.planning.balls.neighbors import keep_apart, moved_past
 from drake_aigto.planning.balls.phases import (
     Path,
     PhaseMotion,
     PhaseProblem,
     coarsen,
+    keep_apart,
     least_flight_cost,
+    moved_past,
     transcribe,
     unfolds,
 )
@@ -34,8 +35,8 @@ from drake_aigto.planning.candidate import (
     sample,
 )
 from drake_aigto.planning.options import PlanOptions
-from drake_aigto.planning.program_task import ProgramTask, Solution
-from drake_aigto.planning.programs import CompiledPrograms
+from drake_aigto.planning.program_task import ProgramTask
+from drake_aigto.planning.programs import CompiledPrograms, Solution
 from drake_aigto.planning.rungs import Rung
 from drake_aigto.planning.sequences import read_sequences
 from drake_aigto.simulation import find_contacts, max_penetration
@@ -377,8 +378,7 @@ class BallTask(ProgramTask):
     def least_flight_cost(self) -> float:
         """Lower bound of the cost without contact; 0 if it has no closed form."""
         scenario = self.transcription.scenario
-        is_known = self._is_closed_form
-        return least_flight_cost(self.world.constant_dynamics, scenario) if is_known else 0.0
+        return least_flight_cost(self.world, scenario) if self._is_closed_form else 0.0
 
     @cached_property
     def unfolds(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +26,30 @@ class Phase:
     rests: tuple[int, ...]
 
 
+class Marks(NamedTuple):
+    """Contacts at each of K knots, shape (K, m).
+
+    Attributes:
+        starts: which contacts are touched anew.
+        struck: those, and the ones that were resting until then.
+        held: φ = 0: struck, resting, or about to leave.
+        apart: φ ≥ 0 has to hold: neither held, nor a face that is not in force.
+        beside: φ ≤ 0: the other faces of a held box, with sharp corners.
+        lands: which contacts are sustained from there on.
+    """
+
+    starts: Bools
+    struck: Bools
+    held: Bools
+    apart: Bools
+    beside: Bools
+    lands: Bools
+
+    def at(self, knots: Ints) -> Marks:
+        """Returns those of some knots."""
+        return Marks(*(each[knots] for each in self))
+
+
 @dataclass(frozen=True, eq=False)
 class Timeline:
     """The knots k = 0 … N of a contact sequence; phases meet where something starts or ends.
@@ -35,13 +60,8 @@ class Timeline:
         spans: the first and the last knot of each touch.
         turns: the knot at which each facing starts.
         instants: further times of knots [s] → their knots.
-        starts: which contacts are touched anew at each knot, shape (N+1, m).
-        struck: those, and the ones that were resting until then.
-        held: φ = 0: struck, resting, or about to leave.
-        apart: φ ≥ 0 has to hold: neither held, nor a face that is not in force.
-        beside: φ ≤ 0: the other faces of a held box, with sharp corners.
+        marks: contacts at the knots.
         rests: which contacts rest during each step, shape (N, m).
-        lands: which contacts are sustained from each knot on, shape (N+1, m).
     """
 
     phases: tuple[Phase, ...]
@@ -49,13 +69,8 @@ class Timeline:
     spans: tuple[tuple[int, int], ...]
     turns: tuple[int, ...]
     instants: Mapping[float, int]
-    starts: Bools
-    struck: Bools
-    held: Bools
-    apart: Bools
-    beside: Bools
+    marks: Marks
     rests: Bools
-    lands: Bools
 
 
 def make_timeline(
@@ -93,8 +108,8 @@ def make_timeline(
         starts[first, touch.contact] = True
         held[first : last + 1, touch.contact] = True
         rests[first:last, touch.contact] = True
-    resting_before = np.vstack([np.zeros((1, m), dtype=bool), rests])
-    struck = (starts | resting_before) & np.any(starts, axis=1, keepdims=True)
+    none = np.zeros((1, m), dtype=bool)
+    resting_before = np.vstack([none, rests])
     front = fronts.at_knots(times, knots)
     if np.any(held & ~front):
         k, i = np.argwhere(held & ~front)[0]
@@ -113,13 +128,15 @@ def make_timeline(
         spans=spans,
         turns=tuple(knot[facing.start] for facing in facings),
         instants={time: knot[time] for time in fixed},
-        starts=starts,
-        struck=struck,
-        held=held,
-        apart=front & ~is_solid_held,
-        beside=is_solid_held & ~held,
+        marks=Marks(
+            starts=starts,
+            struck=(starts | resting_before) & np.any(starts, axis=1, keepdims=True),
+            held=held,
+            apart=front & ~is_solid_held,
+            beside=is_solid_held & ~held,
+            lands=starts & np.vstack([rests, none]),
+        ),
         rests=rests,
-        lands=starts & np.vstack([rests, np.zeros((1, m), dtype=bool)]),
     )
 
 
@@ -222,7 +239,7 @@ def make_guess(
         rested = phase.rests
         weights = np.maximum(-inertia.masses * (inertia.jacobian @ pull), 0.0)
         forces[phase.first : phase.last, rested] = weights[[*rested]]
-    return Trajectory(t, q, v, u, np.zeros(line.held.shape), forces)
+    return Trajectory(t, q, v, u, np.zeros((N + 1, world.num_contacts)), forces)
 
 
 def _jump(
