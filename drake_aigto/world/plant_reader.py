@@ -18,6 +18,7 @@ from drake_aigto.arrays import Bools, Floats
 from drake_aigto.dynamics import SumMap, evaluate, tidy
 from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import find_hinges, find_joint
+from drake_aigto.world.model_facts import FixableError
 
 # q of shape (nq,) ↦ numbers of any one shape.
 Function = Callable[[Floats], Floats]
@@ -28,6 +29,9 @@ _TOLERANCE = 1e-9
 _ROUNDING = 1e-12
 _NUM_PROBES = 3  # Positions, or states, at which functions are compared: one might agree by chance.
 MAX_SAMPLES = 100_000  # Of one function, some second's worth.
+# Of M, whose derivatives h is made of: with 3,700 that takes half a minute, and what plans with it
+# has hundreds of millions.
+MAX_TERMS = 2_500
 
 
 class PlantReader:
@@ -150,11 +154,14 @@ class PlantReader:
             return interpolate(calc, self.q, self._is_hinge, degree)
         except TooManySamples as error:
             joints = [find_joint(self._plant, i).name() for i in error.coordinates]
-            raise ModelError(
+            last = joints[-1]
+            raise FixableError(
                 what,
                 got=f"a function of {len(joints)} coordinates at once: of {', '.join(joints)}",
-                expected="some six at most",
-                remedy="Weld joints that a plan can do without.",
+                expected="four or five, or six about parallel axes",
+                remedy="Fix joints that a plan can do without, by the scenario's fixed_joints: "
+                f"[{last}, ...].",
+                fields={"fixed_joints": [last]},
             ) from None
 
 
@@ -196,23 +203,51 @@ def interpolate(
     result = np.empty(example.size, dtype=object)
     bases = [_Basis.of(hinge, degree) for hinge in is_hinge]
     depends = _find_dependence(function, len(q))
-    for pattern in np.unique(depends, axis=0):
+    patterns = np.unique(depends, axis=0)
+    sampled: list[tuple[list[int], Floats]] = []
+    num_terms = 0
+    for pattern in sorted(patterns, key=np.sum, reverse=True):
         entries = np.flatnonzero((depends == pattern).all(axis=1))
         coordinates = np.flatnonzero(pattern).tolist()
-        if math.prod(bases[i].nodes.size for i in coordinates) > MAX_SAMPLES:
-            raise TooManySamples(tuple(coordinates))
-        point, nodes = np.zeros(len(q)), [bases[i].nodes for i in coordinates]
-        values = []
-        for place in itertools.product(*nodes):
-            point[coordinates] = place
-            values.append(function(point).ravel()[entries])
-        grid = np.array(values).reshape(*(each.size for each in nodes), entries.size)
+        grid = _find_samples(sampled, coordinates)
+        if grid is None:
+            grid = _sample(function, [bases[i].nodes for i in coordinates], coordinates, len(q))
+            sampled.append((coordinates, grid))
+        grid = grid[..., entries]
         for axis, i in enumerate(coordinates):
             grid = np.moveaxis(np.tensordot(bases[i].weights, grid, (1, axis)), 0, axis)
+        num_terms += int(np.count_nonzero(np.abs(grid) > _ROUNDING * np.abs(grid).max(initial=0)))
+        if num_terms > MAX_TERMS:
+            raise TooManySamples(tuple(coordinates))
         functions = [bases[i].express(q[i]) for i in coordinates]
         for entry, coefficients in zip(entries, np.moveaxis(grid, -1, 0), strict=True):
             result[entry] = _sum_up(coefficients, functions)
     return result.reshape(example.shape)
+
+
+def _sample(
+    function: Function, nodes: list[NDArray[Any]], coordinates: list[int], num_positions: int
+) -> Floats:
+    """Returns all values of a function on a grid, (nodes of each coordinate, values).
+
+    Raises:
+        TooManySamples: the grid is too large.
+    """
+    if math.prod(each.size for each in nodes) > MAX_SAMPLES:
+        raise TooManySamples(tuple(coordinates))
+    point, values = np.zeros(num_positions), []
+    for place in itertools.product(*nodes):
+        point[coordinates] = place
+        values.append(function(point).ravel())
+    return np.array(values).reshape(*(each.size for each in nodes), -1)
+
+
+def _find_samples(sampled: list[tuple[list[int], Floats]], coordinates: list[int]) -> Floats | None:
+    """Returns samples on a grid of some coordinates, from one of these and others, if there is."""
+    for known, grid in sampled:
+        if set(coordinates) <= set(known):
+            return grid[tuple(slice(None) if i in coordinates else 0 for i in known)]
+    return None
 
 
 @dataclass(frozen=True)

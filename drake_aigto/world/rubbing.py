@@ -289,7 +289,7 @@ def _read_tangent(
             f"the slip velocity of {face.pair}",
             got=f"a function of {len(error.coordinates)} coordinates at once",
             expected="some six at most",
-            remedy="Weld joints that a plan can do without, or leave friction out.",
+            remedy="Fix joints by the scenario's fixed_joints, or leave friction out.",
         ) from None
     compiled, probes = SumMap(tangent, q), motion.probes
     errors = [np.max(np.abs(compiled(probe) - rates(probe))) for probe in probes]

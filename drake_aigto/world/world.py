@@ -97,23 +97,35 @@ class World(EquationsOfMotion):
                 the scenario would change about that.
             ScenarioError: the scenario does not fit the model (`check`).
         """
-        try:
-            return cls._read(scenario)
-        except FixableError as error:
-            raise gather(cls._read, scenario, error) from error
+        world = cls.from_model(scenario, scenario.initial_position)
+        world.check(scenario)
+        return world
 
     @classmethod
-    def _read(cls, scenario: Scenario) -> World:
+    def from_model(cls, scenario: Scenario, start: Floats | None = None) -> World:
+        """Reads the scenario's model and nothing of its task, at a start or at default positions.
+
+        Raises:
+            ModelError, ScenarioError: as `from_scenario` does.
+        """
+        try:
+            return cls._read(scenario, start)
+        except FixableError as error:
+            raise gather(lambda other: cls._read(other, start), scenario, error) from error
+
+    @classmethod
+    def _read(cls, scenario: Scenario, start: Floats | None) -> World:
+        """Reads a model, and stops at the first thing that is wrong with it."""
         friction = scenario.dry_friction, scenario.stiction_speed
         found = read_model(scenario.model, *friction, scenario.model_fields)
         plant, _ = find_plant(found.diagram)
-        check_plant(plant)
-        check_sizes(plant, scenario)
-        plant.SetDefaultPositions(scenario.initial_position)
+        if start is not None:
+            check_sizes(plant, scenario)
+            plant.SetDefaultPositions(start)
         friction = found.dry_friction, scenario.stiction_speed
         given = scenario.mass, scenario.ignored_shapes, *friction, scenario.limits
         world = cls.from_diagram(found.diagram, *given)
-        world = dataclasses.replace(
+        return dataclasses.replace(
             world,
             model=scenario.model,
             model_fields=scenario.model_fields,
@@ -121,8 +133,6 @@ class World(EquationsOfMotion):
             ignored=found.ignored,
             notes=(*found.notes, *world.notes),
         )
-        world.check(scenario)
-        return world
 
     @classmethod
     def from_diagram(
