@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 import yaml
 
 from drake_aigto import Scenario, World, plan
+from drake_aigto.cli import main
 from drake_aigto.errors import ModelError, ScenarioError
 
 GRAVITY = 9.81
@@ -456,3 +458,41 @@ def test_a_gantry_that_touches_nothing_is_planned_for(
     fields: dict[str, Any] = {"initial_position": [0.0, 0.0], "initial_velocity": [0.0, 0.0]}
     fields |= {"goal_position": [0.5, 0.2], "time_step": 0.05, "actuators": ["y"], "limits": limits}
     assert plan(Scenario(model=write(tmp_path / "gantry.urdf", text), **fields)).holds
+
+
+def test_too_many_joints_are_refused_at_once_with_joints_to_fix(tmp_path: Path) -> None:
+    bodies, ends = "", ""
+    for i in range(9):
+        axis = ("1 0 0", "0 1 0", "0 0 1")[i % 3]
+        bodies += f'<body pos="0.1 0.2 0.3"><joint name="j{i}" axis="{axis}"/>'
+        bodies += '<geom type="sphere" size="0.1" pos="0.3 0.2 0.1"/>'
+        ends += "</body>"
+    model = tmp_path / "chain.xml"
+    model.write_text(
+        f'<mujoco model="chain"><worldbody>{bodies}{ends}</worldbody>'
+        '<actuator><motor joint="j0"/></actuator></mujoco>',
+        encoding="utf-8",
+    )
+    start = time.process_time()
+    with pytest.raises(ModelError, match=r"coordinates at once.*fixed_joints: .j"):
+        make(str(model), size=9)
+    assert time.process_time() - start < 5.0  # One second, on a machine that does nothing else.
+    assert make(str(model), size=2, fixed_joints=["j[2-8]"]).num_positions == 2
+
+
+def test_look_tells_what_is_understood(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = write(tmp_path / "arm.xml", ARM, JOINT='frictionloss="0.25"', OPTION='density="2"')
+    picture = tmp_path / "arm.png"
+    words = ["look", model, "--allow-ignored", "fluid", "--png", str(picture)]
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    assert "shoulder  revolute  rad   -inf    inf    0.5      0.25" in text
+    assert "arm_motor from -10 (model) to 15 (model) N m" in text
+    assert "the density 2 of a fluid: its forces on all links" in text
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert main(["look", "cart_pole/soft_06", "--control-upper", "5"]) == 0
+    text = capsys.readouterr().out
+    assert "_rail from -20 (model) to 5 (scenario) N" in text
+    assert "pole against left_wall   2e+09 | 200" in text
+    assert main(["look", model]) == 2
+    assert "allow_ignored: [fluid]" in capsys.readouterr().err

@@ -31,6 +31,7 @@ from drake_aigto.errors import AigtoError
 # Command → the module that adds it, by `add_` and its name. `--help` lists them in this order.
 _COMMANDS = {
     "table1": "drake_aigto.cli.plan",
+    "look": "drake_aigto.cli.look",
     "plan": "drake_aigto.cli.plan",
     "plan-many": "drake_aigto.cli.plan",
     "replay": "drake_aigto.cli.plan",
@@ -41,6 +42,7 @@ _COMMANDS = {
 # Command that is gone → where it is now.
 _MOVED = {"bench": "python -m benchmarks, in a checkout of drake_aigto"}
 _EXAMPLES = """\
+drake-aigto look robot.urdf                  # what is understood of a model
 drake-aigto plan table1/1 --json plan.json   # plan, and keep the plan
 drake-aigto play plan.json                   # watch it
 drake-aigto plan-many tasks/*.yaml --into plans   # a plan for each, side by side

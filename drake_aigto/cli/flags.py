@@ -96,13 +96,13 @@ def add_scenario(command: Any) -> None:
     add_fields(command.add_argument_group(title, notes), Scenario)
 
 
-def load_scenario(options: argparse.Namespace) -> Scenario:
-    """Returns the named or loaded scenario with the fields that flags change."""
+def load_scenario(options: argparse.Namespace, scenario: Scenario | None = None) -> Scenario:
+    """Returns the named or loaded scenario, or one in its place, with what flags change."""
     changes = read_fields(options, Scenario)
     for name, value in changes.items():  # All and none are no names.
         if value in (["all"], ["none"]):
             changes[name] = value[0]
-    return dataclasses.replace(read_scenario(options.scenario), **changes)
+    return dataclasses.replace(scenario or read_scenario(options.scenario), **changes)
 
 
 def is_file(name: str) -> bool:

@@ -9,6 +9,7 @@ from .material import DISSIPATION as DISSIPATION
 from .material import STIFFNESS as STIFFNESS
 from .material import read_given as read_given
 from .material import read_material as read_material
+from .material import read_property as read_property
 from .material import set_material as set_material
 from .model_fields import Material as Material
 from .model_fields import ModelFields as ModelFields

@@ -40,12 +40,13 @@ def gather(
         break
     if len(found) == 1:
         return first
+    name = f"model {scenario.model}"
     text = yaml.safe_dump(answers, default_flow_style=True, width=10_000).strip()
     rest = found[-1]
     left = "" if isinstance(rest, FixableError) else f" What is left: {rest.remedy or 'the last'}"
     return ModelError(
-        f"model {scenario.model}",
-        got="; ".join(f"{error.what}: {error.got}" for error in found),
+        name,
+        got="; ".join(f"{error.what}: {error.got}".removeprefix(f"{name}: ") for error in found),
         remedy=f"These fields of the scenario answer that: {text}, or change the model.{left}",
     )
 

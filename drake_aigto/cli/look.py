@@ -1,0 +1,159 @@
+"""``drake-aigto look``: what is understood of a model, before anything is planned."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+from pydrake.geometry import (
+    ClippingRange,
+    ColorRenderCamera,
+    HalfSpace,
+    MakeRenderEngineVtk,
+    RenderCameraCore,
+    RenderEngineVtkParams,
+    Role,
+)
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.sensors import CameraInfo
+
+from drake_aigto.cli.flags import FINE, add_command, add_scenario, load_scenario
+from drake_aigto.output import check_writable
+from drake_aigto.world import DISSIPATION, STIFFNESS, Scenario, World, read_property
+
+_MODELS = (".xml", ".urdf", ".sdf")
+_EXAMPLES = """\
+drake-aigto look robot.urdf                                   # joints, actuators, contacts
+drake-aigto look robot.xml --collisions none --png robot.png  # and a picture
+drake-aigto look cart_pole/soft_06
+"""
+_PIXELS = 960, 720
+_VIEW = 0.8  # Angle of view [rad].
+_BACK = 1.6  # Distance of the camera, in sizes of the model: all of it is in the picture.
+_UP = 0.25  # Height of the camera above what it looks at, in its distance.
+_LEAST_SIZE = 0.2  # Of a model of one point [m].
+
+
+def add_look(commands: Any) -> None:
+    """Adds the command that tells what is understood of a model."""
+    text = "say what is understood of a model's file or a scenario, before any planning"
+    look = add_command(commands, "look", _look, text, _EXAMPLES)
+    add_scenario(look)
+    look.add_argument("--png", metavar="FILE", help="draw the model, at its start")
+
+
+def _look(options: argparse.Namespace) -> int:
+    """Prints tables, and draws the model if that is asked for."""
+    check_writable(options.png)
+    if Path(options.scenario).suffix in _MODELS:
+        ends: dict[str, Any] = {"initial_position": 0, "initial_velocity": 0, "goal_position": 0}
+        scenario = load_scenario(options, Scenario(model=options.scenario, **ends))
+        world = World.from_model(scenario)
+    else:
+        scenario = load_scenario(options)
+        world = World.from_model(scenario, scenario.initial_position)
+    print("\n".join(_tell(world, scenario)))
+    if options.png:
+        drawn = _draw(world, options.png)
+        print(f"wrote {options.png}" if drawn else "no picture: there is no shape to draw")
+    return FINE
+
+
+def _tell(world: World, scenario: Scenario) -> Iterator[str]:
+    """Yields lines about a world."""
+    plant = world.plant
+    masses = sum(plant.get_body(i).default_mass() for i in plant.GetBodyIndices(_own(world)))
+    yield f"{scenario.model}: {plant.num_positions()} coordinates, {masses:.4g} kg"
+    yield from _table(
+        ("joint", "kind", "unit", "from", "to", "damping", "friction"), _joints(world)
+    )
+    bounds = world.limits.control_items(plant, scenario)
+    names = [
+        name for name in plant.GetActuatorNames() if not any(b.startswith(name) for b in bounds)
+    ]
+    yield ""
+    yield "actuators"
+    yield from (f"  {text}" for text in (*bounds, *(f"{name} without limit" for name in names)))
+    header = "contact", "stiffness", "dissipation", "friction", "restitution"
+    yield from _table(header, _contacts(world, scenario))
+    for title, lines in (("left out", world.ignored), ("notes", world.notes)):
+        if lines:
+            yield from ("", title, *(f"  {line}" for line in lines))
+
+
+def _own(world: World) -> Any:
+    """Returns the model instance of the plant's last link: that of its model."""
+    joints = world.plant.GetJointIndices()
+    return world.plant.get_joint(joints[0]).child_body().model_instance()
+
+
+def _joints(world: World) -> Iterator[tuple[str, ...]]:
+    """Yields a row for each coordinate."""
+    plant, (lower, upper) = world.plant, world.limits.position
+    for joint in map(plant.get_joint, plant.GetJointIndices()):
+        first, damping = joint.velocity_start(), joint.default_damping_vector()
+        for k in range(joint.num_velocities()):
+            i = first + k
+            dry = 0.0 if world.dry_friction is None else world.dry_friction[i]
+            numbers = lower[i], upper[i], damping[k], dry
+            unit = "rad" if world.is_hinge[i] else "m"
+            yield joint.name(), joint.type_name(), unit, *(f"{number:.4g}" for number in numbers)
+
+
+def _contacts(world: World, scenario: Scenario) -> Iterator[tuple[str, ...]]:
+    """Yields a row for each contact."""
+    restitutions = world.restitutions(scenario)
+    for i, (contact, shapes) in enumerate(zip(world.contacts, world.shapes, strict=True)):
+        given = [
+            [read_property(world.scene_graph, shape, name) for shape in shapes]
+            for name in (STIFFNESS, DISSIPATION)
+        ]
+        texts = ["none" if None in pair else " | ".join(f"{x:.3g}" for x in pair) for pair in given]
+        friction = world.rubbing.model_coefficients[i]
+        yield contact.name, *texts, f"{friction:.3g}", f"{restitutions[i]:.3g}"
+
+
+def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterator[str]:
+    """Yields lines of a table, after an empty one; none without rows."""
+    lines = [header, *rows]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    if len(lines) > 1:
+        yield ""
+        for line in lines:
+            cells = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+            yield "  ".join(cells).rstrip()
+
+
+def _draw(world: World, path: str) -> bool:
+    """Writes a picture of a world at its default positions, seen along y; returns whether."""
+    scene_graph, (width, height) = world.scene_graph, _PIXELS
+    scene_graph.AddRenderer("look", MakeRenderEngineVtk(RenderEngineVtkParams()))
+    context = scene_graph.GetMyContextFromRoot(world.create_context())
+    query: Any = scene_graph.get_query_output_port().Eval(context)
+    inspector = query.inspector()
+    shapes = [
+        each
+        for role in (Role.kPerception, Role.kProximity)
+        for each in inspector.GetAllGeometryIds(role)
+        if not isinstance(inspector.GetShape(each), HalfSpace)
+    ]
+    if not shapes:
+        return False
+    places = np.array([query.GetPoseInWorld(each).translation() for each in shapes])
+    middle = (places.min(axis=0) + places.max(axis=0)) / 2
+    size = max(_LEAST_SIZE, float(np.ptp(places, axis=0).max()))
+    back = np.array([0.0, -1.0, _UP]) * _BACK * (size + _LEAST_SIZE) / np.tan(_VIEW / 2) / 2
+    forward = -back / np.linalg.norm(back)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    R = RotationMatrix(np.column_stack([right, np.cross(forward, right), forward]))
+    info = CameraInfo(width, height, _VIEW)
+    clipping = ClippingRange(0.01, 100.0 * (size + 1.0))
+    core = RenderCameraCore("look", info, clipping, RigidTransform())
+    pose = RigidTransform(R, middle + back)
+    image = query.RenderColorImage(ColorRenderCamera(core), scene_graph.world_frame_id(), pose)
+    matplotlib.image.imsave(path, np.ascontiguousarray(image.data), format="png")
+    return True
