@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from local_problems import make_program as general_program
 from pydrake.solvers import ExpressionCost, MathematicalProgram
-from pydrake.symbolic import Polynomial, atan2, cos, exp, sin
+from pydrake.symbolic import Polynomial, cos, exp, sin
 
 from drake_aigto.aigo import Box
 from drake_aigto.box import BoxPolynomial
@@ -183,18 +183,7 @@ def test_bounds_that_contradict_each_other_are_found_at_once(constraints: Any) -
         read_program(make_program(*constraints))
 
 
-def test_what_can_not_be_read_is_refused_by_name() -> None:
-    prog = make_program()
-    x = prog.decision_variables()
-    prog.AddConstraint(atan2(x[0], x[1]) <= x[1]).evaluator().set_description("shadow")
-    with pytest.raises(
-        UnsupportedTermError, match=r"the constraint 'shadow' of x\(0\), x\(1\) can't"
-    ):
-        read_program(prog)
-    prog = make_program()
-    prog.AddPositiveSemidefiniteConstraint(prog.NewSymmetricContinuousVariables(2))
-    with pytest.raises(UnsupportedTermError, match=r"got a \w+, expected bounds, or a linear"):
-        read_program(prog)
+def test_variables_that_are_not_continuous_are_refused_by_name() -> None:
     prog = make_program()
     prog.NewBinaryVariables(1, "b")
     with pytest.raises(

@@ -75,7 +75,7 @@ class StagedProgram:
             feasibility: largest violation of a row in an answer.
         """
         self.program = program
-        self.complementarities = find_complementarities(program) if program.parsed.rows else ()
+        self.complementarities = find_complementarities(program)
         self._least = _PART_OF_FEASIBILITY * feasibility
         rows = [
             each.product_row(constant(-max(self._least, each.allowed)))
