@@ -30,6 +30,7 @@ from drake_aigto.certify import (
     enclose_all,
     formula_of,
     intervals,
+    is_infeasible,
     make_tape,
     read_formulas,
 )
@@ -217,6 +218,8 @@ def test_a_feasible_point_is_never_excluded(seed: int) -> None:
             row = random_function(rng, size, 3)
             with mpmath.workdps(40):
                 value = float(row(exact, list(map(mpmath.mpf, point.tolist()))))
+            if not (sym.Expression(0.0) + row(sym, x)).Expand().GetVariables():
+                continue
             slack = 1e-12 * (1e-3 + abs(value))
             ends = [
                 [value - slack, value + slack],
@@ -318,6 +321,16 @@ def test_that_there_is_no_feasible_point_is_proven() -> None:
     result = AigoSolver(CERTIFY).Solve(prog)
     assert certify(prog).is_infeasible
     assert result.get_solver_details().status == AigoStatus.INFEASIBLE
+
+
+def test_what_rounding_may_leave_is_not_called_infeasible() -> None:
+    """A row that holds at x = 0.3 alone, as 3 · 0.1 is rounded, and one that holds nowhere."""
+    prog, (x,) = program(lambda x: x, 1)
+    prog.AddConstraint((x - 0.1) ** 2 <= (0.3 - 0.1) ** 2)
+    prog.AddConstraint((x - 0.5) ** 2 <= (0.3 - 0.5) ** 2)
+    assert not is_infeasible(prog)
+    prog.AddConstraint(sym.exp(x) >= 1.36)
+    assert is_infeasible(prog)
 
 
 def test_a_bound_that_is_missing_is_derived_or_named() -> None:

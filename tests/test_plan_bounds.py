@@ -50,9 +50,13 @@ def test_one_wall_is_bounded_by_the_exact_optimum_for_every_restitution() -> Non
         assert gap <= 1e-3
 
 
-@pytest.mark.parametrize("name", ["corridor", "room", "floor"])
-def test_several_walls_are_bounded_by_the_exact_optimum(name: str) -> None:
-    for scenario in WORLDS[name].draw(1 if name == "floor" else 3, 3):
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [("corridor", {}), ("corridor", {"restitution": 0.5}), ("room", {}), ("floor", {})],
+)
+def test_several_walls_are_bounded_by_the_exact_optimum(name: str, change: dict[str, Any]) -> None:
+    for drawn in WORLDS[name].draw(1 if name == "floor" else 3, 3):
+        scenario = dataclasses.replace(drawn, **change)
         world = World.from_scenario(scenario)
         least = walls_optimum(world, scenario).cost
         bound = bound_plans(world, scenario, 1.02 * least + 1e-6)

@@ -1,7 +1,14 @@
 """Lower bounds: how far an answer is from the best one, at most."""
 
 from drake_aigto.certify import intervals
-from drake_aigto.certify.certificate import Certificate, Certifier, Method, certify, relative_gap
+from drake_aigto.certify.certificate import (
+    Certificate,
+    Certifier,
+    Method,
+    certify,
+    is_infeasible,
+    relative_gap,
+)
 from drake_aigto.certify.enclosures import enclose_all
 from drake_aigto.certify.flights import Line, Wall
 from drake_aigto.certify.formulas import formula_of, make_tape, read_formulas
@@ -26,6 +33,7 @@ __all__ = [
     "fold",
     "formula_of",
     "intervals",
+    "is_infeasible",
     "make_tape",
     "out_of_reach",
     "read_formulas",

@@ -22,6 +22,7 @@ from drake_aigto.certify.formulas import (
     read_formulas,
 )
 from drake_aigto.certify.squares import SquaresBound, bound_by_squares, elimination
+from drake_aigto.errors import UnsupportedTermError
 
 # A point → a feasible one near it, if there is one.
 Improve = Callable[[Floats], Floats | None]
@@ -120,6 +121,14 @@ def certify(
     if point is not None:
         certifier.offer(point)
     return certifier.run(cells)
+
+
+def is_infeasible(prog: MathematicalProgram) -> bool:
+    """Returns whether ranges of rows prove that no point within the bounds meets them all."""
+    try:
+        return not _narrowed(read_formulas(prog))[1]
+    except UnsupportedTermError:
+        return False
 
 
 class Certifier:

@@ -317,13 +317,15 @@ class Formula:
 
     def _nested(self, variable: Expression, coefficients: Mapping[int, float]) -> int:
         """Adds Σ a_p x^p: x^r (… (a_p x^(p−q) + a_q) …)."""
-        x = self._enter(variable)
+        x, total = self._enter(variable), -1
         exponents = sorted(coefficients, reverse=True)
-        total = self._scaled(self._put(Operation.NUMBER, number=1.0), coefficients[exponents[0]])
         for p, q in itertools.pairwise([*exponents, 0]):
             if p > q:
                 factor = x if p == q + 1 else self._put(Operation.POWER, x, p - q)
-                total = self._put(Operation.MULTIPLY, factor, total)
+                if total < 0:
+                    total = self._scaled(factor, coefficients[p])
+                else:
+                    total = self._put(Operation.MULTIPLY, factor, total)
             if q in coefficients and q < p:
                 total = self._put(Operation.SHIFT, total, 0, coefficients[q])
         return total

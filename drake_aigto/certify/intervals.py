@@ -80,7 +80,9 @@ def times(x: Interval, y: Interval) -> Interval:
 
 @inner
 def scaled(factor: float, x: Interval) -> Interval:
-    """Returns factor · x."""
+    """Returns factor · x, exactly if that only changes signs."""
+    if abs(factor) == 1.0:
+        return x if factor > 0.0 else (-x[1], -x[0])
     return times((factor, factor), x)
 
 

@@ -11,8 +11,7 @@ from pydrake.solvers import Binding, MathematicalProgram
 
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial, ParametricPolynomial
-from drake_aigto.local import compile_nlp
-from drake_aigto.solver import may_be_feasible
+from drake_aigto.certify import is_infeasible
 from drake_aigto.terms import parse_costs
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Additions, Bounds, Transcription, check_together
@@ -135,6 +134,6 @@ def check_added_rows(prog: MathematicalProgram, additions: Additions) -> None:
         some.AddDecisionVariables(prog.decision_variables())
         for each in constraints:
             some.AddConstraint(each.evaluator(), each.variables())
-        return may_be_feasible(compile_nlp(some))
+        return not is_infeasible(some)
 
     check_together([*rows, *bounds], leaves_points)

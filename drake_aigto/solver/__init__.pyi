@@ -10,7 +10,6 @@ from .presolve import presolve as presolve
 from .program import AigoProgram as AigoProgram
 from .program import ContradictionError as ContradictionError
 from .program import read_program as read_program
-from .ranges import may_be_feasible as may_be_feasible
 from .ranges import tighten as tighten
 from .signs import interval as interval
 from .signs import is_above as is_above

@@ -138,11 +138,6 @@ def tighten(nlp: PolynomialNlp) -> Bounds:
     return _sweep_rows(nlp) or (np.array(nlp.lower), np.array(nlp.upper))
 
 
-def may_be_feasible(nlp: PolynomialNlp) -> bool:
-    """Returns False if interval arithmetic, as in `tighten`, shows that no point meets all rows."""
-    return _sweep_rows(nlp) is not None
-
-
 def _sweep_rows(nlp: PolynomialNlp) -> Bounds | None:
     """Returns tightened bounds; None if they leave no point."""
     lower, upper = np.array(nlp.lower), np.array(nlp.upper)

@@ -10,13 +10,13 @@ from pydrake.solvers import GetProgramType, ProgramType
 
 from drake_aigto.aigo import Box
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.certify import Certificate, Certifier, relative_gap
+from drake_aigto.certify import Certificate, Certifier, is_infeasible, relative_gap
 from drake_aigto.solver.answers import FAR, Answers, CheckedPoint, Observer
 from drake_aigto.solver.boxes import BoxStage, make_first_box
 from drake_aigto.solver.details import AigoDetails, AigoOptions, AigoStatus
 from drake_aigto.solver.presolve import presolve
 from drake_aigto.solver.program import AigoProgram, ContradictionError
-from drake_aigto.solver.ranges import LARGEST, Bounds, may_be_feasible, tighten
+from drake_aigto.solver.ranges import LARGEST, Bounds, tighten
 from drake_aigto.solver.staged import StagedProgram, StagedSearch
 
 # A local minimum of these is the global one, wherever it is.
@@ -345,7 +345,7 @@ class Solve:
         if not self._answers.is_feasible:
             if found and found.is_infeasible:
                 return AigoStatus.INFEASIBLE
-            is_proven = not may_be_feasible(self._program.nlp)
+            is_proven = is_infeasible(self._program.source)
             return AigoStatus.INFEASIBLE if is_proven else AigoStatus.NO_FEASIBLE_POINT
         if self._answers.has_fallen or self._is_outermost(best):
             return AigoStatus.FALLS_WITHOUT_END
