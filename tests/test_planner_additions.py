@@ -209,7 +209,7 @@ def test_a_report_names_what_was_added_and_a_gradient_solver_does_without(
     text = page.read_text(encoding="utf-8")
     names = "near the wall, slow end, waypoint"
     assert f"program in Python: {names}." in text
-    assert re.search(rf"boxes can.{{1,6}}t be had again: .* by name only \({names}\)", text)
+    assert re.search(rf"boxes can.{{1,6}}t be run again: .* by name only \({names}\)", text)
     assert main(["play", str(path), "--html", str(page), "--beside", "gradient"]) == 0
     assert f"SNOPT plans without what was added: {names}" in capsys.readouterr().out
     assert main(["play", str(path), "--html", str(page), "--optimization"]) == 2

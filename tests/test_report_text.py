@@ -91,6 +91,11 @@ def test_a_report_has_question_answer_verdict_and_how_to_reproduce_it(plan: Plan
     assert len(lines) == 3
 
 
+def test_boxes_that_can_not_be_run_again_are_said_to_be_missing(plan: Plan) -> None:
+    text = words(report_plan(dataclasses.replace(plan, options=None)))
+    assert "AIGO's boxes are missing: the plan's boxes can't be run again: got a plan" in text
+
+
 def test_a_plan_that_fails_is_said_to_fail(plan: Plan) -> None:
     missed = dataclasses.replace(plan.replay.event_driven, cost=1.0, goal_error=0.9)
     failing = dataclasses.replace(plan, replay=Replays(missed, None))

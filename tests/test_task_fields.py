@@ -292,7 +292,8 @@ def test_a_plan_of_a_mechanism_is_written() -> None:
 
 def test_a_report_of_a_mechanism_is_written() -> None:
     scenario = Scenario(**SWING, velocity_weight=[0.0, 1.0], angles="modulo", contact="compliant")
-    written = report_plan(make_plan(scenario), cart_pole())
+    found = dataclasses.replace(make_plan(scenario), transcription="shooting")
+    written = report_plan(found, cart_pole())
     assert "Links at evenly spaced times" in written and "boxes can" not in written
     for part in ("R = 0.001; Q_v = [0, 1]; Q_T = [1, 2]", "λ = k x max(0, 1 + d ẋ)", "3 rad)"):
         assert part in written

@@ -234,7 +234,7 @@ def run_boxes(plan: Plan, world: World | None = None) -> BoxRun:
 
 def _refuse(what: str) -> OptionsError:
     return OptionsError(
-        "the plan's boxes can't be had again",
+        "the plan's boxes can't be run again",
         got=f"a plan that names {what}",
         expected="its options and the rung that it came from, of a program without additions",
     )
