@@ -148,24 +148,15 @@ class PlanOptions(SearchOptions):
         rungs = self.ladder or MECHANISM_LADDER
         return tuple(rung for rung in rungs if isinstance(rung, MechanismRung))
 
-    def check_for_balls(self) -> None:
-        """Refuses options that do not count for balls between rigid walls.
+    def check(self, is_of_balls: bool) -> None:
+        """Refuses options that do not count for a task, of balls between rigid walls or another.
 
         Raises:
-            OptionsError: an option is not at its default, or a rung is a mechanism's.
+            OptionsError: an option is not at its default, or a rung is of other tasks.
         """
-        self._refuse_others(_OF_MECHANISMS, Rung, "balls between rigid walls", "a mechanism")
-
-    def check_for_mechanisms(self) -> None:
-        """Refuses options that only count for balls between rigid walls.
-
-        Raises:
-            OptionsError: an option is not at its default, or a rung is of balls.
-        """
-        kinds = "a mechanism", "balls between rigid walls"
-        self._refuse_others(_OF_BALLS, MechanismRung, *kinds)
-
-    def _refuse_others(self, names: tuple[str, ...], rung: type, task: str, other: str) -> None:
+        tasks = "balls between rigid walls", "a mechanism"
+        task, other = tasks if is_of_balls else tasks[::-1]
+        names, rung = (_OF_MECHANISMS, Rung) if is_of_balls else (_OF_BALLS, MechanismRung)
         defaults = {each.name: each.default for each in dataclasses.fields(self)}
         for name in names:
             if (got := getattr(self, name)) != defaults[name]:

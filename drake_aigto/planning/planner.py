@@ -67,7 +67,11 @@ class Planner:
         self.world.check(scenario)
         _check_friction(self.world, scenario)
         self.is_of_balls = not needs_shooting(self.world, scenario)
-        self.options = self._check_options(options or PlanOptions())
+        asked = options or PlanOptions()
+        asked.check(self.is_of_balls)
+        # Plans keep options with their ladder.
+        ladder = asked.ball_ladder if self.is_of_balls else asked.mechanism_ladder
+        self.options = dataclasses.replace(asked, ladder=ladder)
         if self.options.confirm and scenario.contact == "rigid" and self.world.contacts:
             contact_delay(self.world)  # A wall without stiffness is refused before long work.
         self._build_clock = Stopwatch()
@@ -77,14 +81,6 @@ class Planner:
                 if self.is_of_balls
                 else MotionProgram(self.world, scenario)
             )
-
-    def _check_options(self, options: PlanOptions) -> PlanOptions:
-        """Returns options that all count here, with their ladder, as plans keep them."""
-        if self.is_of_balls:
-            options.check_for_balls()
-            return dataclasses.replace(options, ladder=options.ball_ladder)
-        options.check_for_mechanisms()
-        return dataclasses.replace(options, ladder=options.mechanism_ladder)
 
     @property
     def transcription(self) -> OpenProgram:

@@ -112,7 +112,7 @@ class BallTask(ProgramTask):
             programs: of the same world, wherever its walls stand, and the same additions.
         """
         options = options or PlanOptions()
-        options.check_for_balls()
+        options.check(is_of_balls=True)
         super().__init__(transcription, options, options.ball_ladder, programs)
         self.asked_steps = num_steps or transcription.scenario.num_steps
         self.num_steps = max(self.asked_steps, self.options.aigo_steps)

@@ -129,7 +129,7 @@ class MechanismTask:
             ProgramError: a cost or constraint of the user can't be planned here; says why.
             UnsupportedTermError: it has a factor that is no power, sin or cos.
         """
-        options.check_for_mechanisms()
+        options.check(is_of_balls=False)
         self.world, self.scenario, self.options = world, scenario, options
         self.ladder = options.mechanism_ladder
         self.task, self.bounds = TaskCost.of(world, scenario), world.bounds(scenario)
