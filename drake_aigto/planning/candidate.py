@@ -21,8 +21,6 @@ from drake_aigto.simulation import (
     Replay,
     confirms,
     max_penetration,
-    replay_drake,
-    replay_event_driven,
 )
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import (
@@ -34,7 +32,7 @@ from drake_aigto.transcription import (
     TouchSequence,
     largest_defect,
 )
-from drake_aigto.world import Scales, Scenario, World
+from drake_aigto.world import Scales, World
 
 ChangeName = Literal["seen", "dropped", "added", "swapped", "moved", "mode", "left out"]
 
@@ -122,15 +120,6 @@ class Replays:
 
     event_driven: Replay
     drake: Replay | None
-
-    @classmethod
-    def of(
-        cls, world: World, scenario: Scenario, trajectory: Trajectory, confirm: bool = True
-    ) -> Replays:
-        """Returns replays of a trajectory's control: event-driven, and in Drake to confirm."""
-        control = trajectory.times, trajectory.controls
-        drake = replay_drake(world, scenario, *control) if confirm else None
-        return cls(replay_event_driven(world, scenario, *control), drake)
 
     def __iter__(self) -> Iterator[Replay]:
         """Yields the replays that were run."""

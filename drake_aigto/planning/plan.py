@@ -15,7 +15,13 @@ from drake_aigto.output import write_text
 from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
 from drake_aigto.planning.candidate import Candidate, Replays, Veto
 from drake_aigto.planning.options import SearchOptions
-from drake_aigto.simulation import BOUNDS, HARD_GOAL, confirms
+from drake_aigto.simulation import (
+    BOUNDS,
+    HARD_GOAL,
+    confirms,
+    replay_drake,
+    replay_event_driven,
+)
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import largest_defect
 from drake_aigto.world import Fingerprint, Scenario, World
@@ -257,9 +263,10 @@ class Plan:
         Raises:
             ModelError: from `find_world`.
         """
-        world = self.find_world(world)
-        replays = Replays.of(world, self.scenario, self.trajectory, confirm)
-        return dataclasses.replace(self, replay=replays, world=world)
+        world, t = self.find_world(world), self.trajectory
+        own = replay_event_driven(world, self.scenario, t.times, t.controls)
+        drake = replay_drake(world, self.scenario, t.times, t.controls) if confirm else None
+        return dataclasses.replace(self, replay=Replays(own, drake), world=world)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a JSON file that `load` reads back to the same numbers, whole or not at all.

@@ -204,10 +204,7 @@ class ShootingRun:
         Controls are moved into their bounds, then towards 0 until their norm is within its own.
         """
         problem, layout, bounds = self._problem, self._layout, self._program.bounds
-        nu, (low, high) = (
-            problem.mechanism.num_controls,
-            (bounds.lower_control, bounds.upper_control),
-        )
+        nu, low, high = problem.mechanism.num_controls, bounds.lower_control, bounds.upper_control
         chosen, flights = np.zeros((len(layout.kinds), nu)), layout.flights
         taken = _take("controls", controls, (len(flights), nu))
         taken = np.minimum(np.maximum(taken, low[flights]), high[flights])

@@ -145,16 +145,26 @@ def lay_onto(touches: TouchSequence, times: Floats, num_contacts: int) -> tuple[
 
 def _find_joints(touches: TouchSequence, duration: float) -> Iterator[_Joint]:
     """Yields the starts of phases."""
+    begun = {(touch.contact, touch.start) for touch in touches if touch.lasts}
+    ended = {(touch.contact, touch.end) for touch in touches if touch.lasts}
+
+    def find_end(touch: Touch) -> float:
+        """Returns when a sustained touch ends [s]; infinite if it continues in another mode."""
+        return np.inf if (touch.contact, touch.end) in begun else touch.end
+
+    def is_new(touch: Touch) -> bool:
+        return not (touch.lasts and (touch.contact, touch.start) in ended)
+
     of_start = [touch for touch in touches if touch.lasts and touch.start <= 0]
-    ends = {touch.contact: _find_end(touch, touches) for touch in of_start}
+    ends = {touch.contact: find_end(touch) for touch in of_start}
     modes = {touch.contact: touch.mode for touch in of_start}
     yield _Joint(0.0, -1, list(ends), dict(modes))
     later = [touch for touch in touches if touch not in of_start]
-    later.sort(key=lambda touch: (touch.start, not _continues(touch, touches)))
+    later.sort(key=lambda touch: (touch.start, is_new(touch)))
     for touch, until in zip([None, *later], [*(t.start for t in later), duration], strict=True):
         if touch is not None:
             goes_on = ends.get(touch.contact) == np.inf and touch.lasts
-            ends = {**ends, touch.contact: _find_end(touch, touches)} if touch.lasts else {}
+            ends = {**ends, touch.contact: find_end(touch)} if touch.lasts else {}
             modes = {**{i: modes[i] for i in ends if i in modes}, touch.contact: touch.mode}
             if not (goes_on and touch.start == until):  # That is part of the impact then.
                 yield _Joint(touch.start, -1 if goes_on else touch.contact, list(ends), modes)
@@ -164,18 +174,6 @@ def _find_joints(touches: TouchSequence, duration: float) -> Iterator[_Joint]:
             modes = {i: modes[i] for i in ends}
             yield _Joint(end, -1, list(ends), modes)
         ends = {i: end for i, end in ends.items() if end > until}
-
-
-def _find_end(touch: Touch, touches: TouchSequence) -> float:
-    """Returns when a sustained touch ends [s]; infinite if it continues in another mode."""
-    nexts = (other for other in touches if other.contact == touch.contact and other.lasts)
-    return np.inf if any(other.start == touch.end for other in nexts) else touch.end
-
-
-def _continues(touch: Touch, touches: TouchSequence) -> bool:
-    """Returns whether a sustained touch continues another one of its contact."""
-    others = (other for other in touches if other.contact == touch.contact and other.lasts)
-    return touch.lasts and any(other.end == touch.start for other in others)
 
 
 def read_touches(
