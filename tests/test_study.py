@@ -45,7 +45,7 @@ def test_a_rigid_plan_is_the_exact_optimum_in_both_simulations(row: int) -> None
     rigid, drake = best.replays
     assert best.holds
     assert best.candidate.is_feasible
-    assert rigid.cost >= optimum * (1 - 1e-9)
+    assert rigid.cost >= optimum * (1 - 1e-9) - 1e-20  # Row 4 costs 0, but for rounding.
     assert rigid.cost <= max(1.01 * optimum, 1e-6)
     assert abs(drake.cost - optimum) <= max(0.02 * optimum, 1e-5)
     assert rigid.bounce_times == pytest.approx(cell.optimum.bounce_times, abs=2e-3)

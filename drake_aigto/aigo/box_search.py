@@ -9,9 +9,8 @@ import numpy as np
 
 from drake_aigto.aigo.algorithm import AigoResult, Algorithm, Box, Status, minimize
 from drake_aigto.aigo.annealing import BoundedAnnealing
-from drake_aigto.aigo.coupling import CouplingGraph
-from drake_aigto.aigo.face_flow import FaceFlow
-from drake_aigto.aigo.fusion import Fusion
+from drake_aigto.aigo.coupling import CouplingGraph, Fusion
+from drake_aigto.aigo.gradients import FaceFlow
 from drake_aigto.aigo.newton import CenterObjective
 from drake_aigto.arrays import Bools, Floats, Ints, read_only
 from drake_aigto.box import BoxPolynomial
