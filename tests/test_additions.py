@@ -14,7 +14,8 @@ from pydrake.symbolic import sin
 from replay_worlds import shipped_world
 
 from drake_aigto.errors import AigtoError, ProgramError, UnsupportedTermError
-from drake_aigto.planning import BallTask, PhaseProblem, sample
+from drake_aigto.local import InteriorPoint
+from drake_aigto.planning import Arcs, BallTask, PhaseMotion, PhaseProblem, sample, solve_in_arcs
 from drake_aigto.transcription import (
     RigidTranscription,
     Samples,
@@ -52,6 +53,26 @@ def test_a_state_is_met_at_its_time(sequence: TouchSequence) -> None:
     assert abs(motion.v[-1, 0]) <= 0.1 + MET
     free, _ = phases_with(transcribe(), sequence)
     assert found.cost > 1.5 * free.cost
+
+
+def test_additions_at_single_knots_need_no_arc_for_each_step() -> None:
+    boxes = transcribe()
+    boxes.prog().AddConstraint(boxes.state(6)[0] == 0.5)
+    boxes.prog().AddBoundingBoxConstraint(1.0, 1.5, boxes.input(4))
+    boxes.prog().AddCost((boxes.state(14)[1] - 1.0) ** 2)
+    found, motion = phases_with(boxes)
+    guess = found.phases.guess()
+    long = solve_in_arcs(found.phases, guess, lambda nlp, x: InteriorPoint().solve(nlp, x))
+    assert long is not None
+    sizes = [Arcs(found.phases, cuts).nlp.num_rows for cuts in ((), range(20))]
+    assert sizes[0] < 0.5 * sizes[1]
+    costs = [sum(boxes.additions().costs(each).values()) for each in (motion, sample(long))]
+    whole = PhaseMotion(found.phases, long).cost + costs[1]
+    assert whole == pytest.approx(found.cost + costs[0], rel=1e-7)
+    assert max(boxes.additions().violations(sample(long)).values()) <= MET
+    boxes.AddRunningCost(boxes.state()[0] ** 2)
+    phases = PhaseProblem(shipped_world(), SCENARIO, BOUNCE, additions=boxes.additions())
+    assert found.phases.has_long_arcs and not phases.has_long_arcs
 
 
 def test_a_control_is_held_where_it_is_bound_and_free_elsewhere() -> None:
