@@ -66,16 +66,9 @@ def test_a_control_does_not_lead_farther_astray_than_foretold(v: float, e: float
     rigid, drake = run_both(world, 0.5, v, times, u, e)
     assert drake.bounce_contacts == rigid.bounce_contacts
     assert miss(rigid, drake) < drake.compliance_error < 0.01
+    if (v, e) == (4.0, 0.8):  # With a contact's Jacobian after it Radau's rule ends 3 cm off.
+        assert miss(rigid, drake) < 3e-4
     np.testing.assert_allclose(drake.energy_ratios, e**2, atol=1e-3)
-
-
-def test_a_contacts_jacobian_is_forgotten_after_it() -> None:
-    # With it, Radau's rule goes on from the third bounce in steps of 0.01 ms and ends 3 cm off.
-    world = shipped("corridor")
-    times = np.linspace(0.0, 1.5, 101)
-    u = 3 * np.sin(7 * times[:-1])[:, np.newaxis]
-    rigid, drake = run_both(world, 0.5, 4.0, times, u, 0.8)
-    assert miss(rigid, drake) < 3e-4
 
 
 @pytest.mark.parametrize("e", [1.0, 0.6])

@@ -177,8 +177,11 @@ def test_simulators_are_freed() -> None:
 def test_what_does_not_fit_is_refused_by_name() -> None:
     with pytest.raises(ScenarioError, match="mass: got 2 kg"):
         make_simulator(make_corridor(), make_task(2.0, mass=2.0))
-    with pytest.raises(ModelError, match=r"collision shape '.*': got no stiffness, .* 2e9 N/m"):
-        make_simulator(World.from_diagram(make_diagram(stiffness=None)), make_task(2.0))
+    world, scenario = World.from_diagram(make_diagram(stiffness=None)), make_task(2.0)
+    held = [0.0, 1.0], [[0.0]]
+    for refused in (make_simulator, lambda *asked: replay_drake(*asked, *held)):
+        with pytest.raises(ModelError, match=r"collision shape '.*': got no stiffness, .* 2e9 N/m"):
+            refused(world, scenario)
 
 
 TIMES = np.linspace(0.0, 1.0, 21)
@@ -269,32 +272,22 @@ def test_no_shipped_wall_is_late_because_a_rod_points_at_it_where_one_looks() ->
     assert contact_delay(World.from_scenario(Scenario.named("pendulum/off_the_wall"))) < 1e-3
 
 
-def test_a_shipped_cart_pole_between_rigid_walls_is_confirmed_by_drake() -> None:
-    world: World = build("cart_pole_rigid_06")
-    scenario = ask("cart-pole")
-    controls = np.full((20, 1), 2.0)
-    rigid = replay_event_driven(world, scenario, TIMES, controls)
-    drake = replay_drake(world, scenario, TIMES, controls)
-    assert rigid.bounce_times
-    assert drake.cost == pytest.approx(rigid.cost, rel=1e-3)
-
-
-def test_where_nothing_touches_drake_integrates_the_same_motion() -> None:
-    world, scenario, controls = build("cart_pole"), ask("cart-pole"), np.full((20, 1), 2.0)
-    own = replay_event_driven(world, scenario, TIMES, controls)
-    drake = replay_drake(world, scenario, TIMES, controls)
-    assert drake.cost == pytest.approx(own.cost, rel=1e-8)
-    np.testing.assert_allclose(drake.positions[-1], own.positions[-1], atol=1e-8)
-
-
-def test_a_compliant_wall_may_be_nearly_rigid() -> None:
-    world = read("cart-pole", 1e9)
-    scenario = dataclasses.replace(ask("cart-pole"), contact="compliant", restitution=1.0)
+@pytest.mark.parametrize(
+    ("name", "contact", "same"),
+    [("cart_pole_rigid_06", "rigid", 1e-3), ("cart_pole", "rigid", 1e-8), ("", "compliant", 1e-5)],
+)
+def test_both_replays_agree_on_cart_poles(name: str, contact: Any, same: float) -> None:
+    # Between shipped rigid walls, where nothing touches, and at a compliant wall, nearly rigid.
+    world = build(name) if name else read("cart-pole", 1e9)
+    scenario = dataclasses.replace(ask("cart-pole"), contact=contact)
     controls = np.full((20, 1), 2.0)
     own = replay_event_driven(world, scenario, TIMES, controls)
     drake = replay_drake(world, scenario, TIMES, controls)
-    assert own.bounce_contacts == drake.bounce_contacts != ()
-    assert drake.cost == pytest.approx(own.cost, rel=1e-5)
+    assert drake.cost == pytest.approx(own.cost, rel=same)
+    assert own.bounce_contacts == drake.bounce_contacts
+    assert bool(own.bounce_contacts) == (name != "cart_pole")
+    if not own.bounce_contacts:
+        np.testing.assert_allclose(drake.positions[-1], own.positions[-1], atol=1e-8)
 
 
 def test_a_verdict_is_about_angles_as_about_lengths() -> None:
