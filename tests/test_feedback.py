@@ -22,7 +22,6 @@ from drake_aigto.paper import rigid_optimum
 from drake_aigto.simulation import (
     DRAKE,
     EVENT_DRIVEN,
-    HeldControl,
     replay_drake,
     replay_event_driven,
     replay_with,
@@ -284,18 +283,6 @@ def test_the_control_that_feedback_applied_does_the_same_again(row: int, e: floa
     again = replay_event_driven(shipped_world(), scenario, times, np.array(applied.controls))
     assert again.cost == pytest.approx(tracked.cost, rel=1e-9)
     assert again.positions[-1] == pytest.approx(tracked.positions[-1], abs=1e-9)
-
-
-@pytest.mark.parametrize(("row", "e"), BOUNCES)
-def test_a_held_control_is_open_loop(row: int, e: float) -> None:
-    scenario, plan = make_bounce(row, e)
-    scenario = moved(scenario, -0.01, 0.01)
-    controller = HeldControl(plan.times, plan.controls)
-    for judge, replay in ((EVENT_DRIVEN, replay_event_driven), (DRAKE, replay_drake)):
-        held = replay_with(judge, shipped_world(), scenario, controller)
-        direct = replay(shipped_world(), scenario, plan.times, plan.controls)
-        assert held.cost == pytest.approx(direct.cost, rel=1e-9)
-        assert held.bounce_times == pytest.approx(direct.bounce_times, abs=1e-9)
 
 
 @pytest.mark.parametrize(("row", "e"), BOUNCES)
