@@ -111,9 +111,16 @@ def test_a_run_is_the_same_again() -> None:
     np.testing.assert_array_equal(one.advance(0.2), other.advance(0.2))
 
 
-def test_what_is_not_finite_leaves_the_last_plan() -> None:
+@pytest.mark.parametrize(
+    ("bad", "reason"),
+    [
+        ([np.nan, np.inf], "the estimated state is not finite"),
+        ([[0.0, 0.0, 0.0, 1e6], [0.0, 0.0, 1e3, 0.0]], "no motion was found"),
+    ],
+)
+def test_what_is_not_finite_or_far_from_all_leaves_the_last_plan(bad: Any, reason: str) -> None:
     x = np.concatenate([SCENARIO.initial_position, SCENARIO.initial_velocity])
-    told = np.array([x, np.full(4, np.nan), np.full(4, np.inf), x]).T
+    told = np.array([x, x + bad[0], x + bad[1], x]).T
     builder = DiagramBuilder()
     sampled = PiecewisePolynomial.ZeroOrderHold([0.0, 0.1, 0.2, 9.0], told)
     source = builder.AddSystem(TrajectorySource(sampled))
@@ -127,7 +134,7 @@ def test_what_is_not_finite_leaves_the_last_plan() -> None:
     assert np.all(np.isfinite(controls))
     context = controller.GetMyContextFromRoot(root)
     status = controller.GetOutputPort("status").Eval(context)
-    assert status.reason.startswith("the estimated state is not finite")
+    assert status.reason.startswith(reason)
     path = controller.GetOutputPort("planned_state").Eval(context)
     np.testing.assert_allclose(path.value(0.05)[:, 0], x)
     # The plan goes on: its control is that of now, not of when it was made.

@@ -10,6 +10,7 @@ import numpy as np
 from drake_aigto.arrays import Bools, Floats, interpolate
 from drake_aigto.control.horizon import BallHorizon, Horizon
 from drake_aigto.control.touches import PlannedMotion, choose, find_left, keep_apart
+from drake_aigto.errors import OptionsError, TrajectoryError
 from drake_aigto.planning import (
     MechanismSearch,
     Planner,
@@ -84,7 +85,10 @@ class _ShootingHorizon(Horizon):
     def _search(self, asked: Scenario) -> ShootingResult | None:
         """Returns the best motion that boxes, renewals and neighbors lead to, from time 0 on."""
         search = MechanismSearch(self._task.again(asked))
-        search.explore()
+        try:
+            search.explore()
+        except (OptionsError, TrajectoryError):  # Numbers overflow from a state so far from all.
+            return None
         return search.motions[0].result if search.motions else None
 
 
