@@ -17,7 +17,7 @@ _MOST = 8  # Answers; there are fewer kinds of errors that have one.
 
 def gather(
     read: Callable[[Scenario], object], scenario: Scenario, first: FixableError
-) -> ModelError:
+) -> FixableError:
     """Returns an error of all that is wrong, with one remedy: answers are tried one after another.
 
     Args:
@@ -44,10 +44,11 @@ def gather(
     text = yaml.safe_dump(answers, default_flow_style=True, width=10_000).strip()
     rest = found[-1]
     left = "" if isinstance(rest, FixableError) else f" What is left: {rest.remedy or 'the last'}"
-    return ModelError(
+    return FixableError(
         name,
         got="; ".join(f"{error.what}: {error.got}".removeprefix(f"{name}: ") for error in found),
         remedy=f"These fields of the scenario answer that: {text}, or change the model.{left}",
+        fields=answers,
     )
 
 

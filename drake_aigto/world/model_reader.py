@@ -17,6 +17,7 @@ from pydrake.geometry import (
     GeometrySet,
     HalfSpace,
     ProximityProperties,
+    Role,
     RoleAssign,
     SceneGraph,
     Sphere,
@@ -291,14 +292,11 @@ def name_shapes(
     """Returns the names of collision shapes: model::shape and model::link::shape."""
     inspector: Any = scene_graph.model_inspector()
     found = {}
-    for body in _list_bodies(plant):
-        for shape in plant.GetCollisionGeometriesForBody(body):
-            full = inspector.GetName(shape)
-            model, _, name = full.rpartition("::")
-            found[shape] = (
-                full.partition(END)[0],
-                f"{model}::{body.name()}::{name}".partition(END)[0],
-            )
+    for shape in inspector.GetAllGeometryIds(Role.kProximity):
+        full = inspector.GetName(shape).partition(END)[0]
+        model, _, name = full.rpartition("::")
+        body = plant.GetBodyFromFrameId(inspector.GetFrameId(shape))
+        found[shape] = full, f"{model}::{body.name()}::{name}"
     return found
 
 
@@ -355,26 +353,25 @@ def _add_ends(plant: MultibodyPlant, scene_graph: SceneGraph) -> dict[GeometryId
     """
     inspector: Any = scene_graph.model_inspector()
     found = {}
-    for body in _list_bodies(plant):
-        for shape in list(plant.GetCollisionGeometriesForBody(body)):
-            capsule = inspector.GetShape(shape)
-            if not isinstance(capsule, Capsule):
-                continue
-            # What the inspector returns lives until the next shape is registered.
-            half, radius = capsule.length() / 2, capsule.radius()
-            X_BG = RigidTransform(inspector.GetPoseInFrame(shape))
-            properties = ProximityProperties(inspector.GetProximityProperties(shape))
-            name = inspector.GetName(shape).rpartition("::")[2]
-            found[shape] = [
-                plant.RegisterCollisionGeometry(
-                    body,
-                    X_BG @ RigidTransform([0.0, 0.0, z]),
-                    Sphere(radius),
-                    f"{name}{END}{number}",
-                    properties,
-                )
-                for number, z in ((1, -half), (2, half))
-            ]
+    for shape in inspector.GetAllGeometryIds(Role.kProximity):
+        capsule = inspector.GetShape(shape)
+        if not isinstance(capsule, Capsule):
+            continue
+        # What the inspector returns lives until the next shape is registered.
+        half, radius = capsule.length() / 2, capsule.radius()
+        X_BG = RigidTransform(inspector.GetPoseInFrame(shape))
+        properties = ProximityProperties(inspector.GetProximityProperties(shape))
+        name = inspector.GetName(shape).rpartition("::")[2]
+        found[shape] = [
+            plant.RegisterCollisionGeometry(
+                plant.GetBodyFromFrameId(inspector.GetFrameId(shape)),
+                X_BG @ RigidTransform([0.0, 0.0, z]),
+                Sphere(radius),
+                f"{name}{END}{number}",
+                properties,
+            )
+            for number, z in ((1, -half), (2, half))
+        ]
     return found
 
 

@@ -18,7 +18,6 @@ from drake_aigto.arrays import Bools, Floats
 from drake_aigto.dynamics import SumMap, evaluate, tidy
 from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import find_hinges, find_joint
-from drake_aigto.world.model_facts import FixableError
 
 # q of shape (nq,) ↦ numbers of any one shape.
 Function = Callable[[Floats], Floats]
@@ -154,14 +153,12 @@ class PlantReader:
             return interpolate(calc, self.q, self._is_hinge, degree)
         except TooManySamples as error:
             joints = [find_joint(self._plant, i).name() for i in error.coordinates]
-            last = joints[-1]
-            raise FixableError(
+            raise ModelError(
                 what,
                 got=f"a function of {len(joints)} coordinates at once: of {', '.join(joints)}",
                 expected="four or five, or six about parallel axes",
                 remedy="Fix joints that a plan can do without, by the scenario's fixed_joints: "
-                f"[{last}, ...].",
-                fields={"fixed_joints": [last]},
+                f"[{joints[-1]}, ...].",
             ) from None
 
 

@@ -171,13 +171,14 @@ class World(EquationsOfMotion):
         if dry_friction is not None:
             check_friction_acts(plant, diagram)
         reader = PlantReader(plant)
+        mass_matrix = reader.calc_mass_matrix()  # First: too many joints are refused at once.
         ignored_shapes = as_globs("ignored_shapes", ignored_shapes)
         ignored = pick_shapes("ignored_shapes", ignored_shapes, name_shapes(plant, scene_graph))
         reachable, stuck = find_reach(plant, scene_graph, reader, ignored)
         if mass is not None:
             mass = as_number("mass", mass, above=0.0, unit="kg")
             reader.set_mass(find_sphere_body(plant, reachable), mass)
-        mass_matrix = reader.calc_mass_matrix()
+            mass_matrix = reader.calc_mass_matrix()
         return cls(
             diagram=diagram,
             plant=plant,

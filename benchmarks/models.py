@@ -1,0 +1,270 @@
+"""What becomes of models that other people made, from four collections.
+
+    pip install 'drake_aigto[models]'
+    python -m benchmarks.models --markdown docs/models.md     # all of them
+    python -m benchmarks.models reacher acrobot --no-plan     # those whose name contains a word
+
+Each model is read as a new user would: as it is; then, if it is refused, once more with the fields
+that the error names. MJCFs are compared with MuJoCo's own M, h, limits and friction at random
+states. What can be read, with at most four coordinates, is asked to go 0.3 rad or 0.1 m with each
+driven joint, and what the plan does is simulated by MuJoCo as well.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import importlib
+import importlib.util
+import site
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pydrake
+import yaml
+
+from drake_aigto import Plan, Scenario, World, plan
+from drake_aigto.errors import AigtoError
+from drake_aigto.output import write_text
+from drake_aigto.world import FixableError
+
+_MOST_COORDINATES = 4
+_MOVES = {True: 0.3, False: 0.1}  # Of a hinge [rad], of a slider [m].
+_NUM_STATES = 5
+_STEP = 1e-4  # Of MuJoCo's simulation [s].
+_HEADER = ("collection", "model", "coordinates", "read", "seconds", "MuJoCo agrees to", "plan")
+
+
+@dataclasses.dataclass
+class Row:
+    """What became of one model."""
+
+    collection: str
+    model: str
+    coordinates: str = ""
+    read: str = ""
+    seconds: float = 0.0
+    agrees: str = ""
+    plan: str = ""
+
+
+def find_models() -> Iterator[tuple[str, Path]]:
+    """Yields collections and files of models, of the collections that are installed."""
+    folders = {
+        "dm_control": ("dm_control", "suite/*.xml"),
+        "gymnasium": ("gymnasium", "envs/mujoco/assets/*.xml"),
+    }
+    for collection, (package, glob) in folders.items():
+        found = importlib.util.find_spec(package)
+        for root in [] if found is None else found.submodule_search_locations or []:
+            yield from ((collection, path) for path in sorted(Path(root).glob(glob)))
+    sites = [*site.getsitepackages(), *sys.path]
+    for root in dict.fromkeys(sites):
+        robots = Path(root) / "cmeel.prefix" / "share" / "example-robot-data" / "robots"
+        urdfs = sorted(robots.glob("*/*/*.urdf"))
+        yield from (("example-robot-data", path) for path in urdfs)
+    drake = Path(pydrake.__file__).parent / "share" / "drake" / "examples"
+    for suffix in ("sdf", "urdf"):
+        yield from (("drake", path) for path in sorted(drake.rglob(f"*.{suffix}")))
+
+
+def read(row: Row, path: Path) -> tuple[World, Scenario] | None:
+    """Reads a model, with the error's answer if it is refused."""
+    ends: dict[str, Any] = {"initial_position": 0, "initial_velocity": 0, "goal_position": 0}
+    scenario, start = Scenario(model=str(path), **ends), time.perf_counter()
+    try:
+        world = World.from_model(scenario)
+        row.read = "as it is"
+    except AigtoError as error:
+        row.seconds = time.perf_counter() - start
+        if not isinstance(error, FixableError):
+            row.read = f"refused: {error.what.replace(str(path), path.name)}"
+            return None
+        scenario = dataclasses.replace(scenario, **error.fields)
+        answer = yaml.safe_dump(error.fields, default_flow_style=True, width=10_000).strip()
+        answer = answer if len(answer) < 120 else f"{answer[:117]}..."
+        try:
+            world = World.from_model(scenario)
+            row.read = f"with `{answer}`"
+        except AigtoError as again:
+            row.read = f"refused: {again.what.replace(str(path), path.name)}, after `{answer}`"
+            return None
+    row.seconds = row.seconds or time.perf_counter() - start
+    row.coordinates = f"{world.num_positions}"
+    return world, scenario
+
+
+def compare(world: World, path: Path) -> float:
+    """Returns the largest difference from MuJoCo's M, h, friction and limits, relative."""
+    mujoco: Any = importlib.import_module("mujoco")
+
+    model, q_of = _load_mujoco(path, world)
+    data: Any = mujoco.MjData(model)
+    plant, worst = world.plant, 0.0
+    context = plant.CreateDefaultContext()
+    for q, v in np.random.default_rng(0).uniform(-1.0, 1.0, (_NUM_STATES, 2, world.num_positions)):
+        data.qpos[q_of], data.qvel[q_of] = q, v
+        mujoco.mj_forward(model, data)
+        M = np.zeros((model.nv, model.nv))
+        for column in range(model.nv):
+            product = np.zeros(model.nv)
+            mujoco.mj_mulM(model, data, product, np.eye(model.nv)[column])
+            M[:, column] = product
+        M = M[np.ix_(q_of, q_of)]
+        plant.SetPositions(context, q)
+        h = (data.qfrc_bias - data.qfrc_passive)[q_of]
+        dry = 0.0 if world.dry_friction is None else world.dry_friction
+        mine = world.calc_bias(q, v) - dry * np.clip(v / world.stiction_speed, -1.0, 1.0)
+        worst = max(worst, _differ(plant.CalcMassMatrix(context), M), _differ(mine, h))
+    is_limited = model.jnt_limited.astype(bool)[q_of]
+    is_limited &= not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    for row, infinite in zip(world.limits.position, (-np.inf, np.inf), strict=True):
+        column = 0 if infinite < 0 else 1
+        theirs = np.where(is_limited, model.jnt_range[q_of, column], infinite)
+        worst = max(worst, 0.0 if np.allclose(row, theirs, atol=1e-9) else np.inf)
+    return worst
+
+
+def _load_mujoco(path: Path, world: World) -> tuple[Any, list[int]]:
+    """Returns MuJoCo's model without fluid and contact, and where our coordinates are in it."""
+    mujoco: Any = importlib.import_module("mujoco")
+
+    model = mujoco.MjModel.from_xml_path(str(path))
+    model.opt.density = model.opt.viscosity = 0.0
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, i) for i in range(model.njnt)]
+    plant, q_of = world.plant, [0] * world.num_positions
+    for joint in map(plant.get_joint, plant.GetJointIndices()):
+        if joint.num_positions() == 1:
+            known = joint.name() in names
+            i = names.index(joint.name()) if known else joint.position_start()
+            q_of[joint.position_start()] = int(model.jnt_qposadr[i])
+    return model, q_of
+
+
+def _differ(mine: Any, theirs: Any) -> float:
+    return float(np.abs(mine - theirs).max(initial=0.0) / max(1.0, np.abs(theirs).max(initial=0.0)))
+
+
+def ask(world: World, scenario: Scenario) -> Plan:
+    """Plans from the default positions to a goal that depends on nothing but the model."""
+    driven = np.any(world.actuation != 0, axis=1)
+    start = np.array(world.plant.GetDefaultPositions())
+    lower, upper = world.limits.position
+    move = np.where(driven, [_MOVES[bool(hinge)] for hinge in world.is_hinge], 0.0)
+    start = np.clip(start, lower + 0.0, upper - np.where(np.isfinite(upper), move, 0.0))
+    question = dataclasses.replace(
+        scenario,
+        initial_position=start,
+        initial_velocity=np.zeros(start.size),
+        goal_position=start + move,
+        goal_weight=np.where(driven, 100.0, 1e-3),
+        control_weight=np.full(world.num_actuators, 1e-3),
+        time_step=0.02,
+        ignored_shapes="all",
+    )
+    return plan(question)
+
+
+def simulate_in_mujoco(found: Plan, world: World, path: Path) -> float:
+    """Returns how far MuJoCo's end of a plan's control is from the plan's, per way."""
+    mujoco: Any = importlib.import_module("mujoco")
+
+    model, q_of = _load_mujoco(path, world)
+    model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, _STEP
+    data: Any = mujoco.MjData(model)
+    trajectory: Any = found.trajectory
+    data.qpos[q_of] = trajectory.positions[0]
+    times, controls = trajectory.times, trajectory.controls
+    for k in range(round(times[-1] / _STEP)):
+        index = min(np.searchsorted(times, (k + 0.5) * _STEP, side="right") - 1, len(controls) - 1)
+        data.qfrc_applied[q_of] = world.actuation @ controls[index]
+        mujoco.mj_step(model, data)
+    end = trajectory.positions[-1]
+    way = np.linalg.norm(end - trajectory.positions[0])
+    return float(np.linalg.norm(data.qpos[q_of] - end) / way)
+
+
+def study(collection: str, path: Path, plans: bool) -> Row:
+    """Returns what becomes of one model."""
+    row = Row(collection, f"{path.parent.name}/{path.stem}")
+    if (got := read(row, path)) is None:
+        return row
+    world: World = got[0]
+    scenario: Any = got[1]
+    is_mjcf = path.suffix == ".xml" and importlib.util.find_spec("mujoco") is not None
+    with_all = not set(scenario.allow_ignored) - {"pairs", "fluid"} and not scenario.fixed_joints
+    if is_mjcf and with_all:
+        row.agrees = f"{compare(world, path):.0e}"
+    if plans and world.num_positions <= _MOST_COORDINATES:
+        try:
+            start = time.perf_counter()
+            found = ask(world, scenario)
+            row.plan = f"{'holds' if found.holds else 'does not hold'}, "
+            error = np.linalg.norm(found.trajectory.positions[-1] - found.scenario.goal_position)
+            row.plan += f"{error:.1e} off, {time.perf_counter() - start:.1f} s"
+            if is_mjcf and with_all and world.dry_friction is None:
+                row.plan += f", MuJoCo {simulate_in_mujoco(found, world, path):.0e}"
+        except AigtoError as error:
+            row.plan = f"refused: {error.what}"
+    return row
+
+
+def format_rows(rows: Sequence[Row], separator: str) -> list[str]:
+    """Returns lines of a table."""
+    cells = [
+        [f"{value:.2f}" if isinstance(value, float) else str(value) for value in vars(row).values()]
+        for row in rows
+    ]
+    return [separator.join(line) for line in [list(_HEADER), *cells]]
+
+
+def summarize(rows: Sequence[Row]) -> list[str]:
+    """Returns sentences that count rows."""
+    as_is = sum(row.read == "as it is" for row in rows)
+    answered = sum(row.read.startswith("with") for row in rows)
+    planned = sum(row.plan.startswith("holds") for row in rows)
+    slow = max((row.seconds for row in rows if row.read.startswith("refused")), default=0.0)
+    return [
+        f"{len(rows)} models: {as_is} are read as they are, {answered} with the fields that one "
+        f"error names, {len(rows) - as_is - answered} are refused, within {slow:.1f} s.",
+        f"{planned} plans hold.",
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Prints the table, and writes it as a page if asked."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("words", nargs="*", help="only models whose path has one of these in it")
+    parser.add_argument("--no-plan", dest="plans", action="store_false", help="read them only")
+    parser.add_argument("--markdown", metavar="FILE", help="write the page here")
+    options = parser.parse_args(arguments)
+    rows = []
+    for collection, path in find_models():
+        if not options.words or any(word in str(path) for word in options.words):
+            rows.append(study(collection, path, options.plans))
+            print(*format_rows(rows[-1:], "  ")[1:], flush=True)
+    print(*summarize(rows), sep="\n")
+    if options.markdown:
+        lines = format_rows(rows, " | ")
+        table = [lines[0], " | ".join(["---"] * len(_HEADER)), *lines[1:]]
+        text = [
+            "# Models that other people made",
+            "",
+            "Made by `python -m benchmarks.models`, with the extra `models`: each model is read as "
+            "it is, and once more with the fields that its error names.",
+            "",
+            *summarize(rows),
+            "",
+            *(f"| {line} |" for line in table),
+            "",
+        ]
+        write_text(options.markdown, "\n".join(text))
+
+
+if __name__ == "__main__":
+    main()
