@@ -17,7 +17,7 @@ import mpmath
 import numpy as np
 import pydrake.symbolic as sym
 import pytest
-from pydrake.solvers import ExpressionCost, MathematicalProgram
+from pydrake.solvers import ExpressionConstraint, ExpressionCost, MathematicalProgram
 
 from benchmarks.collections.constrained_programs import concave_programs
 from benchmarks.random_programs import random_program
@@ -83,9 +83,12 @@ def _waves(x: Interval) -> tuple[Interval, ...]:
 
 def test_intervals_hold_the_exact_result_of_their_ends() -> None:
     rng = np.random.default_rng(0)
-    for _ in range(300):
-        a, b = sorted(rng.normal(size=2) * 10.0 ** rng.integers(-8, 8))
-        c, d = sorted(rng.normal(size=2) * 10.0 ** rng.integers(-8, 8))
+    for number in range(600):
+        # Every other one is so small that products underflow, some with an end at 0.
+        least, ends = (-8, rng.normal(size=4)) if number % 2 else (-220, rng.normal(size=4))
+        ends[rng.random(4) < 0.2 * (least < -8)] = 0.0
+        a, b = sorted(ends[:2] * 10.0 ** rng.integers(least, 8))
+        c, d = sorted(ends[2:] * 10.0 ** rng.integers(least, 8))
         p = int(rng.integers(0, 7))
         exact = [
             [Fraction(x) + Fraction(y) for x in (a, b) for y in (c, d)],
@@ -213,13 +216,11 @@ def test_a_feasible_point_is_never_excluded(seed: int) -> None:
         x = prog.NewContinuousVariables(size, "x")
         prog.AddBoundingBoxConstraint(point - reach[0], point + reach[1], x)
         cost = random_function(rng, size, 3)
-        add_cost(prog, cost(sym, x))
+        add_cost(prog, cost(sym, x) + 0.1 * x[0])
         for _ in range(int(rng.integers(0, 4))):
             row = random_function(rng, size, 3)
             with mpmath.workdps(40):
                 value = float(row(exact, list(map(mpmath.mpf, point.tolist()))))
-            if not (sym.Expression(0.0) + row(sym, x)).Expand().GetVariables():
-                continue
             slack = 1e-12 * (1e-3 + abs(value))
             ends = [
                 [value - slack, value + slack],
@@ -228,9 +229,13 @@ def test_a_feasible_point_is_never_excluded(seed: int) -> None:
             ]
             for _ in range(int(rng.integers(1, 3))):
                 low, high = ends[int(rng.integers(3))]
-                prog.AddConstraint(sym.Expression(0.0) + row(sym, x), low, high)
+                constraint = ExpressionConstraint(
+                    [sym.Expression(0.0) + row(sym, x)], [low], [high]
+                )
+                prog.AddConstraint(constraint, vars=constraint.vars())
         with mpmath.workdps(40):
-            least = float(cost(exact, list(map(mpmath.mpf, point.tolist()))))
+            numbers = list(map(mpmath.mpf, point.tolist()))
+            least = float(cost(exact, numbers) + 0.1 * numbers[0])
         found = certify(prog, point if trial % 2 else None, cells=int(rng.integers(1, 80)))
         assert not found.is_infeasible
         assert found.lower_bound <= least + 1e-12 * (1e-3 + abs(least))
@@ -396,6 +401,19 @@ def test_a_row_that_overflows_is_not_infeasible() -> None:
     prog.AddCost(x[0])
     prog.AddConstraint(1e-250 * x[0] ** 2 * x[1] ** 2 <= 1e71)
     assert certify(prog, cells=300).lower_bound <= 1e80
+
+
+def test_a_row_whose_products_underflow_is_not_infeasible() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(3, "x")
+    small, tiny = -8.437660688527946e-86, -3.8056667485585995e-75
+    prog.AddBoundingBoxConstraint([1.7388e-08, small, tiny], [1.7406e-08, 8.4e-83, tiny], x)
+    row, at = -7.8e22 * x[0] * x[1] ** 2 - 4.6e-73 * x[1] ** 2 * x[2] ** 3, 1.74e-08
+    value = -7.8e22 * at * small**2  # The other product is smaller by 200 orders of magnitude.
+    prog.AddConstraint(row, (1 + 1e-13) * value, (1 - 1e-13) * value)
+    prog.AddCost(x[0])
+    assert not is_infeasible(prog)
+    assert certify(prog, cells=300).lower_bound <= at
 
 
 def test_a_variable_that_a_row_fixes_does_not_end_the_search() -> None:

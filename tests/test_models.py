@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import yaml
 from drake_aigto import Scenario, World, plan
 from drake_aigto.cli import main
 from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.world import find_model
 
 GRAVITY = 9.81
 
@@ -310,6 +312,23 @@ def test_joints_can_be_fixed(gantry: Any, tmp_path: Path) -> None:
     np.testing.assert_allclose(world.calc_mass_matrix(np.zeros(1)), [[4.0]])
     arm = write(tmp_path / "arm.xml", ARM)
     assert make(arm, size=1, fixed_joints=["elb*"]).num_positions == 1
+
+
+@pytest.mark.parametrize("is_declared", [True, False])
+def test_drakes_own_elements_stay_as_they_are_where_a_text_is_changed(
+    tmp_path: Path, is_declared: bool
+) -> None:
+    text = find_model("package://drake_aigto_models/corridor.sdf").read_text(encoding="utf-8")
+    model = tmp_path / "corridor.sdf"
+    declared = re.search(r' xmlns:drake="[^"]*"', text)
+    assert declared and "point_contact_stiffness" in text
+    model.write_text(text if is_declared else text.replace(declared[0], ""), encoding="utf-8")
+    shipped = World.from_scenario(Scenario.named("corridor/three_bounces"))
+    names = [contact.name for contact in shipped.contacts]
+    within = {"initial_position": [0.5], "goal_position": [0.4]}
+    pruned = make(str(model), 1, ignored_shapes=[], collisions=["ball*", "left*"], **within)
+    assert len(pruned.contacts) == 1 < len(names)
+    assert pruned.stiffness[0] == shipped.stiffness[0]
 
 
 BAD_FIELDS: dict[str, tuple[dict[str, Any], str]] = {

@@ -73,9 +73,13 @@ def times(x: Interval, y: Interval) -> Interval:
         return 0.0, 0.0
     p, q, r, s = _product(a, c), _product(a, d), _product(b, c), _product(b, d)
     low, high = min(min(p, q), min(r, s)), max(max(p, q), max(r, s))
-    if low >= 0.0 and (a == 0.0 or b == 0.0 or c == 0.0 or d == 0.0):
-        return 0.0, up(high) + TINY
-    return down(low) - TINY, up(high) + TINY
+    low, high = down(low) - TINY, up(high) + TINY
+    # A product that underflows is 0, whatever its sign: that of the factors tells it.
+    if (a >= 0.0 and c >= 0.0) or (b <= 0.0 and d <= 0.0):
+        low = max(low, 0.0)
+    if (a >= 0.0 and d <= 0.0) or (b <= 0.0 and c >= 0.0):
+        high = min(high, 0.0)
+    return low, high
 
 
 @inner

@@ -7,7 +7,8 @@ import os
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
 
 import yaml
 from pydrake.common.yaml import yaml_load_data
@@ -69,11 +70,30 @@ def find_packages(model: Path, given: Mapping[str, str]) -> PackageMap:
         packages.Add(name, str(path.resolve()))
     for parent in model.resolve().parents:
         if (parent / "package.xml").is_file() and parent != models_directory():
-            name = ElementTree.parse(parent / "package.xml").findtext("name", parent.name).strip()
+            name = read_xml(parent / "package.xml").findtext("name", parent.name).strip()
             for known_as in {name, parent.name}:  # ROS 1 goes by the name, others by the folder.
                 if not packages.Contains(known_as):
                     packages.Add(known_as, str(parent))
     return packages
+
+
+def read_xml(path: Path) -> Element:
+    """Returns the root of an XML file, with prefixes in its names, such as ``drake:mu_static``.
+
+    Drake's parser knows its own elements by their prefix; ElementTree would give them another one.
+
+    Raises:
+        ModelError: the file is no XML.
+    """
+    builder, parser = TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+    try:
+        parser.Parse(path.read_bytes(), True)
+    except expat.ExpatError as error:
+        raise ModelError(f"model {path}", got=f"no XML: {error}") from error
+    return builder.close()
 
 
 def find_model(model: str) -> Path:

@@ -11,9 +11,10 @@ import itertools
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from xml.etree.ElementTree import Element, ParseError, SubElement, parse
+from xml.etree.ElementTree import Element, SubElement
 
 from drake_aigto.errors import ModelError
+from drake_aigto.world.files import read_xml
 from drake_aigto.world.model_facts import ModelFacts, Spring, read_numbers, refuse_element
 
 # Drawing, numerics and measuring: nothing that moves depends on them.
@@ -62,12 +63,7 @@ def _include(parent: Element, folder: Path, above: tuple[Path, ...]) -> None:
                 expected="a file that is there",
                 remedy="Paths of <include> are relative to the model's file.",
             )
-        try:
-            included = parse(file).getroot()
-        except ParseError as error:
-            raise ModelError(
-                f"model {above[0]}", got=f"{file}, which is no XML: {error}"
-            ) from error
+        included = read_xml(file)
         _include(included, folder, (*above, file))
         parent[i : i + 1] = list(included)
 

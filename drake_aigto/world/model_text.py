@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from xml.etree.ElementTree import Element, ParseError, SubElement, parse, tostring
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 from pydrake.multibody.parsing import PackageMap
 
 from drake_aigto.errors import ModelError
+from drake_aigto.world.files import read_xml
 from drake_aigto.world.mjcf import read_mjcf
 from drake_aigto.world.model_facts import MESHES, ModelFacts, read_numbers
 from drake_aigto.world.model_fields import ModelFields
@@ -35,11 +36,11 @@ def read_model_text(
     """
     facts = ModelFacts(fields, mass_scale)
     try:
-        root = parse(path).getroot()
-    except (ParseError, UnicodeDecodeError) as error:
+        root = read_xml(path)
+    except ModelError:
         if path.suffix not in (".xml", ".urdf", ".sdf"):
             return None, "", facts
-        raise ModelError(f"model {path}", got=f"no XML: {error}") from error
+        raise
     kind = _KINDS.get(root.tag, "")
     if kind == "xml":
         read_mjcf(root, path, facts)
