@@ -35,6 +35,7 @@ from drake_aigto.world import FixableError
 _MOST_COORDINATES = 4
 _MOVES = {True: 0.3, False: 0.1}  # Of a hinge [rad], of a slider [m].
 _NUM_STATES = 5
+_UNLIMITED, _LARGE = 1e9, 1e5  # Of controls and efforts; larger ones count as infinite.
 _STEP = 1e-4  # Of MuJoCo's simulation [s].
 _HEADER = ("collection", "model", "coordinates", "read", "seconds", "MuJoCo agrees to", "plan")
 
@@ -99,7 +100,7 @@ def read(row: Row, path: Path) -> tuple[World, Scenario] | None:
 
 
 def compare(world: World, path: Path) -> float:
-    """Returns the largest difference from MuJoCo's M, h, friction and limits, relative."""
+    """Returns the largest relative difference from MuJoCo's M, h, friction, limits and efforts."""
     mujoco: Any = importlib.import_module("mujoco")
 
     model, q_of = _load_mujoco(path, world)
@@ -120,6 +121,7 @@ def compare(world: World, path: Path) -> float:
         dry = 0.0 if world.dry_friction is None else world.dry_friction
         mine = world.calc_bias(q, v) - dry * np.clip(v / world.stiction_speed, -1.0, 1.0)
         worst = max(worst, _differ(plant.CalcMassMatrix(context), M), _differ(mine, h))
+    worst = max(worst, _compare_efforts(model, data, world, q_of))
     is_limited = model.jnt_limited.astype(bool)[q_of]
     is_limited &= not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     for row, infinite in zip(world.limits.position, (-np.inf, np.inf), strict=True):
@@ -127,6 +129,23 @@ def compare(world: World, path: Path) -> float:
         theirs = np.where(is_limited, model.jnt_range[q_of, column], infinite)
         worst = max(worst, 0.0 if np.allclose(row, theirs, atol=1e-9) else np.inf)
     return worst
+
+
+def _compare_efforts(model: Any, data: Any, world: World, q_of: list[int]) -> float:
+    """Returns the largest relative difference of efforts at joints, of controls as far as they go.
+
+    MuJoCo's are what its own controls of ±1e9 come to: gears, gains and ranges are in them.
+    """
+    mujoco: Any = importlib.import_module("mujoco")
+
+    efforts = []
+    for control in (-_UNLIMITED, _UNLIMITED):
+        data.ctrl[:] = control
+        mujoco.mj_forward(model, data)
+        efforts.append(data.qfrc_actuator[q_of].copy())
+    theirs = np.array([np.minimum(*efforts), np.maximum(*efforts)]).clip(-_LARGE, _LARGE)
+    mine = world.limits.control.clip(-_LARGE, _LARGE) @ world.actuation.T
+    return _differ(mine, theirs)
 
 
 def _load_mujoco(path: Path, world: World) -> tuple[Any, list[int]]:
@@ -197,7 +216,8 @@ def study(collection: str, path: Path, plans: bool) -> Row:
     world: World = got[0]
     scenario: Any = got[1]
     is_mjcf = path.suffix == ".xml" and importlib.util.find_spec("mujoco") is not None
-    with_all = not set(scenario.allow_ignored) - {"pairs", "fluid"} and not scenario.fixed_joints
+    with_all = not set(scenario.allow_ignored) - {"pairs", "fluid"}
+    with_all &= not (scenario.fixed_joints or scenario.weld or scenario.actuators)
     if is_mjcf and with_all:
         row.agrees = f"{compare(world, path):.0e}"
     if plans and world.num_positions <= _MOST_COORDINATES:

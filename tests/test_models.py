@@ -515,3 +515,57 @@ def test_look_tells_what_is_understood(tmp_path: Path, capsys: pytest.CaptureFix
     assert "pole against left_wall   2e+09 | 200" in text
     assert main(["look", model]) == 2
     assert "allow_ignored: [fluid]" in capsys.readouterr().err
+
+
+def test_contact_across_too_many_joints_is_refused_at_once_with_shapes_to_leave_out(
+    tmp_path: Path,
+) -> None:
+    text = '<mujoco model="hands"><option gravity="0 0 0"/><worldbody>'
+    for hand in "ab":
+        for i in range(4):
+            text += f'<body pos="0.3 0 0"><joint name="{hand}{i}" axis="0 1 0"/><geom name="'
+            text += f'{hand}{i}" size="0.1" contype="{i == 3:d}" conaffinity="{i == 3:d}"/>'
+        text += "</body>" * 4
+    text += '</worldbody><actuator><motor joint="a0"/></actuator></mujoco>'
+    model = tmp_path / "hands.xml"
+    model.write_text(text, encoding="utf-8")
+    start = time.process_time()
+    with pytest.raises(ModelError, match="hands::a3 with hands::b3") as caught:
+        make(str(model), size=8, ignored_shapes=())
+    assert time.process_time() - start < 5.0  # A tenth, on a machine that does nothing else.
+    answer = getattr(caught.value, "fields", {})
+    assert len(answer["ignored_shapes"]) == 1
+    assert not make(str(model), size=8, **answer).contacts
+
+
+def test_a_pair_of_unlike_friction_is_noted_where_mujoco_combines_it_otherwise(
+    tmp_path: Path,
+) -> None:
+    text = """<mujoco model="puck"><worldbody><geom name="floor" type="plane" size="1 1 1"/>
+      <body name="puck" pos="0 0 0.3"><joint name="x" type="slide" axis="1 0 0"/>
+      <joint name="z" type="slide" axis="0 0 1"/><geom name="puck" size="0.1" friction="MU"/></body>
+      </worldbody><actuator><motor joint="x"/></actuator></mujoco>"""
+    model = tmp_path / "puck.xml"
+    fields: dict[str, Any] = {"ignored_shapes": (), "goal_position": [0.1, 0.0]}
+    for friction, count in (("0.5", 1), ("1", 0)):
+        model.write_text(text.replace("MU", friction), encoding="utf-8")
+        notes = make(str(model), **fields).notes
+        assert len(notes) == count
+        assert all("as in MuJoCo: floor with puck::puck" in note for note in notes)
+
+
+def test_meshes_of_a_urdf_are_read_from_files_beside_it(gantry: Any, tmp_path: Path) -> None:
+    tetrahedron = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    (tmp_path / "hook.obj").write_text(tetrahedron, encoding="utf-8")
+    mesh = MESH.replace("NAME", "hook").replace("FILE", "hook.obj")
+    assert gantry(COLLISION=mesh, INERTIAL=INERTIAL).num_positions == 2
+
+
+def test_a_mesh_that_gives_a_link_its_mass_has_to_be_converted(tmp_path: Path) -> None:
+    text = """<mujoco model="m"><asset><mesh name="bone" file="bone.stl"/></asset><worldbody>
+      <body name="a"><joint name="x" type="slide"/><geom name="g" type="mesh" mesh="bone"/></body>
+      </worldbody><actuator><motor joint="x"/></actuator></mujoco>"""
+    model = tmp_path / "m.xml"
+    model.write_text(text, encoding="utf-8")
+    with pytest.raises(ModelError, match=r"give links their mass: g .bone\.stl.*Convert them to"):
+        make(str(model), size=1)

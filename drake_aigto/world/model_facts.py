@@ -101,6 +101,14 @@ class ModelFacts:
             ModelError: there is something; lists it, and the field that leaves it out.
         """
         got, remedies, answer = [], [], dict[str, Any]()
+        if self.unread and not self.fields.collisions:
+            raise ModelError(
+                f"model {path}",
+                got="meshes that can't be read and give links their mass: "
+                f"{', '.join(self.unread)}",
+                remedy=f"Convert them to {' or '.join(MESHES)}, or give the links masses and "
+                "inertias in the model.",
+            )
         if self.unread:
             answer["collisions"] = "none"
             got.append(f"meshes that can't be read: {', '.join(self.unread)}")

@@ -38,13 +38,13 @@ from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import check_plant, refuse_loop
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
+from drake_aigto.world.material import FRICTION
 from drake_aigto.world.model_facts import FixableError, ModelFacts, fits, pick
 from drake_aigto.world.model_fields import ModelFields
 from drake_aigto.world.model_text import read_model_text
+from drake_aigto.world.pair_errors import END, name_pair
 from drake_aigto.world.pairs import list_pairs, order_pair
 
-# Ends of a capsule, after its name.
-END = "_end"
 # What Drake says of joints that form a loop.
 _LOOP = "loops in the system graph"
 # What Drake's reader says and nothing depends on, or what is read here in its place.
@@ -138,6 +138,8 @@ def read_model(
     plant.set_stiction_tolerance(stiction_speed)
     _keep_apart(plant, scene_graph, facts)
     _choose_ends(scene_graph, ends, facts)
+    if kind == "xml":
+        _note_unlike_friction(scene_graph, facts)
     friction = _find_friction(plant, facts) if dry_friction is None else dry_friction
     if friction is not None:
         check_size("dry_friction", friction, plant.num_velocities())
@@ -404,6 +406,22 @@ def _choose_ends(
     for pair in apart:
         filtered = CollisionFilterDeclaration().ExcludeBetween(*map(GeometrySet, pair))
         scene_graph.collision_filter_manager().Apply(filtered)
+
+
+def _note_unlike_friction(scene_graph: SceneGraph, facts: ModelFacts) -> None:
+    """Notes pairs of an MJCF for which MuJoCo would combine friction otherwise than Drake does."""
+    inspector: Any = scene_graph.model_inspector()
+    found = []
+    for pair in list_pairs(inspector):
+        materials = map(inspector.GetProximityProperties, pair)
+        frictions = {each.GetProperty(*FRICTION).dynamic_friction() for each in materials}
+        if len(frictions) > 1 and order_pair(inspector, *pair) is not None:
+            found.append(name_pair(inspector, pair))
+    if found:
+        facts.notes.append(
+            "2 μ₁ μ₂ / (μ₁ + μ₂) counts where two shapes' friction differs, not the larger μ or "
+            f"that of the higher priority, as in MuJoCo: {'; '.join(dict.fromkeys(found))}"
+        )
 
 
 def _find_friction(plant: MultibodyPlant, facts: ModelFacts) -> Floats | None:

@@ -178,8 +178,9 @@ def _find_mesh(shape: Element, path: Path, packages: PackageMap) -> Path | None:
             return Path(f"in the unknown package {package}")
         found = Path(packages.GetPath(package)) / inside if known else Path(package)
     if found.is_file():
+        absolute = found.resolve().as_uri()
         if uri is None:
-            mesh.set("filename", str(found.resolve()))
+            mesh.set("filename", absolute)
         else:
-            uri.text = str(found.resolve())
+            uri.text = absolute
     return found

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import Box, GeometryId, HalfSpace, Role, SceneGraph, Sphere
+from pydrake.geometry import Box, GeometryId, HalfSpace, SceneGraph, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
@@ -22,7 +22,7 @@ from pydrake.symbolic import Expression
 from drake_aigto.arrays import Floats
 from drake_aigto.dynamics import Contact, evaluate, is_constant, tidy
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world.model_facts import FixableError
+from drake_aigto.world.pair_errors import check_work, refuse_pairs
 from drake_aigto.world.plant_reader import PlantReader
 
 # Where a scene graph keeps the restitution of a shape, if its maker put it there.
@@ -103,19 +103,34 @@ class ReachableFace(NamedTuple):
     reach: float = 0.0
 
 
+def choose_pairs(
+    plant: MultibodyPlant, scene_graph: SceneGraph, ignored: Collection[GeometryId] = ()
+) -> list[tuple[GeometryId, GeometryId]]:
+    """Returns pairs of shapes that may collide (Drake's filters applied), but for ignored shapes.
+
+    Raises:
+        ModelError: pairs are not supported, or too many across too many joints; lists all of them.
+    """
+    inspector: Any = scene_graph.model_inspector()
+    pairs = [pair for pair in list_pairs(inspector) if not set(pair) & set(ignored)]
+    if unread := [pair for pair in pairs if order_pair(inspector, *pair) is None]:
+        raise refuse_pairs(inspector, unread)
+    check_work(plant, inspector, pairs)
+    return pairs
+
+
 def find_reach(
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
     reader: PlantReader,
-    ignored: Collection[GeometryId] = (),
+    candidates: Sequence[tuple[GeometryId, GeometryId]],
 ) -> tuple[tuple[ReachableFace, ...], tuple[SphereAndFace, ...]]:
     """Returns every face that a sphere can touch, and those that it is stuck in.
 
-    Pairs of shapes are those that may collide (Drake's filters applied), but for shapes that are to
-    be ignored. Of a box that the sphere can only move along one line to, what counts is the face
-    which it faces at the default positions; of another box, every face that the sphere can move to
-    or from. Of two spheres, the second counts as a wall that faces the first one at the default
-    positions: exact on the line through their centers.
+    Pairs of shapes are those of `choose_pairs`. Of a box that the sphere can only move along one
+    line to, what counts is the face which it faces at the default positions; of another box, every
+    face that the sphere can move to or from. Of two spheres, the second counts as a wall that faces
+    the first one at the default positions: exact on the line through their centers.
 
     Returns:
         The faces, those of one box in a row; and a face of each shape that a sphere overlaps as
@@ -123,16 +138,13 @@ def find_reach(
         without friction only push that way.
 
     Raises:
-        ModelError: pairs of shapes are not supported; lists all of them.
+        ModelError: spheres coincide at the default positions, or a restitution is not in [0, 1].
     """
     found, stuck = list[ReachableFace](), list[SphereAndFace]()
     solid, default = 0, plant.GetDefaultPositions()
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, default)  # A clone's context forgets them.
     inspector: Any = scene_graph.model_inspector()
-    candidates = [pair for pair in list_pairs(inspector) if not set(pair) & set(ignored)]
-    if unread := [pair for pair in candidates if order_pair(inspector, *pair) is None]:
-        raise _refuse_pairs(inspector, unread)
     ordered = (order_pair(inspector, *pair) for pair in candidates)
     pairs = [_read_pair(plant, inspector, *pair, context) for pair in ordered if pair]
     for pair in pairs:
@@ -171,26 +183,6 @@ def find_sphere_body(plant: MultibodyPlant, reachable: Sequence[ReachableFace]) 
         return bodies[0]
     masses = "mass" if len(bodies) == 1 else "masses"
     raise ModelError("mass", got, expected, f"Edit the {masses} in the model instead.")
-
-
-def explain_no_contact(scene_graph: SceneGraph, are_ignored: bool = False) -> str | None:
-    """Returns why nothing can touch, of a model that has collision shapes."""
-    inspector: Any = scene_graph.model_inspector()
-    if not (count := len(inspector.GetAllGeometryIds(Role.kProximity))):
-        return None
-    if count == 1:
-        why = "there is one collision shape"
-    elif not inspector.GetCollisionCandidates():
-        why = (
-            f"Drake lets no two of {count} collision shapes collide (those that are welded "
-            "together, or anchored, or on links that a joint connects, or excluded by a "
-            "<drake:collision_filter_group>)"
-        )
-    elif are_ignored:
-        why = "shapes that would are ignored"
-    else:
-        why = f"no motion brings together any two of {count} collision shapes"
-    return f"nothing can touch: {why}"
 
 
 def refuse_inside(
@@ -251,38 +243,6 @@ def order_pair(
         if isinstance(shapes[0], Sphere) and isinstance(shapes[1], Box | HalfSpace | Sphere):
             return sphere, wall
     return None
-
-
-def _refuse_pairs(inspector: Any, pairs: list[tuple[GeometryId, GeometryId]]) -> ModelError:
-    """Returns the error of pairs that are not supported, with the fewest shapes to leave out."""
-    names = [" with ".join(map(inspector.GetName, pair)) for pair in pairs]
-    kinds = [
-        " against ".join(type(inspector.GetShape(shape)).__name__ for shape in pair)
-        for pair in pairs
-    ]
-    left, out = list(pairs), list[str]()
-    while left:
-        shapes = [shape for pair in left for shape in pair]
-        worst = max(
-            dict.fromkeys(shapes), key=lambda s: (shapes.count(s), not _is_wall(inspector, s))
-        )
-        out.append(inspector.GetName(worst))
-        left = [pair for pair in left if worst not in pair]
-    return FixableError(
-        f"contact of {names[0]}" if len(pairs) == 1 else "contacts",
-        got="; ".join(f"{name}: {kind}" for name, kind in zip(names, kinds, strict=True))
-        if len(pairs) > 1
-        else kinds[0],
-        expected="Sphere against Box, HalfSpace or Sphere, or Capsule against HalfSpace",
-        remedy=f"Leave shapes out by the scenario's ignored_shapes: [{', '.join(out)}], or the "
-        "pairs by allow_ignored: [pairs]; or change the collision shapes, or exclude pairs with a "
-        "<drake:collision_filter_group>.",
-        fields={"allow_ignored": ["pairs"]},
-    )
-
-
-def _is_wall(inspector: Any, shape: GeometryId) -> bool:
-    return isinstance(inspector.GetShape(shape), Box | HalfSpace)
 
 
 def _read_pair(

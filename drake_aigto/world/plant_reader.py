@@ -18,6 +18,7 @@ from drake_aigto.arrays import Bools, Floats
 from drake_aigto.dynamics import SumMap, evaluate, tidy
 from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import find_hinges, find_joint
+from drake_aigto.world.model_facts import FixableError
 
 # q of shape (nq,) ↦ numbers of any one shape.
 Function = Callable[[Floats], Floats]
@@ -31,6 +32,7 @@ MAX_SAMPLES = 100_000  # Of one function, some second's worth.
 # Of M, whose derivatives h is made of: with 3,700 that takes half a minute, and what plans with it
 # has hundreds of millions.
 MAX_TERMS = 2_500
+_MANY = 4  # Coordinates that a function can depend on at once, whatever their axes.
 
 
 class PlantReader:
@@ -153,12 +155,14 @@ class PlantReader:
             return interpolate(calc, self.q, self._is_hinge, degree)
         except TooManySamples as error:
             joints = [find_joint(self._plant, i).name() for i in error.coordinates]
-            raise ModelError(
+            fixed = list(dict.fromkeys(joints[_MANY:] or joints[-1:]))
+            raise FixableError(
                 what,
                 got=f"a function of {len(joints)} coordinates at once: of {', '.join(joints)}",
                 expected="four or five, or six about parallel axes",
                 remedy="Fix joints that a plan can do without, by the scenario's fixed_joints: "
-                f"[{joints[-1]}, ...].",
+                f"[{', '.join(fixed)}], or others.",
+                fields={"fixed_joints": fixed},
             ) from None
 
 
@@ -167,7 +171,7 @@ class TooManySamples(Exception):
     """A function of too many coordinates at once.
 
     Attributes:
-        coordinates: the positions that one of its values depends on.
+        coordinates: the positions that one of its values depends on, or all of them do.
     """
 
     coordinates: tuple[int, ...]
@@ -215,7 +219,8 @@ def interpolate(
             grid = np.moveaxis(np.tensordot(bases[i].weights, grid, (1, axis)), 0, axis)
         num_terms += int(np.count_nonzero(np.abs(grid) > _ROUNDING * np.abs(grid).max(initial=0)))
         if num_terms > MAX_TERMS:
-            raise TooManySamples(tuple(coordinates))
+            before = (i for known, _ in sampled for i in known)
+            raise TooManySamples(tuple(sorted({*before, *coordinates})))
         functions = [bases[i].express(q[i]) for i in coordinates]
         for entry, coefficients in zip(entries, np.moveaxis(grid, -1, 0), strict=True):
             result[entry] = _sum_up(coefficients, functions)

@@ -33,10 +33,11 @@ from drake_aigto.world.material import SpringMaterial, read_materials, read_spri
 from drake_aigto.world.model_facts import FixableError
 from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
 from drake_aigto.world.model_reader import name_shapes, pick_shapes, read_model
+from drake_aigto.world.pair_errors import explain_no_contact
 from drake_aigto.world.pairs import (
     ReachableFace,
     SphereAndFace,
-    explain_no_contact,
+    choose_pairs,
     find_reach,
     find_sphere_body,
     refuse_beside,
@@ -111,7 +112,7 @@ class World(EquationsOfMotion):
         try:
             return cls._read(scenario, start)
         except FixableError as error:
-            raise gather(lambda other: cls._read(other, start), scenario, error) from error
+            raise gather(cls._check_answer, scenario, error) from error
 
     @classmethod
     def _read(cls, scenario: Scenario, start: Floats | None) -> World:
@@ -133,6 +134,15 @@ class World(EquationsOfMotion):
             ignored=found.ignored,
             notes=(*found.notes, *world.notes),
         )
+
+    @staticmethod
+    def _check_answer(scenario: Scenario) -> None:
+        """Reads of a model what can be refused at once, and M."""
+        plant, scene_graph = find_plant(read_model(scenario.model, fields=scenario.model_fields)[0])
+        names = name_shapes(plant, scene_graph)
+        ignored = pick_shapes("ignored_shapes", scenario.ignored_shapes, names)
+        choose_pairs(plant, scene_graph, ignored)
+        PlantReader(plant).calc_mass_matrix()
 
     @classmethod
     def from_diagram(
@@ -171,10 +181,11 @@ class World(EquationsOfMotion):
         if dry_friction is not None:
             check_friction_acts(plant, diagram)
         reader = PlantReader(plant)
-        mass_matrix = reader.calc_mass_matrix()  # First: too many joints are refused at once.
         ignored_shapes = as_globs("ignored_shapes", ignored_shapes)
         ignored = pick_shapes("ignored_shapes", ignored_shapes, name_shapes(plant, scene_graph))
-        reachable, stuck = find_reach(plant, scene_graph, reader, ignored)
+        pairs = choose_pairs(plant, scene_graph, ignored)  # What refuses at once comes first.
+        mass_matrix = reader.calc_mass_matrix()
+        reachable, stuck = find_reach(plant, scene_graph, reader, pairs)
         if mass is not None:
             mass = as_number("mass", mass, above=0.0, unit="kg")
             reader.set_mass(find_sphere_body(plant, reachable), mass)

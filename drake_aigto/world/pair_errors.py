@@ -1,0 +1,145 @@
+"""Why shapes can't touch, or not as a plan would need it, with what to do about that."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pydrake.geometry import Box, GeometryId, HalfSpace, Role, SceneGraph, Sphere
+from pydrake.multibody.plant import MultibodyPlant
+
+from drake_aigto.errors import ModelError
+from drake_aigto.world.diagram import find_hinges
+from drake_aigto.world.model_facts import FixableError
+
+# Ends of a capsule, after its name.
+END = "_end"
+_MOST_WORK = 30_000  # Samples of all distances, about a second's worth.
+
+Pair = tuple[GeometryId, GeometryId]
+
+
+def explain_no_contact(scene_graph: SceneGraph, are_ignored: bool = False) -> str | None:
+    """Returns why nothing can touch, of a model that has collision shapes."""
+    inspector: Any = scene_graph.model_inspector()
+    if not (count := len(inspector.GetAllGeometryIds(Role.kProximity))):
+        return None
+    if count == 1:
+        why = "there is one collision shape"
+    elif not inspector.GetCollisionCandidates():
+        why = (
+            f"Drake lets no two of {count} collision shapes collide (those that are welded "
+            "together, or anchored, or on links that a joint connects, or excluded by a "
+            "<drake:collision_filter_group>)"
+        )
+    elif are_ignored:
+        why = "shapes that would are ignored"
+    else:
+        why = f"no motion brings together any two of {count} collision shapes"
+    return f"nothing can touch: {why}"
+
+
+def refuse_pairs(inspector: Any, pairs: list[Pair]) -> ModelError:
+    """Returns the error of pairs that are not supported, with the fewest shapes to leave out."""
+    names = [name_pair(inspector, pair) for pair in pairs]
+    kinds = [
+        " against ".join(type(inspector.GetShape(shape)).__name__ for shape in pair)
+        for pair in pairs
+    ]
+    out = dict.fromkeys(map(inspector.GetName, _cover(inspector, pairs)))
+    return FixableError(
+        f"contact of {names[0]}" if len(pairs) == 1 else "contacts",
+        got="; ".join(f"{name}: {kind}" for name, kind in zip(names, kinds, strict=True))
+        if len(pairs) > 1
+        else kinds[0],
+        expected="Sphere against Box, HalfSpace or Sphere, or Capsule against HalfSpace",
+        remedy=f"Leave shapes out by the scenario's ignored_shapes: [{', '.join(out)}], or the "
+        "pairs by allow_ignored: [pairs]; or change the collision shapes, or exclude pairs with a "
+        "<drake:collision_filter_group>.",
+        fields={"allow_ignored": ["pairs"]},
+    )
+
+
+def check_work(plant: MultibodyPlant, inspector: Any, pairs: list[Pair]) -> None:
+    """Refuses pairs whose distances would take too long to read, before any is read.
+
+    A distance is sampled at all combinations of two positions of each slider and three of each
+    hinge between both bodies (`interpolate`), once for each face of a box; of two spheres its
+    square is multiplied out. The cheapest pairs count first.
+
+    Raises:
+        FixableError: that is too much; lists the pairs, and the shapes to leave out.
+    """
+    work = {pair: _count_samples(plant, inspector, pair) for pair in pairs}
+    total, refused = 0, list[Pair]()
+    for pair in sorted(pairs, key=work.__getitem__):
+        total += work[pair]
+        if total > _MOST_WORK:
+            refused.append(pair)
+    if not refused:
+        return
+    out = ", ".join(
+        names := list(
+            dict.fromkeys(
+                _name_whole(plant, inspector, shape) for shape in _cover(inspector, refused)
+            )
+        )
+    )
+    listed = "; ".join(dict.fromkeys(name_pair(inspector, pair) for pair in refused))
+    raise FixableError(
+        "contacts",
+        got=f"too many, across too many joints: {listed}",
+        expected="few enough to be read within a second",
+        remedy=f"Leave shapes out by the scenario's ignored_shapes: [{out}], or fix joints by its "
+        "fixed_joints.",
+        fields={"ignored_shapes": names},
+    )
+
+
+def _count_samples(plant: MultibodyPlant, inspector: Any, pair: Pair) -> int:
+    """Returns how many samples the distances of one pair take."""
+    chains = []
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    inboard = {joint.child_body().index(): joint for joint in joints}
+    for shape in pair:
+        body, chain = plant.GetBodyFromFrameId(inspector.GetFrameId(shape)), set[int]()
+        while joint := inboard.get(body.index()):
+            start = joint.position_start()
+            chain |= set(range(start, start + joint.num_positions()))
+            body = joint.parent_body()
+        chains.append(chain)
+    is_hinge = find_hinges(plant)
+    count = math.prod(3 if is_hinge[i] else 2 for i in chains[0] ^ chains[1])
+    shapes = [inspector.GetShape(shape) for shape in pair]
+    if any(isinstance(shape, Box) for shape in shapes):
+        return 6 * count
+    return count**2 if all(isinstance(shape, Sphere) for shape in shapes) else count
+
+
+def _cover(inspector: Any, pairs: list[Pair]) -> list[GeometryId]:
+    """Returns few shapes of which each pair has one; walls stay where they can."""
+    left, out = list(pairs), list[GeometryId]()
+    while left:
+        shapes = [shape for pair in left for shape in pair]
+        worst = max(
+            dict.fromkeys(shapes), key=lambda s: (shapes.count(s), not _is_wall(inspector, s))
+        )
+        out.append(worst)
+        left = [pair for pair in left if worst not in pair]
+    return out
+
+
+def _is_wall(inspector: Any, shape: GeometryId) -> bool:
+    return isinstance(inspector.GetShape(shape), Box | HalfSpace)
+
+
+def name_pair(inspector: Any, pair: Pair) -> str:
+    """Returns the names of two shapes, capsules for their ends."""
+    return " with ".join(inspector.GetName(shape).partition(END)[0] for shape in pair)
+
+
+def _name_whole(plant: MultibodyPlant, inspector: Any, shape: GeometryId) -> str:
+    """Returns the name of a shape with that of its link, which no other shape has."""
+    model, _, name = inspector.GetName(shape).partition(END)[0].rpartition("::")
+    body = plant.GetBodyFromFrameId(inspector.GetFrameId(shape))
+    return f"{model}::{body.name()}::{name}".removeprefix("::")
