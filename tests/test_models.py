@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from other_models import carry_double_pendulum
 
 from drake_aigto import Scenario, World, plan
 from drake_aigto.cli import main
@@ -569,3 +570,10 @@ def test_a_mesh_that_gives_a_link_its_mass_has_to_be_converted(tmp_path: Path) -
     model.write_text(text, encoding="utf-8")
     with pytest.raises(ModelError, match=r"give links their mass: g .bone\.stl.*Convert them to"):
         make(str(model), size=1)
+
+
+@pytest.mark.slow
+def test_two_poles_on_a_cart_are_carried_along_upright(tmp_path: Path) -> None:
+    found = plan(carry_double_pendulum(tmp_path))
+    assert found.holds
+    np.testing.assert_allclose(found.trajectory.positions[-1], [0.5, 0.0, 0.0], atol=0.02)
