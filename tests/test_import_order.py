@@ -25,6 +25,7 @@ ROAD = (
     "linear",
     "terms",
     "dynamics",
+    "geometry",
     "world",
     "trajectory",
     "contact",

@@ -42,3 +42,9 @@ from .motion import dot as dot
 from .motion import find_size as find_size
 from .motion import read_clearances as read_clearances
 from .motion import support as support
+from .touching import TouchRoom as TouchRoom
+from .touching import TouchTable as TouchTable
+from .touching import evaluate_push as evaluate_push
+from .touching import make_touch_room as make_touch_room
+from .touching import measure_distances as measure_distances
+from .touching import push as push

@@ -1,0 +1,11 @@
+from .closest import find_closest as find_closest
+from .closest import is_apart as is_apart
+from .shapes import BALL as BALL
+from .shapes import BOX as BOX
+from .shapes import CAPSULE as CAPSULE
+from .shapes import CYLINDER as CYLINDER
+from .shapes import HALF_SPACE as HALF_SPACE
+from .shapes import Closest as Closest
+from .shapes import Shapes as Shapes
+from .shapes import can_meet as can_meet
+from .shapes import make_closest as make_closest
