@@ -243,11 +243,14 @@ class _MjcfReader:
         values = self._resolve(geom, "main")
         of_class = (each.get("mesh") for each in (geom, values))
         mesh = next((self._meshes[name] for name in of_class if name in self._meshes), None)
-        if mesh is not None and mesh.suffix.lower() == ".obj" and mesh.is_file():
-            return True
+        is_read = mesh is not None and mesh.suffix.lower() == ".obj" and mesh.is_file()
         weighs = body.find("inertial") is None or self._compiler.get("inertiafromgeom") == "true"
         is_massless = "0" in (values.get("mass"), values.get("density")) or body.tag == "worldbody"
-        if touches or (weighs and not is_massless):
+        is_needed = touches or (weighs and not is_massless)
+        if is_read and (is_needed or self._facts.stub is None):
+            return True
+        self._facts.is_bare |= is_read
+        if is_needed:
             kind = mesh.name if mesh else values.get("type")
             self._facts.unread.append(f"{geom.get('name')} ({kind})")
         body.remove(geom)

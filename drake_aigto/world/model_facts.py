@@ -51,6 +51,10 @@ class ModelFacts:
 
     Attributes:
         fields: how it is to be read.
+        mass_scale: what masses and inertias are multiplied with to get the `total_mass`.
+        stub: a mesh of four points in place of those that may touch; others are not read. None:
+            meshes are read, which may take seconds.
+        is_bare: whether it stands for any.
         friction: F of joints that have any, −F σ(v / v_s) [N, N m].
         springs: of joints that Drake gives none.
         efforts: least and largest u of actuators whose limits are not the same both ways [N, N m].
@@ -58,7 +62,6 @@ class ModelFacts:
         joint_efforts: largest effort of joints, where the model has one, driven or not [N, N m].
         apart: pairs of shapes that may not touch.
         total_mass: of all links [kg]; None: as they are.
-        mass_scale: what masses and inertias are multiplied with to get it.
         refused: what can't be planned for: the word that allows to leave it out, what it is, and
             what is missing without it.
         ignored: the same of what is left out, as it was allowed.
@@ -68,6 +71,8 @@ class ModelFacts:
 
     fields: ModelFields
     mass_scale: float = 1.0
+    stub: Path | None = None
+    is_bare: bool = False
     friction: dict[str, float] = field(default_factory=dict)
     springs: dict[str, Spring] = field(default_factory=dict)
     efforts: dict[str, tuple[float, float]] = field(default_factory=dict)

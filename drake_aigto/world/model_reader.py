@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,6 +46,7 @@ from drake_aigto.world.model_text import read_model_text
 from drake_aigto.world.pair_errors import END, name_pair
 from drake_aigto.world.pairs import list_pairs, order_pair
 
+_TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 # What Drake says of joints that form a loop.
 _LOOP = "loops in the system graph"
 # What Drake's reader says and nothing depends on, or what is read here in its place.
@@ -72,6 +74,7 @@ class ReadModel(NamedTuple):
         efforts: least and largest u of actuators, by name, where the model says them.
         ignored: what is left out, as the scenario allowed it.
         notes: what else differs from the file.
+        is_bare: whether meshes are left out, or others stand for them.
     """
 
     diagram: Diagram
@@ -79,6 +82,7 @@ class ReadModel(NamedTuple):
     efforts: dict[str, tuple[float, float]] = {}  # noqa: RUF012
     ignored: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    is_bare: bool = False
 
 
 def build_diagram(
@@ -96,6 +100,7 @@ def read_model(
     dry_friction: Floats | None = None,
     stiction_speed: float = STICTION_SPEED,
     fields: ModelFields | None = None,
+    is_bare: bool = False,
 ) -> ReadModel:
     """Reads a model's file: URDF, SDF, MJCF or whatever else Drake parses.
 
@@ -104,20 +109,38 @@ def read_model(
         dry_friction: of joints, shape (nv,) [N, N m]; None: the model's, if it has any.
         stiction_speed: that of all friction [m/s, rad/s].
         fields: how the model is read.
+        is_bare: whether meshes are left out that only make shapes, as reading them takes seconds.
 
     Raises:
         ModelError: there is no such file, Drake can't parse it, its joints form a loop, or it has
             what changes the physics and can't be planned for; or the fields do not fit it.
         ScenarioError: dry friction of another size.
     """
-    fields, path = fields or ModelFields(), find_model(model)
+    friction = dry_friction, stiction_speed
+    if not is_bare:
+        return _read_model(model, *friction, fields or ModelFields())
+    with TemporaryDirectory() as folder:
+        stub = Path(folder) / "stub.obj"
+        stub.write_text(_TETRAHEDRON, encoding="utf-8")
+        return _read_model(model, *friction, fields or ModelFields(), stub)
+
+
+def _read_model(
+    model: str,
+    dry_friction: Floats | None,
+    stiction_speed: float,
+    fields: ModelFields,
+    stub: Path | None = None,
+) -> ReadModel:
+    path = find_model(model)
     packages = find_packages(path, fields.packages)
-    text, kind, facts = read_model_text(path, fields, packages)
+    text, kind, facts = read_model_text(path, fields, packages, stub=stub)
     if facts.total_mass is not None:
         plant = MultibodyPlant(time_step=0.0)
         _parse(plant, path, packages, text, kind)
         mass = sum(body.default_mass() for body in _list_bodies(plant)[1:])
-        text, kind, facts = read_model_text(path, fields, packages, facts.total_mass / mass)
+        scale = facts.total_mass / mass
+        text, kind, facts = read_model_text(path, fields, packages, scale, stub)
     builder = DiagramBuilder()
     # Continuous, since every discrete contact model loses energy.
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
@@ -149,7 +172,8 @@ def read_model(
     builder.ExportOutput(plant.get_contact_results_output_port(), "contact_results")
     builder.ExportOutput(scene_graph.get_query_output_port(), "query")
     ignored = tuple(dict.fromkeys(f"{what}: {cost}" for _, what, cost in facts.ignored))
-    return ReadModel(builder.Build(), friction, facts.efforts, ignored, tuple(facts.notes))
+    told = ignored, tuple(facts.notes), facts.is_bare
+    return ReadModel(builder.Build(), friction, facts.efforts, *told)
 
 
 def add_dry_friction(
@@ -337,10 +361,15 @@ def _keep_apart(plant: MultibodyPlant, scene_graph: SceneGraph, facts: ModelFact
     shapes = {
         full.split("::")[-1]: each for each, (full, _) in name_shapes(plant, scene_graph).items()
     }
+    apart = [pair for pair in facts.apart if not set(pair) - set(shapes)]
+    _exclude(scene_graph, [(shapes[one], shapes[other]) for one, other in apart])
+
+
+def _exclude(scene_graph: SceneGraph, pairs: list[tuple[GeometryId, GeometryId]]) -> None:
+    """Keeps pairs of shapes from colliding."""
     apart: dict[GeometryId, list[GeometryId]] = {}
-    for one, other in facts.apart:
-        if one in shapes and other in shapes:
-            apart.setdefault(shapes[one], []).append(shapes[other])
+    for shape, other in pairs:
+        apart.setdefault(shape, []).append(other)
     for shape, others in apart.items():
         filtered = CollisionFilterDeclaration().ExcludeBetween(
             GeometrySet([shape]), GeometrySet(others)
@@ -386,9 +415,11 @@ def _choose_ends(
     """
     inspector: Any = scene_graph.model_inspector()
     capsule_of = {end: capsule for capsule, pair in ends.items() for end in pair}
+    shapes = inspector.GetAllGeometryIds(Role.kProximity)
+    kind_of = {shape: type(inspector.GetShape(shape)) for shape in shapes}
     apart = []
     for pair in list_pairs(inspector):
-        kinds = [type(inspector.GetShape(shape)) for shape in pair]
+        kinds = [kind_of[shape] for shape in pair]
         is_end = any(shape in capsule_of for shape in pair)
         if HalfSpace in kinds and (is_end or Capsule in kinds):
             is_kept = is_end
@@ -403,9 +434,7 @@ def _choose_ends(
                 facts.refuse("pairs", f"contact of {names}", "they pass through each other")
         if not is_kept:
             apart.append(pair)
-    for pair in apart:
-        filtered = CollisionFilterDeclaration().ExcludeBetween(*map(GeometrySet, pair))
-        scene_graph.collision_filter_manager().Apply(filtered)
+    _exclude(scene_graph, apart)
 
 
 def _note_unlike_friction(scene_graph: SceneGraph, facts: ModelFacts) -> None:

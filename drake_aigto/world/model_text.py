@@ -18,7 +18,11 @@ _KINDS = {"mujoco": "xml", "robot": "urdf", "sdf": "sdf"}
 
 
 def read_model_text(
-    path: Path, fields: ModelFields, packages: PackageMap, mass_scale: float = 1.0
+    path: Path,
+    fields: ModelFields,
+    packages: PackageMap,
+    mass_scale: float = 1.0,
+    stub: Path | None = None,
 ) -> tuple[str | None, str, ModelFacts]:
     """Returns the text that Drake's parser should read, its kind, and the facts beside it.
 
@@ -29,12 +33,13 @@ def read_model_text(
         fields: how it is to be read.
         packages: where files of package:// URIs are.
         mass_scale: of all masses of an MJCF.
+        stub: a mesh in place of those that are read else (`ModelFacts`).
 
     Raises:
         ModelError: the file is no model, something that changes the physics can't be planned for,
             or collision meshes can't be read.
     """
-    facts = ModelFacts(fields, mass_scale)
+    facts = ModelFacts(fields, mass_scale, stub)
     try:
         root = read_xml(path)
     except ModelError:
@@ -118,6 +123,12 @@ def _prune_shapes(root: Element, path: Path, packages: PackageMap, facts: ModelF
         elif not (is_kept and is_read):
             link.remove(shape)
             is_changed = True
+        elif mesh is not None and facts.stub is not None:
+            if shape.tag == "visual":
+                link.remove(shape)
+            else:
+                _set_file(shape, facts.stub)
+            is_changed = facts.is_bare = True
     return is_changed
 
 
@@ -178,9 +189,14 @@ def _find_mesh(shape: Element, path: Path, packages: PackageMap) -> Path | None:
             return Path(f"in the unknown package {package}")
         found = Path(packages.GetPath(package)) / inside if known else Path(package)
     if found.is_file():
-        absolute = found.resolve().as_uri()
-        if uri is None:
-            mesh.set("filename", absolute)
-        else:
-            uri.text = absolute
+        _set_file(shape, found)
     return found
+
+
+def _set_file(shape: Element, file: Path) -> None:
+    """Makes a file that of a shape's mesh."""
+    uri = shape.find("geometry/mesh/uri")
+    if uri is not None:
+        uri.text = file.resolve().as_uri()
+    elif (mesh := shape.find("geometry/mesh")) is not None:
+        mesh.set("filename", file.resolve().as_uri())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import Any
 
 from pydrake.geometry import Box, GeometryId, HalfSpace, Role, SceneGraph, Sphere
@@ -119,11 +120,10 @@ def _count_samples(plant: MultibodyPlant, inspector: Any, pair: Pair) -> int:
 def _cover(inspector: Any, pairs: list[Pair]) -> list[GeometryId]:
     """Returns few shapes of which each pair has one; walls stay where they can."""
     left, out = list(pairs), list[GeometryId]()
+    is_wall = {shape: _is_wall(inspector, shape) for pair in pairs for shape in pair}
     while left:
-        shapes = [shape for pair in left for shape in pair]
-        worst = max(
-            dict.fromkeys(shapes), key=lambda s: (shapes.count(s), not _is_wall(inspector, s))
-        )
+        counts = Counter(shape for pair in left for shape in pair)
+        worst = max(counts, key=lambda shape: (counts[shape], not is_wall[shape]))
         out.append(worst)
         left = [pair for pair in left if worst not in pair]
     return out

@@ -65,15 +65,19 @@ class PlantReader:
         Raises:
             ModelError: it is singular at the default positions, or depends on too many joints.
         """
-        M = tidy(self.read(MultibodyPlant.CalcMassMatrix, degree=2, what="the mass matrix"))
-        values = evaluate(M, dict(zip(self.q, self._plant.GetDefaultPositions(), strict=True)))
+        return tidy(self.read_mass_matrix())
+
+    def read_mass_matrix(self) -> NDArray[Any]:
+        """Returns M(q) as it is interpolated, its terms not yet gathered."""
+        self._plant.SetPositions(self._context, self._plant.GetDefaultPositions())
+        values = self._plant.CalcMassMatrix(self._context)
         if np.linalg.matrix_rank(values) < len(values):
             raise ModelError(
                 "the mass matrix is singular",
                 got=values.tolist(),
                 remedy="Give every link that moves a mass.",
             )
-        return M
+        return self.read(MultibodyPlant.CalcMassMatrix, degree=2, what="the mass matrix")
 
     def calc_bias(self, mass_matrix: NDArray[Any]) -> NDArray[Any]:
         """Returns h(q, v), shape (nv,) [N, N m]: all that B u and contact must balance at v̇ = 0.

@@ -118,7 +118,11 @@ class World(EquationsOfMotion):
     def _read(cls, scenario: Scenario, start: Floats | None) -> World:
         """Reads a model, and stops at the first thing that is wrong with it."""
         friction = scenario.dry_friction, scenario.stiction_speed
-        found = read_model(scenario.model, *friction, scenario.model_fields)
+        asked = scenario.model, *friction, scenario.model_fields
+        found = read_model(*asked, is_bare=True)
+        if found.is_bare:
+            cls._check_plant(scenario, found.diagram)
+            found = read_model(*asked)
         plant, _ = find_plant(found.diagram)
         if start is not None:
             check_sizes(plant, scenario)
@@ -137,12 +141,18 @@ class World(EquationsOfMotion):
 
     @staticmethod
     def _check_answer(scenario: Scenario) -> None:
-        """Reads of a model what can be refused at once, and M."""
-        plant, scene_graph = find_plant(read_model(scenario.model, fields=scenario.model_fields)[0])
+        """Reads of a model what is refused at once."""
+        found = read_model(scenario.model, fields=scenario.model_fields, is_bare=True)
+        World._check_plant(scenario, found.diagram)
+
+    @staticmethod
+    def _check_plant(scenario: Scenario, diagram: Diagram) -> None:
+        """Checks what does not depend on a start: contacts, and the joints that M depends on."""
+        plant, scene_graph = find_plant(diagram)
         names = name_shapes(plant, scene_graph)
         ignored = pick_shapes("ignored_shapes", scenario.ignored_shapes, names)
         choose_pairs(plant, scene_graph, ignored)
-        PlantReader(plant).calc_mass_matrix()
+        PlantReader(plant).read_mass_matrix()
 
     @classmethod
     def from_diagram(
