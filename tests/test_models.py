@@ -16,7 +16,7 @@ from other_models import carry_double_pendulum
 from drake_aigto import Scenario, World, plan
 from drake_aigto.cli import main
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world import find_model
+from drake_aigto.world import build_diagram, find_model
 
 GRAVITY = 9.81
 
@@ -357,7 +357,10 @@ BAD_VALUES: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "no pose": ({"weld": {"a": [1.0, 2.0]}}, r"weld\[a\]: got 2 numbers, expected x, y, z"),
     "twice": ({"actuators": ["a", "a"]}, "actuators: got 'a' twice, expected each name once"),
-    "no mapping": ({"effort_limits": [3]}, r"effort_limits: got \[3\], expected a mapping"),
+    "no mapping": (
+        {"effort_limits": [3]},
+        r"effort_limits: got \[3\], expected a mapping of names, such as {shou",
+    ),
     "no effort": (
         {"effort_limits": {"a": 0}},
         r"effort_limits\[a\]: got 0 N or N m, exp",
@@ -447,7 +450,8 @@ def test_pairs_that_are_not_planned_for_are_listed_at_once_and_left_out_if_allow
     model.write_text(text, encoding="utf-8")
     names: dict[str, Any] = {"ignored_shapes": ()}
     message = (
-        "contacts: got .*Box against Capsule; .*; .*ignored_shapes: .m::pill, m::can.*: .pairs"
+        "contacts: got .*Box against Capsule: pill with wall.*: .*ignored_shapes: .m::pill, "
+        "m::can.*: .pairs"
     )
     with pytest.raises(ModelError, match=message):
         make(str(model), **names)
@@ -531,7 +535,7 @@ def test_contact_across_too_many_joints_is_refused_at_once_with_shapes_to_leave_
     model = tmp_path / "hands.xml"
     model.write_text(text, encoding="utf-8")
     start = time.process_time()
-    with pytest.raises(ModelError, match="hands::a3 with hands::b3") as caught:
+    with pytest.raises(ModelError, match="joints: a3 with b3, expected") as caught:
         make(str(model), size=8, ignored_shapes=())
     assert time.process_time() - start < 5.0  # A tenth, on a machine that does nothing else.
     answer = getattr(caught.value, "fields", {})
@@ -570,6 +574,51 @@ def test_a_mesh_that_gives_a_link_its_mass_has_to_be_converted(tmp_path: Path) -
     model.write_text(text, encoding="utf-8")
     with pytest.raises(ModelError, match=r"give links their mass: g .bone\.stl.*Convert them to"):
         make(str(model), size=1)
+
+
+def test_all_links_that_float_are_answered_at_once(tmp_path: Path) -> None:
+    text = GANTRY.replace('link="world"', 'link="cart"').replace('name="world"', 'name="cart"')
+    second = '<link name="hook">INERTIAL</link>'
+    model = write(tmp_path / "gantry.urdf", text, MORE=TRANSMISSION + second)
+    with pytest.raises(ModelError, match=r"'cart', so it floats: .*'hook', so it fl") as caught:
+        make(model)
+    answer = getattr(caught.value, "fields", {})
+    assert set(answer["weld"]) == {"cart", "hook"}
+    assert make(model, **answer).num_positions == 2
+
+
+def test_meshes_are_not_read_before_a_model_is_refused(gantry: Any, tmp_path: Path) -> None:
+    (tmp_path / "hook.obj").write_text("no mesh", encoding="utf-8")
+    mesh = MESH.replace("NAME", "hook").replace("FILE", "hook.obj")
+    shapes = mesh + mesh.replace("collision", "visual")
+    with pytest.raises(ModelError, match="the model lacks an actuator"):
+        gantry(COLLISION=shapes, MORE="")
+    with pytest.raises(ModelError, match="Drake can't parse the model"):
+        gantry(COLLISION=shapes)
+
+
+def test_many_pairs_are_listed_by_what_they_are(tmp_path: Path) -> None:
+    text = '<mujoco model="m"><option gravity="0 0 0"/><worldbody>'
+    for name in "abcd":
+        text += f'<body name="{name}"><joint name="{name}" axis="1 1 1"/>'
+        text += f'<geom name="{name}" type="ellipsoid" size="0.1 0.1 0.2"/></body>'
+    text += '<geom name="e" type="cylinder" size="0.1 0.2"/></worldbody>'
+    model = tmp_path / "m.xml"
+    model.write_text(f'{text}<actuator><motor joint="a"/></actuator></mujoco>', encoding="utf-8")
+    pairs = "Cylinder against Ellipsoid: e with a, b, c, d. Ellipsoid against Ellipsoid: any two of"
+    with pytest.raises(ModelError, match=f"contacts: got {pairs} a, b, c, d, expected"):
+        make(str(model), size=4, ignored_shapes=())
+
+
+def test_materials_replace_those_of_a_diagram_in_a_copy_of_it() -> None:
+    diagram = build_diagram("package://drake_aigto_models/pushed_block.sdf")
+    own = World.from_diagram(diagram)
+    world = World.from_diagram(diagram, material={"*": {"stiffness": 3e5}})
+    np.testing.assert_allclose(world.stiffness, 1.5e5)
+    assert [each.name for each in world.contacts] == [each.name for each in own.contacts]
+    np.testing.assert_allclose(own.stiffness, 2e3)
+    with pytest.raises(ModelError, match="material: got 'wall', expected of the collision shapes"):
+        World.from_diagram(diagram, material={"wall": {"stiffness": 3e5}})
 
 
 @pytest.mark.slow

@@ -139,6 +139,22 @@ def find_anywhere(plant: MultibodyPlant) -> Floats:
     return plant.GetDefaultPositions() + _ANYWHERE * np.arange(1, plant.num_positions() + 1)
 
 
+def copy_diagram(diagram: Diagram) -> Diagram:
+    """Returns a copy of a diagram, in which shapes can be changed.
+
+    Raises:
+        ModelError: a system in the diagram can't be copied.
+    """
+    try:
+        return diagram.Clone()
+    except RuntimeError as error:
+        raise ModelError(
+            "shapes can't be changed, as the diagram can't be copied",
+            got=error,
+            remedy="Make it of systems that Drake can clone.",
+        ) from error
+
+
 def move_shape(diagram: Diagram, shape: GeometryId, translation: Floats) -> Diagram:
     """Returns a copy of a diagram with one shape, in all of its roles, elsewhere on its body.
 
@@ -147,14 +163,7 @@ def move_shape(diagram: Diagram, shape: GeometryId, translation: Floats) -> Diag
     Raises:
         ModelError: a system in the diagram can't be copied.
     """
-    try:
-        copy = diagram.Clone()
-    except RuntimeError as error:
-        raise ModelError(
-            "a wall can't be moved, as the diagram can't be copied",
-            got=error,
-            remedy="Make it of systems that Drake can clone.",
-        ) from error
+    copy = copy_diagram(diagram)
     plant, scene_graph = find_plant(copy)
     inspector = scene_graph.model_inspector()
     X_BG = RigidTransform(translation) @ inspector.GetPoseInFrame(shape)

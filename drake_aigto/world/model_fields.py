@@ -82,13 +82,14 @@ def as_pose(name: str, value: Any) -> tuple[float, ...]:
 
 
 def as_mapping(
-    check: Callable[[str, Any], _Item],
+    check: Callable[[str, Any], _Item], example: str
 ) -> Callable[[str, object], Named[_Item]]:
     """Returns the check of a mapping of names, whose values have a check of their own."""
 
     def as_checked(name: str, value: object) -> Named[_Item]:
         if not isinstance(value, Mapping) or not all(isinstance(k, str) and k for k in value):
-            raise ScenarioError(name, got=repr(value), expected="a mapping of names")
+            expected = f"a mapping of names, such as {example}"
+            raise ScenarioError(name, got=repr(value), expected=expected)
         return Named({key: check(f"{name}[{key}]", item) for key, item in value.items()})
 
     return as_checked
@@ -150,14 +151,22 @@ class ModelFields(ArrayRecord):
             errors that refuse it.
     """
 
-    packages: ArrayField[Named[str]] = ArrayField(as_mapping(as_text), Named())
-    weld: ArrayField[Named[tuple[float, ...]]] = ArrayField(as_mapping(as_pose), Named())
+    packages: ArrayField[Named[str]] = ArrayField(
+        as_mapping(as_text, "{arm_description: ~/robots/arm}"), Named()
+    )
+    weld: ArrayField[Named[tuple[float, ...]]] = ArrayField(
+        as_mapping(as_pose, "{base_link: [0, 0, 0.4]}"), Named()
+    )
     fixed_joints: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ())
     actuators: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ())
-    effort_limits: ArrayField[Named[float]] = ArrayField(as_mapping(as_effort), Named())
+    effort_limits: ArrayField[Named[float]] = ArrayField(
+        as_mapping(as_effort, "{shoulder: 20}"), Named()
+    )
     limits: Limited = "model"
     collisions: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ("*",))
-    material: ArrayField[Named[Material]] = ArrayField(as_mapping(as_material), Named())
+    material: ArrayField[Named[Material]] = ArrayField(
+        as_mapping(as_material, "{'foot_*': {stiffness: 1.0e+5}}"), Named()
+    )
     allow_ignored: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ())
 
     def __post_init__(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -41,7 +41,7 @@ from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
 from drake_aigto.world.material import FRICTION
 from drake_aigto.world.model_facts import FixableError, ModelFacts, fits, pick
-from drake_aigto.world.model_fields import ModelFields
+from drake_aigto.world.model_fields import Material, ModelFields
 from drake_aigto.world.model_text import read_model_text
 from drake_aigto.world.pair_errors import END, name_pair
 from drake_aigto.world.pairs import list_pairs, order_pair
@@ -149,7 +149,7 @@ def _read_model(
     _drive(plant, path, facts)
     for name, spring in facts.springs.items():
         _add_spring(plant, plant.GetJointByName(name), *spring)
-    _set_materials(plant, scene_graph, fields)
+    set_materials(plant, scene_graph, fields.material)
     ends = _add_ends(plant, scene_graph)
     try:
         plant.Finalize()
@@ -290,10 +290,12 @@ def _add_spring(plant: MultibodyPlant, joint: Joint, stiffness: float, reference
         plant.AddForceElement(kind(joint, reference, stiffness))
 
 
-def _set_materials(plant: MultibodyPlant, scene_graph: SceneGraph, fields: ModelFields) -> None:
-    """Replaces materials of collision shapes, before filters depend on them."""
+def set_materials(
+    plant: MultibodyPlant, scene_graph: SceneGraph, materials: Mapping[str, Material]
+) -> None:
+    """Replaces materials of collision shapes, by names or globs."""
     shapes = name_shapes(plant, scene_graph)
-    for glob, material in fields.material.items():
+    for glob, material in materials.items():
         for shape in pick_shapes("material", [glob], shapes):
             inspector: Any = scene_graph.model_inspector()
             properties = ProximityProperties(inspector.GetProximityProperties(shape))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from typing import Any
@@ -42,17 +43,18 @@ def explain_no_contact(scene_graph: SceneGraph, are_ignored: bool = False) -> st
 
 def refuse_pairs(inspector: Any, pairs: list[Pair]) -> ModelError:
     """Returns the error of pairs that are not supported, with the fewest shapes to leave out."""
-    names = [name_pair(inspector, pair) for pair in pairs]
-    kinds = [
-        " against ".join(type(inspector.GetShape(shape)).__name__ for shape in pair)
-        for pair in pairs
+    of_kind: dict[tuple[str, ...], list[Pair]] = {}
+    for pair in pairs:
+        kinds = [type(inspector.GetShape(shape)).__name__ for shape in pair]
+        known = next((kind for kind in of_kind if sorted(kind) == sorted(kinds)), tuple(kinds))
+        of_kind.setdefault(known, []).append(pair)
+    listed = [
+        f"{' against '.join(kind)}: {name_pairs(inspector, each)}" for kind, each in of_kind.items()
     ]
     out = dict.fromkeys(map(inspector.GetName, _cover(inspector, pairs)))
     return FixableError(
-        f"contact of {names[0]}" if len(pairs) == 1 else "contacts",
-        got="; ".join(f"{name}: {kind}" for name, kind in zip(names, kinds, strict=True))
-        if len(pairs) > 1
-        else kinds[0],
+        f"contact of {name_pair(inspector, pairs[0])}" if len(pairs) == 1 else "contacts",
+        got=" against ".join(next(iter(of_kind))) if len(pairs) == 1 else ". ".join(listed),
         expected="Sphere against Box, HalfSpace or Sphere, or Capsule against HalfSpace",
         remedy=f"Leave shapes out by the scenario's ignored_shapes: [{', '.join(out)}], or the "
         "pairs by allow_ignored: [pairs]; or change the collision shapes, or exclude pairs with a "
@@ -86,10 +88,9 @@ def check_work(plant: MultibodyPlant, inspector: Any, pairs: list[Pair]) -> None
             )
         )
     )
-    listed = "; ".join(dict.fromkeys(name_pair(inspector, pair) for pair in refused))
     raise FixableError(
         "contacts",
-        got=f"too many, across too many joints: {listed}",
+        got=f"too many, across too many joints: {name_pairs(inspector, refused)}",
         expected="few enough to be read within a second",
         remedy=f"Leave shapes out by the scenario's ignored_shapes: [{out}], or fix joints by its "
         "fixed_joints.",
@@ -136,6 +137,32 @@ def _is_wall(inspector: Any, shape: GeometryId) -> bool:
 def name_pair(inspector: Any, pair: Pair) -> str:
     """Returns the names of two shapes, capsules for their ends."""
     return " with ".join(inspector.GetName(shape).partition(END)[0] for shape in pair)
+
+
+def name_pairs(inspector: Any, pairs: list[Pair]) -> str:
+    """Returns the names of pairs, grouped by shape, without the name of a model that all share."""
+    names = [tuple(inspector.GetName(shape).partition(END)[0] for shape in pair) for pair in pairs]
+    models = {name.rpartition("::")[0] for pair in names for name in pair} - {""}
+    if len(models) == 1:
+        names = [tuple(name.rpartition("::")[2] for name in pair) for pair in names]
+    links = dict.fromkeys(map(frozenset, names))
+    shapes = sorted({name for pair in names for name in pair})
+    others = dict.fromkeys(map(frozenset, itertools.combinations(shapes, 2)))
+    apart = [pair for pair in others if pair not in links]
+    each_two = f"any two of {', '.join(shapes)}" + f" but {_group(apart)}" * bool(apart)
+    return min(_group(list(links)), each_two, key=len)
+
+
+def _group(links: list[frozenset[str]]) -> str:
+    """Returns the text of pairs, those of one name together, of the most frequent name first."""
+    left, texts = list(links), []
+    while left:
+        counts = Counter(name for link in left for name in sorted(link))
+        name = max(counts, key=counts.__getitem__)
+        partners = [min(link - {name}, default=name) for link in left if name in link]
+        texts.append(f"{name} with {', '.join(partners)}")
+        left = [link for link in left if name not in link]
+    return "; ".join(texts)
 
 
 def _name_whole(plant: MultibodyPlant, inspector: Any, shape: GeometryId) -> str:

@@ -15,7 +15,7 @@ from pydrake.multibody.tree import MultibodyForces, RigidBody
 from pydrake.symbolic import Expression, MakeVectorVariable, cos, sin
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.dynamics import SumMap, evaluate, tidy
+from drake_aigto.dynamics import SumMap, tidy
 from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import find_hinges, find_joint
 from drake_aigto.world.model_facts import FixableError

@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from pydrake.geometry import GeometryId, SceneGraph
@@ -20,6 +22,7 @@ from drake_aigto.world.answers import gather
 from drake_aigto.world.diagram import (
     check_friction_acts,
     check_plant,
+    copy_diagram,
     exclude_shapes,
     find_hinges,
     find_plant,
@@ -32,7 +35,12 @@ from drake_aigto.world.limits import Limits, check_sizes
 from drake_aigto.world.material import SpringMaterial, read_materials, read_springs, read_stiffness
 from drake_aigto.world.model_facts import FixableError
 from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
-from drake_aigto.world.model_reader import name_shapes, pick_shapes, read_model
+from drake_aigto.world.model_reader import (
+    name_shapes,
+    pick_shapes,
+    read_model,
+    set_materials,
+)
 from drake_aigto.world.pair_errors import explain_no_contact
 from drake_aigto.world.pairs import (
     ReachableFace,
@@ -163,6 +171,7 @@ class World(EquationsOfMotion):
         dry_friction: Floats | None = None,
         stiction_speed: float = STICTION_SPEED,
         limits: Limited = "model",
+        material: Mapping[str, Any] = MappingProxyType({}),
     ) -> World:
         """Reads a diagram of your own, which holds one continuous plant and its scene graph.
 
@@ -179,6 +188,9 @@ class World(EquationsOfMotion):
             stiction_speed: v_s of friction in the plant, Drake's stiction tolerance, which can't be
                 read off it [m/s, rad/s].
             limits: "model", or "ignore": limits of positions and velocities count for nothing.
+            material: of collision shapes, glob → `Material`, in place of the diagram's, which stays
+                as it is: the world has a copy. All else that a scenario says of how a model is
+                read is for the parser that made the diagram.
 
         Raises:
             ModelError: the plant is discrete, lacks a joint or an actuator, has shapes or joints
@@ -186,7 +198,10 @@ class World(EquationsOfMotion):
                 mass is that of several bodies, or of one that does not move. Says which.
             ScenarioError: the mass is not above zero.
         """
+        fields = ModelFields(limits=limits, material=material)
+        diagram = copy_diagram(diagram) if fields.material else diagram
         plant, scene_graph = find_plant(diagram)
+        set_materials(plant, scene_graph, fields.material)
         check_plant(plant)
         if dry_friction is not None:
             check_friction_acts(plant, diagram)
@@ -219,7 +234,7 @@ class World(EquationsOfMotion):
             ignored_shapes=ignored_shapes,
             dry_friction=dry_friction,
             stiction_speed=stiction_speed,
-            model_fields=ModelFields(limits=limits),
+            model_fields=fields,
         )._within_reach()
 
     def of_diagram(self, diagram: Diagram) -> World:
