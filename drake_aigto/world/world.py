@@ -198,7 +198,8 @@ class World(EquationsOfMotion):
                 mass is that of several bodies, or of one that does not move. Says which.
             ScenarioError: the mass is not above zero.
         """
-        fields = ModelFields(limits=limits, material=material)
+        given: Any = material
+        fields = ModelFields(limits=limits, material=given)
         diagram = copy_diagram(diagram) if fields.material else diagram
         plant, scene_graph = find_plant(diagram)
         set_materials(plant, scene_graph, fields.material)
