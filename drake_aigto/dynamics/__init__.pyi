@@ -12,3 +12,6 @@ from .sums import calc_turning as calc_turning
 from .sums import evaluate as evaluate
 from .sums import is_constant as is_constant
 from .sums import tidy as tidy
+from .tree import Tree as Tree
+from .tree import TreeMemory as TreeMemory
+from .tree import make_tree_memory as make_tree_memory

@@ -1,0 +1,271 @@
+"""Recursions over a tree, in compiled code: kinematics, forces, mass matrix, and its factor.
+
+Composite rigid bodies (Featherstone 2008, "Rigid Body Dynamics Algorithms", chapter 6), all in the
+world's frame, in which what belongs to links is added without transforms.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.dynamics.spatial import (
+    add_cross_force,
+    apply_inertia,
+    cross_motion,
+    dot,
+    move_inertia,
+    multiply,
+    rotate,
+    turn_about,
+    turn_by_quaternion,
+    turn_by_rpy,
+)
+from drake_aigto.dynamics.tree import (
+    PRISMATIC,
+    QUATERNION,
+    RPY,
+    SCREW,
+    TRANSLATION,
+    Tree,
+    TreeMemory,
+)
+from drake_aigto.kernels import inner
+
+_OWN, _ALL = 10, 22  # Numbers of an inertia; with T and the momentum of `tree_slopes`.
+
+
+@inner
+def place(tree: Tree, i: int, q: Floats, memory: TreeMemory) -> None:
+    """Computes the pose of link i, and its motions S."""
+    frame, pose = memory.frames[i], memory.poses[i]
+    _place_frame(tree, i, memory)
+    kind, at = tree.kinds[i], tree.positions[i]
+    axis, x, y, z = tree.axes[i], 0.0, 0.0, 0.0
+    if kind == TRANSLATION:
+        x, y, z = q[at], q[at + 1], q[at + 2]
+    elif kind in (PRISMATIC, SCREW):
+        along = q[at] if kind == PRISMATIC else q[at] * tree.pitches[i]
+        x, y, z = along * axis[0], along * axis[1], along * axis[2]
+    if kind in (PRISMATIC, SCREW, TRANSLATION):
+        x, y, z = rotate(frame, x, y, z)
+        pose[9], pose[10], pose[11] = pose[9] + x, pose[10] + y, pose[11] + z
+    if kind in (PRISMATIC, TRANSLATION):
+        for k in range(9):
+            pose[k] = frame[k]
+    else:
+        turn = memory.room[0]
+        if kind == QUATERNION:
+            turn_by_quaternion(q[at], q[at + 1], q[at + 2], q[at + 3], turn)
+        elif kind == RPY:
+            turn_by_rpy(q[at], q[at + 1], q[at + 2], turn)
+        else:
+            turn_about(axis, q[at], turn)
+        multiply(frame, turn, pose)
+    _find_motions(tree, i, memory)
+
+
+@inner
+def _place_frame(tree: Tree, i: int, memory: TreeMemory) -> None:
+    """Computes the rotation of the frame F that link i moves in, and its position as the link's."""
+    frame, pose, parent = memory.frames[i], memory.poses[i], tree.parents[i]
+    rotation, offset = tree.rotations[i], tree.offsets[i]
+    if parent < 0:
+        for k in range(9):
+            frame[k] = rotation[k]
+        for k in range(3):
+            pose[9 + k] = offset[k]
+    else:
+        base = memory.poses[parent]
+        multiply(base, rotation, frame)
+        x, y, z = rotate(base, offset[0], offset[1], offset[2])
+        pose[9], pose[10], pose[11] = base[9] + x, base[10] + y, base[11] + z
+
+
+@inner
+def _find_motions(tree: Tree, i: int, memory: TreeMemory) -> None:
+    """Computes S of link i: axes fixed in F, through the link's position if they turn."""
+    frame, pose, kind = memory.frames[i], memory.poses[i], tree.kinds[i]
+    first, last = tree.dofs[i], tree.dofs[i + 1]
+    for s in range(first, last):
+        S, k = memory.motions[s], s - first
+        x, y, z = frame[k], frame[3 + k], frame[6 + k]
+        if last == first + 1:
+            x, y, z = rotate(frame, tree.axes[i, 0], tree.axes[i, 1], tree.axes[i, 2])
+        if kind in (PRISMATIC, TRANSLATION):
+            S[0] = S[1] = S[2] = 0.0
+            S[3], S[4], S[5] = x, y, z
+        else:
+            pitch = tree.pitches[i]
+            S[0], S[1], S[2] = x, y, z
+            S[3] = pose[10] * z - pose[11] * y + pitch * x
+            S[4] = pose[11] * x - pose[9] * z + pitch * y
+            S[5] = pose[9] * y - pose[10] * x + pitch * z
+
+
+@inner
+def spread(tree: Tree, q: Floats, v: Floats, memory: TreeMemory) -> None:
+    """Computes poses, motions, velocities, accelerations at v̇ = 0, and forces of single links."""
+    for s in range(tree.up.size):
+        memory.v[s] = v[tree.velocities[s]]
+    for i in range(tree.parents.size):
+        place(tree, i, q, memory)
+        parent, V, A = tree.parents[i], memory.velocities[i], memory.biases[i]
+        for k in range(3):
+            V[k] = V[3 + k] = A[k] = 0.0
+            A[3 + k] = -tree.gravity[i, k]
+        if parent >= 0:
+            for k in range(6):
+                V[k], A[k] = memory.velocities[parent, k], memory.biases[parent, k]
+        first, last = tree.dofs[i], tree.dofs[i + 1]
+        for s in range(first, last):
+            cross_motion(V, memory.motions[s], memory.rates[s])
+        for s in range(first, last):
+            for k in range(6):
+                V[k] += memory.motions[s, k] * memory.v[s]
+                A[k] += memory.rates[s, k] * memory.v[s]
+        _push_link(tree, i, memory)
+
+
+@inner
+def _push_link(tree: Tree, i: int, memory: TreeMemory) -> None:
+    """Computes the inertia of link i, and the force of its motion, I A + V ×* I V."""
+    B, C, f = memory.inertias[i], memory.composites[i], memory.forces[i]
+    V, momentum = memory.velocities[i], memory.room[0]
+    if tree.masses[i] == 0.0:
+        for k in range(_ALL):
+            C[k] = 0.0
+        for k in range(_OWN):
+            B[k] = 0.0
+        for k in range(6):
+            f[k] = 0.0
+        return
+    move_inertia(memory.poses[i], tree.masses[i], tree.centers[i], tree.inertias[i], B)
+    for k in range(_OWN):
+        C[k] = B[k]
+    apply_inertia(B, V, momentum)
+    apply_inertia(B, memory.biases[i], f)
+    add_cross_force(V, momentum, f)
+    C[19], C[20], C[21] = momentum[3], momentum[4], momentum[5]
+
+
+@inner
+def push_joints(tree: Tree, q: Floats, u: Floats, eps: float, memory: TreeMemory) -> None:
+    """Computes the generalized forces of controls, springs, dampers and dry friction."""
+    for s in range(tree.up.size):
+        v = memory.v[s]
+        total = -tree.damping[s] * v
+        for j in range(u.size):
+            total += tree.actuation[s, j] * u[j]
+        if tree.friction[s] > 0.0:
+            share, _ = share_friction(v / find_stiction(tree, s, eps))
+            total -= tree.friction[s] * share
+        memory.force[s] = total
+    for i in range(tree.parents.size):
+        if tree.stiffnesses[i] != 0.0:
+            stretch = q[tree.positions[i]] - tree.rests[i]
+            memory.force[tree.dofs[i]] -= tree.stiffnesses[i] * stretch
+
+
+@inner
+def find_stiction(tree: Tree, s: int, eps: float) -> float:
+    """Returns the speed below which a joint sticks, smoothed over ε."""
+    return np.sqrt(tree.stiction[s] ** 2 + (eps * tree.pace[s]) ** 2)
+
+
+@inner
+def share_friction(x: float) -> tuple[float, float]:
+    """Returns σ(x), see `calc_friction_share`, and its slope."""
+    if abs(x) >= 1.0:
+        return np.sign(x), 0.0
+    a = abs(x)
+    return x**3 * (10.0 - 15.0 * a + 6.0 * x * x), 30.0 * x * x * (1.0 - a) ** 2
+
+
+@inner
+def gather(tree: Tree, has_slopes: bool, memory: TreeMemory) -> None:
+    """Computes composite bodies and M, and takes forces of motion from the generalized ones."""
+    count = _ALL if has_slopes else _OWN
+    for i in range(tree.parents.size - 1, -1, -1):
+        C, f, parent = memory.composites[i], memory.forces[i], tree.parents[i]
+        for s in range(tree.dofs[i], tree.dofs[i + 1]):
+            momentum = memory.momenta[s]
+            apply_inertia(C, memory.motions[s], momentum)
+            memory.force[s] -= dot(memory.motions[s], f)
+            j = s
+            while j >= 0:
+                memory.mass[s, j] = dot(memory.motions[j], momentum)
+                j = tree.up[j]
+            memory.mass[s, s] += tree.armature[s]
+        if parent >= 0:
+            for k in range(count):
+                memory.composites[parent, k] += C[k]
+            for k in range(6):
+                memory.forces[parent, k] += f[k]
+
+
+@inner
+def factor(up: Ints, L: Floats) -> None:
+    """Factors M = Lᵀ L with the zeros of the tree; 1 / L_kk takes the place of L_kk.
+
+    Featherstone 2008, table 6.3.
+    """
+    for k in range(up.size - 1, -1, -1):
+        L[k, k] = 1.0 / np.sqrt(L[k, k])
+        i = up[k]
+        while i >= 0:
+            L[k, i] *= L[k, k]
+            i = up[i]
+        i = up[k]
+        while i >= 0:
+            j = i
+            while j >= 0:
+                L[i, j] -= L[k, i] * L[k, j]
+                j = up[j]
+            i = up[i]
+
+
+@inner
+def solve(up: Ints, L: Floats, y: Floats) -> None:
+    """Replaces a vector by M⁻¹ times it."""
+    for i in range(up.size - 1, -1, -1):
+        y[i] *= L[i, i]
+        j = up[i]
+        while j >= 0:
+            y[j] -= L[i, j] * y[i]
+            j = up[j]
+    for i in range(up.size):
+        total, j = y[i], up[i]
+        while j >= 0:
+            total -= L[i, j] * y[j]
+            j = up[j]
+        y[i] = total * L[i, i]
+
+
+@inner
+def solve_rows(up: Ints, L: Floats, Y: Floats) -> None:
+    """Replaces a matrix by M⁻¹ times it, row by row."""
+    for i in range(up.size - 1, -1, -1):
+        _scale(L[i, i], Y[i])
+        j = up[i]
+        while j >= 0:
+            _subtract_row(L[i, j], Y[i], Y[j])
+            j = up[j]
+    for i in range(up.size):
+        j = up[i]
+        while j >= 0:
+            _subtract_row(L[i, j], Y[j], Y[i])
+            j = up[j]
+        _scale(L[i, i], Y[i])
+
+
+@inner
+def _subtract_row(factor: float, x: Floats, y: Floats) -> None:
+    for c in range(y.size):
+        y[c] -= factor * x[c]
+
+
+@inner
+def _scale(factor: float, x: Floats) -> None:
+    for c in range(x.size):
+        x[c] *= factor

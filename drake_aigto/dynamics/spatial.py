@@ -1,0 +1,160 @@
+"""Spatial algebra in compiled code: rotations by rows, and vectors (angular, linear) in one frame.
+
+Motions are about the frame's origin: (ω, velocity of the body's point there); forces are (moment
+about it, force). Inertias are (m, m c, xx, xy, yy, xz, yz, zz of the inertia about it).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.kernels import inner
+
+# Angles below which series replace sin θ/θ and the like: the next term is below 1e-17.
+_SMALL = 1e-4
+
+
+@inner
+def multiply(A: Floats, B: Floats, C: Floats) -> None:
+    """Computes the product C = A B of 3 × 3 matrices."""
+    for i in range(3):
+        for j in range(3):
+            C[3 * i + j] = A[3 * i] * B[j] + A[3 * i + 1] * B[3 + j] + A[3 * i + 2] * B[6 + j]
+
+
+@inner
+def rotate(R: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Returns R times a vector."""
+    return (
+        R[0] * x + R[1] * y + R[2] * z,
+        R[3] * x + R[4] * y + R[5] * z,
+        R[6] * x + R[7] * y + R[8] * z,
+    )
+
+
+@inner
+def turn_about(axis: Floats, angle: float, R: Floats) -> None:
+    """Computes R of a turn about an axis of unit length (Rodrigues)."""
+    x, y, z = axis[0], axis[1], axis[2]
+    c, s = np.cos(angle), np.sin(angle)
+    k = 1.0 - c
+    R[0], R[1], R[2] = c + k * x * x, k * x * y - s * z, k * x * z + s * y
+    R[3], R[4], R[5] = k * x * y + s * z, c + k * y * y, k * y * z - s * x
+    R[6], R[7], R[8] = k * x * z - s * y, k * y * z + s * x, c + k * z * z
+
+
+@inner
+def turn_by_quaternion(w: float, x: float, y: float, z: float, R: Floats) -> None:
+    """Computes R of a quaternion, of any length but 0."""
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    R[0], R[1], R[2] = 1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)
+    R[3], R[4], R[5] = s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)
+    R[6], R[7], R[8] = s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)
+
+
+@inner
+def turn_by_rpy(roll: float, pitch: float, yaw: float, R: Floats) -> None:
+    """Computes R = R_z(yaw) R_y(pitch) R_x(roll)."""
+    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    R[0], R[1], R[2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+    R[3], R[4], R[5] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+    R[6], R[7], R[8] = -sp, cp * sr, cp * cr
+
+
+@inner
+def cross_motion(v: Floats, s: Floats, out: Floats) -> None:
+    """Computes v × s of motions."""
+    out[0] = v[1] * s[2] - v[2] * s[1]
+    out[1] = v[2] * s[0] - v[0] * s[2]
+    out[2] = v[0] * s[1] - v[1] * s[0]
+    out[3] = v[1] * s[5] - v[2] * s[4] + v[4] * s[2] - v[5] * s[1]
+    out[4] = v[2] * s[3] - v[0] * s[5] + v[5] * s[0] - v[3] * s[2]
+    out[5] = v[0] * s[4] - v[1] * s[3] + v[3] * s[1] - v[4] * s[0]
+
+
+@inner
+def add_cross_force(v: Floats, f: Floats, out: Floats) -> None:
+    """Adds v ×* f, the rate of a force, or momentum, that moves along with v."""
+    out[0] += v[1] * f[2] - v[2] * f[1] + v[4] * f[5] - v[5] * f[4]
+    out[1] += v[2] * f[0] - v[0] * f[2] + v[5] * f[3] - v[3] * f[5]
+    out[2] += v[0] * f[1] - v[1] * f[0] + v[3] * f[4] - v[4] * f[3]
+    out[3] += v[1] * f[5] - v[2] * f[4]
+    out[4] += v[2] * f[3] - v[0] * f[5]
+    out[5] += v[0] * f[4] - v[1] * f[3]
+
+
+@inner
+def dot(a: Floats, b: Floats) -> float:
+    """Returns the product of a motion and a force."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
+
+
+@inner
+def apply_inertia(B: Floats, v: Floats, out: Floats) -> None:
+    """Computes B v, the momentum of a motion."""
+    m, x, y, z = B[0], B[1], B[2], B[3]
+    out[0] = B[4] * v[0] + B[5] * v[1] + B[7] * v[2] + y * v[5] - z * v[4]
+    out[1] = B[5] * v[0] + B[6] * v[1] + B[8] * v[2] + z * v[3] - x * v[5]
+    out[2] = B[7] * v[0] + B[8] * v[1] + B[9] * v[2] + x * v[4] - y * v[3]
+    out[3] = m * v[3] - y * v[2] + z * v[1]
+    out[4] = m * v[4] - z * v[0] + x * v[2]
+    out[5] = m * v[5] - x * v[1] + y * v[0]
+
+
+@inner
+def move_inertia(pose: Floats, m: float, center: Floats, J: Floats, B: Floats) -> None:
+    """Computes the inertia B of a body in the world from its mass, center, and moments J about it.
+
+    Args:
+        pose: R by rows, and p.
+        m: the mass.
+        center: of mass, in the body's frame.
+        J: xx, xy, yy, xz, yz, zz in the body's frame.
+        B: the result.
+    """
+    x, y, z = rotate(pose, center[0], center[1], center[2])
+    x, y, z = pose[9] + x, pose[10] + y, pose[11] + z
+    a0, a1, a2 = rotate(pose, J[0], J[1], J[3])  # Columns of R J.
+    b0, b1, b2 = rotate(pose, J[1], J[2], J[4])
+    c0, c1, c2 = rotate(pose, J[3], J[4], J[5])
+    B[0], B[1], B[2], B[3] = m, m * x, m * y, m * z
+    B[4] = a0 * pose[0] + b0 * pose[1] + c0 * pose[2] + m * (y * y + z * z)
+    B[5] = a0 * pose[3] + b0 * pose[4] + c0 * pose[5] - m * x * y
+    B[6] = a1 * pose[3] + b1 * pose[4] + c1 * pose[5] + m * (x * x + z * z)
+    B[7] = a0 * pose[6] + b0 * pose[7] + c0 * pose[8] - m * x * z
+    B[8] = a1 * pose[6] + b1 * pose[7] + c1 * pose[8] - m * y * z
+    B[9] = a2 * pose[6] + b2 * pose[7] + c2 * pose[8] + m * (x * x + y * y)
+
+
+@inner
+def multiply_quaternions(
+    aw: float, ax: float, ay: float, az: float, bw: float, bx: float, by: float, bz: float
+) -> tuple[float, float, float, float]:
+    """Returns the product of two quaternions, the turn b followed by a."""
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+@inner
+def exp_quaternion(x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """Returns the unit quaternion of a rotation vector."""
+    square = x * x + y * y + z * z
+    angle = np.sqrt(square)
+    half = 0.5 - square / 48 if angle < _SMALL else np.sin(angle / 2) / angle
+    return np.cos(angle / 2), half * x, half * y, half * z
+
+
+@inner
+def log_quaternion(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Returns the shortest rotation vector of a quaternion, of any length but 0."""
+    sine = np.sqrt(x * x + y * y + z * z)
+    if w < 0.0:
+        w, x, y, z = -w, -x, -y, -z
+    ratio = 2.0 / w if sine < 1e-9 * w else 2.0 * np.arctan2(sine, w) / sine
+    return ratio * x, ratio * y, ratio * z

@@ -1,0 +1,189 @@
+"""Trees of joints: equal to Drake's numbers, derivatives along the manifold, closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    BodyIndex,
+    LinearSpringDamper,
+    MultibodyForces,
+    RevoluteJoint,
+    SpatialInertia,
+    UnitInertia,
+    default_model_instance,
+)
+from trees import JOINTS, add_body, attach, make_zoo, sample_state
+
+from drake_aigto.dynamics import Tree
+from drake_aigto.errors import ModelError
+
+
+@pytest.fixture(scope="module", params=[0, 1, 2])
+def plant(request: pytest.FixtureRequest) -> MultibodyPlant:
+    """Returns a plant of all joints, twice each, in an order of its own."""
+    return make_zoo(request.param)
+
+
+def relative(found: np.ndarray, expected: np.ndarray) -> float:
+    """Returns the largest difference as a share of the largest value, at least 1."""
+    return float(np.abs(found - expected).max() / max(1.0, np.abs(expected).max()))
+
+
+def test_numbers_are_drakes(plant: MultibodyPlant) -> None:
+    tree, context, rng = Tree.of(plant), plant.CreateDefaultContext(), np.random.default_rng(3)
+    assert tree.num_positions == plant.num_positions()
+    for _ in range(3):
+        q, v, u = sample_state(plant, rng)
+        plant.SetPositions(context, q)
+        plant.SetVelocities(context, v)
+        forces = MultibodyForces(plant)
+        plant.CalcForceElementsContribution(context, forces)
+        M = plant.CalcMassMatrix(context)
+        h = plant.CalcInverseDynamics(context, np.zeros(len(v)), forces)
+        acceleration = np.linalg.solve(M, plant.MakeActuationMatrix() @ u - h)
+        assert relative(tree.calc_mass_matrix(q), M) < 1e-10
+        assert relative(tree.calc_bias(q, v), h) < 1e-10
+        assert relative(tree.calc_acceleration(q, v, u), acceleration) < 1e-10
+        assert relative(tree.calc_position_rate(q, v), plant.MapVelocityToQDot(context, v)) < 1e-12
+        for b, pose in enumerate(zip(*tree.calc_poses(q), strict=True)):
+            expected = plant.EvalBodyPoseInWorld(context, plant.get_body(BodyIndex(b)))
+            assert relative(np.column_stack(pose), expected.GetAsMatrix34()) < 1e-12
+
+
+def test_many_states_at_once_are_each_by_itself(plant: MultibodyPlant) -> None:
+    tree, rng = Tree.of(plant), np.random.default_rng(4)
+    states = [sample_state(plant, rng) for _ in range(3)]
+    q, v, u = (np.array(each) for each in zip(*states, strict=True))
+    assert np.array_equal(tree.calc_mass_matrix(q)[1], tree.calc_mass_matrix(q[1]))
+    assert np.array_equal(tree.calc_acceleration(q, v, u)[2], tree.calc_acceleration(*states[2]))
+
+
+def test_slopes_are_differences_along_the_manifold(plant: MultibodyPlant) -> None:
+    # Central differences err by 1e-12 of the third derivative, and 1e-10 of rounding.
+    tree, rng, step = Tree.of(plant), np.random.default_rng(5), 1e-6
+    q, v, u = sample_state(plant, rng)
+    calc, n, nu = tree.calc_acceleration, len(v), len(u)
+    columns = [
+        calc(tree.add(q, each), v, u) - calc(tree.add(q, -each), v, u) for each in step * np.eye(n)
+    ]
+    columns += [calc(q, v + each, u) - calc(q, v - each, u) for each in step * np.eye(n)]
+    columns += [calc(q, v, u + each) - calc(q, v, u - each) for each in step * np.eye(nu)]
+    expected = np.array(columns).T / (2 * step)
+    assert relative(tree.calc_acceleration_slopes(q, v, u), expected) < 1e-6
+
+
+def test_differences_of_positions_undo_sums(plant: MultibodyPlant) -> None:
+    tree, rng = Tree.of(plant), np.random.default_rng(6)
+    q, delta, _ = sample_state(plant, rng)
+    delta *= 0.3  # Turns by less than π.
+    assert np.allclose(tree.subtract(tree.add(q, delta), q), delta, atol=1e-13)
+    # The tangent is that of v: q̇ = N(q) v.
+    rate = (tree.add(q, 1e-6 * delta) - tree.add(q, -1e-6 * delta)) / 2e-6
+    assert np.allclose(rate, tree.calc_position_rate(q, delta), atol=1e-8)
+
+
+def test_dry_friction_is_of_the_joint_that_has_it() -> None:
+    plant = make_zoo()
+    friction = np.linspace(0.0, 1.0, plant.num_velocities())
+    q, _, _ = sample_state(plant, np.random.default_rng(7))
+    v = np.linspace(-1.0, 1.0, plant.num_velocities())  # All slide: fast beside v_s.
+    slides = Tree.of(plant, dry_friction=friction).calc_bias(q, v) - Tree.of(plant).calc_bias(q, v)
+    assert np.allclose(slides, friction * np.sign(v), atol=1e-12)
+
+
+def integrate(tree: Tree, q: np.ndarray, v: np.ndarray, step: float, count: int):  # type: ignore[no-untyped-def]
+    """Returns the state after Runge-Kutta steps of q ⊕ δ, with the midpoint rule for turns."""
+    nothing = np.zeros(tree.actuation.shape[1])
+    for _ in range(count):
+        middle = v + step / 2 * tree.calc_acceleration(q, v, nothing)
+        half = tree.add(q, step / 2 * v)
+        v = v + step * tree.calc_acceleration(half, middle, nothing)
+        q = tree.add(q, step * middle)
+    return q, v
+
+
+def test_free_fall_keeps_energy_and_angular_momentum() -> None:
+    rng, plant = np.random.default_rng(8), MultibodyPlant(0.0)
+    base, arm = add_body(plant, "base", rng), add_body(plant, "arm", rng)
+    attach(plant, base, arm, lambda name, F, M: RevoluteJoint(name, F, M, [0, 0, 1]), rng)
+    plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
+    plant.Finalize()
+    tree, context = Tree.of(plant), plant.CreateDefaultContext()
+    q, v, _ = sample_state(plant, rng)
+
+    def measure(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        plant.SetPositions(context, q)
+        plant.SetVelocities(context, v)
+        momentum = plant.CalcSpatialMomentumInWorldAboutPoint(context, np.zeros(3))
+        energy = v @ tree.calc_mass_matrix(q) @ v / 2
+        return np.array([energy, *momentum.rotational(), *momentum.translational()])
+
+    errors = [
+        np.abs(measure(*integrate(tree, q, v, 1 / count, count)) - measure(q, v)).max()
+        for count in (200, 400)
+    ]
+    assert errors[1] < 1e-4
+    assert errors[0] / errors[1] > 3.5  # Of second order: the motion keeps them, steps do not.
+
+
+def test_a_symmetric_top_precesses() -> None:
+    # A free body with moments I, I, C turns about its axis while that precesses about L at |L|/I.
+    plant, spin, tilt = MultibodyPlant(0.0), 3.0, 0.4
+    moment, other = 2.0, 0.8
+    plant.AddRigidBody("top", SpatialInertia(1.0, np.zeros(3), UnitInertia(moment, moment, other)))
+    plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
+    plant.Finalize()
+    tree = Tree.of(plant)
+    momentum = np.array([moment * tilt, 0.0, other * spin])
+    rate, time, count = np.linalg.norm(momentum) / moment, 1.0, 2000
+    q = np.array([1.0, 0, 0, 0, 0, 0, 0])
+    after, _ = integrate(tree, q, np.array([tilt, 0, spin, 0, 0, 0]), time / count, count)
+    R, _ = tree.calc_poses(after)
+    L = momentum / np.linalg.norm(momentum)
+    z, angle = np.array([0.0, 0.0, 1.0]), rate * time
+    expected = (
+        z * np.cos(angle) + np.cross(L, z) * np.sin(angle) + L * (L @ z) * (1 - np.cos(angle))
+    )
+    assert np.allclose(R[1][:, 2], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["revolute", "prismatic"])
+def test_a_joint_may_lead_towards_the_world(name: str) -> None:
+    rng, plant = np.random.default_rng(9), MultibodyPlant(0.0)
+    body = add_body(plant, "body", rng)
+    attach(plant, body, plant.world_body(), JOINTS[name], rng)
+    plant.Finalize()
+    q, _, _ = sample_state(plant, rng)
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, q)
+    tree = Tree.of(plant)
+    R, p = tree.calc_poses(q)
+    pose = plant.EvalBodyPoseInWorld(context, body).GetAsMatrix34()
+    assert np.allclose(np.column_stack([R[1], p[1]]), pose, atol=1e-12)
+    assert np.allclose(tree.calc_mass_matrix(q), plant.CalcMassMatrix(context), atol=1e-12)
+
+
+def test_what_is_no_tree_is_refused() -> None:
+    rng, plant = np.random.default_rng(10), MultibodyPlant(0.0)
+    first, second = add_body(plant, "first", rng), add_body(plant, "second", rng)
+    plant.AddForceElement(
+        LinearSpringDamper(first, np.zeros(3), second, np.zeros(3), 1.0, 1.0, 1.0)
+    )
+    plant.Finalize()
+    with pytest.raises(ModelError, match="LinearSpringDamper: got a force that is not gravity"):
+        Tree.of(plant)
+
+
+def test_gravity_on_part_of_a_tree_is_refused() -> None:
+    rng, plant = np.random.default_rng(11), MultibodyPlant(0.0)
+    other = plant.AddModelInstance("other")
+    inertia = SpatialInertia.SolidBoxWithMass(1.0, 0.1, 0.2, 0.3)
+    first = plant.AddRigidBody("first", default_model_instance(), inertia)
+    second = plant.AddRigidBody("second", other, inertia)
+    attach(plant, first, second, JOINTS["revolute"], rng)
+    plant.set_gravity_enabled(other, False)
+    plant.Finalize()
+    with pytest.raises(ModelError, match=r"'second'.*gravity on some bodies of its tree"):
+        Tree.of(plant)
