@@ -13,5 +13,6 @@ from .sums import evaluate as evaluate
 from .sums import is_constant as is_constant
 from .sums import tidy as tidy
 from .tree import Tree as Tree
-from .tree import TreeMemory as TreeMemory
-from .tree import make_tree_memory as make_tree_memory
+from .tree_tables import TreeMemory as TreeMemory
+from .tree_tables import TreeTables as TreeTables
+from .tree_tables import make_tree_memory as make_tree_memory

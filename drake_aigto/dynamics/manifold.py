@@ -10,12 +10,12 @@ from drake_aigto.dynamics.spatial import (
     log_quaternion,
     multiply_quaternions,
 )
-from drake_aigto.dynamics.tree import QUATERNION, RPY, Tree
+from drake_aigto.dynamics.tree_tables import QUATERNION, RPY, TreeTables
 from drake_aigto.kernels import inner
 
 
 @inner
-def add_tangent(tree: Tree, q: Floats, delta: Floats, moved: Floats) -> None:
+def add_tangent(tree: TreeTables, q: Floats, delta: Floats, moved: Floats) -> None:
     """Computes q ⊕ δ: links turned by rotation vectors in F, and moved."""
     for i in range(tree.parents.size):
         first, at, kind = tree.dofs[i], tree.positions[i], tree.kinds[i]
@@ -27,7 +27,7 @@ def add_tangent(tree: Tree, q: Floats, delta: Floats, moved: Floats) -> None:
 
 
 @inner
-def _turn_link(tree: Tree, i: int, q: Floats, delta: Floats, moved: Floats) -> None:
+def _turn_link(tree: TreeTables, i: int, q: Floats, delta: Floats, moved: Floats) -> None:
     """Computes the positions of a link turned by a rotation vector, a unit quaternion if any."""
     first, at = tree.dofs[i], tree.positions[i]
     x, y, z = delta[tree.velocities[first]], delta[tree.velocities[first + 1]], 0.0
@@ -48,7 +48,7 @@ def _turn_link(tree: Tree, i: int, q: Floats, delta: Floats, moved: Floats) -> N
 
 
 @inner
-def read_turn(tree: Tree, i: int, q: Floats) -> tuple[float, float, float, float]:
+def read_turn(tree: TreeTables, i: int, q: Floats) -> tuple[float, float, float, float]:
     """Returns the quaternion of a link that turns about three axes."""
     at = tree.positions[i]
     if tree.kinds[i] == QUATERNION:
@@ -61,7 +61,7 @@ def read_turn(tree: Tree, i: int, q: Floats) -> tuple[float, float, float, float
 
 
 @inner
-def subtract_positions(tree: Tree, after: Floats, before: Floats, delta: Floats) -> None:
+def subtract_positions(tree: TreeTables, after: Floats, before: Floats, delta: Floats) -> None:
     """Computes the shortest δ with before ⊕ δ = after."""
     for i in range(tree.parents.size):
         first, at, kind = tree.dofs[i], tree.positions[i], tree.kinds[i]

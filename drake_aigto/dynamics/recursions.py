@@ -21,14 +21,14 @@ from drake_aigto.dynamics.spatial import (
     turn_by_quaternion,
     turn_by_rpy,
 )
-from drake_aigto.dynamics.tree import (
+from drake_aigto.dynamics.tree_tables import (
     PRISMATIC,
     QUATERNION,
     RPY,
     SCREW,
     TRANSLATION,
-    Tree,
     TreeMemory,
+    TreeTables,
 )
 from drake_aigto.kernels import inner
 
@@ -36,7 +36,7 @@ _OWN, _ALL = 10, 22  # Numbers of an inertia; with T and the momentum of `tree_s
 
 
 @inner
-def place(tree: Tree, i: int, q: Floats, memory: TreeMemory) -> None:
+def place(tree: TreeTables, i: int, q: Floats, memory: TreeMemory) -> None:
     """Computes the pose of link i, and its motions S."""
     frame, pose = memory.frames[i], memory.poses[i]
     _place_frame(tree, i, memory)
@@ -66,7 +66,7 @@ def place(tree: Tree, i: int, q: Floats, memory: TreeMemory) -> None:
 
 
 @inner
-def _place_frame(tree: Tree, i: int, memory: TreeMemory) -> None:
+def _place_frame(tree: TreeTables, i: int, memory: TreeMemory) -> None:
     """Computes the rotation of the frame F that link i moves in, and its position as the link's."""
     frame, pose, parent = memory.frames[i], memory.poses[i], tree.parents[i]
     rotation, offset = tree.rotations[i], tree.offsets[i]
@@ -83,7 +83,7 @@ def _place_frame(tree: Tree, i: int, memory: TreeMemory) -> None:
 
 
 @inner
-def _find_motions(tree: Tree, i: int, memory: TreeMemory) -> None:
+def _find_motions(tree: TreeTables, i: int, memory: TreeMemory) -> None:
     """Computes S of link i: axes fixed in F, through the link's position if they turn."""
     frame, pose, kind = memory.frames[i], memory.poses[i], tree.kinds[i]
     first, last = tree.dofs[i], tree.dofs[i + 1]
@@ -104,7 +104,7 @@ def _find_motions(tree: Tree, i: int, memory: TreeMemory) -> None:
 
 
 @inner
-def spread(tree: Tree, q: Floats, v: Floats, memory: TreeMemory) -> None:
+def spread(tree: TreeTables, q: Floats, v: Floats, memory: TreeMemory) -> None:
     """Computes poses, motions, velocities, accelerations at v̇ = 0, and forces of single links."""
     for s in range(tree.up.size):
         memory.v[s] = v[tree.velocities[s]]
@@ -128,7 +128,7 @@ def spread(tree: Tree, q: Floats, v: Floats, memory: TreeMemory) -> None:
 
 
 @inner
-def _push_link(tree: Tree, i: int, memory: TreeMemory) -> None:
+def _push_link(tree: TreeTables, i: int, memory: TreeMemory) -> None:
     """Computes the inertia of link i, and the force of its motion, I A + V ×* I V."""
     B, C, f = memory.inertias[i], memory.composites[i], memory.forces[i]
     V, momentum = memory.velocities[i], memory.room[0]
@@ -150,7 +150,7 @@ def _push_link(tree: Tree, i: int, memory: TreeMemory) -> None:
 
 
 @inner
-def push_joints(tree: Tree, q: Floats, u: Floats, eps: float, memory: TreeMemory) -> None:
+def push_joints(tree: TreeTables, q: Floats, u: Floats, eps: float, memory: TreeMemory) -> None:
     """Computes the generalized forces of controls, springs, dampers and dry friction."""
     for s in range(tree.up.size):
         v = memory.v[s]
@@ -168,7 +168,7 @@ def push_joints(tree: Tree, q: Floats, u: Floats, eps: float, memory: TreeMemory
 
 
 @inner
-def find_stiction(tree: Tree, s: int, eps: float) -> float:
+def find_stiction(tree: TreeTables, s: int, eps: float) -> float:
     """Returns the speed below which a joint sticks, smoothed over ε."""
     return np.sqrt(tree.stiction[s] ** 2 + (eps * tree.pace[s]) ** 2)
 
@@ -183,7 +183,7 @@ def share_friction(x: float) -> tuple[float, float]:
 
 
 @inner
-def gather(tree: Tree, has_slopes: bool, memory: TreeMemory) -> None:
+def gather(tree: TreeTables, has_slopes: bool, memory: TreeMemory) -> None:
     """Computes composite bodies and M, and takes forces of motion from the generalized ones."""
     count = _ALL if has_slopes else _OWN
     for i in range(tree.parents.size - 1, -1, -1):

@@ -5,65 +5,31 @@ from __future__ import annotations
 import math
 from functools import cache
 from types import ModuleType
-from typing import NamedTuple
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import MultibodyForces
 from pydrake.systems.framework import Context
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Floats
+from drake_aigto.dynamics.tree_reader import read_tables, refuse_force
+from drake_aigto.dynamics.tree_tables import NUM_POSITIONS, TreeTables, make_tree_memory
 
-# Kinds of links, by how they move in their joint's frame. All of a link's coordinates move it
-# along or about axes that are fixed in its parent.
-REVOLUTE, PRISMATIC, SCREW, TRANSLATION, QUATERNION, RPY = range(6)
-
-# Numbers of positions and velocities of each kind.
-NUM_POSITIONS = np.array([1, 1, 1, 3, 4, 3])
-NUM_VELOCITIES = np.array([1, 1, 1, 3, 3, 3])
+# Largest difference of Drake's forces and the tree's, relative to the largest.
+_TOLERANCE = 1e-9
+_NUM_PROBES = 2  # States at which they are compared: one might agree by chance.
 
 
-class Tree(NamedTuple):
+class Tree(TreeTables):
     """A tree of joints and bodies, for code that is compiled once for all robots.
 
         M(q) v̇ + h(q, v) = B u,    q̇ = N(q) v
 
-    Bodies that are welded together are one link. Drake's planar, universal and floating joints are
-    chains of links, all but the last one without mass: a floating body translates, then turns. A
-    link's frame is that of its joint on the child (Drake's M), which moves in the one on the parent
-    (F). Letters: L links, n = nv degrees of freedom, nu actuators, B bodies of the plant.
-
-    q and v are ordered as the plant has them. Degrees of freedom are numbered from the world
-    outward, each link's in a row; the plant has those of a floating body in another order, see
-    `velocities`. Tangent vectors δ, q ⊕ δ, are like v: turns about axes that are fixed in F.
+    q and v are ordered as the plant has them. Tangent vectors δ, q ⊕ δ, are like v: turns about
+    axes that are fixed in the parent. A shape's "…" are axes of many states at once.
     """
 
-    parents: Ints  # of links, each before its children; −1: the world; shape (L,)
-    kinds: Ints  # REVOLUTE, …, shape (L,)
-    positions: Ints  # where the positions of each link start in q, shape (L,)
-    dofs: Ints  # where its degrees of freedom start, and n; shape (L + 1,)
-    velocities: Ints  # place of each degree of freedom in v, shape (n,)
-    links: Ints  # of degrees of freedom, shape (n,)
-    up: Ints  # degree of freedom before each on its path to the world, or −1; shape (n,)
-    axes: Floats  # of REVOLUTE, PRISMATIC and SCREW, in F, of unit length; shape (L, 3)
-    pitches: Floats  # translation along them per turn by 1 rad, shape (L,) [m/rad]
-    rotations: Floats  # of F in the parent, by rows, shape (L, 9)
-    offsets: Floats  # position of F in the parent, shape (L, 3) [m]
-    masses: Floats  # shape (L,) [kg]
-    centers: Floats  # of mass, in the link's frame, shape (L, 3) [m]
-    # Moments of inertia about them, in the link's axes: xx, xy, yy, xz, yz, zz; shape (L, 6).
-    inertias: Floats
-    gravity: Floats  # on the tree that each link belongs to, shape (L, 3) [m/s²]
-    stiffnesses: Floats  # k of springs, −k (q − rest), shape (L,)
-    rests: Floats  # shape (L,)
-    damping: Floats  # d of −d v, shape (n,)
-    armature: Floats  # reflected inertia of rotors, shape (n,)
-    friction: Floats  # F of dry friction, −F σ(v / w), w² = stiction² + (ε pace)²; shape (n,)
-    stiction: Floats  # speed below which joints stick, shape (n,)
-    pace: Floats  # shape (n,) [1/s]
-    actuation: Floats  # B, of degrees of freedom, shape (n, nu)
-    body_links: Ints  # of each body, −1: fixed to the world; shape (B,)
-    body_rotations: Floats  # of bodies in their links, by rows, shape (B, 9)
-    body_offsets: Floats  # their origins in the links' frames, shape (B, 3) [m]
+    __slots__ = ()
 
     @classmethod
     def of(
@@ -82,9 +48,12 @@ class Tree(NamedTuple):
         Raises:
             ModelError: a joint, a force or a constraint is none that a tree has; says which.
         """
-        from drake_aigto.dynamics.tree_reader import read_tree
-
-        return read_tree(plant, context, dry_friction)
+        context = context or plant.CreateDefaultContext()
+        if dry_friction is None:
+            dry_friction = np.zeros(plant.num_velocities())
+        tree = cls(*read_tables(plant, context, dry_friction))
+        _check_forces(plant, tree, context)
+        return tree
 
     @property
     def num_positions(self) -> int:
@@ -156,55 +125,26 @@ class Tree(NamedTuple):
         return np.array(array.reshape(math.prod(array.shape[:-1]), array.shape[-1]), order="C")
 
 
-class TreeMemory(NamedTuple):
-    """Room for one state. Vectors of six are angular, then linear, about the world's origin.
-
-    The velocity of a point p that is fixed to a link is ṗ = w + ω × p, with (ω, w) the link's.
-    The derivative of p by its degree of freedom i is that of (ω, w) = S_i; that of ṗ by v_i is the
-    same, and that of ṗ by δ_i, at constant v, is ω_i × ṗ + (point p of T_i).
-    """
-
-    frames: Floats  # F's rotation in the world, by rows, shape (L, 9)
-    poses: Floats  # of links in the world: R by rows, and p; shape (L, 12)
-    velocities: Floats  # of links, shape (L, 6)
-    v: Floats  # of degrees of freedom, shape (n,)
-    motions: Floats  # S_i, by which the degree of freedom i moves its link and all beyond, (n, 6)
-    rates: Floats  # Ṡ_i, shape (n, 6)
-    turns: Floats  # T_i = V × S_i, with V the velocity of the link of i; shape (n, 6)
-    bends: Floats  # A × S_i + V × T_i, with A its acceleration less gravity; shape (n, 6)
-    biases: Floats  # of links: accelerations at v̇ = 0, less gravity; shape (L, 6)
-    accelerations: Floats  # of links, less gravity; shape (L, 6)
-    forces: Floats  # of links and all beyond, which their motion needs; shape (L, 6)
-    # Mass, first moments (3), and inertia (6) about the world's origin, of links; shape (L, 10).
-    inertias: Floats
-    # The same of links and all beyond them; then T (9) and momentum (3), see `tree_slopes`; (L, 22)
-    composites: Floats
-    momenta: Floats  # S_i times the composite inertia, shape (n, 6)
-    # Generalized forces; then v̇. `force` may be added to between `gather` and `accelerate`.
-    force: Floats  # shape (n,)
-    mass: Floats  # M; then its factor, lower triangle; shape (n, n)
-    slopes: Floats  # of forces less M v̇, then of v̇, by (δ, v, u), shape (n, 2n + nu)
-    room: Floats  # for the moment, shape (4, 9)
-
-
-def make_tree_memory(tree: Tree) -> TreeMemory:
-    """Returns room for a tree."""
-    L, (n, nu) = len(tree.parents), tree.actuation.shape
-    sizes = {
-        "frames": (L, 9),
-        "poses": (L, 12),
-        "velocities": (L, 6),
-        "v": (n,),
-        **dict.fromkeys(("motions", "rates", "turns", "bends", "momenta"), (n, 6)),
-        **dict.fromkeys(("biases", "accelerations", "forces"), (L, 6)),
-        "inertias": (L, 10),
-        "composites": (L, 22),
-        "force": (n,),
-        "mass": (n, n),
-        "slopes": (n, 2 * n + nu),
-        "room": (4, 9),
-    }
-    return TreeMemory(**{name: np.zeros(shape) for name, shape in sizes.items()})
+def _check_forces(plant: MultibodyPlant, tree: Tree, context: Context) -> None:
+    """Refuses forces that are none of a tree's, by the joint that they act on."""
+    rng, kept = np.random.default_rng(1), plant.GetPositionsAndVelocities(context)
+    n = plant.num_velocities()
+    bare = tree._replace(friction=np.zeros(n))
+    for _ in range(_NUM_PROBES):
+        v, vdot = rng.uniform(-1.0, 1.0, (2, n))
+        q = bare.add(plant.GetDefaultPositions(), rng.uniform(-1.0, 1.0, n))
+        plant.SetPositions(context, q)
+        plant.SetVelocities(context, v)
+        forces = MultibodyForces(plant)
+        plant.CalcForceElementsContribution(context, forces)
+        expected = plant.CalcInverseDynamics(context, vdot, forces)
+        errors = np.abs(bare.calc_inverse_dynamics(q, v, vdot) - expected)
+        worst = int(np.argmax(errors))
+        if errors[worst] > _TOLERANCE * max(1.0, np.abs(expected).max()):
+            joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+            joint = next(j for j in joints if 0 <= worst - j.velocity_start() < j.num_velocities())
+            raise refuse_force(f"joint {joint.name()!r} ({joint.type_name()})")
+    plant.SetPositionsAndVelocities(context, kept)
 
 
 @cache

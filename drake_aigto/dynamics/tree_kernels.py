@@ -8,13 +8,13 @@ from drake_aigto.arrays import Floats
 from drake_aigto.dynamics.manifold import add_tangent, subtract_positions
 from drake_aigto.dynamics.recursions import gather, place, push_joints, spread
 from drake_aigto.dynamics.spatial import multiply, multiply_quaternions, rotate
-from drake_aigto.dynamics.tree import QUATERNION, RPY, Tree, TreeMemory
 from drake_aigto.dynamics.tree_slopes import accelerate
+from drake_aigto.dynamics.tree_tables import QUATERNION, RPY, TreeMemory, TreeTables
 from drake_aigto.kernels import borrow, kernel
 
 
 @kernel
-def calc_masses(tree: Tree, q: Floats, memory: TreeMemory) -> Floats:
+def calc_masses(tree: TreeTables, q: Floats, memory: TreeMemory) -> Floats:
     """Returns M of each state, shape (K, n n)."""
     n = tree.up.size
     found, rest = np.zeros((q.shape[0], n * n)), np.zeros(n)
@@ -32,7 +32,7 @@ def calc_masses(tree: Tree, q: Floats, memory: TreeMemory) -> Floats:
 
 @kernel
 def calc_inverse_dynamics(
-    tree: Tree, q: Floats, v: Floats, acceleration: Floats, memory: TreeMemory
+    tree: TreeTables, q: Floats, v: Floats, acceleration: Floats, memory: TreeMemory
 ) -> Floats:
     """Returns M v̇ + h of each state, shape (K, n)."""
     n = tree.up.size
@@ -54,7 +54,9 @@ def calc_inverse_dynamics(
 
 
 @kernel
-def calc_accelerations(tree: Tree, q: Floats, v: Floats, u: Floats, memory: TreeMemory) -> Floats:
+def calc_accelerations(
+    tree: TreeTables, q: Floats, v: Floats, u: Floats, memory: TreeMemory
+) -> Floats:
     """Returns v̇ of each state, shape (K, n)."""
     found = np.zeros(v.shape)
     for k in range(q.shape[0]):
@@ -65,7 +67,7 @@ def calc_accelerations(tree: Tree, q: Floats, v: Floats, u: Floats, memory: Tree
 
 
 @kernel
-def calc_slopes(tree: Tree, q: Floats, v: Floats, u: Floats, memory: TreeMemory) -> Floats:
+def calc_slopes(tree: TreeTables, q: Floats, v: Floats, u: Floats, memory: TreeMemory) -> Floats:
     """Returns ∂v̇/∂(δ, v, u), shape (n, 2n + nu)."""
     n = tree.up.size
     found = np.zeros(memory.slopes.shape)
@@ -82,7 +84,13 @@ def calc_slopes(tree: Tree, q: Floats, v: Floats, u: Floats, memory: TreeMemory)
 
 @kernel
 def repeat_accelerations(
-    count: int, tree: Tree, q: Floats, v: Floats, u: Floats, has_slopes: bool, memory: TreeMemory
+    count: int,
+    tree: TreeTables,
+    q: Floats,
+    v: Floats,
+    u: Floats,
+    has_slopes: bool,
+    memory: TreeMemory,
 ) -> float:
     """Computes v̇ this often, at velocities that change a little, and returns a sum of them."""
     tree, q, v, u, memory = borrow(tree), borrow(q), borrow(v), borrow(u), borrow(memory)
@@ -95,7 +103,7 @@ def repeat_accelerations(
 
 
 @kernel
-def calc_poses(tree: Tree, q: Floats, memory: TreeMemory) -> tuple[Floats, Floats]:
+def calc_poses(tree: TreeTables, q: Floats, memory: TreeMemory) -> tuple[Floats, Floats]:
     """Returns rotations, by rows, and positions of bodies, shape (B, 9) and (B, 3)."""
     for i in range(tree.parents.size):
         place(tree, i, q, memory)
@@ -111,7 +119,7 @@ def calc_poses(tree: Tree, q: Floats, memory: TreeMemory) -> tuple[Floats, Float
 
 
 @kernel
-def turn_positions(tree: Tree, q: Floats, v: Floats, rate: Floats) -> None:
+def turn_positions(tree: TreeTables, q: Floats, v: Floats, rate: Floats) -> None:
     """Computes q̇ = N(q) v."""
     for i in range(tree.parents.size):
         first, at, kind = tree.dofs[i], tree.positions[i], tree.kinds[i]
@@ -134,12 +142,12 @@ def turn_positions(tree: Tree, q: Floats, v: Floats, rate: Floats) -> None:
 
 
 @kernel
-def add(tree: Tree, q: Floats, delta: Floats, moved: Floats) -> None:
+def add(tree: TreeTables, q: Floats, delta: Floats, moved: Floats) -> None:
     """Computes q ⊕ δ."""
     add_tangent(tree, q, delta, moved)
 
 
 @kernel
-def subtract(tree: Tree, after: Floats, before: Floats, delta: Floats) -> None:
+def subtract(tree: TreeTables, after: Floats, before: Floats, delta: Floats) -> None:
     """Computes the shortest δ with before ⊕ δ = after."""
     subtract_positions(tree, after, before, delta)

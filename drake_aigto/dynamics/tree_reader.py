@@ -12,7 +12,6 @@ from pydrake.multibody.tree import (
     BodyIndex,
     ForceElementIndex,
     Joint,
-    MultibodyForces,
     PrismaticSpring,
     RevoluteSpring,
     SpatialInertia,
@@ -23,7 +22,7 @@ from pydrake.systems.framework import Context
 
 from drake_aigto.arrays import Floats
 from drake_aigto.dynamics.equations import STICTION_SPEED
-from drake_aigto.dynamics.tree import (
+from drake_aigto.dynamics.tree_tables import (
     NUM_VELOCITIES,
     PRISMATIC,
     QUATERNION,
@@ -31,13 +30,9 @@ from drake_aigto.dynamics.tree import (
     RPY,
     SCREW,
     TRANSLATION,
-    Tree,
+    TreeTables,
 )
 from drake_aigto.errors import ModelError
-
-# Largest difference of Drake's forces and the tree's, relative to the largest.
-_TOLERANCE = 1e-9
-_NUM_PROBES = 2  # States at which they are compared: one might agree by chance.
 
 _X, _Y, _Z = np.eye(3)
 
@@ -100,10 +95,8 @@ _CHAINS = {
 }
 
 
-def read_tree(
-    plant: MultibodyPlant, context: Context | None = None, dry_friction: Floats | None = None
-) -> Tree:
-    """Returns the tree of a plant, see `Tree.of`."""
+def read_tables(plant: MultibodyPlant, context: Context, dry_friction: Floats) -> TreeTables:
+    """Returns the tables of a plant, see `Tree.of`."""
     if count := plant.num_constraints():
         raise ModelError(
             "the links of the model",
@@ -111,10 +104,7 @@ def read_tree(
             expected="a tree: one joint between each link and its parent, and nothing else",
             remedy="Leave out the joint or the constraint that closes a loop, or couples joints.",
         )
-    reader = _Reader(plant, context or plant.CreateDefaultContext())
-    tree = reader.build(np.zeros(plant.num_velocities()) if dry_friction is None else dry_friction)
-    _check_forces(plant, tree, reader.context)
-    return tree
+    return _PlantTree(plant, context).build(dry_friction)
 
 
 class _Link(NamedTuple):
@@ -126,12 +116,12 @@ class _Link(NamedTuple):
     frame: RigidTransform
 
 
-class _Reader:
+class _PlantTree:
     """Links of a plant, and bodies with their poses in them."""
 
     def __init__(self, plant: MultibodyPlant, context: Context) -> None:
         """Goes from the world outward."""
-        self.context = context
+        self._context = context
         self._plant = plant
         self._links: list[_Link] = []
         # Of each body by its index: its link, and its pose there.
@@ -169,7 +159,7 @@ class _Reader:
             link, X_LF = len(self._links) - 1, RigidTransform()
         self._places[child] = link, X_LF @ X_BM.inverse()
 
-    def build(self, dry_friction: Floats) -> Tree:
+    def build(self, dry_friction: Floats) -> TreeTables:
         """Returns the tree."""
         links, num_velocities = self._links, self._plant.num_velocities()
         kinds = np.array([link.part.kind for link in links], dtype=np.int64)
@@ -187,7 +177,7 @@ class _Reader:
         stiffnesses, rests = self._read_springs()
         masses, centers, inertias = self._read_inertias()
         bodies = [self._places[i] for i in range(self._plant.num_bodies())]
-        return Tree(
+        return TreeTables(
             parents=parents,
             kinds=kinds,
             positions=_ints(link.joint.position_start() + link.part.position for link in links),
@@ -223,7 +213,7 @@ class _Reader:
         for index, (link, X) in self._places.items():
             if link >= 0:
                 body: Any = self._plant.get_body(BodyIndex(index))
-                inertia = body.CalcSpatialInertiaInBodyFrame(self.context)
+                inertia = body.CalcSpatialInertiaInBodyFrame(self._context)
                 of_link = inertia.ReExpress(X.rotation()).Shift(-X.translation())
                 found[link] += of_link
         masses = np.array([each.get_mass() for each in found], dtype=float)
@@ -264,7 +254,7 @@ class _Reader:
 
     def _read_drives(self) -> tuple[Floats, Floats, Floats]:
         """Returns damping (nv,), armature (nv,) and B (nv, nu), as the plant orders them."""
-        plant, context = self._plant, self.context
+        plant, context = self._plant, self._context
         damping, armature = np.zeros(plant.num_velocities()), np.zeros(plant.num_velocities())
         for joint in {link.joint.index(): link.joint for link in self._links}.values():
             start, count = joint.velocity_start(), joint.num_velocities()
@@ -285,8 +275,8 @@ class _Reader:
         for element in self._list_forces():
             i = place[int(element.joint().index())]
             if isinstance(element, RevoluteSpring):
-                stiffness = element.GetStiffness(self.context)
-                rest = element.GetNominalAngle(self.context)
+                stiffness = element.GetStiffness(self._context)
+                rest = element.GetNominalAngle(self._context)
             else:
                 stiffness, rest = element.stiffness(), element.nominal_position()
             stiffnesses[i] += stiffness
@@ -304,39 +294,17 @@ class _Reader:
             if isinstance(element, (RevoluteSpring, PrismaticSpring)):
                 yield element
             elif not isinstance(element, UniformGravityFieldElement):
-                raise _refuse_force(type(element).__name__)
+                raise refuse_force(type(element).__name__)
 
 
-def _refuse_force(what: str) -> ModelError:
+def refuse_force(what: str) -> ModelError:
+    """Returns the error of a force that a tree has none of."""
     return ModelError(
         what,
         got="a force that is not gravity, a linear spring or damper of a joint",
         remedy="Remove the force (a LinearSpringDamper is a square root: put spring and damping on "
         "a joint).",
     )
-
-
-def _check_forces(plant: MultibodyPlant, tree: Tree, context: Context) -> None:
-    """Refuses forces that are none of a tree's, by the joint that they act on."""
-    rng, kept = np.random.default_rng(1), plant.GetPositionsAndVelocities(context)
-    n, friction = plant.num_velocities(), np.zeros(plant.num_velocities())
-    friction[tree.velocities] = tree.friction
-    bare = tree._replace(friction=np.zeros(n))
-    for _ in range(_NUM_PROBES):
-        v, vdot = rng.uniform(-1.0, 1.0, (2, n))
-        q = bare.add(plant.GetDefaultPositions(), rng.uniform(-1.0, 1.0, n))
-        plant.SetPositions(context, q)
-        plant.SetVelocities(context, v)
-        forces = MultibodyForces(plant)
-        plant.CalcForceElementsContribution(context, forces)
-        expected = plant.CalcInverseDynamics(context, vdot, forces)
-        errors = np.abs(bare.calc_inverse_dynamics(q, v, vdot) - expected)
-        worst = int(np.argmax(errors))
-        if errors[worst] > _TOLERANCE * max(1.0, np.abs(expected).max()):
-            joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
-            joint = next(j for j in joints if 0 <= worst - j.velocity_start() < j.num_velocities())
-            raise _refuse_force(f"joint {joint.name()!r} ({joint.type_name()})")
-    plant.SetPositionsAndVelocities(context, kept)
 
 
 def _ints(values: Any) -> Any:

@@ -28,13 +28,13 @@ from drake_aigto.dynamics.recursions import (
     spread,
 )
 from drake_aigto.dynamics.spatial import add_cross_force, apply_inertia, cross_motion, dot
-from drake_aigto.dynamics.tree import Tree, TreeMemory
+from drake_aigto.dynamics.tree_tables import TreeMemory, TreeTables
 from drake_aigto.kernels import inner
 
 
 @inner
 def accelerate(
-    tree: Tree,
+    tree: TreeTables,
     q: Floats,
     v: Floats,
     u: Floats,
@@ -56,7 +56,7 @@ def accelerate(
 
 
 @inner
-def prepare_slopes(tree: Tree, memory: TreeMemory) -> None:
+def prepare_slopes(tree: TreeTables, memory: TreeMemory) -> None:
     """Computes T of 2B of each link, after `spread`, and before `gather` adds it up."""
     for i in range(tree.parents.size):
         C, V = memory.composites[i], memory.velocities[i]
@@ -79,7 +79,7 @@ def prepare_slopes(tree: Tree, memory: TreeMemory) -> None:
 
 
 @inner
-def differentiate(tree: Tree, eps: float, memory: TreeMemory) -> None:
+def differentiate(tree: TreeTables, eps: float, memory: TreeMemory) -> None:
     """Computes the derivatives of B u − h − M v̇ at the v̇ that is in `force`."""
     n, slopes = tree.up.size, memory.slopes
     _spread_accelerations(tree, memory)
@@ -106,7 +106,7 @@ def differentiate(tree: Tree, eps: float, memory: TreeMemory) -> None:
 
 
 @inner
-def _spread_accelerations(tree: Tree, memory: TreeMemory) -> None:
+def _spread_accelerations(tree: TreeTables, memory: TreeMemory) -> None:
     """Computes accelerations, U, and the forces of single links."""
     for i in range(tree.parents.size):
         parent, A, V = tree.parents[i], memory.accelerations[i], memory.velocities[i]
@@ -132,7 +132,7 @@ def _spread_accelerations(tree: Tree, memory: TreeMemory) -> None:
 
 
 @inner
-def _differentiate_motion(tree: Tree, i: int, s: int, memory: TreeMemory) -> None:
+def _differentiate_motion(tree: TreeTables, i: int, s: int, memory: TreeMemory) -> None:
     """Takes off derivatives by s of forces of links before, and those of s's by them."""
     C, f, n, up = memory.composites[i], memory.forces[i], tree.up.size, tree.up
     S, T, t, slopes = memory.motions[s], memory.turns[s], memory.momenta[s], memory.slopes
