@@ -144,7 +144,7 @@ class FrictionProgram:
         n, m, eps = world.num_positions, world.num_contacts, relaxation[0]
         values = write_sums(world.dynamics_map, casadi.vertcat(q, v))
         mass, bias, gaps, normals = casadi.vertsplit(values, np.cumsum([0, n * n, n, m, m * n]))
-        tangents = write_sums(world.rubbing.soft_tangent_map, q)
+        tangents = write_sums(world.rubbing.tangent_map, q)
         row = casadi.reshape(mass, n, n) @ rate + bias - casadi.DM(world.actuation) @ u
         speed = casadi.fmax(relaxation[1], world.stiction_speed)
         for i in range(m):
@@ -153,6 +153,9 @@ class FrictionProgram:
             if R > 0:
                 apart = casadi.sqrt(casadi.fmax(R**2 + 2 * R * gap, 1e-6 * R**2))
                 gap, lever = apart - R, R / apart
+            r = law.radii[i]
+            deeper = gap / 2 + (gap / R * (r + gap / 2) if R > 0 else 0)
+            T -= deeper * casadi.DM(world.rubbing.spins[i])
             left = 1 - law.dissipation[i] * casadi.dot(J, v) * lever
             left = (left + casadi.sqrt(left**2 + eps**2)) / 2 if law.dissipation[i] else 1
             push = law.stiffness[i] * (casadi.sqrt(gap**2 + eps**2) - gap) / 2 * left * lever

@@ -21,11 +21,13 @@ from .laws import LEAST_RESTITUTION as LEAST_RESTITUTION
 from .laws import CompliantLaw as CompliantLaw
 from .laws import ContactLaw as ContactLaw
 from .laws import RigidLaw as RigidLaw
+from .laws import calc_deeper as calc_deeper
 from .laws import calc_dissipation as calc_dissipation
 from .laws import calc_drag as calc_drag
 from .laws import calc_pushes as calc_pushes
 from .laws import calc_share as calc_share
 from .laws import calc_slips as calc_slips
+from .laws import calc_tangents as calc_tangents
 from .laws import contact_law as contact_law
 from .laws import find_gap as find_gap
 from .laws import find_share as find_share

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
@@ -58,26 +58,35 @@ class CompliantLaw(ArrayRecord):
     (l from center to center, R the sum of radii), that distance takes the place of φ above, and f
     is the force times R/l = ∂l/∂φ, so that Jᵀ f acts on q.
 
+    Friction acts in the middle of the overlap. With the distance ψ of surfaces its lever about a
+    sphere's center is r + ψ/2 in place of r, and l/R times that where J is R/l times too long:
+
+        s = (T − δ W) v R/l,    δ = ψ/2 + ψ/R (r + ψ/2)    (1/R = 0 on a flat wall)
+
+    with T of rigid walls and W of `Rubbing`, and (T − δ W)ᵀ f_t acts on q.
+
     Attributes:
         stiffness: k of each contact, shape (m,) [N/m].
         dissipation: d of each contact, shape (m,) [s/m].
         friction: μ of each contact, shape (m,); none given: zero.
         reaches: R of two spheres that move about each other, else 0, shape (m,) [m]; none given:
             zero.
+        radii: r of the sphere that touches, shape (m,) [m]; none given: zero.
     """
 
     stiffness: Floats
     dissipation: Floats
     friction: Floats = field(default_factory=lambda: np.zeros(0))
     reaches: Floats = field(default_factory=lambda: np.zeros(0))
+    radii: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         """Makes the arrays read-only."""
-        for name in ("friction", "reaches"):
-            if not len(getattr(self, name)):
-                object.__setattr__(self, name, np.zeros_like(self.stiffness))
-        for name in ("stiffness", "dissipation", "friction", "reaches"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        for name in vars(self):
+            value = getattr(self, name)
+            object.__setattr__(
+                self, name, read_only(value if len(value) else np.zeros_like(self.stiffness))
+            )
 
     @property
     def has_friction(self) -> bool:
@@ -131,7 +140,8 @@ def contact_law(world: World, scenario: Scenario) -> ContactLaw:
         return RigidLaw(world.restitutions(scenario), world.friction_coefficients(scenario))
     springs = world.springs
     friction = world.friction_coefficients(scenario)
-    return CompliantLaw(springs.stiffness, springs.dissipation, friction, springs.reaches)
+    radii = np.array([contact.radius for contact in world.contacts])
+    return CompliantLaw(springs.stiffness, springs.dissipation, friction, springs.reaches, radii)
 
 
 def calc_pushes(world: World, law: ContactLaw, q: Floats, v: Floats) -> Floats:
@@ -141,21 +151,33 @@ def calc_pushes(world: World, law: ContactLaw, q: Floats, v: Floats) -> Floats:
     return law.calc_forces(world.calc_signed_distance(q), world.calc_contact_rate(q, v))
 
 
+def calc_tangents(world: World, law: CompliantLaw, q: Floats) -> tuple[Floats, Floats]:
+    """Returns T − δ W of compliant contacts, shape (…, m, n), and R/l, shape (…, m)."""
+    distances = world.calc_signed_distance(q)
+    gaps, _, levers = law.find_gaps(distances, distances)
+    curvatures = np.divide(1.0, law.reaches, out=np.zeros_like(law.reaches), where=law.reaches > 0)
+    deeper = _calc_deeper(curvatures, law.radii, gaps)[..., np.newaxis]
+    return world.rubbing.calc_tangent_jacobian(q) - deeper * world.rubbing.spins, levers
+
+
+def _calc_deeper(curvature: Any, radius: Any, gap: Any) -> Any:
+    """Returns δ, by which a sphere's lever is longer [m], of 1/R, r and ψ."""
+    return gap / 2 + curvature * gap * (radius + gap / 2)
+
+
 def calc_slips(world: World, law: ContactLaw, q: Floats, v: Floats) -> Floats:
-    """Returns s, shape (…, m) [m/s]: T v, and T v R/l of compliant spheres about each other."""
+    """Returns s, shape (…, m) [m/s]: T v of rigid contacts, see `CompliantLaw` for others."""
     if isinstance(law, RigidLaw):
         return world.rubbing.calc_slips(q, v)
-    slips = world.rubbing.calc_slips(q, v, is_compliant=True)
-    if law.reaches.any():
-        slips *= calc_levers(law.reaches, world.calc_signed_distance(q))
-    return slips
+    T, levers = calc_tangents(world, law, q)
+    return (T @ v[..., np.newaxis])[..., 0] * levers
 
 
 def calc_drag(world: World, law: ContactLaw, q: Floats, v: Floats, forces: Floats) -> Floats | None:
     """Returns friction of compliant contacts as forces on q, −Tᵀ μ f σ(s / v_s), shape (…, n) [N].
 
-    None where no such contact has friction. T is that of `Rubbing.soft_tangents`, s of
-    `calc_slips`, σ of `calc_friction_share`.
+    None where no such contact has friction. T is that of `calc_tangents`, s of `calc_slips`, σ of
+    `calc_friction_share`.
 
     Args:
         world: has T.
@@ -166,8 +188,9 @@ def calc_drag(world: World, law: ContactLaw, q: Floats, v: Floats, forces: Float
     """
     if isinstance(law, RigidLaw) or not law.has_friction:
         return None
-    T = world.rubbing.calc_tangent_jacobian(q, is_compliant=True)
-    shares = calc_friction_share(calc_slips(world, law, q, v), world.stiction_speed)
+    T, levers = calc_tangents(world, law, q)
+    slips = (T @ v[..., np.newaxis])[..., 0] * levers
+    shares = calc_friction_share(slips, world.stiction_speed)
     return -((law.friction * forces * shares)[..., np.newaxis, :] @ T)[..., 0, :]
 
 
@@ -193,7 +216,7 @@ def calc_dissipation(restitution: float, speed: float) -> float:
     return -math.expm1(-z) / e / speed
 
 
-_bend = inner(smooth_sign)
+_bend, _deepen = inner(smooth_sign), inner(_calc_deeper)
 
 
 @inner
@@ -219,3 +242,9 @@ def find_gap(reach: float, distance: float) -> tuple[float, float]:
         return distance, 1.0
     apart = np.sqrt(max(reach**2 + 2.0 * reach * distance, NO_ROOM))
     return apart - reach, reach / apart
+
+
+@inner
+def calc_deeper(reach: float, radius: float, gap: float) -> float:
+    """Returns δ at a distance ψ of surfaces (`CompliantLaw`) [m]."""
+    return _deepen(1.0 / reach if reach > 0.0 else 0.0, radius, gap)

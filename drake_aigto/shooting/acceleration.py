@@ -10,13 +10,22 @@ from numpy.typing import NDArray
 from pydrake.symbolic import Expression
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.contact import CompliantLaw, ContactLaw, calc_share, find_gap
+from drake_aigto.contact import (
+    CompliantLaw,
+    ContactLaw,
+    calc_deeper,
+    calc_share,
+    calc_tangents,
+    find_gap,
+)
 from drake_aigto.kernels import inner, kernel, pasted
 from drake_aigto.shooting.tables import (
     BRAKE,
     COEFFICIENT,
     PACE,
+    RADIUS,
     SOURCE,
+    SPIN,
     STICTION,
     Mechanics,
     MechanicsMemory,
@@ -264,19 +273,33 @@ def _add_friction(mechanics: Mechanics, x: Floats, eps: float, memory: Mechanics
     row = find_row(n, m, m)
     for r in range(frictions.shape[0]):
         slip, normal, lever = 0.0, 1.0, 1.0
-        for j in range(n):
-            slip += sums[row + j] * x[n + j]
         source = int(frictions[r, SOURCE])
         if source >= 0:
             normal, lever = force[source, 0], force[source, 3]
+            _deepen(r, source, mechanics, memory)
+        for j in range(n):
+            slip += (sums[row + j] - drag[r, 3] * frictions[r, SPIN + j]) * x[n + j]
         speed = np.sqrt(frictions[r, STICTION] ** 2 + (eps * frictions[r, PACE]) ** 2)
         share, slope = calc_share(lever * slip / speed)
         drag[r, 2] = -frictions[r, COEFFICIENT] * share
         drag[r, 0] = drag[r, 2] * normal
         drag[r, 1] = -frictions[r, COEFFICIENT] * normal * slope * lever / speed
         for j in range(n):
-            memory.acceleration[0, j] += drag[r, 0] * sums[row + j]
+            along = sums[row + j] - drag[r, 3] * frictions[r, SPIN + j]
+            memory.acceleration[0, j] += drag[r, 0] * along
         row += n
+
+
+@inner
+def _deepen(r: int, source: int, mechanics: Mechanics, memory: MechanicsMemory) -> None:
+    """Computes δ of a friction's contact and dδ/dφ; zero between rigid walls."""
+    reach, radius = mechanics.contacts[source, 3], mechanics.frictions[r, RADIUS]
+    if mechanics.contacts[source, 0] > 0.0:
+        n, m = memory.acceleration.shape[1], mechanics.contacts.shape[0]
+        gap, lever = find_gap(reach, memory.sums[find_row(n, m, 0) - m + source])
+        memory.drag[r, 3] = calc_deeper(reach, radius, gap)
+        slope = 0.5 + ((radius + gap) / reach if reach > 0.0 else 0.0)
+        memory.drag[r, 4] = slope * lever
 
 
 @pasted
@@ -290,30 +313,35 @@ def _differentiate_friction(mechanics: Mechanics, x: Floats, memory: MechanicsMe
         source = int(frictions[r, SOURCE])
         for c in range(n):
             rate, slip, by_normal, by_speed = 0.0, 0.0, 0.0, 0.0
-            for j in range(n):
-                rate += sums[turn + j * n + c] * x[n + j]
-                slip += sums[row + j] * x[n + j]
-                slopes[c, j] += drag[r, 0] * sums[turn + j * n + c]
+            normal, deepening = find_row(n, m, max(source, 0)), 0.0
             if source >= 0:
-                normal = find_row(n, m, source)
+                deepening = drag[r, 4] * sums[normal + c]
+            for j in range(n):
+                bend = sums[turn + j * n + c] - deepening * frictions[r, SPIN + j]
+                rate += bend * x[n + j]
+                slip += (sums[row + j] - drag[r, 3] * frictions[r, SPIN + j]) * x[n + j]
+                slopes[c, j] += drag[r, 0] * bend
+            if source >= 0:
                 bends = find_slope(n, m, m + count, source, 0, 0)
                 by_normal = force[source, 1] * sums[normal + c]
                 for j in range(n):
                     by_normal += force[source, 2] * sums[bends + triangle(n, j, c)] * x[n + j]
                 by_speed = force[source, 2] * sums[normal + c]
                 rate += slip * force[source, 4] / force[source, 3] * sums[normal + c]
+            along = sums[row + c] - drag[r, 3] * frictions[r, SPIN + c]
             by_position = drag[r, 1] * rate + drag[r, 2] * by_normal
-            by_velocity = drag[r, 1] * sums[row + c] + drag[r, 2] * by_speed
+            by_velocity = drag[r, 1] * along + drag[r, 2] * by_speed
             for j in range(n):
-                slopes[c, j] += by_position * sums[row + j]
-                slopes[n + c, j] += by_velocity * sums[row + j]
+                along = sums[row + j] - drag[r, 3] * frictions[r, SPIN + j]
+                slopes[c, j] += by_position * along
+                slopes[n + c, j] += by_velocity * along
         row, turn = row + n, turn + n * n
 
 
 class FrictionTerm(NamedTuple):
     """Friction of a joint or contact, −Tᵀ c N σ(s / w), with s = T(q) v (`calc_friction_share`).
 
-    Of two spheres that move about each other, s is T v R/l (see `CompliantLaw`).
+    Of compliant contacts s is (T − δ W) v R/l (see `CompliantLaw`).
 
     Its stiction speed w is that of the world, smoothed over a length ε as contact forces are, and
     no slower than its change of s in one Runge-Kutta step h, lest steps oscillate about rest: w² =
@@ -323,7 +351,7 @@ class FrictionTerm(NamedTuple):
         row: T(q).
         numbers: the contact of the force N, or −1 for N = 1; c; v_s [m/s, rad/s]; deceleration a
             of s [m/s², rad/s²], for contacts per speed of approach [1/s]; 1/T [1/s], which a
-            program sets (`fit_to_steps`).
+            program sets (`fit_to_steps`); radius r; and W, n numbers.
     """
 
     row: Row
@@ -332,12 +360,13 @@ class FrictionTerm(NamedTuple):
 
 def list_friction(world: World, law: ContactLaw) -> list[FrictionTerm]:
     """Returns the friction of a world's joints and walls; that of rigid walls is for impacts."""
+    n = world.num_velocities
     frictions = [] if world.dry_friction is None else list(_list_dry(world, world.dry_friction))
     if isinstance(law, CompliantLaw) and law.has_friction:
         frictions += _list_touching(world, law)
     elif law.has_friction:
         for i in np.flatnonzero(law.friction).tolist():
-            numbers = float(i), law.friction[i], world.stiction_speed, 0.0, 0.0
+            numbers = float(i), law.friction[i], world.stiction_speed, *[0.0] * (3 + n)
             frictions.append(FrictionTerm(world.rubbing.tangents[i], numbers))
     return frictions
 
@@ -345,25 +374,29 @@ def list_friction(world: World, law: ContactLaw) -> list[FrictionTerm]:
 def _list_dry(world: World, friction: Floats) -> Iterator[FrictionTerm]:
     along = np.vectorize(Expression)(np.eye(len(friction)))
     mobility = np.diag(np.linalg.inv(world.calc_mass_matrix(world.plant.GetDefaultPositions())))
+    none = [0.0] * (2 + len(friction))
     for i in np.flatnonzero(friction > 0).tolist():
         F = friction[i]
-        yield FrictionTerm(along[i], (-1.0, F, world.stiction_speed, F * mobility[i], 0.0))
+        yield FrictionTerm(along[i], (-1.0, F, world.stiction_speed, F * mobility[i], *none))
 
 
 def _list_touching(world: World, law: CompliantLaw) -> Iterator[FrictionTerm]:
     """Yields the friction of compliant contacts, decelerations per speed of approach."""
     q = world.plant.GetDefaultPositions()
-    J, T = world.calc_contact_jacobian(q), world.rubbing.calc_tangent_jacobian(q, is_compliant=True)
-    M = world.calc_mass_matrix(q)
+    J, (T, _), M = (
+        world.calc_contact_jacobian(q),
+        calc_tangents(world, law, q),
+        world.calc_mass_matrix(q),
+    )
     along, across = (np.einsum("ij,ji->i", A, np.linalg.solve(M, A.T)) for A in (T, J))
     rates = law.friction * np.sqrt(law.stiffness) * along / np.sqrt(np.maximum(across, along))
     for i in np.flatnonzero(law.friction > 0).tolist():
-        numbers = float(i), law.friction[i], world.stiction_speed, rates[i], 0.0
-        yield FrictionTerm(world.rubbing.soft_tangents[i], numbers)
+        numbers = float(i), law.friction[i], world.stiction_speed, rates[i], 0.0, law.radii[i]
+        yield FrictionTerm(world.rubbing.tangents[i], (*numbers, *world.rubbing.spins[i]))
 
 
 def fit_to_steps(frictions: Floats, step: float, duration: float, speed: float) -> Floats:
-    """Returns the numbers of frictions, shape (R, 5), for Runge-Kutta steps of a length [s].
+    """Returns the numbers of frictions, shape (R, 6 + n), for Runge-Kutta steps of a length [s].
 
     Contacts are approached at about the speed [m/s].
     """

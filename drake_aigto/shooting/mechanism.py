@@ -18,6 +18,7 @@ from drake_aigto.shooting.hold import hold
 from drake_aigto.shooting.tables import (
     COEFFICIENT,
     SOURCE,
+    SPIN,
     Mechanics,
     MechanicsMemory,
     copy_writable,
@@ -199,7 +200,9 @@ class Mechanism:
             actuation=world.actuation,
             contacts=contacts,
             solids=np.cumsum([0, *map(len, world.solids)], dtype=np.int64),
-            frictions=np.array([term.numbers for term in frictions]).reshape(-1, 5),
+            frictions=np.reshape(
+                [term.numbers for term in frictions], (-1, SPIN + world.num_velocities)
+            ),
         )
         is_other = world.are_of_one_solid & ~np.eye(world.num_contacts, dtype=bool)
         radii = [contact.radius for contact in world.contacts]

@@ -15,7 +15,8 @@ FLOW, START = -1, -2
 EXACT, MODULO, CHORDAL = 0, 1, 2
 
 # In `FrictionTerm.numbers` and `Mechanics.frictions`.
-SOURCE, COEFFICIENT, STICTION, BRAKE, PACE = range(5)
+# Radius and spins are those of `CompliantLaw`, n of them.
+SOURCE, COEFFICIENT, STICTION, BRAKE, PACE, RADIUS, SPIN = range(7)
 
 
 class Mechanics(NamedTuple):
@@ -34,7 +35,7 @@ class Mechanics(NamedTuple):
     # each contact, shape (m, 4).
     contacts: Floats
     solids: Ints  # where the contacts of each solid start, shape (S + 1,)
-    frictions: Floats  # shape (R, 5), see `FrictionTerm`
+    frictions: Floats  # shape (R, 6 + n), see `FrictionTerm`
 
 
 class MechanicsMemory(NamedTuple):
@@ -46,7 +47,9 @@ class MechanicsMemory(NamedTuple):
     # Force of each contact, its derivatives by φ and φ̇, ∂l/∂φ (see `CompliantLaw`) and its
     # derivative by φ, shape (m, 5).
     force: Floats
-    drag: Floats  # each friction force, and its derivatives by s and N, shape (R, 3)
+    # Each friction force, its derivatives by s and N, δ (see `CompliantLaw`) and its derivative by
+    # φ, shape (R, 5).
+    drag: Floats
     acceleration: Floats  # v̇, shape (1, n)
     slopes: Floats  # ∂v̇/∂(q, v, u), transposed, shape (2n + nu, n)
     # M⁻¹ D_kᵀ, M⁻¹ Dᵀ λ, and its derivative by q at constant λ, transposed, shape (w + 1 + n, n).
@@ -229,7 +232,7 @@ def make_mechanics_memory(mechanics: Mechanics) -> MechanicsMemory:
         sums=mechanics.constants.copy(),
         factor=np.zeros((n, n)),
         force=np.zeros((m, 5)),
-        drag=np.zeros((len(mechanics.frictions), 3)),
+        drag=np.zeros((len(mechanics.frictions), 5)),
         acceleration=np.zeros((1, n)),
         slopes=np.zeros((2 * n + nu, n)),
         support=np.zeros((w + 1 + n, n)),

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints, read_only
-from drake_aigto.contact import CompliantLaw, dot, find_gap, find_share
+from drake_aigto.contact import CompliantLaw, calc_deeper, dot, find_gap, find_share
 from drake_aigto.dynamics import divide_by_masses, evaluate_sums
 from drake_aigto.kernels import kernel
 from drake_aigto.simulation.recording import Controller, Impact, Recording
@@ -175,6 +175,8 @@ class SpringTables(NamedTuple):
         dissipation: see there.
         friction: see there.
         reaches: see there.
+        radii: see there.
+        spins: W of `Rubbing`, shape (m, n).
         dry_friction: of each coordinate, shape (n,) [N, N m].
         stiction_speed: v_s [m/s, rad/s].
     """
@@ -185,6 +187,8 @@ class SpringTables(NamedTuple):
     dissipation: Floats
     friction: Floats
     reaches: Floats
+    radii: Floats
+    spins: Floats
     dry_friction: Floats
     stiction_speed: float
 
@@ -225,6 +229,9 @@ def calc_spring_rates(x: Floats, actuation: Floats, pressed: Bools, tables: Spri
             if not has_tangents:
                 tangents = evaluate_sums(q.reshape(1, -1), *tables.tangents)[0].reshape(m, n)
                 has_tangents = True
+            for i in range(n):  # Each row is of one contact.
+                deeper = calc_deeper(tables.reaches[c], tables.radii[c], gap)
+                tangents[c, i] -= deeper * tables.spins[c, i]
             share = find_share(dot(tangents, c, v) * lever / tables.stiction_speed)
             drag = tables.friction[c] * push * share
         for i in range(n):
@@ -249,11 +256,13 @@ def compile_springs(world: World, law: CompliantLaw) -> SpringRates:
     none = np.zeros(world.num_velocities)
     tables = SpringTables(
         dynamics=dynamics,
-        tangents=world.rubbing.soft_tangent_map.tables if law.has_friction else dynamics,
+        tangents=world.rubbing.tangent_map.tables if law.has_friction else dynamics,
         stiffness=law.stiffness,
         dissipation=law.dissipation,
         friction=law.friction,
         reaches=law.reaches,
+        radii=law.radii,
+        spins=world.rubbing.spins,
         dry_friction=read_only(none if dry is None else dry),
         stiction_speed=world.stiction_speed,
     )

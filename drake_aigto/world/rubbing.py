@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,9 @@ from drake_aigto.world.plant_reader import TooManySamples, interpolate
 # Parts of the largest entry below this are rounding.
 _ROUNDING = 1e-9
 _NUM_PROBES = 4  # Positions at which directions and sums are looked at.
+
+# T(q), shape (nv,) Expressions, and W, shape (nv,).
+_Tangent: TypeAlias = tuple[NDArray[Any], Floats]
 
 
 class Rubbing:
@@ -99,33 +102,34 @@ class Rubbing:
         That of the sphere's material where it touches, as the face sees it, along the one direction
         in which it can slide (`_read_tangent`). Zero where it can't, or can in two.
         """
-        return self._stack(self._tangents)
+        rows = [None if each is None else each[0] for each in self._tangents]
+        return self._stack(rows)
 
     @cached_property
-    def soft_tangents(self) -> NDArray[Any]:
-        """The same of compliant walls: at the point on which the plant's contact force acts."""
-        return self._stack(self._read_tangents(is_compliant=True))
+    def spins(self) -> Floats:
+        """W of each contact, shape (m, n): a sphere turns by e · ω = W v about the axis of sliding.
 
-    def calc_tangent_jacobian(self, q: Floats, is_compliant: bool = False) -> Floats:
-        """Returns T(q), shape (…, m, n), at q of shape (…, nq), of rigid or of compliant walls."""
-        return self.soft_tangent_map(q) if is_compliant else self._tangent_map(q)
+        T is for the lever r; for one that is longer by δ it is T − δ W.
+        """
+        rows = [np.zeros(self._v.size) if each is None else each[1] for each in self._tangents]
+        return read_only(np.reshape(rows, (-1, self._v.size)))
 
-    def calc_slips(self, q: Floats, v: Floats, is_compliant: bool = False) -> Floats:
-        """Returns s = T v, shape (…, m) [m/s], of rigid or of compliant walls."""
-        return (self.calc_tangent_jacobian(q, is_compliant) @ v[..., np.newaxis])[..., 0]
+    def calc_tangent_jacobian(self, q: Floats) -> Floats:
+        """Returns T(q), shape (…, m, n), at q of shape (…, nq)."""
+        return self.tangent_map(q)
+
+    def calc_slips(self, q: Floats, v: Floats) -> Floats:
+        """Returns s = T v, shape (…, m) [m/s], of rigid walls."""
+        return (self.calc_tangent_jacobian(q) @ v[..., np.newaxis])[..., 0]
 
     def calc_tangent_bias(self, q: Floats, v: Floats) -> Floats:
         """Returns Ṫ v, which makes ṡ = T v̇ + Ṫ v, (…, m) [m/s²], at q (…, nq), v (…, n)."""
         return self._turning_map(q, v)
 
     @cached_property
-    def _tangent_map(self) -> SumMap:
+    def tangent_map(self) -> SumMap:
+        """T(q), shape (m, n)."""
         return SumMap(self.tangents, self._q)
-
-    @cached_property
-    def soft_tangent_map(self) -> SumMap:
-        """T(q) of compliant walls, shape (m, n)."""
-        return SumMap(self.soft_tangents, self._q)
 
     @cached_property
     def _turning_map(self) -> SumMap:
@@ -218,12 +222,9 @@ class Rubbing:
         )
 
     @cached_property
-    def _tangents(self) -> list[NDArray[Any] | None]:
-        return self._read_tangents(is_compliant=False)
-
-    def _read_tangents(self, is_compliant: bool) -> list[NDArray[Any] | None]:
+    def _tangents(self) -> list[_Tangent | None]:
         faces = self._faces[: self._num_contacts]
-        return [_read_tangent(self._plant, face, self._q, is_compliant) for face in faces]
+        return [_read_tangent(self._plant, face, self._q) for face in faces]
 
     def _stack(self, rows: Sequence[NDArray[Any] | None]) -> NDArray[Any]:
         """Returns rows as an array, zero where there is none."""
@@ -242,48 +243,37 @@ class Rubbing:
         return {face.shapes[0] for face, mu in pairs if mu.static_friction() > 0}
 
 
-def _read_tangent(
-    plant: MultibodyPlant, face: SphereAndFace, q: NDArray[Any], is_compliant: bool
-) -> NDArray[Any] | None:
-    """Returns T(q), the slip velocity s = T v of a sphere on a face, shape (nv,) Expressions.
+def _read_tangent(plant: MultibodyPlant, face: SphereAndFace, q: NDArray[Any]) -> _Tangent | None:
+    """Returns T(q) of a sphere on a face, shape (nv,) Expressions, and W.
 
-    Of the sphere's body S as the face's body sees it, with the velocity v_C of the sphere's center
-    and the angular velocity ω,
+    The slip velocity is s = T v. Of the sphere's body S as the face's body sees it, with the
+    velocity v_C of the sphere's center and the angular velocity ω,
 
-        s = d · (v_C − l ω × n),    l = r,    or r + φ/2 if compliant,
+        s = d · v_C − r e · ω,    d = e × n,    e · ω = W v,
 
-    n being the face's normal and d the direction of sliding, which is fixed in the face. The second
-    lever is that of the point at which the contact force of Drake's continuous plant acts, in the
-    middle of the overlap. Two spheres that move about each other have n = p/R, with p from center
-    to center and R the sum of radii, and d = e × n about the normal e of the plane of motion:
-
-        s = d · v_C − l e · ω,    l = r,    or r + R x + (r − R/2)(x − x²/2) if compliant,
-
-    x = φ/R, which is (R + ψ)/R (r + ψ/2) up to terms of third order in the distance ψ of their
-    surfaces. Compliant ones slip by s R/(R + ψ).
+    n being the face's normal and d the direction of sliding, which is fixed in the face. Two
+    spheres that move about each other have n = p/R, with p from center to center and R the sum of
+    radii, and e is the normal of the plane of motion. Compliant shapes overlap, which changes the
+    lever r (`CompliantLaw`).
 
     Args:
         plant: whose joints move both.
         face: the sphere and the face.
         q: the variables, shape (nq,).
-        is_compliant: whether the shapes are, and overlap.
 
     Returns:
-        T; zeros where nothing can slide, and None if there is more than one direction.
+        T and W; zeros where nothing can slide, and None if there is more than one direction.
 
     Raises:
         ModelError: it depends on too many joints.
     """
     motion = _SphereMotion(plant, face)
-    if motion.is_off_line:
-        rates = motion.find_turning(is_compliant)
-    else:
-        rates = motion.find_sliding(0.5 if is_compliant else 0.0)
-    if rates is None:
+    found = motion.find_turning() if motion.is_off_line else motion.find_sliding()
+    if found is None:
         return None
-    degree = (4 if is_compliant else 2) if motion.is_off_line else 1
+    rates, axis = found
     try:
-        tangent = tidy(interpolate(rates, q, find_hinges(plant), degree))
+        tangent = tidy(interpolate(rates, q, find_hinges(plant), 1 + motion.is_off_line))
     except TooManySamples as error:
         raise ModelError(
             f"the slip velocity of {face.pair}",
@@ -292,9 +282,11 @@ def _read_tangent(
             remedy="Fix joints by the scenario's fixed_joints, or leave friction out.",
         ) from None
     compiled, probes = SumMap(tangent, q), motion.probes
+    spins = np.array([motion.calc_spin(probe, axis) for probe in probes])
     errors = [np.max(np.abs(compiled(probe) - rates(probe))) for probe in probes]
+    errors.append(np.max(np.abs(spins - spins[0])))
     size = max(np.max(np.abs(rates(probe))) for probe in probes)
-    return tangent if max(errors) <= _ROUNDING * max(1.0, size) else None
+    return (tangent, spins[0]) if max(errors) <= _ROUNDING * max(1.0, size) else None
 
 
 class _SphereMotion:
@@ -309,26 +301,20 @@ class _SphereMotion:
         # Two spheres are no flat wall to each other, unless on one line.
         self.is_off_line = face.is_ball and bool(np.any(np.abs(centers[:, :2]) > _ROUNDING))
 
-    def find_sliding(self, share: float) -> Callable[[Floats], Floats] | None:
-        """Returns q → T along the one direction in a flat face, or None if there are two.
-
-        The lever is r and this share of φ.
-        """
-        n = self._plant.num_velocities()
-
-        def calc_slip(q: Floats) -> Floats:
-            lever = self._face.radius + share * (self._calc_center(q)[2] - self._face.radius)
-            return self._calc_point(q, lever)[:2]
-
-        slips = np.hstack([calc_slip(q) for q in self.probes])
+    def find_sliding(self) -> tuple[Callable[[Floats], Floats], Floats] | None:
+        """Returns q → T along the one direction in a flat face, and e; None if there are two."""
+        n, none = self._plant.num_velocities(), np.zeros(3)
+        slips = np.hstack([self._calc_point(q)[:2] for q in self.probes])
         directions, sizes, _ = np.linalg.svd(slips, full_matrices=False)
         if sizes[0] <= _ROUNDING:
-            return lambda q: np.zeros(n)
-        direction = _point(directions[:, 0])
-        return None if sizes[1] > _ROUNDING * sizes[0] else lambda q: direction @ calc_slip(q)
+            return lambda q: np.zeros(n), none
+        if sizes[1] > _ROUNDING * sizes[0]:
+            return None
+        d = _point(directions[:, 0])
+        return lambda q: d @ self._calc_point(q)[:2], np.array([-d[1], d[0], 0.0])
 
-    def find_turning(self, is_compliant: bool) -> Callable[[Floats], Floats] | None:
-        """Returns q → T of two spheres that move about each other; None if not in one plane."""
+    def find_turning(self) -> tuple[Callable[[Floats], Floats], Floats] | None:
+        """Returns q → T of two spheres about each other, and e; None if not in one plane."""
         face = self._face
         middle, R = np.array([0.0, 0.0, -face.wall_radius]), face.sum_of_radii
         arms = np.array([self._calc_center(q) - middle for q in self.probes])
@@ -341,23 +327,24 @@ class _SphereMotion:
 
         def calc_slip(q: Floats) -> Floats:
             turning, moving = self._calc_rates(q)
-            arm = self._calc_center(q) - middle
-            d, lever = np.cross(e, arm) / R, face.radius
-            if is_compliant:
-                x, share = (arm @ arm / R**2 - 1) / 2, face.radius - R / 2
-                lever += R * x + share * (x - x**2 / 2)
-            return np.asarray(d @ moving - lever * (e @ turning))
+            d = np.cross(e, self._calc_center(q) - middle) / R
+            return np.asarray(d @ moving - face.radius * (e @ turning))
 
-        return calc_slip
+        return calc_slip, e
+
+    def calc_spin(self, q: Floats, axis: Floats) -> Floats:
+        """Returns W, by which the sphere turns about an axis e in the face's frame, shape (nv,)."""
+        return np.asarray(axis @ self._calc_rates(q)[0])
 
     def can_slide(self) -> bool:
         """Returns whether the sphere's point of contact can move along the face."""
-        rates = self._calc_point(find_anywhere(self._plant), self._face.radius)
+        rates = self._calc_point(find_anywhere(self._plant))
         return bool(np.any(np.abs(rates[:2]) > _ROUNDING * np.max(np.abs(rates), initial=0.0)))
 
-    def _calc_point(self, q: Floats, lever: float) -> Floats:
+    def _calc_point(self, q: Floats) -> Floats:
         """Returns the Jacobian of the point below the center, in the face's frame, (3, nv)."""
         turning, moving = self._calc_rates(q)
+        lever = self._face.radius
         return moving - lever * np.stack([turning[1], -turning[0], 0.0 * turning[2]])
 
     def _calc_center(self, q: Floats) -> Floats:
