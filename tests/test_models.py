@@ -621,6 +621,50 @@ def test_materials_replace_those_of_a_diagram_in_a_copy_of_it() -> None:
         World.from_diagram(diagram, material={"wall": {"stiffness": 3e5}})
 
 
+BRICK = """<robot name="brick"><link name="world"/>
+  <link name="cart">INERTIAL
+    <collision name="brick"><geometry><box size="2 1 0.2"/></geometry></collision></link>
+  <link name="arm">INERTIAL</link>
+  <link name="tip">INERTIAL
+    <collision name="tip"><geometry><sphere radius="0.1"/></geometry></collision></link>
+  <joint name="x" type="prismatic"><parent link="world"/><child link="cart"/>
+    <axis xyz="1 0 0"/><limit effort="9" lower="-0.4" upper="0.4" velocity="9"/></joint>
+  <joint name="y" type="prismatic"><parent link="world"/><child link="arm"/>
+    <axis xyz="1 0 0"/><limit effort="9" lower="-0.5" upper="UPPER" velocity="9"/></joint>
+  <joint name="z" type="prismatic"><parent link="arm"/><child link="tip"/>
+    <axis xyz="0 0 1"/><limit effort="9" lower="0.15" upper="1" velocity="9"/></joint>
+  MORE</robot>"""
+
+
+def test_of_a_moving_brick_one_face_counts_where_limits_say_so(tmp_path: Path) -> None:
+    soft = {"*": {"stiffness": 1e4, "dissipation": 0.1, "friction": 0.0}}
+    fields: dict[str, Any] = {"contact": "compliant", "material": soft, "goal_weight": np.ones(3)}
+    fields |= {"initial_position": [0.0, 0.0, 0.5], "goal_position": [0.1, 0.0, 0.5]}
+    fields |= {"ignored_shapes": ()}
+    world = make(write(tmp_path / "brick.urdf", BRICK, UPPER="0.5"), 3, **fields)
+    assert [contact.name for contact in world.contacts] == ["tip against cart"]
+    q = np.array([0.3, -0.5, 0.21])
+    np.testing.assert_allclose(world.calc_signed_distance(q), [0.01], atol=1e-12)
+    model = write(tmp_path / "brick.urdf", BRICK, UPPER="0.7")
+    with pytest.raises(ModelError, match=r"several faces .*Take contact: rigid.*\[brick::brick\]"):
+        make(model, 3, **fields)
+    assert len(make(model, 3, **{**fields, "contact": "rigid"}).contacts) > 1
+
+
+def test_bounds_that_a_motion_touches_are_named_with_their_origin(arm: Any) -> None:
+    world = arm()
+    ends = dict.fromkeys(("initial_position", "initial_velocity", "goal_position"), [0, 0])
+    asked: Any = {**ends, "control_upper": 4.0, "velocity_lower": -1.0}
+    scenario = Scenario(model=world.model or "", **asked)
+    q, v = np.array([[0.0, 0.0], [9.0, np.deg2rad(120)]]), np.array([[0.0, -1.0], [5.0, 1.0]])
+    active = world.limits.active_items(world.plant, scenario, q, v, np.array([[-10.0], [3.0]]))
+    assert active == [
+        "position of arm_elbow_q at most 2.0944 (model)",
+        "velocity of arm_elbow_w at least -1 (scenario)",
+        "control of arm_motor at least -10 (model)",
+    ]
+
+
 @pytest.mark.slow
 def test_two_poles_on_a_cart_are_carried_along_upright(tmp_path: Path) -> None:
     found = plan(carry_double_pendulum(tmp_path))

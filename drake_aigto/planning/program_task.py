@@ -46,7 +46,7 @@ from drake_aigto.simulation import (
 )
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Transcription, calc_cost, largest_defect
-from drake_aigto.world import Scales, World
+from drake_aigto.world import Scales, Scenario, World
 
 _LOG = logging.getLogger(__name__)
 
@@ -225,6 +225,11 @@ class ProgramTask(ABC):
     def world(self) -> World:
         """The world of the task."""
         return self.transcription.world
+
+    @property
+    def scenario(self) -> Scenario:
+        """The task's question."""
+        return self.transcription.scenario
 
     @property
     def sources(self) -> str:

@@ -61,6 +61,10 @@ class Task(Protocol):
         """The world of the task."""
 
     @property
+    def scenario(self) -> Scenario:
+        """The task's question."""
+
+    @property
     def options(self) -> SearchOptions:
         """Numerics."""
 
@@ -227,15 +231,26 @@ class Search(ABC):
         if not feasible:
             polished = [scaled_defects(each.defects, each.scales) for each in self.ranked()]
             nearest = min(polished, key=lambda by: max(by.values()), default={"rows": math.inf})
+            best = self.ranked()[polished.index(nearest)] if polished else None
             missed = [name for name, by in nearest.items() if by > LARGEST_DEFECT]
             raise PlanningError(
                 "no candidate meets the transcription's rows",
                 got=f"{len(polished)} candidates from {self.task.sources}, "
                 f"the smallest defect {max(nearest.values()):.1e}, in {', '.join(missed)}",
                 expected=f"at most {LARGEST_DEFECT:g} of the task's scales",
-                remedy=self.task.remedy,
+                remedy=f"{self._name_active(best)}{self.task.remedy}",
             )
         return feasible
+
+    def _name_active(self, candidate: Candidate | None) -> str:
+        """Returns a sentence of the bounds that a candidate touches, empty where there are none."""
+        world, scenario = self.task.world, self.task.scenario
+        if candidate is None or not world.bounds(scenario).are_any:
+            return ""
+        motion = candidate.trajectory
+        arrays = motion.positions, motion.velocities, motion.controls
+        active = world.limits.active_items(world.plant, scenario, *arrays)
+        return f"These bounds are active: {'; '.join(active)}. " if active else ""
 
     def confirm(self, candidate: Candidate) -> bool:
         """Replays a candidate's control, and returns whether the replays confirm it.

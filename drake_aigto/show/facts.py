@@ -35,6 +35,7 @@ from drake_aigto.show.text import (
     sequence_text,
     time_text,
     touch_names,
+    way_text,
     weight_text,
 )
 from drake_aigto.simulation import Replay
@@ -261,7 +262,7 @@ def _simulation(plan: Plan, replay: Replay, world: World, delay: float | None) -
     cost = cost_text(replay.cost, 3, plan.best.scales.cost)
     yield f"{name_simulator(replay, names)}: {'confirms' if confirms else 'contradicts'} the plan"
     yield f"cost {cost}{describe_difference(plan.cost, replay)}"
-    known = f" (its compliance explains {length_text(replay.compliance_error)})"
+    known = f" (its compliance explains {way_text(replay.compliance_error, world)})"
     known = known if replay.compliance_error else ""
     yield f"ends {miss_text(replay, plan.scenario, world)} off the goal{known}"
     yield f"deepest penetration {length_text(replay.max_penetration)}"

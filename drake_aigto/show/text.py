@@ -253,6 +253,13 @@ def angle_text(radians: float) -> str:
     return f"{length_text(radians)[:-1]}rad"
 
 
+def way_text(way: float, world: World) -> str:
+    """Returns the norm of a way of all coordinates, in the unit of them all."""
+    if len(set(world.is_hinge.tolist())) > 1:
+        return f"{way:.1e} {world.position_unit}"
+    return angle_text(way) if world.is_hinge.all() else length_text(way)
+
+
 def time_text(seconds: float) -> str:
     """Returns a short time."""
     return f"{1e3 * seconds:.2f} ms"

@@ -16,6 +16,7 @@ from drake_aigto.world.model_fields import Limited
 from drake_aigto.world.scenario import Scenario
 
 _TURN = 2.0 * np.pi
+_TOUCHING = 1e-3  # Of a bound: a motion that is nearer is held back by it.
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,19 +70,40 @@ class Limits:
 
     def control_items(self, plant: MultibodyPlant, scenario: Scenario) -> list[str]:
         """Returns what bounds the control of each actuator that is bounded, and who says so."""
-        items = []
         bounds = self.narrowed(scenario).control
-        for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
-            i = actuator.input_start()
-            if not np.isfinite(bounds[:, i]).any():
-                continue
-            ends = [
-                f"{bound:g} ({'model' if bound == own else 'scenario'})"
-                for bound, own in zip(bounds[:, i], self.control[:, i], strict=True)
-            ]
-            unit = "N" if actuator.joint().type_name() == "prismatic" else "N m"
-            items.append(f"{plant.GetActuatorNames()[i]} from {' to '.join(ends)} {unit}")
-        return items
+        names, units = plant.GetActuatorNames(), _list_units(plant)
+        return [
+            f"{names[i]} from {' to '.join(map(_tell_origin, bounds[:, i], self.control[:, i]))} "
+            f"{units[i]}"
+            for i in np.flatnonzero(np.isfinite(bounds).any(axis=0))
+        ]
+
+    def active_items(
+        self, plant: MultibodyPlant, scenario: Scenario, q: Floats, v: Floats, u: Floats
+    ) -> list[str]:
+        """Returns the bounds that a motion touches or violates, and who says so.
+
+        Args:
+            plant: of the model.
+            scenario: which may have narrower bounds.
+            q: positions, shape (K, nq).
+            v: velocities, shape (L, nv).
+            u: controls, shape (N, nu).
+        """
+        found, bounds = [], self.narrowed(scenario)
+        for kind, names, values in (
+            ("position", plant.GetPositionNames(), q),
+            ("velocity", plant.GetVelocityNames(), v),
+            ("control", plant.GetActuatorNames(), u),
+        ):
+            ends, own = getattr(bounds, kind), getattr(self, kind)
+            for row, side, most in ((0, -1.0, "at least"), (1, 1.0, "at most")):
+                size = np.where(np.isfinite(ends[row]), np.maximum(1.0, np.abs(ends[row])), 0.0)
+                near = side * ends[row] - _TOUCHING * size
+                for i in np.flatnonzero((side * values).max(axis=0) >= near):
+                    origin = _tell_origin(ends[row, i], own[row, i])
+                    found.append(f"{kind} of {names[i]} {most} {origin}")
+        return found
 
     def check_task(self, scenario: Scenario, is_hinge: Bools) -> None:
         """Refuses a start or a goal that is out of these bounds.
@@ -150,6 +172,18 @@ class Limits:
             expected="none, for balls are planned for without limits",
             remedy="Leave <limit> out of the model, and bound the program's variables instead.",
         )
+
+
+def _tell_origin(bound: float, own: float) -> str:
+    """Returns a bound, and whether it is the model's own or the scenario's."""
+    return f"{bound:g} ({'model' if bound == own else 'scenario'})"
+
+
+def _list_units(plant: MultibodyPlant) -> list[str]:
+    """Returns the unit of each control, (nu,)."""
+    actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
+    ordered = sorted(actuators, key=lambda actuator: int(actuator.input_start()))
+    return ["N" if each.joint().type_name() == "prismatic" else "N m" for each in ordered]
 
 
 def _narrow(scenario: Scenario, name: str, limits: Floats) -> Floats:

@@ -140,7 +140,12 @@ def _check_simulated(scene_graph: SceneGraph, reachable: ReachableFace) -> None:
     inspector: Any = scene_graph.model_inspector()
     of_shapes = (inspector.GetProximityProperties(shape) for shape in face.shapes)
     if contact.name != face.pair:
-        got, remedy = "a box of which several faces can be reached", "Make it of half spaces."
+        got = "a box of which several faces can be reached"
+        remedy = (
+            "Take contact: rigid, where the face before the sphere counts; or give joints limits "
+            "that keep the sphere before one face; or put spheres at the box's corners, and leave "
+            f"it out by ignored_shapes: [{inspector.GetName(face.shapes[1])}]."
+        )
     elif all(each.HasProperty(*_COMPLIANCE) for each in of_shapes):
         got = "hydroelastic shapes, whose force is that of a pressure field"
         remedy = "Leave <drake:compliant_hydroelastic> or <drake:rigid_hydroelastic> out of one."

@@ -445,21 +445,32 @@ class World(EquationsOfMotion):
     def _within_reach(self) -> World:
         """Returns this world without walls that are farther off than its joints go, with notes.
 
-        That is known where the model's joints have limits.
+        Of a box before one face of which a sphere always stays, the other faces are left out. All
+        of that is known where the model's joints have limits.
         """
         least, _ = self._signed_distance_map.calc_range(*self.limits.position)
         far: dict[str, float] = {}
         for faces in self.solids:
             if (distance := max(least[i] for i in faces)) > 0:
                 far |= {self._reachable[i].face.pair: distance for i in faces}
-        near = tuple(each for each in self._reachable if each.face.pair not in far)
+        lateral = np.abs(self._lateral_map.calc_range(*self.limits.position)).max(axis=0)
+        radii = [each.face.radius for each in self._reachable]
+        inside = np.all(lateral.reshape(-1, 2) <= self._half_extents, axis=1) & (least > -np.array(radii))
+        near = []
+        for faces in self.solids:
+            first = next((i for i in faces if inside[i]), None)
+            for each in (self._reachable[i] for i in (faces if first is None else (first,))):
+                name = each.contact.name if first is None else each.face.pair
+                contact = dataclasses.replace(each.contact, name=name)
+                if each.face.pair not in far:
+                    near.append(each._replace(contact=contact))
         notes = [f"{pair} can't touch: they stay {gap:.3g} m apart" for pair, gap in far.items()]
         why = explain_no_contact(self.scene_graph, bool(self.ignored_shapes))
         if not self._reachable and why:
             notes.append(why)
         contacts = tuple(each.contact for each in near)
         return dataclasses.replace(
-            self, _reachable=near, contacts=contacts, notes=(*self.notes, *notes)
+            self, _reachable=tuple(near), contacts=contacts, notes=(*self.notes, *notes)
         )
 
     def _check_place(self, name: str, q: Floats, scenario: Scenario) -> None:
