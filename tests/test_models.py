@@ -13,7 +13,7 @@ import pytest
 import yaml
 from other_models import carry_double_pendulum
 
-from drake_aigto import Scenario, World, plan
+from drake_aigto import PlanningError, Scenario, World, plan
 from drake_aigto.cli import main
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world import build_diagram, find_model
@@ -653,7 +653,7 @@ def test_of_a_moving_brick_one_face_counts_where_limits_say_so(tmp_path: Path) -
 
 def test_bounds_that_a_motion_touches_are_named_with_their_origin(arm: Any) -> None:
     world = arm()
-    ends = dict.fromkeys(("initial_position", "initial_velocity", "goal_position"), [0, 0])
+    ends = {name: [0, 0] for name in ("initial_position", "initial_velocity", "goal_position")}
     asked: Any = {**ends, "control_upper": 4.0, "velocity_lower": -1.0}
     scenario = Scenario(model=world.model or "", **asked)
     q, v = np.array([[0.0, 0.0], [9.0, np.deg2rad(120)]]), np.array([[0.0, -1.0], [5.0, 1.0]])
@@ -670,3 +670,12 @@ def test_two_poles_on_a_cart_are_carried_along_upright(tmp_path: Path) -> None:
     found = plan(carry_double_pendulum(tmp_path))
     assert found.holds
     np.testing.assert_allclose(found.trajectory.positions[-1], [0.5, 0.0, 0.0], atol=0.02)
+
+
+@pytest.mark.slow
+def test_a_search_that_finds_nothing_names_the_bounds_that_are_active(tmp_path: Path) -> None:
+    model = write(tmp_path / "arm.xml", ARM)
+    task: dict[str, Any] = {"goal_position": 3.0, "hard_goal": True, "goal_velocity": 0.0}
+    task |= {"initial_position": 0.0, "initial_velocity": 0.0, "duration": 0.3, "time_step": 0.05}
+    with pytest.raises(PlanningError, match=r"These bounds are active: control of arm_motor at l"):
+        plan(Scenario(model=model, fixed_joints=["elbow"], ignored_shapes="all", **task))

@@ -21,7 +21,7 @@ from drake_aigto.planning.mechanisms.search import MechanismSearch
 from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import Plan, PlanningError
-from drake_aigto.planning.search import Progress, Search, Stopwatch
+from drake_aigto.planning.search import Progress, Search, Stopwatch, name_active
 from drake_aigto.transcription import MotionProgram, OpenProgram, RigidTranscription
 from drake_aigto.world import Scenario, World
 
@@ -284,6 +284,7 @@ def _nothing_holds(found: Plan, sources: str) -> PlanningError:
     if drake is not None and found.best.is_confirmed:
         miss = f"{drake.goal_error:.1e} {found.find_world().position_unit}"
         tried[0] += f", in Drake {drake.cost:.2e} and {miss} off the goal"
+    active = name_active(found.find_world(), found.scenario, found.candidates)
     broken = dict.fromkeys(name for replay in found.replay for name in replay.broken)
     if broken:
         tried[0] += f"; there it breaks {', '.join(map(repr, broken))}"
@@ -291,7 +292,7 @@ def _nothing_holds(found: Plan, sources: str) -> PlanningError:
         "nothing that was planned holds in simulation",
         got=f"{len(tried)} candidates from {sources} of AIGO ({'; '.join(tried)})",
         expected="simulations that come near a plan's cost and goal",
-        remedy="Allow more time, move the goal closer, or try another ladder.",
+        remedy=f"{active}Allow more time, move the goal closer, or try another ladder.",
     )
     error.plan = found
     return error

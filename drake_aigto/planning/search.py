@@ -83,6 +83,21 @@ class Task(Protocol):
         """Returns the candidate's replays: its own, and Drake's if the options confirm."""
 
 
+def name_active(world: World, scenario: Scenario, candidates: Iterable[Candidate]) -> str:
+    """Returns a sentence of the bounds that candidates touch, empty where there are none."""
+    if not world.bounds(scenario).are_any:
+        return ""
+    motions = (candidate.trajectory for candidate in candidates)
+    active = dict.fromkeys(
+        item
+        for motion in motions
+        for item in world.limits.active_items(
+            world.plant, scenario, motion.positions, motion.velocities, motion.controls
+        )
+    )
+    return f"These bounds are active: {'; '.join(active)}. " if active else ""
+
+
 class Proposal(NamedTuple):
     """A possible origin of a candidate.
 
@@ -231,26 +246,16 @@ class Search(ABC):
         if not feasible:
             polished = [scaled_defects(each.defects, each.scales) for each in self.ranked()]
             nearest = min(polished, key=lambda by: max(by.values()), default={"rows": math.inf})
-            best = self.ranked()[polished.index(nearest)] if polished else None
+            best = self.ranked()[polished.index(nearest) :][:1] if polished else []
             missed = [name for name, by in nearest.items() if by > LARGEST_DEFECT]
             raise PlanningError(
                 "no candidate meets the transcription's rows",
                 got=f"{len(polished)} candidates from {self.task.sources}, "
                 f"the smallest defect {max(nearest.values()):.1e}, in {', '.join(missed)}",
                 expected=f"at most {LARGEST_DEFECT:g} of the task's scales",
-                remedy=f"{self._name_active(best)}{self.task.remedy}",
+                remedy=name_active(self.task.world, self.task.scenario, best) + self.task.remedy,
             )
         return feasible
-
-    def _name_active(self, candidate: Candidate | None) -> str:
-        """Returns a sentence of the bounds that a candidate touches, empty where there are none."""
-        world, scenario = self.task.world, self.task.scenario
-        if candidate is None or not world.bounds(scenario).are_any:
-            return ""
-        motion = candidate.trajectory
-        arrays = motion.positions, motion.velocities, motion.controls
-        active = world.limits.active_items(world.plant, scenario, *arrays)
-        return f"These bounds are active: {'; '.join(active)}. " if active else ""
 
     def confirm(self, candidate: Candidate) -> bool:
         """Replays a candidate's control, and returns whether the replays confirm it.

@@ -454,8 +454,8 @@ class World(EquationsOfMotion):
             if (distance := max(least[i] for i in faces)) > 0:
                 far |= {self._reachable[i].face.pair: distance for i in faces}
         lateral = np.abs(self._lateral_map.calc_range(*self.limits.position)).max(axis=0)
-        radii = [each.face.radius for each in self._reachable]
-        inside = np.all(lateral.reshape(-1, 2) <= self._half_extents, axis=1) & (least > -np.array(radii))
+        radii = np.array([each.face.radius for each in self._reachable])
+        inside = np.all(lateral.reshape(-1, 2) <= self._half_extents, axis=1) & (least > -radii)
         near = []
         for faces in self.solids:
             first = next((i for i in faces if inside[i]), None)
