@@ -8,18 +8,40 @@ import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import SpatialInertia
-from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import ZeroOrderHold
 
-from drake_aigto import Scenario
+from drake_aigto import Scenario, World
 from drake_aigto.world import find_model, package_map
 
 
+class Wrapper(LeafSystem):
+    """An estimator that gives angles within half a turn of zero."""
+
+    def __init__(self, world: World) -> None:
+        super().__init__()
+        self.is_hinge = np.append(world.is_hinge, np.zeros(world.num_velocities, dtype=bool))
+        size = len(self.is_hinge)
+        self.DeclareVectorInputPort("state", size)
+        self.DeclareVectorOutputPort("estimate", size, self.write)
+
+    def write(self, context: Context, output: BasicVector) -> None:
+        x = self.get_input_port().Eval(context)
+        wrapped = np.arctan2(np.sin(x), np.cos(x))
+        output.SetFromVector(np.where(self.is_hinge, wrapped, x))
+
+
 def close_loop(
-    model: str, controller: LeafSystem, feels: bool = False, has_camera: bool = False
+    model: str,
+    controller: LeafSystem,
+    feels: bool = False,
+    has_camera: bool = False,
+    estimator: LeafSystem | None = None,
 ) -> tuple[Diagram, Any]:
     """Returns a diagram of a model's continuous plant under a controller, and the plant.
 
-    A camera is a body that is welded in before the model.
+    A camera is a body that is welded in before the model. An estimator, if there is one, stands
+    between the plant's state and the controller.
     """
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
@@ -31,12 +53,22 @@ def close_loop(
     parser.AddModels(find_model(model))
     plant.Finalize()
     builder.AddSystem(controller)
-    builder.Connect(plant.get_state_output_port(), controller.GetInputPort("estimated_state"))
+    state = plant.get_state_output_port()
+    if estimator is not None:
+        builder.AddSystem(estimator)
+        builder.Connect(state, estimator.get_input_port())
+        state = estimator.get_output_port()
+    builder.Connect(state, controller.GetInputPort("estimated_state"))
     builder.Connect(controller.GetOutputPort("control"), plant.get_actuation_input_port())
     if feels:
         contacts = controller.GetInputPort("contact_results")
         builder.Connect(plant.get_contact_results_output_port(), contacts)
     return builder.Build(), plant
+
+
+def hold_samples(period: float, size: int) -> LeafSystem:
+    """Returns a sampled estimator, which has zeros before its first sample."""
+    return ZeroOrderHold(period, size)
 
 
 def set_start(plant: Any, root: Any, scenario: Scenario) -> Any:

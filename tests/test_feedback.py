@@ -16,7 +16,7 @@ from replay_worlds import make_diagram, make_scenario, make_task, shipped, shipp
 
 import drake_aigto.control
 from drake_aigto import Scenario, World
-from drake_aigto.control import Feedback, Sweep
+from drake_aigto.control import Feedback, Regulator, Sweep
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.simulation import (
@@ -346,3 +346,39 @@ def test_another_worlds_plan_is_refused() -> None:
 def test_a_name_of_the_past_says_what_stands_for_it(name: str, stands: str) -> None:
     with pytest.raises(ImportError, match=rf"{name} is gone: use {stands}"):
         getattr(drake_aigto.control, name)
+
+
+@pytest.mark.parametrize(("name", "off"), [("acrobot/swing_up", 0.02), ("cart_pole/soft_10", 0.05)])
+def test_a_goal_is_held_from_near_it_by_the_regulator(name: str, off: float) -> None:
+    scenario = Scenario.named(name)
+    world, n = World.from_scenario(scenario), 2
+    period, x = 0.01, np.concatenate([scenario.goal_position, np.zeros(n)])
+    about, planned, gains = Regulator.of(world, scenario, x, period) or pytest.fail("none")
+    np.testing.assert_allclose(about, x, atol=1e-12)
+    x = about + off * np.array([1.0, -1.0, 0.0, 0.0])
+    for _ in range(round(8.0 / period)):
+        u = planned + gains @ (x - about)
+
+        def rate(x: Any, u: Any = u) -> Any:
+            return np.concatenate([x[n:], world.calc_acceleration(x[:n], x[n:], u)])
+
+        k1 = rate(x)
+        k2 = rate(x + period / 2 * k1)
+        k3 = rate(x + period / 2 * k2)
+        x = x + period / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + period * k3))
+    np.testing.assert_allclose(x, about, atol=1e-3)
+
+
+def test_goals_that_can_not_be_held_have_no_regulator() -> None:
+    scenario = Scenario.named("acrobot/swing_up")
+    world, end = World.from_scenario(scenario), np.array([np.pi, 0.0, 0.0, 0.0])
+    sideways = dataclasses.replace(scenario, goal_position=[np.pi / 2, 0.0])
+    moving = dataclasses.replace(scenario, goal_velocity=[1.0, 0.0])
+    assert Regulator.of(world, scenario, end, 0.01)
+    assert Regulator.of(world, sideways, np.array([np.pi / 2, 0.0, 0.0, 0.0]), 0.01) is None
+    assert Regulator.of(world, moving, end, 0.01) is None
+    # Its unactuated disc cannot be stabilized without contact.
+    spinner = Scenario.named("spinner/two_radians")
+    disc = World.from_scenario(spinner)
+    end = np.concatenate([spinner.goal_position, np.zeros(disc.num_positions)])
+    assert Regulator.of(disc, spinner, end, 0.01) is None

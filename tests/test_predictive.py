@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loops import close_loop, set_start
+from loops import Wrapper, close_loop, hold_samples, set_start
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput, TrajectorySource
@@ -395,3 +395,60 @@ def test_a_spinner_is_turned_where_mass_and_friction_are_others(
     run = run_in_loop(controller, SPINNER, planner.world, wrong)
     off = abs(run.replay.positions[-1] - SPINNER.goal_position)
     assert off.max() < 0.25  # of 2 rad; the plan's control alone ends 0.7 to 2.7 rad off
+
+
+@pytest.mark.parametrize("name", ["cart_pole/rigid_10", "cart_pole/soft_10"])
+def test_a_reference_goes_on_from_tick_to_tick(name: str) -> None:
+    weights: dict[str, Any] = {
+        "control_weight": 1e-3,
+        "goal_weight": [0.0, 0.0],
+        "goal_velocity_weight": [0.0, 0.0],
+        "position_weight": [20.0, 1.0],
+        "velocity_weight": [1.0, 0.1],
+    }
+    scenario = dataclasses.replace(
+        Scenario.named(name),
+        initial_position=[0.0, 0.0],
+        initial_velocity=[0.0, 0.0],
+        goal_position=[0.9, 0.0],
+        angles="exact",
+        duration=1.0,
+        time_step=0.05,
+        reference_times=[0.0, 3.0],
+        reference_positions=[[0.0, 0.0], [0.9, 0.0]],
+        reference_velocities=[[0.3, 0.0], [0.3, 0.0]],
+        **weights,
+    )
+    ladder = MECHANISM_LADDER[:1]
+    options = PlanOptions(renewals=0, ladder=ladder, finalists=1, confirm=False, threads=1)
+    controller = ModelPredictiveController(Planner(scenario, options), period=0.05)
+    run = run_in_loop(controller, scenario, duration=1.5)
+    assert run.replay.positions[-1, 0] == pytest.approx(0.45, abs=0.03)
+
+
+def test_the_first_plan_is_from_the_first_sample_of_a_hold() -> None:
+    controller = ModelPredictiveController(Planner(BALL, QUICK), period=0.02)
+    size = controller.GetInputPort("estimated_state").size()
+    diagram, plant = close_loop(BALL.model, controller, estimator=hold_samples(0.01, size))
+    simulator = make_simulator(World.from_diagram(diagram), BALL)
+    own = controller.GetMyContextFromRoot(simulator.get_context())
+    simulator.Initialize()
+    status = controller.GetOutputPort("status").Eval(own)
+    assert status.reason == "waits for the first sample of the state"
+    simulator.AdvanceTo(0.021)
+    status = controller.GetOutputPort("status").Eval(own)
+    assert (status.reason, status.time) == ("the first search", 0.02)
+    first = controller.read_plan(own)
+    q = plant.GetPositions(plant.GetMyContextFromRoot(simulator.get_context()))
+    np.testing.assert_allclose(first.positions[0], q, atol=0.05)
+
+
+def test_a_pole_stands_up_by_an_estimate_that_wraps_angles() -> None:
+    controller = ModelPredictiveController(make_planner(), period=0.02)
+    estimator = Wrapper(make_planner().world)
+    diagram, plant = close_loop(SCENARIO.model, controller, estimator=estimator)
+    simulator = Simulator(diagram)
+    context = set_start(plant, simulator.get_mutable_context(), SCENARIO)
+    simulator.AdvanceTo(3.0)
+    x = plant.GetPositionsAndVelocities(context)
+    np.testing.assert_allclose(x, [0.0, np.pi, 0.0, 0.0], atol=0.05)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loops import close_loop, set_start
+from loops import Wrapper, close_loop, hold_samples, set_start
 from mechanism_tasks import drop_ball
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -41,6 +41,65 @@ def track(plan: Plan, off: Any, feels: bool, **options: Any) -> tuple[Any, tuple
     root = simulator.get_context()
     x = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root))
     return x, controller.count_bounces(controller.GetMyContextFromRoot(root))
+
+
+def end_among(plan: Plan, shift: float) -> tuple[Any, tuple[int, ...]]:
+    """Returns the same as `track` in a plant whose walls stand nearer, and touches are inferred."""
+    true, _ = Disturbance(wall_shift=shift).apply(plan.find_world(), plan.scenario)
+    builder, controller = DiagramBuilder(), TrackingController(plan)
+    plant = builder.AddSystem(true.diagram.Clone())
+    builder.AddSystem(controller)
+    builder.Connect(plant.GetOutputPort("state"), controller.GetInputPort("estimated_state"))
+    builder.Connect(controller.GetOutputPort("control"), plant.GetInputPort("actuation"))
+    world = true.of_diagram(builder.Build())
+    simulator = make_simulator(world, plan.scenario)
+    simulator.AdvanceTo(plan.scenario.duration)
+    root = simulator.get_context()
+    x = world.plant.GetPositionsAndVelocities(world.plant.GetMyContextFromRoot(root))
+    return x, controller.count_bounces(controller.GetMyContextFromRoot(root))
+
+
+@pytest.mark.parametrize("name", ["table1/1", "room/bank_shot", "floor/lossy"])
+@pytest.mark.parametrize("shift", [0.01, -0.01])
+def test_a_wall_that_stands_nearer_or_farther_is_bounced_off(name: str, shift: float) -> None:
+    plan = make_plan(name)
+    x, bounces = end_among(plan, shift)
+    (contact,) = [each.index for each in plan.best.contacts]
+    assert bounces[contact] == 1
+    n = plan.trajectory.positions.shape[1]
+    assert np.linalg.norm(x[:n] - plan.trajectory.positions[-1]) < 5e-3
+
+
+def test_the_plan_plays_until_a_sampled_estimate_has_its_first_sample() -> None:
+    plan = make_plan("floor/lossy")
+    controller = TrackingController(plan)
+    size = controller.GetInputPort("estimated_state").size()
+    hold = hold_samples(0.005, size)
+    diagram, plant = close_loop(plan.scenario.model, controller, estimator=hold)
+    simulator = make_simulator(World.from_diagram(diagram), plan.scenario)
+    own = controller.GetMyContextFromRoot(simulator.get_context())
+    simulator.Initialize()
+    planned = plan.trajectory.controls[0]
+    np.testing.assert_allclose(controller.GetOutputPort("control").Eval(own), planned)
+    simulator.AdvanceTo(plan.scenario.duration)
+    assert controller.count_bounces(own) == (1,)
+    q = plant.GetPositions(plant.GetMyContextFromRoot(simulator.get_context()))
+    np.testing.assert_allclose(q, plan.trajectory.positions[-1], atol=5e-3)
+
+
+def test_an_estimator_that_wraps_angles_changes_nothing() -> None:
+    plan = make_plan("cart_pole/soft_06")
+    world, off = plan.find_world(), move(plan.scenario, np.array([0.0, 0.01]))
+    ends = []
+    for estimator in (None, Wrapper(world)):
+        controller = TrackingController(plan)
+        diagram, plant = close_loop(plan.scenario.model, controller, estimator=estimator)
+        simulator = make_simulator(World.from_diagram(diagram), off)
+        simulator.AdvanceTo(plan.scenario.duration)
+        context = plant.GetMyContextFromRoot(simulator.get_context())
+        ends.append(plant.GetPositionsAndVelocities(context))
+    assert np.max(np.abs(plan.trajectory.positions[:, 1])) > np.pi
+    np.testing.assert_allclose(ends[1], ends[0], atol=1e-6)
 
 
 def move(scenario: Scenario, off: Any) -> Scenario:

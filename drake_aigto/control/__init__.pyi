@@ -11,6 +11,7 @@ from .loop_run import is_run as is_run
 from .mechanism_horizon import make_horizon as make_horizon
 from .predictive import ModelPredictiveController as ModelPredictiveController
 from .predictive import TickStatus as TickStatus
+from .regulator import Regulator as Regulator
 from .touches import PlannedMotion as PlannedMotion
 from .touches import SeenBounces as SeenBounces
 from .touches import choose as choose

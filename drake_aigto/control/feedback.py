@@ -11,6 +11,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import calc_saltation, calc_velocity_after
+from drake_aigto.control.regulator import Regulator
 from drake_aigto.control.stretches import (
     Cut,
     Stretch,
@@ -92,13 +93,29 @@ class Feedback(Controller):
     gains are those of the descent that found the plan (`ShootingProblem.calc_gains`), the law of
     compliant contact included.
 
+    After its end the goal is held by a `Regulator` where there is one, else the last state by the
+    last gains.
+
     Attributes:
+        regulator: of the goal; None: there is none.
         phases: of the plan, in order.
         stretches: of the plan, which the phases are of; none of a plan that is one phase.
     """
 
-    def __init__(self, world: World, scenario: Scenario, trajectory: Trajectory) -> None:
+    def __init__(
+        self,
+        world: World,
+        scenario: Scenario,
+        trajectory: Trajectory,
+        period: float | None = None,
+    ) -> None:
         """Computes the gains.
+
+        Args:
+            world: of the plan.
+            scenario: its task.
+            trajectory: the plan.
+            period: between samples after its end [s]; None: as its knots are.
 
         Raises:
             TrajectoryError: the plan does not fit the world; or it has several impacts at once, one
@@ -108,6 +125,8 @@ class Feedback(Controller):
         self._world, times = world, trajectory.times
         self.start, self.end = float(times[0]), float(times[-1])
         self.longest_hold = float(np.max(np.diff(times)))
+        last = np.concatenate([trajectory.positions[-1], trajectory.velocities[-1]])
+        self.regulator = Regulator.of(world, scenario, last, period or self.longest_hold)
         self._bounds = world.bounds(scenario).control
         self._norm = scenario.control_norm or np.inf
         touches = scenario.contact == "rigid" and touches_walls(world, trajectory)
@@ -125,23 +144,39 @@ class Feedback(Controller):
             self.phases = [FeedbackPhase(times, state, trajectory.controls, gains)]
 
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
-        """Returns u_k + K_k (x − x_i(t)), within bounds."""
+        """Returns u_k + K_k (x − x_i(t)), within bounds; after the end that of the regulator."""
+        if time >= self.end and self.regulator:
+            about, planned, gains = self.regulator
+            return Held(self._limit(planned + gains @ self._calc_error(x, about)), np.inf)
         phase = self.phases[self.find_phase(time, x, bounces)]
         last = len(phase.controls) - 1
         k = int(np.clip(np.searchsorted(phase.times, time, side="right") - 1, 0, last))
-        u = phase.controls[k] + phase.gains[k] @ (x - phase.calc_state(time))
-        size = float(np.linalg.norm(u := np.clip(u, *self._bounds)))
+        error = self._calc_error(x, phase.calc_state(time))
         until = float(phase.times[k + 1])
-        return Held(
-            u * min(1.0, self._norm / size) if size else u, until if until > time else self.end
-        )
+        control = self._limit(phase.controls[k] + phase.gains[k] @ error)
+        return Held(control, until if until > time else self.end)
+
+    def _calc_error(self, x: Floats, planned: Floats) -> Floats:
+        """Returns x − x_i, of hinges to the nearest turn: an estimator may wrap angles."""
+        error, n = x - planned, self._world.num_positions
+        turns = np.round(error[:n] / (2 * np.pi))
+        error[:n] -= np.where(self._world.is_hinge, 2 * np.pi * turns, 0.0)
+        return error
+
+    def _limit(self, u: Floats) -> Floats:
+        """Returns a control within its bounds."""
+        size = float(np.linalg.norm(u := np.clip(u, *self._bounds)))
+        return u * min(1.0, self._norm / size) if size else u
 
     def find_state(self, time: float, bounces: Sequence[int]) -> Floats:
         """Returns the state that is planned for a time after such bounces, (q, v), shape (2n,).
 
+        After the end that is the regulator's, if there is one.
         Where the phase has ended, it is where that would lead. Whether a contact lasts, or has
         stopped to slip, no bounce tells: that is as planned.
         """
+        if time > self.end and self.regulator:
+            return self.regulator.state
         return self.phases[self.find_phase(time, None, bounces)].calc_state(time)
 
     def find_phase(self, time: float, x: Floats | None, bounces: Sequence[int]) -> int:

@@ -9,7 +9,13 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.touches import PlannedMotion, SeenBounces, choose, find_left
+from drake_aigto.control.touches import (
+    WALL_DOUBT,
+    PlannedMotion,
+    SeenBounces,
+    choose,
+    find_left,
+)
 from drake_aigto.errors import ControlError, OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.planning import (
     BallSearch,
@@ -26,10 +32,9 @@ from drake_aigto.world import Scales, Scenario
 _ASKED = "the planner of a controller that plans again"
 # A step of which less than this part is left is over.
 _OVER = 1e-3
-# Walls may stand this part of the task's length from where they are thought to be; what they are
-# thought to return counts like a bounce at this part of the task's velocity; and a bounce is seen
-# between samples that are at most this number of periods apart.
-_OFF, _DOUBT, _RECENT = 0.2, 0.1, 4.0
+# What walls are thought to return counts like a bounce at this part of the task's velocity; and a
+# bounce is seen between samples that are at most this number of periods apart.
+_DOUBT, _RECENT = 0.1, 4.0
 # Of what they return, and of where they stand in the task's length: programs are compiled for each,
 # and noise blurs them by more.
 _DIGITS = 3
@@ -133,9 +138,10 @@ class Horizon(ABC):
         """Returns the task from a state on."""
         # No plan may start beyond its bounds, where an estimate may be.
         bounds, (q, v) = self.world.bounds(self.scenario), np.split(x, 2)
-        left = self.end(now) - now
+        left, clock = self.end(now) - now, self.scenario.reference_times
         return dataclasses.replace(
             self.scenario,
+            reference_times=None if clock is None else clock - now,
             initial_position=np.clip(q, *bounds.position),
             initial_velocity=np.clip(v, *bounds.velocity),
             duration=left,
@@ -204,7 +210,7 @@ class BallHorizon(Horizon):
         self, seen: SeenBounces, samples: tuple[Floats, Floats], elapsed: float, control: Floats
     ) -> SeenBounces:
         """Returns what is seen of bounces by now; the arguments are those of `SeenBounces`."""
-        off = _OFF * self._scales.length
+        off = WALL_DOUBT * self._scales.length
         if elapsed <= _RECENT * self._period:
             seen = seen.watch(self.world, samples, elapsed, control, off)
         else:

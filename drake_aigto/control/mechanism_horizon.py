@@ -266,7 +266,10 @@ class RigidHorizon(_ShootingHorizon):
         times, phases = lay_onto(touches, elapsed, self.world.num_contacts)
         after = np.hstack([q, left.velocities + self.world.calc_velocity_change(q, left.impulses)])
         middles = (times[1:] + times[:-1]) / 2
-        problem = dataclasses.replace(self._task.pose_phases(times, phases), start=after[0])
+        task = self._task.pose_phases(times, phases)
+        # Knots count from now on, and so has the reference to.
+        cost = dataclasses.replace(task.cost, times=task.cost.times - left.times[0])
+        problem = dataclasses.replace(task, start=after[0], cost=cost)
         controls = left.controls[np.searchsorted(elapsed, middles) - 1]
         return problem.solve(controls, interpolate(times, elapsed, after), options)
 

@@ -135,7 +135,14 @@ class ModelPredictiveController(LeafSystem):
 
     A state that is not finite, one inside of a rigid wall where no contact lasts, or one from
     which no motion is found, leaves the last plan as it is, and its control goes on. So it does at
-    the end of a horizon that shrinks. No NaN leaves a port. A Simulator that is initialized again
+    the end of a horizon that shrinks. No NaN leaves a port.
+
+    The first plan is from the first sample: where all of the state is zero at the start, and the
+    scenario's is not, it is searched for at the first tick, as a sampled estimate may have no
+    sample before. Hinges of an estimate that wraps angles are taken a whole number of turns on, to
+    where they are nearest to the plan.
+
+    A Simulator that is initialized again
     on its way, at most a period after the last tick, keeps the plan.
 
     Input port: `estimated_state`, q and v. Output ports: `control`, u as the plant's actuation port
@@ -251,27 +258,48 @@ class ModelPredictiveController(LeafSystem):
         is_same = elapsed == 0 and np.array_equal(x, before.usable.x)
         if is_same or 0 < elapsed <= self.period:
             return EventStatus.DidNothing()
-        if self._horizon.is_inside(x):
+        now, begin = context.get_time(), time.perf_counter()
+        question = _Question(now, np.array(x), SeenBounces(), self._horizon)
+        if self._is_empty(x):
+            choice = _Choice(self._horizon.rest(now, x), "waits for the first sample of the state")
+            return self._keep(state, choice, question, begin, 0, before.usable)
+        return self._keep(state, self._choose_first(question), question, begin, 0, question)
+
+    def _is_empty(self, x: Floats) -> bool:
+        """Returns whether a state may be what a hold has before its first sample."""
+        start = self._horizon.scenario
+        return not np.any(x) and bool(
+            np.any(start.initial_position) or start.initial_velocity.any()
+        )
+
+    def _choose_first(self, question: _Question) -> _Choice:
+        """Returns the plan of a search.
+
+        Raises:
+            ControlError: the state is inside of a wall.
+        """
+        now, x, _, horizon = question
+        if horizon.is_inside(x):
             raise ControlError(
                 "the state at the start",
                 got=f"{x.tolist()}, on or inside of a wall",
                 expected="one outside of all walls, or a mechanism that lies at one",
                 remedy="Start a little off the wall, or track a plan: TrackingController.",
             )
-        now, begin = context.get_time(), time.perf_counter()
-        question = _Question(now, np.array(x), SeenBounces(), self._horizon)
-        if found := self._horizon.search(now, x):
-            choice = _Choice(found, "the first search")
-        else:
-            rest = self._horizon.rest(now, x)
-            motion = self._horizon.advance(rest, now, x) or rest
-            choice = _Choice(motion, "a search found nothing; a descent from rest")
-        return self._keep(state, choice, question, begin, 0, question)
+        if found := horizon.search(now, x):
+            return _Choice(found, "the first search")
+        rest = horizon.rest(now, x)
+        motion = horizon.advance(rest, now, x) or rest
+        return _Choice(motion, "a search found nothing; a descent from rest")
 
     def _tick(self, context: Context, state: State) -> EventStatus:
         """Improves the plan, or takes another one."""
         x, now, begin = self._estimate.Eval(context), context.get_time(), time.perf_counter()
         before = self._read(context)
+        if np.isinf(before.usable.now) and np.all(np.isfinite(x)):
+            first = _Question(now, np.array(x), SeenBounces(), self._horizon)
+            return self._keep(state, self._choose_first(first), first, begin, 0, first)
+        x = self._unwrap(x, before.choice.motion.calc_state(now))
         seen, last = before.seen, before.usable
         if self._learns and np.all(np.isfinite(x)):
             seen = self._horizon.watch(seen, (last.x, x), now - last.now, before.control)
@@ -280,6 +308,13 @@ class ModelPredictiveController(LeafSystem):
         choice = self._choose(before, question, obstacle)
         usable = last if obstacle else question
         return self._keep(state, choice, question, begin, before.tick + 1, usable)
+
+    def _unwrap(self, x: Floats, planned: Floats) -> Floats:
+        """Returns a state with hinges as many turns on as bring them nearest to the plan."""
+        n, unwrapped = self._world.num_positions, np.array(x)
+        turns = np.round((planned[:n] - x[:n]) / (2 * np.pi))
+        unwrapped[:n] += np.where(self._world.is_hinge, 2 * np.pi * turns, 0.0)
+        return unwrapped
 
     def _keep(
         self,

@@ -25,6 +25,8 @@ _APART = 1e-4
 _DEEP, _STEP = 0.025, 0.1
 # No wall returns more than it is hit with, but for noise; a kick may.
 _MOST_RETURNED = 1.2
+# Walls may stand this part of the task's length from where they are thought to be.
+WALL_DOUBT = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +165,7 @@ def _begin(sequence: TouchSequence, lasting: Mapping[int, int], near: float) -> 
     return tuple(found)
 
 
-class _Bounce(NamedTuple):
+class Bounce(NamedTuple):
     """A bounce between two samples."""
 
     contact: int
@@ -211,22 +213,9 @@ class SeenBounces:
     ) -> SeenBounces:
         """Returns the same, with the bounce between two samples of a state, if there is one.
 
-        Where a wall is, is not asked for: contact i bounces if φ̇_i changes its sign, when and where
-        both flights meet, at
-
-            t = (φ⁺ − φ⁻ − φ̇⁺ h) / (φ̇⁻ − φ̇⁺)
-
-        after the first of two samples that are h apart. That is no kick in mid-air if φ_i is near 0
-        there, and no more is returned than came. Of several at once nothing is known.
-
-        Args:
-            world: balls, whose J does not change, as the model has it.
-            samples: (q, v) before and after, shape (2n,) each.
-            elapsed: h [s].
-            control: u between them, shape (nu,).
-            off: how far from where it is thought to be a wall may stand [m].
+        The arguments are those of `find_bounce`; J must not change, as that of balls.
         """
-        bounce = _find_bounce(world, samples, elapsed, control, off)
+        bounce = find_bounce(world, samples, elapsed, control, off)
         if bounce is None:
             return dataclasses.replace(self, latest=None)
         nearer = self._read(world)
@@ -246,9 +235,9 @@ class SeenBounces:
         Nothing is deep inside of a rigid wall: it stands behind what seems to be.
 
         Args:
-            world: see `watch`, as for off.
+            world: of balls, as the model has it.
             q: where the balls are, shape (n,) [m].
-            off: see `watch`.
+            off: see `find_bounce`.
         """
         nearer, step = self._read(world), _STEP * off
         distances = world.calc_signed_distance(q)
@@ -265,10 +254,26 @@ class SeenBounces:
         return np.array(self.nearer) if self.nearer else np.zeros(world.num_contacts)
 
 
-def _find_bounce(
+def find_bounce(
     world: World, samples: tuple[Floats, Floats], elapsed: float, control: Floats, off: float
-) -> _Bounce | None:
-    """Returns the only bounce between two samples; None if there is none, or several."""
+) -> Bounce | None:
+    """Returns the only bounce between two samples of a state; None if there is none, or several.
+
+    The place of the wall does not matter: contact i bounces if φ̇_i changes its sign, when and where
+    both flights meet, at
+
+        t = (φ⁺ − φ⁻ − φ̇⁺ h) / (φ̇⁻ − φ̇⁺)
+
+    after the first of two samples that are h apart. That is no kick in mid-air if φ_i is near 0
+    there, and no more is returned than came.
+
+    Args:
+        world: the mechanism as the model has it.
+        samples: (q, v) before and after, shape (2n,) each.
+        elapsed: h [s].
+        control: u between them, shape (nu,).
+        off: how far from where it is thought to be a wall may stand [m].
+    """
     (q, v), (later, after) = (np.split(x, 2) for x in samples)
     phi, rate = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
     phi_later, rate_later = (
@@ -288,4 +293,4 @@ def _find_bounce(
     if np.count_nonzero(turns) != 1:
         return None
     (i,) = np.flatnonzero(turns).tolist()
-    return _Bounce(i, float(place[i]), float(comes[i]), float(leaves[i]))
+    return Bounce(i, float(place[i]), float(comes[i]), float(leaves[i]))

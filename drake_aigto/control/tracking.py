@@ -20,15 +20,20 @@ from pydrake.systems.framework import (
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.control.feedback import Feedback
-from drake_aigto.control.stretches import is_at_rest_on
+from drake_aigto.control.stretches import Cut, is_at_rest_on
+from drake_aigto.control.touches import WALL_DOUBT, find_bounce
 from drake_aigto.errors import ControlError
 from drake_aigto.planning import Plan
-from drake_aigto.world import World
+from drake_aigto.world import Scales, World
 
 # A period of what happens once [s]; and how near to a sample is the same, as a part of the period.
 _ONCE, _SAME = 1e12, 1e-6
 # Types of real numbers: NumPy's scalars may be given, too.
 NUMBERS = int | float | np.integer | np.floating
+# Samples in a time step of the scenario: gains are of its holds, and are no worse in shorter ones.
+_SAMPLES = 5
+# What turns round more slowly than this part of the slowest impact that is planned is noise.
+_FAINT = 0.2
 # Of a contact: it is touched, or was and is not over yet; it has lasted since the start; none.
 _TOUCHED, _LASTS, _APART = 1.0, -1.0, 0.0
 
@@ -56,15 +61,17 @@ class TrackingController(LeafSystem):
     A bounce is over when a ball leaves a wall that it has touched, with J_i v > 0. Touches are
     *felt*, at every step of the simulation, where the plant's contact results are connected; the
     control is sampled as soon as they are over. Else they are *inferred* from samples: φ_i ≤ 0, or
-    it would have come to that since the last one, as the control drives it. The first sample in a
-    touched wall changes nothing, for no plan says how fast a ball is there. A contact that
+    it would have come to that since the last one, as the control drives it; or φ̇_i has turned
+    round as only an impact turns it, wherever the wall stands (`find_bounce`). The first sample in
+    a touched wall changes nothing, for no plan says how fast a ball is there. A contact that
     lasts at the start has not bounced when it opens.
 
     Samples are taken at the plan's own knots as well, where its control changes.
 
-    Where a state is not finite the plan's own control goes on: no NaN leaves a port. A Simulator
-    that is initialized again on its way, at most a period after the last sample, samples anew, and
-    remembers bounces.
+    Where a state is not finite the plan's own control goes on: no NaN leaves a port. So it does
+    while all of the state is zero, where the plan's is not: a sampled estimate that has no sample
+    yet. After its end a plan is held (`Feedback`). A Simulator that is initialized again on its
+    way, at most a period after the last sample, samples anew, and remembers bounces.
 
     Input ports: `estimated_state`, q and v; `contact_results`, which may stay unconnected. Output
     ports: `control`, u as the plant's actuation port takes it, and `desired_state`, q and v of the
@@ -82,7 +89,7 @@ class TrackingController(LeafSystem):
         Args:
             plan: what to track; its time 0 is the context's.
             world: see `Plan.find_world`.
-            period: between samples [s]; None: the scenario's time step.
+            period: between samples [s]; None: a fifth of the scenario's time step.
 
         Raises:
             ModelError: from `Plan.find_world`.
@@ -92,14 +99,19 @@ class TrackingController(LeafSystem):
         super().__init__()
         world = plan.find_world(world)
         self.plan = plan
-        self.period = plan.scenario.time_step if period is None else check_period(period)
-        self.feedback = Feedback(world, plan.scenario, plan.trajectory)
+        usual = plan.scenario.time_step / _SAMPLES
+        self.period = usual if period is None else check_period(period)
+        self.feedback = Feedback(world, plan.scenario, plan.trajectory, self.period)
         self._world, self._bodies = world, _find_bodies(world)
         n, m, nu = world.num_positions, world.num_contacts, world.num_actuators
         self._estimate = self.DeclareVectorInputPort("estimated_state", 2 * n)
         self._results = self.DeclareAbstractInputPort("contact_results", Value(ContactResults()))
-        never = np.append(-np.inf, np.zeros(2 * n))
-        groups = np.zeros(nu), np.zeros(m), np.zeros(m), never
+        self._doubt = WALL_DOUBT * Scales.of(world, plan.scenario).length
+        hits = [each for each in self.feedback.stretches if each.cut == Cut.HIT]
+        # The slowest impact of each contact that is planned.
+        self._speeds = {each.contact: each.speed for each in sorted(hits, key=lambda s: -s.speed)}
+        self._never = np.append(-np.inf, np.zeros(2 * n))
+        groups = np.zeros(nu), np.zeros(m), np.zeros(m), self._never
         self._groups = _Groups(*map(self.DeclareDiscreteState, groups))
         self.DeclareInitializationDiscreteUpdateEvent(self._start)
         self.DeclarePeriodicDiscreteUpdateEvent(self.period, 0.0, self._sample)
@@ -126,6 +138,15 @@ class TrackingController(LeafSystem):
         elapsed = context.get_time() - last
         if 0 < elapsed <= (1 + _SAME) * self.period or (elapsed == 0 and np.array_equal(x, before)):
             return self._sample(context, values)
+        if not np.any(x) and np.any(self.feedback.find_state(context.get_time(), ())):
+            none = np.zeros(self._world.num_contacts)
+            for group, known in zip(self._groups[1:], (none, none, self._never), strict=True):
+                values.set_value(group, known)
+            return self._play(context, values)
+        return self._begin(context, values, x)
+
+    def _begin(self, context: Context, values: DiscreteValues, x: Floats) -> EventStatus:
+        """Takes the first sample: what is at rest on a wall has not bounced."""
         none, (q, v) = 0 * self._read(context, self._groups.bounces), np.split(x, 2)
         lasts = is_at_rest_on(self._world, q, v)
         return self._hold(context, values, x, none, np.where(lasts, _LASTS, _APART))
@@ -133,17 +154,31 @@ class TrackingController(LeafSystem):
     def _sample(self, context: Context, values: DiscreteValues) -> EventStatus:
         """Takes a sample: touches, bounces that are over, and the control from now on."""
         x = self._estimate.Eval(context)
-        if not np.all(np.isfinite(x)):
-            now = context.get_time()
-            bounces = _list_bounces(self._read(context, self._groups.bounces))
-            planned = self.feedback.find_state(now, bounces)
-            control = self.feedback.sample(now, planned, bounces).control
-            values.set_value(self._groups.control, control)
-            return EventStatus.Succeeded()
+        if not self._is_known(context, x):
+            return self._play(context, values)
+        if np.isinf(self._read(context, self._groups.last)[0]):
+            return self._begin(context, values, x)
         reached = pressed = self._feel(context, x)
         if not self._results.HasValue(context):
-            reached = pressed | self._infer(context)
+            reached = pressed | self._infer(context, x)
         return self._go_on(context, values, x, reached, pressed)
+
+    def _is_known(self, context: Context, x: Floats) -> bool:
+        """Returns whether an estimate is one: finite, and not what a hold has before its sample."""
+        is_first = np.isinf(self._read(context, self._groups.last)[0])
+        is_empty = is_first and not np.any(x)
+        bounces = _list_bounces(self._read(context, self._groups.bounces))
+        if is_empty and np.any(self.feedback.find_state(context.get_time(), bounces)):
+            return False
+        return bool(np.all(np.isfinite(x)))
+
+    def _play(self, context: Context, values: DiscreteValues) -> EventStatus:
+        """Holds the plan's own control from now on."""
+        now, bounces = context.get_time(), self._read(context, self._groups.bounces)
+        planned = self.feedback.find_state(now, _list_bounces(bounces))
+        control = self.feedback.sample(now, planned, _list_bounces(bounces)).control
+        values.set_value(self._groups.control, control)
+        return EventStatus.Succeeded()
 
     def _feel(self, context: Context, x: Floats) -> Bools:
         """Returns which contacts are touched now: as the plant reports, or else φ_i ≤ 0.
@@ -168,20 +203,31 @@ class TrackingController(LeafSystem):
                 felt[min(same, key=lambda i: phi[i])] = True
         return felt
 
-    def _infer(self, context: Context) -> Bools:
-        """Returns where J_i v < 0 at the last sample, and φ_i(q + v t + a t² / 2) ≤ 0 now."""
-        world, (time, *last) = self._world, self._read(context, self._groups.last)
-        elapsed, (q, v) = context.get_time() - time, np.split(np.array(last), 2)
-        a = world.calc_acceleration(q, v, self._read(context, self._groups.control))
-        ahead = q + elapsed * (v + elapsed / 2 * a)
-        return np.asarray(
-            (world.calc_contact_rate(q, v) < 0) & (world.calc_signed_distance(ahead) <= 0)
-        )
+    def _infer(self, context: Context, x: Floats) -> Bools:
+        """Returns which contacts were touched between the last sample and this one.
+
+        That is where J_i v < 0 at the last one, and φ_i(q + v t + a t² / 2) ≤ 0 now; or what has
+        turned round as an impact that is planned does.
+        """
+        world, (time, *before) = self._world, self._read(context, self._groups.last)
+        last, u = np.array(before), self._read(context, self._groups.control)
+        elapsed, (q, v) = context.get_time() - time, np.split(last, 2)
+        ahead = q + elapsed * (v + elapsed / 2 * world.calc_acceleration(q, v, u))
+        comes = world.calc_contact_rate(q, v) < 0
+        reached = np.asarray(comes & (world.calc_signed_distance(ahead) <= 0))
+        bounce = find_bounce(world, (last, x), elapsed, u, self._doubt) if self._speeds else None
+        if bounce and -bounce.comes > _FAINT * self._speeds.get(bounce.contact, np.inf):
+            reached[bounce.contact] = True
+        return reached
 
     def _step(self, context: Context, values: DiscreteValues) -> EventStatus:
         """Notes touches that the plant reports, and samples at once where one is over."""
         x = self._estimate.Eval(context)
-        if not (self._results.HasValue(context) and np.all(np.isfinite(x))):
+        if not self._is_known(context, x):
+            return EventStatus.DidNothing()
+        if np.isinf(self._read(context, self._groups.last)[0]):
+            return self._begin(context, values, x)
+        if not self._results.HasValue(context):
             return EventStatus.DidNothing()
         touches, felt = self._read(context, self._groups.touches), self._feel(context, x)
         if np.array_equal(touches != _APART, felt):
