@@ -193,6 +193,11 @@ REFUSED = {
     ),
     "armature": ({"JOINT": 'armature="1"', "ACTUATORS": ""}, "the armature 1 of joint 'shoulder'"),
     "springdamper": ({"JOINT": 'springdamper="1 1"'}, "springdamper of joint 'shoulder'"),
+    "polynomials": ({"JOINT": 'damping="1 2"'}, "damping 1 2 of joint 'shoulder'"),
+    "inertias": (
+        {"FLAGS": '<compiler boundmass="3" boundinertia="0"/>'},
+        "boundmass of <compiler>",
+    ),
     "equality": (
         {"FLAGS": '<equality><joint joint1="shoulder" joint2="elbow"/></equality>'},
         "<equality><joint>",
@@ -663,6 +668,72 @@ def test_bounds_that_a_motion_touches_are_named_with_their_origin(arm: Any) -> N
         "velocity of arm_elbow_w at least -1 (scenario)",
         "control of arm_motor at least -10 (model)",
     ]
+
+
+SAME_TWICE = {
+    "several joints of a turned body": (
+        """<body name="a" pos=".3 .1 .2" euler="0 30 0">
+          <joint name="x" type="slide" axis="1 0 1"/>
+          <joint name="y" axis="0 1 0" pos=".1 .2 .3" range="-9 9"/>
+          <joint name="z" axis="0 0 1" pos="0 -.1 .3" damping=".3"/>
+          <geom type="box" size=".1 .2 .3" pos=".2 .1 0"/></body>""",
+        """<body name="c" pos=".3 .1 .2" euler="0 30 0"><joint name="x" type="slide" axis="1 0 1"/>
+          <body name="b"><joint name="y" axis="0 1 0" pos=".1 .2 .3" range="-9 9"/>
+          <body name="a"><joint name="z" axis="0 0 1" pos="0 -.1 .3" damping=".3"/>
+          <geom type="box" size=".1 .2 .3" pos=".2 .1 0"/></body></body></body>""",
+    ),
+    "frames": (
+        """<frame pos="0 0 1" euler="0 90 0"><body name="a"><joint name="x" axis="0 1 0"/>
+          <frame pos="0.1 0 0"><geom size=".1" pos="0 0 .4"/></frame></body></frame>""",
+        """<body pos="0 0 1" euler="0 90 0"><body name="a"><joint name="x" axis="0 1 0"/>
+          <geom size=".1" pos=".1 0 .4"/></body></body>""",
+    ),
+    "groups that weigh nothing": (
+        """<body name="a"><joint name="x" axis="0 1 0"/><geom size=".1" pos="0 0 .4"/>
+          <geom group="3" size=".3"/></body>""",
+        """<body name="a"><joint name="x" axis="0 1 0"/><geom size=".1" pos="0 0 .4"/></body>""",
+    ),
+    "ranges that do not count": (
+        """<body name="a"><joint name="x" axis="0 1 0" range="-1 1" limited="false"/>
+          <geom size=".1" pos="0 0 .4"/></body>""",
+        """<body name="a"><joint name="x" axis="0 1 0"/><geom size=".1" pos="0 0 .4"/></body>""",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SAME_TWICE)
+def test_an_mjcf_and_a_plainer_one_of_the_same_mean_the_same(tmp_path: Path, name: str) -> None:
+    worlds, size = [], 3 if "joints" in name else 1
+    for i, bodies in enumerate(SAME_TWICE[name]):
+        model = tmp_path / f"m{i}.xml"
+        model.write_text(
+            '<mujoco><compiler inertiagrouprange="0 2" autolimits="AUTO"/><worldbody>'.replace(
+                "AUTO", "false" if "count" in name else "true"
+            )
+            + f'{bodies}</worldbody><actuator><motor joint="x" gear="3"/></actuator></mujoco>',
+            encoding="utf-8",
+        )
+        worlds.append(make(str(model), size, goal_weight=np.ones(size)))
+    q, v = np.array([0.3, -0.02, 0.7])[:size], np.array([0.4, 0.5, -0.6])[:size]
+    one, other = worlds
+    np.testing.assert_allclose(one.calc_mass_matrix(q), other.calc_mass_matrix(q), atol=1e-9)
+    np.testing.assert_allclose(one.calc_bias(q, v), other.calc_bias(q, v), atol=1e-9)
+    np.testing.assert_array_equal(one.limits.position, other.limits.position)
+    assert one.notes == other.notes or "groups" in name
+
+
+def test_links_that_several_joints_connect_do_not_touch_each_other(tmp_path: Path) -> None:
+    text = """<mujoco model="m"><option gravity="0 0 0"/><worldbody>
+      <body name="a"><joint name="x" type="slide"/><geom name="a" size="0.1"/>
+        <body name="b" pos="0 0 .5"><joint name="y" axis="0 1 0"/><joint name="z" axis="1 0 0"/>
+          <geom name="b" size="0.1" pos="0 0 .5"/>
+          <body name="c"><geom name="c" size="0.1" pos="0 .5 .5"/></body>
+          <body name="d"><joint name="d" axis="0 1 0"/><geom name="d" size="0.1" pos="0 1 .5"/>
+      </body></body></body></worldbody><actuator><motor joint="x"/></actuator></mujoco>"""
+    model = tmp_path / "m.xml"
+    model.write_text(text, encoding="utf-8")
+    world = make(str(model), 4, ignored_shapes=(), goal_weight=np.ones(4))
+    assert [contact.name for contact in world.contacts] == ["a against d"]
 
 
 @pytest.mark.slow

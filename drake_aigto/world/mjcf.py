@@ -24,9 +24,11 @@ _HARMLESS = {
 }
 _MOTORS = ("motor", "general", "position", "velocity")
 _OTHER_ACTUATORS = ("intvelocity", "damper", "cylinder", "muscle", "adhesion", "plugin", "dcmotor")
-_UNREAD_BODIES = ("composite", "flexcomp", "replicate", "attach", "frame", "plugin")
+_UNREAD_BODIES = ("composite", "flexcomp", "replicate", "attach", "plugin")
 _MESHES = ("mesh", "hfield", "sdf")
 _SPRINGS = ("stiffness", "springref")
+_COMPILER = ("angle", "eulerseq", "autolimits", "inertiafromgeom")  # What Drake reads of it.
+_PLACES = ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler")
 _TENDON_FORCES = ("stiffness", "damping", "frictionloss", "armature")
 _TRANSMISSIONS = ("tendon", "site", "body", "cranksite", "slidersite", "refsite")
 _DEFAULT_DENSITY = 1000.0  # MuJoCo's [kg/m³].
@@ -83,10 +85,15 @@ class _MjcfReader:
             self._off |= {"contact", "limit", "frictionloss", "equality"}
         if "passive" in self._off:
             self._off |= {"spring", "damper"}
+        for number, frame in enumerate(list(root.iter("frame"))):  # A body that is welded.
+            frame.tag = "body"
+            frame.set("name", frame.get("name") or f"frame{number}")
         self._classes: dict[str, dict[str, dict[str, str]]] = {}
         for default in root.findall("default"):
             self._read_class(default, "main", {})
         self._bodies = list(self._walk())
+        self._parents = {child: body for body, _ in self._bodies for child in body.findall("body")}
+        self._owners = self._find_owners()
         self._fixed = set[str]()
         folder = path.parent / self._compiler.get("meshdir", self._compiler.get("assetdir", ""))
         self._meshes = {
@@ -98,6 +105,7 @@ class _MjcfReader:
     def read(self) -> None:
         """Rewrites all of the model."""
         self._read_option()
+        self._read_compiler()
         self._read_bodies()
         self._read_geoms()
         self._read_actuators()
@@ -106,6 +114,7 @@ class _MjcfReader:
             what = f"the armature {armature:g} of joint {joint!r}, which no actuator drives"
             self._facts.refuse("armature", what, "kg m² or kg that are missing from its inertia")
         self._strip()
+        self._chain_joints()
 
     def _read_class(
         self, default: Element, name: str, inherited: dict[str, dict[str, str]]
@@ -150,16 +159,57 @@ class _MjcfReader:
             self._root.remove(each)
         gravity = "0 0 0" if "gravity" in self._off else self._option.get("gravity", "0 0 -9.81")
         SubElement(self._root, "option", gravity=gravity)
-        for each in self._root.findall("compiler"):
-            if total := each.attrib.pop("settotalmass", None):
-                masses = read_numbers(self._path, total)
-                self._facts.total_mass = masses[0] if masses[0] > 0 else None
         for each in [] if "equality" in self._off else self._root.findall("equality/*"):
             if each.get("active", "true") == "true":
                 what = f"<equality><{each.tag}>"
                 self._facts.refuse("equality", what, "a loop of links, or coupled joints")
         for each in self._root.findall("equality"):
             self._root.remove(each)
+
+    def _read_compiler(self) -> None:
+        """Reads the total mass, refuses what changes inertias, and keeps what Drake knows."""
+        mass = read_numbers(self._path, self._compiler.get("settotalmass", "-1"))[0]
+        self._facts.total_mass = mass if mass > 0 else None
+        for name in ("boundmass", "boundinertia", "balanceinertia"):
+            if self._compiler.get(name, "0") not in ("0", "false"):
+                what = f"{name} of <compiler>"
+                self._facts.refuse("inertias", what, "inertias that are changed to be larger")
+        for each in self._root.findall("compiler"):
+            for key in set(each.attrib) - set(_COMPILER):
+                del each.attrib[key]
+
+    def _find_owners(self) -> dict[Element, tuple[Element, Element | None]]:
+        """Returns of each body the one that it moves with, and the one that moves that.
+
+        Geoms of these do not touch each other in MuJoCo, unless the second one is the world.
+        """
+        found: dict[Element, tuple[Element, Element | None]] = {}
+        for body, _ in self._bodies:
+            parent = self._parents.get(body)
+            if parent is None:
+                found[body] = self._bodies[0][0], None
+            elif body.find("joint") is None and body.find("freejoint") is None:
+                found[body] = found[parent]
+            else:
+                above = found[parent][0]
+                found[body] = body, None if above.tag == "worldbody" else above
+        return found
+
+    def _chain_joints(self) -> None:
+        """Gives each joint of a body with several of them a body of its own.
+
+        Drake's reader takes axes and places of such joints to be in other frames than MuJoCo's.
+        """
+        for body, childclass in self._bodies:
+            joints = body.findall("joint")
+            for joint in joints[:-1]:
+                parent, name = self._parents[body], f"{body.get('name')}_{joint.get('name')}"
+                outer = Element("body", name=name, childclass=childclass)
+                outer.attrib |= {key: body.attrib.pop(key) for key in _PLACES if key in body.attrib}
+                body.remove(joint)
+                parent[list(parent).index(body)] = outer
+                outer.extend([joint, body])
+                self._parents[body] = outer
 
     def _read_bodies(self) -> None:
         """Reads springs, friction and armature of joints."""
@@ -196,8 +246,14 @@ class _MjcfReader:
             self._facts.refuse("springdamper", f"springdamper of joint {name!r}", "its forces")
         if "damper" in self._off:
             joint.set("damping", "0")
-        if "limit" in self._off:
-            joint.set("limited", "false")
+        is_limited = "limit" not in self._off and self._is_limited(values, "")
+        joint.set("limited", "true" if is_limited else "false")
+        joint.attrib.pop("actuatorfrcrange", None)
+        for key in ("damping", "stiffness"):
+            if len(terms := values.get(key, "0").split()) > 1:
+                joint.set(key, terms[0])
+                what = f"{key} {values[key]} of joint {name!r}"
+                self._facts.refuse("polynomials", what, "its terms of higher degree")
         if number.get("armature", 0.0) > 0:
             self._armatures[name] = number["armature"]
         limited = values.get("actuatorfrclimited", "auto")
@@ -218,7 +274,7 @@ class _MjcfReader:
                     masks = [0, 0]
                 if values.get("type") in _MESHES and not self._keeps_mesh(body, geom, any(masks)):
                     continue
-                kept.append((geom, masks))
+                kept.append((geom, masks, self._owners[body]))
                 self._set_mass(geom, values)
                 geom.set("friction", values.get("friction", "1").split()[0])
         pairs = {
@@ -227,11 +283,13 @@ class _MjcfReader:
         }
         for one, other in itertools.combinations(kept, 2):
             meets = one[1][0] & other[1][1] or other[1][0] & one[1][1]
+            (owner, above), (other_owner, other_above) = one[2], other[2]
+            meets = meets and owner not in (other_owner, other_above) and other_owner is not above
             names = one[0].get("name", ""), other[0].get("name", "")
             if not meets and frozenset(names) not in pairs:
                 self._facts.apart.append(names)
         touching = {name for pair in pairs for name in pair if "contact" not in self._off}
-        for geom, masks in kept:
+        for geom, masks, _ in kept:
             touches = any(masks) or geom.get("name") in touching
             for mask in ("contype", "conaffinity"):
                 geom.set(mask, "1" if touches else "0")
@@ -258,6 +316,12 @@ class _MjcfReader:
 
     def _set_mass(self, geom: Element, values: dict[str, str]) -> None:
         """Scales what a geom weighs, where the model has a total mass."""
+        if values.get("shellinertia") == "true":
+            what = f"shellinertia of geom {geom.get('name')!r}"
+            self._facts.refuse("inertias", what, "mass at the surface; it is spread evenly instead")
+        least, most = read_numbers(self._path, self._compiler.get("inertiagrouprange", "0 5"), 2)
+        if not least <= int(values.get("group", "0")) <= most:
+            geom.set("mass", "0")
         scale = self._facts.mass_scale
         if scale == 1.0:
             return
@@ -288,7 +352,11 @@ class _MjcfReader:
         if joint in self._fixed:
             return False
         if joint not in names:
-            raise refuse_element(self._path, motor, f"{what} at the unknown joint {joint!r}")
+            if self._facts.refused:  # It may be in what is refused.
+                return False
+            known = ", ".join(sorted(map(str, names)))
+            got = f"{what} at the unknown joint {joint!r}"
+            raise refuse_element(self._path, motor, got, f"one of {known}")
         if motor.tag in _OTHER_ACTUATORS or values.get("dyntype", "none") != "none":
             of = f"{what}, which has dynamics of its own"
             return self._facts.refuse("actuators", of, "an actuator that is missing")
@@ -350,7 +418,7 @@ class _MjcfReader:
         return (gear * lower, gear * upper) if gear > 0 else (gear * upper, gear * lower)
 
     def _is_limited(self, values: dict[str, str], of: str) -> bool:
-        """Returns whether the range of an actuator counts."""
+        """Returns whether a range counts: that of an actuator, or without a word a joint's."""
         limited, has_range = values.get(f"{of}limited", "auto"), f"{of}range" in values
         if limited == "auto":
             return has_range and self._compiler.get("autolimits", "true") == "true"
@@ -378,7 +446,7 @@ class _MjcfReader:
                 in_class = parent.tag == "default" and child.tag in (*_MOTORS, *_OTHER_ACTUATORS)
                 if child.tag in _HARMLESS or unused or in_class or child.tag == "pair":
                     parent.remove(child)
-            for key in ("user", "condim", "texture", *_SPRINGS, "frictionloss"):
+            for key in ("user", "condim", "texture", "shellinertia", *_SPRINGS, "frictionloss"):
                 parent.attrib.pop(key, None)
             if parent.tag == "inertial":
                 for key in ("mass", "diaginertia", "fullinertia"):
@@ -388,9 +456,6 @@ class _MjcfReader:
                         parent.set(key, " ".join(scaled))
             if parent.tag == "mesh" and "file" in parent.attrib:
                 parent.set("file", str(self._meshes[_mesh(parent)].resolve()))
-        for each in self._root.findall("compiler"):
-            each.attrib.pop("meshdir", None)
-            each.attrib.pop("assetdir", None)
 
 
 def _mesh(mesh: Element) -> str:

@@ -222,7 +222,8 @@ def _parse(
                 raise refuse_loop(f"a loop of joints in {path}") from error
             text = str(error).replace(f"<literal-string>.{kind}", str(path))
             raise ModelError(f"Drake can't parse the model {path}", got=text) from error
-    return [each for each in heard if not any(word in each for word in _HARMLESS)]
+    told = (each.partition("warning: ")[2] or each for each in heard)
+    return [each for each in told if not any(word in each for word in _HARMLESS)]
 
 
 def _weld(plant: MultibodyPlant, path: Path, fields: ModelFields) -> None:
