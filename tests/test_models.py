@@ -732,7 +732,7 @@ def test_links_that_several_joints_connect_do_not_touch_each_other(tmp_path: Pat
       </body></body></body></worldbody><actuator><motor joint="x"/></actuator></mujoco>"""
     model = tmp_path / "m.xml"
     model.write_text(text, encoding="utf-8")
-    world = make(str(model), 4, ignored_shapes=(), goal_weight=np.ones(4))
+    world = make(str(model), 4, ignored_shapes=(), goal_weight=np.ones(4), friction=0.0)
     assert [contact.name for contact in world.contacts] == ["a against d"]
 
 
