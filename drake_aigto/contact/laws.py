@@ -11,7 +11,7 @@ import scipy  # Not scipy.optimize, which takes a tenth of a second and few need
 
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.dynamics import calc_friction_share, smooth_sign
-from drake_aigto.kernels import inner
+from drake_aigto.kernels import borrowing
 from drake_aigto.world import Scenario, World
 
 # Centers of spheres closer than a micron, by rounding, count as that far apart [m²].
@@ -216,16 +216,16 @@ def calc_dissipation(restitution: float, speed: float) -> float:
     return -math.expm1(-z) / e / speed
 
 
-_bend, _deepen = inner(smooth_sign), inner(_calc_deeper)
+_bend, _deepen = borrowing(smooth_sign), borrowing(_calc_deeper)
 
 
-@inner
+@borrowing
 def find_share(y: float) -> float:
     """Returns σ of a speed y in parts of the stiction speed (`calc_friction_share`)."""
     return _bend(min(max(y, -1.0), 1.0))
 
 
-@inner
+@borrowing
 def calc_share(y: float) -> tuple[float, float]:
     """Returns σ and dσ/dy of a speed y in parts of the stiction speed."""
     size = abs(y)
@@ -235,7 +235,7 @@ def calc_share(y: float) -> tuple[float, float]:
     return share, 30.0 * y * y * (1.0 - size) ** 2
 
 
-@inner
+@borrowing
 def find_gap(reach: float, distance: float) -> tuple[float, float]:
     """Returns the distance of surfaces [m] and ∂l/∂φ at a distance φ (`CompliantLaw.find_gaps`)."""
     if reach == 0.0:
@@ -244,7 +244,7 @@ def find_gap(reach: float, distance: float) -> tuple[float, float]:
     return apart - reach, reach / apart
 
 
-@inner
+@borrowing
 def calc_deeper(reach: float, radius: float, gap: float) -> float:
     """Returns δ at a distance ψ of surfaces (`CompliantLaw`) [m]."""
     return _deepen(1.0 / reach if reach > 0.0 else 0.0, radius, gap)

@@ -11,10 +11,10 @@ from drake_aigto.dynamics.spatial import (
     multiply_quaternions,
 )
 from drake_aigto.dynamics.tree_tables import QUATERNION, RPY, TreeTables
-from drake_aigto.kernels import inner
+from drake_aigto.kernels import borrowing
 
 
-@inner
+@borrowing
 def add_tangent(tree: TreeTables, q: Floats, delta: Floats, moved: Floats) -> None:
     """Computes q ⊕ δ: links turned by rotation vectors in F, and moved."""
     for i in range(tree.parents.size):
@@ -26,7 +26,7 @@ def add_tangent(tree: TreeTables, q: Floats, delta: Floats, moved: Floats) -> No
                 moved[at + k] = q[at + k] + delta[tree.velocities[first + k]]
 
 
-@inner
+@borrowing
 def _turn_link(tree: TreeTables, i: int, q: Floats, delta: Floats, moved: Floats) -> None:
     """Computes the positions of a link turned by a rotation vector, a unit quaternion if any."""
     first, at = tree.dofs[i], tree.positions[i]
@@ -47,7 +47,7 @@ def _turn_link(tree: TreeTables, i: int, q: Floats, delta: Floats, moved: Floats
     moved[at + 2] = yaw + 2 * np.pi * np.round((q[at + 2] - yaw) / (2 * np.pi))
 
 
-@inner
+@borrowing
 def read_turn(tree: TreeTables, i: int, q: Floats) -> tuple[float, float, float, float]:
     """Returns the quaternion of a link that turns about three axes."""
     at = tree.positions[i]
@@ -60,7 +60,7 @@ def read_turn(tree: TreeTables, i: int, q: Floats) -> tuple[float, float, float,
     return multiply_quaternions(cy, 0.0, 0.0, sy, w, x, y, z)
 
 
-@inner
+@borrowing
 def subtract_positions(tree: TreeTables, after: Floats, before: Floats, delta: Floats) -> None:
     """Computes the shortest δ with before ⊕ δ = after."""
     for i in range(tree.parents.size):

@@ -30,12 +30,12 @@ from drake_aigto.dynamics.tree_tables import (
     TreeMemory,
     TreeTables,
 )
-from drake_aigto.kernels import inner
+from drake_aigto.kernels import borrowing, pasted
 
 _OWN, _ALL = 10, 22  # Numbers of an inertia; with T and the momentum of `tree_slopes`.
 
 
-@inner
+@pasted
 def place(tree: TreeTables, i: int, q: Floats, memory: TreeMemory) -> None:
     """Computes the pose of link i, and its motions S."""
     frame, pose = memory.frames[i], memory.poses[i]
@@ -65,7 +65,7 @@ def place(tree: TreeTables, i: int, q: Floats, memory: TreeMemory) -> None:
     _find_motions(tree, i, memory)
 
 
-@inner
+@pasted
 def _place_frame(tree: TreeTables, i: int, memory: TreeMemory) -> None:
     """Computes the rotation of the frame F that link i moves in, and its position as the link's."""
     frame, pose, parent = memory.frames[i], memory.poses[i], tree.parents[i]
@@ -82,7 +82,7 @@ def _place_frame(tree: TreeTables, i: int, memory: TreeMemory) -> None:
         pose[9], pose[10], pose[11] = base[9] + x, base[10] + y, base[11] + z
 
 
-@inner
+@pasted
 def _find_motions(tree: TreeTables, i: int, memory: TreeMemory) -> None:
     """Computes S of link i: axes fixed in F, through the link's position if they turn."""
     frame, pose, kind = memory.frames[i], memory.poses[i], tree.kinds[i]
@@ -103,7 +103,7 @@ def _find_motions(tree: TreeTables, i: int, memory: TreeMemory) -> None:
             S[5] = pose[9] * y - pose[10] * x + pitch * z
 
 
-@inner
+@pasted
 def spread(tree: TreeTables, q: Floats, v: Floats, memory: TreeMemory) -> None:
     """Computes poses, motions, velocities, accelerations at v̇ = 0, and forces of single links."""
     for s in range(tree.up.size):
@@ -127,7 +127,7 @@ def spread(tree: TreeTables, q: Floats, v: Floats, memory: TreeMemory) -> None:
         _push_link(tree, i, memory)
 
 
-@inner
+@pasted
 def _push_link(tree: TreeTables, i: int, memory: TreeMemory) -> None:
     """Computes the inertia of link i, and the force of its motion, I A + V ×* I V."""
     B, C, f = memory.inertias[i], memory.composites[i], memory.forces[i]
@@ -149,7 +149,7 @@ def _push_link(tree: TreeTables, i: int, memory: TreeMemory) -> None:
     C[19], C[20], C[21] = momentum[3], momentum[4], momentum[5]
 
 
-@inner
+@pasted
 def push_joints(tree: TreeTables, q: Floats, u: Floats, eps: float, memory: TreeMemory) -> None:
     """Computes the generalized forces of controls, springs, dampers and dry friction."""
     for s in range(tree.up.size):
@@ -167,13 +167,13 @@ def push_joints(tree: TreeTables, q: Floats, u: Floats, eps: float, memory: Tree
             memory.force[tree.dofs[i]] -= tree.stiffnesses[i] * stretch
 
 
-@inner
+@pasted
 def find_stiction(tree: TreeTables, s: int, eps: float) -> float:
     """Returns the speed below which a joint sticks, smoothed over ε."""
     return np.sqrt(tree.stiction[s] ** 2 + (eps * tree.pace[s]) ** 2)
 
 
-@inner
+@borrowing
 def share_friction(x: float) -> tuple[float, float]:
     """Returns σ(x), see `calc_friction_share`, and its slope."""
     if abs(x) >= 1.0:
@@ -182,7 +182,7 @@ def share_friction(x: float) -> tuple[float, float]:
     return x**3 * (10.0 - 15.0 * a + 6.0 * x * x), 30.0 * x * x * (1.0 - a) ** 2
 
 
-@inner
+@pasted
 def gather(tree: TreeTables, has_slopes: bool, memory: TreeMemory) -> None:
     """Computes composite bodies and M, and takes forces of motion from the generalized ones."""
     count = _ALL if has_slopes else _OWN
@@ -204,7 +204,7 @@ def gather(tree: TreeTables, has_slopes: bool, memory: TreeMemory) -> None:
                 memory.forces[parent, k] += f[k]
 
 
-@inner
+@borrowing
 def factor(up: Ints, L: Floats) -> None:
     """Factors M = Lᵀ L with the zeros of the tree; 1 / L_kk takes the place of L_kk.
 
@@ -225,7 +225,7 @@ def factor(up: Ints, L: Floats) -> None:
             i = up[i]
 
 
-@inner
+@borrowing
 def solve(up: Ints, L: Floats, y: Floats) -> None:
     """Replaces a vector by M⁻¹ times it."""
     for i in range(up.size - 1, -1, -1):
@@ -242,7 +242,7 @@ def solve(up: Ints, L: Floats, y: Floats) -> None:
         y[i] = total * L[i, i]
 
 
-@inner
+@borrowing
 def solve_rows(up: Ints, L: Floats, Y: Floats) -> None:
     """Replaces a matrix by M⁻¹ times it, row by row."""
     for i in range(up.size - 1, -1, -1):
@@ -259,13 +259,13 @@ def solve_rows(up: Ints, L: Floats, Y: Floats) -> None:
         _scale(L[i, i], Y[i])
 
 
-@inner
+@borrowing
 def _subtract_row(factor: float, x: Floats, y: Floats) -> None:
     for c in range(y.size):
         y[c] -= factor * x[c]
 
 
-@inner
+@borrowing
 def _scale(factor: float, x: Floats) -> None:
     for c in range(x.size):
         x[c] *= factor

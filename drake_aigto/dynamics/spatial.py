@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.kernels import inner
+from drake_aigto.kernels import borrowing
 
 # Angles below which series replace sin θ/θ and the like: the next term is below 1e-17.
 _SMALL = 1e-4
 
 
-@inner
+@borrowing
 def multiply(A: Floats, B: Floats, C: Floats) -> None:
     """Computes the product C = A B of 3 × 3 matrices."""
     for i in range(3):
@@ -23,7 +23,7 @@ def multiply(A: Floats, B: Floats, C: Floats) -> None:
             C[3 * i + j] = A[3 * i] * B[j] + A[3 * i + 1] * B[3 + j] + A[3 * i + 2] * B[6 + j]
 
 
-@inner
+@borrowing
 def rotate(R: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Returns R times a vector."""
     return (
@@ -33,7 +33,7 @@ def rotate(R: Floats, x: float, y: float, z: float) -> tuple[float, float, float
     )
 
 
-@inner
+@borrowing
 def turn_about(axis: Floats, angle: float, R: Floats) -> None:
     """Computes R of a turn about an axis of unit length (Rodrigues)."""
     x, y, z = axis[0], axis[1], axis[2]
@@ -44,7 +44,7 @@ def turn_about(axis: Floats, angle: float, R: Floats) -> None:
     R[6], R[7], R[8] = k * x * z - s * y, k * y * z + s * x, c + k * z * z
 
 
-@inner
+@borrowing
 def turn_by_quaternion(w: float, x: float, y: float, z: float, R: Floats) -> None:
     """Computes R of a quaternion, of any length but 0."""
     s = 2.0 / (w * w + x * x + y * y + z * z)
@@ -53,7 +53,7 @@ def turn_by_quaternion(w: float, x: float, y: float, z: float, R: Floats) -> Non
     R[6], R[7], R[8] = s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)
 
 
-@inner
+@borrowing
 def turn_by_rpy(roll: float, pitch: float, yaw: float, R: Floats) -> None:
     """Computes R = R_z(yaw) R_y(pitch) R_x(roll)."""
     cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
@@ -63,7 +63,7 @@ def turn_by_rpy(roll: float, pitch: float, yaw: float, R: Floats) -> None:
     R[6], R[7], R[8] = -sp, cp * sr, cp * cr
 
 
-@inner
+@borrowing
 def cross_motion(v: Floats, s: Floats, out: Floats) -> None:
     """Computes v × s of motions."""
     out[0] = v[1] * s[2] - v[2] * s[1]
@@ -74,7 +74,7 @@ def cross_motion(v: Floats, s: Floats, out: Floats) -> None:
     out[5] = v[0] * s[4] - v[1] * s[3] + v[3] * s[1] - v[4] * s[0]
 
 
-@inner
+@borrowing
 def add_cross_force(v: Floats, f: Floats, out: Floats) -> None:
     """Adds v ×* f, the rate of a force, or momentum, that moves along with v."""
     out[0] += v[1] * f[2] - v[2] * f[1] + v[4] * f[5] - v[5] * f[4]
@@ -85,13 +85,13 @@ def add_cross_force(v: Floats, f: Floats, out: Floats) -> None:
     out[5] += v[0] * f[4] - v[1] * f[3]
 
 
-@inner
+@borrowing
 def dot(a: Floats, b: Floats) -> float:
     """Returns the product of a motion and a force."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
 
 
-@inner
+@borrowing
 def apply_inertia(B: Floats, v: Floats, out: Floats) -> None:
     """Computes B v, the momentum of a motion."""
     m, x, y, z = B[0], B[1], B[2], B[3]
@@ -103,7 +103,7 @@ def apply_inertia(B: Floats, v: Floats, out: Floats) -> None:
     out[5] = m * v[5] - x * v[1] + y * v[0]
 
 
-@inner
+@borrowing
 def move_inertia(pose: Floats, m: float, center: Floats, J: Floats, B: Floats) -> None:
     """Computes the inertia B of a body in the world from its mass, center, and moments J about it.
 
@@ -128,7 +128,7 @@ def move_inertia(pose: Floats, m: float, center: Floats, J: Floats, B: Floats) -
     B[9] = a2 * pose[6] + b2 * pose[7] + c2 * pose[8] + m * (x * x + y * y)
 
 
-@inner
+@borrowing
 def multiply_quaternions(
     aw: float, ax: float, ay: float, az: float, bw: float, bx: float, by: float, bz: float
 ) -> tuple[float, float, float, float]:
@@ -141,7 +141,7 @@ def multiply_quaternions(
     )
 
 
-@inner
+@borrowing
 def exp_quaternion(x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Returns the unit quaternion of a rotation vector."""
     square = x * x + y * y + z * z
@@ -150,7 +150,7 @@ def exp_quaternion(x: float, y: float, z: float) -> tuple[float, float, float, f
     return np.cos(angle / 2), half * x, half * y, half * z
 
 
-@inner
+@borrowing
 def log_quaternion(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Returns the shortest rotation vector of a quaternion, of any length but 0."""
     sine = np.sqrt(x * x + y * y + z * z)

@@ -29,10 +29,10 @@ from drake_aigto.dynamics.recursions import (
 )
 from drake_aigto.dynamics.spatial import add_cross_force, apply_inertia, cross_motion, dot
 from drake_aigto.dynamics.tree_tables import TreeMemory, TreeTables
-from drake_aigto.kernels import inner
+from drake_aigto.kernels import borrowing, pasted
 
 
-@inner
+@borrowing
 def accelerate(
     tree: TreeTables,
     q: Floats,
@@ -55,7 +55,7 @@ def accelerate(
         solve_rows(tree.up, memory.mass, memory.slopes)
 
 
-@inner
+@pasted
 def prepare_slopes(tree: TreeTables, memory: TreeMemory) -> None:
     """Computes T of 2B of each link, after `spread`, and before `gather` adds it up."""
     for i in range(tree.parents.size):
@@ -78,7 +78,7 @@ def prepare_slopes(tree: TreeTables, memory: TreeMemory) -> None:
         C[18] = 2 * (a * C[8] - b * C[7] - V[5] * z) + along
 
 
-@inner
+@pasted
 def differentiate(tree: TreeTables, eps: float, memory: TreeMemory) -> None:
     """Computes the derivatives of B u − h − M v̇ at the v̇ that is in `force`."""
     n, slopes = tree.up.size, memory.slopes
@@ -105,7 +105,7 @@ def differentiate(tree: TreeTables, eps: float, memory: TreeMemory) -> None:
             slopes[s, n + s] -= tree.friction[s] * slope / speed
 
 
-@inner
+@pasted
 def _spread_accelerations(tree: TreeTables, memory: TreeMemory) -> None:
     """Computes accelerations, U, and the forces of single links."""
     for i in range(tree.parents.size):
@@ -131,7 +131,7 @@ def _spread_accelerations(tree: TreeTables, memory: TreeMemory) -> None:
         add_cross_force(V, momentum, f)
 
 
-@inner
+@pasted
 def _differentiate_motion(tree: TreeTables, i: int, s: int, memory: TreeMemory) -> None:
     """Takes off derivatives by s of forces of links before, and those of s's by them."""
     C, f, n, up = memory.composites[i], memory.forces[i], tree.up.size, tree.up
@@ -164,7 +164,7 @@ def _differentiate_motion(tree: TreeTables, i: int, s: int, memory: TreeMemory) 
         j = up[j]
 
 
-@inner
+@borrowing
 def _add_twice_B(C: Floats, x: Floats, out: Floats) -> None:
     """Adds 2B x."""
     a, b, c = x[0], x[1], x[2]

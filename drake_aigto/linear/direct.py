@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from drake_aigto.arrays import Floats
-from drake_aigto.kernels import inner, njit
+from drake_aigto.kernels import borrowing, njit
 
 
-@inner
+@borrowing
 def solve_factored(size: int, L: Floats, y: Floats) -> None:
     """Overwrites the first entries of y by (L Lᵀ)⁻¹ y, L being of this size."""
     for i in range(size):
@@ -19,7 +19,7 @@ def solve_factored(size: int, L: Floats, y: Floats) -> None:
         y[i] /= L[i, i]
 
 
-@inner
+@borrowing
 def factor_in_place(size: int, least: float, A: Floats) -> None:
     """Overwrites the first rows of A by L and R with A = L R, of which L has ones on its diagonal.
 
@@ -37,7 +37,7 @@ def factor_in_place(size: int, least: float, A: Floats) -> None:
             A[i, i] = floor
 
 
-@inner
+@borrowing
 def solve_factors(size: int, A: Floats, y: Floats) -> None:
     """Overwrites the first entries of y by (L R)⁻¹ y, with both in A (`factor_in_place`)."""
     for i in range(size):

@@ -18,7 +18,7 @@ from drake_aigto.contact import (
     calc_tangents,
     find_gap,
 )
-from drake_aigto.kernels import inner, kernel, pasted
+from drake_aigto.kernels import borrowing, kernel, pasted
 from drake_aigto.shooting.tables import (
     BRAKE,
     COEFFICIENT,
@@ -36,20 +36,20 @@ from drake_aigto.world import World
 Row: TypeAlias = NDArray[Any]
 
 
-@inner
+@borrowing
 def triangle(n: int, i: int, j: int) -> int:
     """Returns the place of entry (i, j) of a symmetric matrix in its upper triangle, by rows."""
     low, high = min(i, j), max(i, j)
     return low * n - low * (low - 1) // 2 + high - low
 
 
-@inner
+@borrowing
 def find_row(n: int, m: int, k: int) -> int:
     """Returns where row k begins: J_k of a contact, or T of friction k − m; of w, ∂M/∂q."""
     return n * (n + 1) // 2 + n + m + k * n
 
 
-@inner
+@borrowing
 def find_slope(n: int, m: int, w: int, k: int, i: int, c: int) -> int:
     """Returns where the derivative of entry i of row k by q_c is; of k = w, what is behind all."""
     half = n * (n + 1) // 2
@@ -59,7 +59,7 @@ def find_slope(n: int, m: int, w: int, k: int, i: int, c: int) -> int:
     return first + m * half + (k - m) * n * n + i * n + c
 
 
-@inner
+@borrowing
 def run_tape(
     code: Ints, numbers: Floats, x: Floats, has_slopes: bool, values: Floats, sums: Floats
 ) -> None:
@@ -102,7 +102,7 @@ def evaluate_tape(code: Ints, numbers: Floats, x: Floats, values: Floats, sums: 
     run_tape(code, numbers, x, True, values, sums)
 
 
-@inner
+@borrowing
 def factor_mass(n: int, sums: Floats, L: Floats) -> None:
     """Factors M = L Lᵀ, which the tape has computed; 1 / L_ii takes the place of L_ii."""
     at = 0
@@ -115,7 +115,7 @@ def factor_mass(n: int, sums: Floats, L: Floats) -> None:
             L[j, i] = 1.0 / np.sqrt(total) if j == i else total * L[i, i]
 
 
-@inner
+@borrowing
 def divide_by_mass(n: int, L: Floats, y: Floats) -> None:
     """Replaces each row of y by M⁻¹ times it."""
     for c in range(y.shape[0]):
@@ -129,7 +129,7 @@ def divide_by_mass(n: int, L: Floats, y: Floats) -> None:
             y[c, i] *= L[i, i]
 
 
-@inner
+@borrowing
 def find_foremost(first: int, last: int, phi: int, sums: Floats) -> int:
     """Returns the contact of a solid whose face the sphere is farthest in front of."""
     foremost = first
@@ -139,7 +139,7 @@ def find_foremost(first: int, last: int, phi: int, sums: Floats) -> int:
     return foremost
 
 
-@inner
+@borrowing
 def accelerate(
     mechanics: Mechanics,
     x: Floats,
@@ -237,7 +237,7 @@ def _differentiate(mechanics: Mechanics, x: Floats, memory: MechanicsMemory) -> 
     divide_by_mass(n, memory.factor, slopes)
 
 
-@inner
+@borrowing
 def _differentiate_force(i: int, mechanics: Mechanics, x: Floats, memory: MechanicsMemory) -> None:
     """Adds ∂(J_iᵀ f_i)/∂(q, v), transposed."""
     sums, force, slopes = memory.sums, memory.force, memory.slopes
@@ -256,7 +256,7 @@ def _differentiate_force(i: int, mechanics: Mechanics, x: Floats, memory: Mechan
             slopes[n + c, j] += by_velocity * sums[row + j]
 
 
-@inner
+@borrowing
 def find_friction(frictions: Floats, contact: int) -> int:
     """Returns the index of a contact's friction, or −1 without friction."""
     for r in range(frictions.shape[0]):
@@ -290,7 +290,7 @@ def _add_friction(mechanics: Mechanics, x: Floats, eps: float, memory: Mechanics
         row += n
 
 
-@inner
+@borrowing
 def _deepen(r: int, source: int, mechanics: Mechanics, memory: MechanicsMemory) -> None:
     """Computes δ of a friction's contact and dδ/dφ; zero between rigid walls."""
     reach, radius = mechanics.contacts[source, 3], mechanics.frictions[r, RADIUS]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.kernels import inner
+from drake_aigto.kernels import borrowing, inner
 from drake_aigto.shooting.acceleration import (
     find_foremost,
     find_row,
@@ -23,7 +23,7 @@ from drake_aigto.shooting.tables import FLOW, Added, Bounds, Memory, Program
 PENALIZE, EXPAND, MEASURE, UPDATE = range(4)
 
 
-@inner
+@borrowing
 def visit_bounds(
     program: Program, states: Floats, controls: Floats, penalty: float, job: int, memory: Memory
 ) -> float:
@@ -54,19 +54,19 @@ def visit_bounds(
     return total
 
 
-@inner
+@borrowing
 def _join(job: int, total: float, part: float) -> float:
     """Returns a sum of penalties, or the larger one of violations."""
     return max(total, part) if job >= MEASURE else total + part
 
 
-@inner
+@borrowing
 def _excess(value: float, lower: float, upper: float) -> float:
     """Returns the excess of a value above its upper bound, negative below the lower one."""
     return max(value - upper, 0.0) + min(value - lower, 0.0)
 
 
-@inner
+@borrowing
 def _visit(
     bounds: Bounds,
     k: int,
@@ -90,7 +90,7 @@ def _visit(
     return np.sqrt(weight) * abs(_excess(value, low, high)), 0.0
 
 
-@inner
+@borrowing
 def _add_slopes(
     k: int, push: float, stiffness: float, slope: Floats, columns: int, memory: Memory
 ) -> None:
@@ -104,7 +104,7 @@ def _add_slopes(
             l2[i, d if d < nx else nz + d - nx] += stiffness * slope[c] * slope[d]
 
 
-@inner
+@borrowing
 def _visit_distances(
     program: Program, k: int, z: Floats, penalty: float, job: int, memory: Memory
 ) -> float:
@@ -125,7 +125,7 @@ def _visit_distances(
     return total
 
 
-@inner
+@borrowing
 def _visit_approach(
     program: Program, k: int, z: Floats, penalty: float, job: int, memory: Memory
 ) -> float:
@@ -152,7 +152,7 @@ def _visit_approach(
     return found
 
 
-@inner
+@borrowing
 def _visit_modes(program: Program, k: int, penalty: float, job: int, memory: Memory) -> float:
     """Does a job for the rows of modes at knot k, which are in the memory."""
     values, slopes, weights, _ = memory.modes
@@ -173,7 +173,7 @@ def _visit_modes(program: Program, k: int, penalty: float, job: int, memory: Mem
     return total
 
 
-@inner
+@borrowing
 def _visit_added(
     program: Program, k: int, z: Floats, u: Floats, penalty: float, job: int, memory: Memory
 ) -> float:
@@ -192,7 +192,7 @@ def _visit_added(
     return total
 
 
-@inner
+@borrowing
 def _evaluate_added(added: Added, z: Floats, u: Floats, memory: Memory) -> None:
     """Computes the functions of users at a knot with all derivatives."""
     x, nx = memory.added.x, memory.flow.points.shape[1]
@@ -245,7 +245,7 @@ def add_costs(
     return cost
 
 
-@inner
+@borrowing
 def _measure_distances(program: Program, z: Floats, has_slopes: bool, memory: Memory) -> int:
     """Computes φ and J, with their derivatives if asked, and returns where φ starts in the sums."""
     mechanics, room, nx = program.mechanics, memory.flow.mechanics, memory.flow.points.shape[1]

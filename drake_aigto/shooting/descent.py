@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.kernels import borrow, inner, kernel, pasted
+from drake_aigto.kernels import borrow, borrowing, kernel, pasted
 from drake_aigto.shooting.bounds import EXPAND, MEASURE, PENALIZE, UPDATE, add_costs, visit_bounds
 from drake_aigto.shooting.flow import flow, jump, measure_end
 from drake_aigto.shooting.sweep import clip_control, sweep_back
@@ -35,7 +35,7 @@ _FALLS = 6.0
 FOLLOW, LINEARIZE, ROLL = range(3)
 
 
-@inner
+@borrowing
 def travel(
     program: Program,
     states: Floats,
@@ -214,7 +214,7 @@ def descend(
     return Outcome(cost, count, is_converged, is_left, violation)
 
 
-@inner
+@borrowing
 def _copy(source: Floats, target: Floats) -> None:
     for i in range(source.shape[0]):
         for j in range(source.shape[1]):

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.kernels import inner, pasted
+from drake_aigto.kernels import borrowing, pasted
 from drake_aigto.shooting.acceleration import accelerate, factor_mass, run_tape
 from drake_aigto.shooting.hold import hold, strike
 from drake_aigto.shooting.tables import CHORDAL, MODULO, CostTable, FlowMemory, Memory, Program
 
 
-@inner
+@borrowing
 def clear(vector: Floats, matrix: Floats) -> None:
     """Makes both zero, in loops: slices take seconds to compile."""
     for i in range(vector.size):
@@ -21,7 +21,7 @@ def clear(vector: Floats, matrix: Floats) -> None:
             matrix[i, j] = 0.0
 
 
-@inner
+@borrowing
 def _find_error(kind: int, error: float) -> tuple[float, float]:
     """Returns the error of a coordinate, and its square; a chord's is sin e: half its slope."""
     if kind == MODULO:
@@ -210,7 +210,7 @@ def _add_rate(
         l1[c] += length * by_column[c]
 
 
-@inner
+@borrowing
 def _add_duration(
     tau: int, length: float, unit: float, rate: float, by_column: Floats, l1: Floats, l2: Floats
 ) -> None:
@@ -255,7 +255,7 @@ def jump(
                 F[n + i, c] += room.slopes[c, i]
 
 
-@inner
+@borrowing
 def measure_end(task: CostTable, z: Floats, has_slopes: bool, memory: Memory) -> float:
     """Returns eᵀ W e of the last state, with its derivatives if asked."""
     K, nx, cost = memory.controls.shape[0], task.goal.size, 0.0

@@ -9,7 +9,7 @@ each contact, shape (m,), 0 for sticking contacts and without friction.
 from __future__ import annotations
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.kernels import inner
+from drake_aigto.kernels import borrowing
 from drake_aigto.linear import factor_in_place, solve_factors
 from drake_aigto.shooting.acceleration import (
     accelerate,
@@ -36,7 +36,7 @@ _RIDGE = 1e-12
 _ONE, _OTHER, _PUSH = range(3)
 
 
-@inner
+@borrowing
 def _clasp(
     closed: Bools, leans: Floats, n: int, mechanics: Mechanics, memory: MechanicsMemory
 ) -> None:
@@ -64,7 +64,7 @@ def _clasp(
     factor_in_place(w, _RIDGE, grip)
 
 
-@inner
+@borrowing
 def _turn(
     closed: Bools, leans: Floats, n: int, mechanics: Mechanics, memory: MechanicsMemory
 ) -> None:
@@ -101,7 +101,7 @@ def _turn(
     divide_by_mass(n, memory.factor, support[w + 1 :])
 
 
-@inner
+@borrowing
 def hold(
     closed: Bools,
     leans: Floats,
@@ -138,7 +138,7 @@ def hold(
         _differentiate_hold(closed, m, x, memory)
 
 
-@inner
+@borrowing
 def _differentiate_hold(closed: Bools, m: int, x: Floats, memory: MechanicsMemory) -> None:
     """Computes the derivatives of λ, and adds those of M⁻¹ Dᵀ λ to the acceleration's."""
     sums, support, acceleration = memory.sums, memory.support, memory.acceleration
@@ -171,7 +171,7 @@ def _differentiate_hold(closed: Bools, m: int, x: Floats, memory: MechanicsMemor
                 slopes[c, i] += support[k, i] * by_force[c, k]
 
 
-@inner
+@borrowing
 def strike(
     closed: Bools,
     leans: Floats,
@@ -219,7 +219,7 @@ def strike(
         _differentiate_strike(closed, m, restitution, z, after, memory)
 
 
-@inner
+@borrowing
 def _differentiate_strike(
     closed: Bools, m: int, restitution: float, z: Floats, after: Floats, memory: MechanicsMemory
 ) -> None:
@@ -247,7 +247,7 @@ def _differentiate_strike(
                 slopes[c, i] += support[k, i] * by_force[c, k]
 
 
-@inner
+@borrowing
 def measure_modes(
     program: Program, k: int, z: Floats, u: Floats, has_slopes: bool, memory: Memory
 ) -> bool:
@@ -283,7 +283,7 @@ def measure_modes(
     return True
 
 
-@inner
+@borrowing
 def _measure_hold(
     program: Program, k: int, z: Floats, u: Floats, has_slopes: bool, memory: Memory
 ) -> None:
@@ -309,7 +309,7 @@ def _measure_hold(
             _measure_slip(program, i, _ONE, program.modes[k, i], z, has_slopes, memory)
 
 
-@inner
+@borrowing
 def _measure_impact(program: Program, k: int, z: Floats, has_slopes: bool, memory: Memory) -> None:
     """Measures impulses and slips at an impact."""
     mechanics, bounds, room = program.mechanics, program.bounds, memory.flow.mechanics
@@ -340,7 +340,7 @@ def _measure_impact(program: Program, k: int, z: Floats, has_slopes: bool, memor
                 slopes[i, _OTHER, c] += gain * room.slopes[c, j]
 
 
-@inner
+@borrowing
 def _measure_change(program: Program, k: int, z: Floats, has_slopes: bool, memory: Memory) -> None:
     """Measures slips where modes may change without an impact."""
     mechanics, room = program.mechanics, memory.flow.mechanics
@@ -358,7 +358,7 @@ def _measure_change(program: Program, k: int, z: Floats, has_slopes: bool, memor
             _measure_slip(program, i, side, sign - 2 * side * sign, z, has_slopes, memory)
 
 
-@inner
+@borrowing
 def _measure_cone(
     program: Program, i: int, unit: float, weight: float, columns: int, memory: Memory
 ) -> None:
@@ -378,7 +378,7 @@ def _measure_cone(
             slopes[i, side, c] = unit * friction * push + along * drag
 
 
-@inner
+@borrowing
 def _measure_slip(
     program: Program, i: int, side: int, sign: int, z: Floats, has_slopes: bool, memory: Memory
 ) -> None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.kernels import inner, pasted
+from drake_aigto.kernels import borrowing, pasted
 from drake_aigto.linear import solve_factored
 from drake_aigto.shooting.tables import FLOW, Expansion, Program, SweepMemory
 
 
-@inner
+@borrowing
 def clip_control(size: int, u: Floats, lower: Floats, upper: Floats, norm: float) -> None:
     """Moves a control into its bounds, then towards 0 until its norm is within its limit."""
     squares = 0.0
@@ -22,7 +22,7 @@ def clip_control(size: int, u: Floats, lower: Floats, upper: Floats, norm: float
             u[j] *= norm / np.sqrt(squares)
 
 
-@inner
+@borrowing
 def sweep_back(
     program: Program,
     controls: Floats,
@@ -113,7 +113,7 @@ def _expand_value(
             Q2[c, d] = Q2[d, c]
 
 
-@inner
+@borrowing
 def _factor_free(size: int, shift: float, H: Floats, is_free: Ints, L: Floats) -> bool:
     """Factors H + shift I on free controls, the identity elsewhere; False if not positive."""
     for i in range(size):
@@ -133,7 +133,7 @@ def _factor_free(size: int, shift: float, H: Floats, is_free: Ints, L: Floats) -
     return True
 
 
-@inner
+@borrowing
 def _solve_box(
     size: int, g: Floats, u: Floats, lower: Floats, upper: Floats, du: Floats, memory: SweepMemory
 ) -> bool:
@@ -187,7 +187,7 @@ def _solve_box(
     return True
 
 
-@inner
+@borrowing
 def _solve_ball(
     size: int, g: Floats, u: Floats, norm: float, du: Floats, memory: SweepMemory
 ) -> float:
