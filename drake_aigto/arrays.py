@@ -68,4 +68,6 @@ class ArrayRecord:
 def _hashable(value: object) -> object:
     if isinstance(value, np.ndarray):
         return value.shape, *value.ravel().tolist()
+    if isinstance(value, tuple):
+        return tuple(map(_hashable, value))
     return frozenset(value.items()) if isinstance(value, dict) else value

@@ -48,5 +48,9 @@ from .touching import TouchRoom as TouchRoom
 from .touching import TouchTable as TouchTable
 from .touching import evaluate_push as evaluate_push
 from .touching import make_touch_room as make_touch_room
-from .touching import measure_distances as measure_distances
 from .touching import push as push
+from .touching_bodies import Bodies as Bodies
+from .touching_bodies import BodiesMemory as BodiesMemory
+from .touching_bodies import accelerate_bodies as accelerate_bodies
+from .touching_bodies import make_bodies_memory as make_bodies_memory
+from .touching_bodies import make_touch_table as make_touch_table

@@ -13,13 +13,15 @@ from numpy.typing import ArrayLike
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.dynamics import ConstantInertia
 from drake_aigto.kernels import inner, kernel
-from drake_aigto.world import World, find_anywhere
+from drake_aigto.world import SpaceWorld, World, find_anywhere
 
 # Rates of several contacts at once below this are rounding, relative to the largest among them.
 _ROUNDING = 1e-13
 
 # Most exchanges in the search for contacts that push: rounding could make it cycle.
 _MOST_EXCHANGES = 1000
+# Squared frequency below which nothing oscillates [1/s²].
+_NO_PACE = 1e-12
 
 
 class Clearance(NamedTuple):
@@ -275,6 +277,11 @@ def contact_delays(world: World, q: Floats | None = None) -> list[float]:
     If m depends on q it is the one there; without q, the smaller one of two positions, as at either
     a link may be stretched out along a wall's normal, with infinite effective mass.
     """
+    if isinstance(world, SpaceWorld):
+        J = world.calc_contact_jacobian(world.plant.GetDefaultPositions())
+        M = world.calc_mass_matrix(world.plant.GetDefaultPositions())
+        mobilities = np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T))
+        return (np.pi / np.sqrt(np.maximum(mobilities * world.stiffness, _NO_PACE))).tolist()
     reader = ContactMotion.reader(world)
     places = (world.plant.GetDefaultPositions(), find_anywhere(world.plant)) if q is None else (q,)
     motions = [reader(np.concatenate([place, np.zeros(len(place))])) for place in places]

@@ -21,7 +21,14 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.geometry import Closest, Shapes, find_closest, is_apart, make_closest
+from drake_aigto.geometry import (
+    Closest,
+    Shapes,
+    find_closest,
+    is_apart,
+    make_closest,
+    place_shapes,
+)
 from drake_aigto.kernels import inner, kernel
 
 # Columns of `TouchTable.law`.
@@ -50,15 +57,17 @@ class TouchRoom(NamedTuple):
     places: Floats  # of the same, shape (G, 3) [m]
     closest: Closest  # of one pair
     J: Floats  # velocities of the material at C by each of a chain's, shape (n, 3)
-    vectors: Floats  # v, f, ∂φ-slope of f, and others, shape (12, 3)
+    vectors: Floats  # v, f, f / f_n, and others, shape (12, 3)
     found: Floats  # φ, f_n, and C, of each pair, shape (P, 5); f_n is 0 of pairs that do not touch
+    spare: Floats  # a force that nobody reads, shape (n,)
 
 
 def make_touch_room(table: TouchTable) -> TouchRoom:
     """Returns room for an evaluation."""
     G, n = len(table.shapes.kinds), len(table.carries)
-    sizes = (n, 3), (12, 3), (len(table.pairs), 5)
-    return TouchRoom(np.zeros((G, 3, 3)), np.zeros((G, 3)), make_closest(), *map(np.zeros, sizes))
+    sizes = (n, 3), (12, 3), (len(table.pairs), 5), (n,)
+    rooms = [np.zeros(size) for size in sizes]
+    return TouchRoom(np.zeros((G, 3, 3)), np.zeros((G, 3)), make_closest(), *rooms)
 
 
 @inner
@@ -76,24 +85,6 @@ def dot(a: Floats, b: Floats) -> float:
 
 
 @inner
-def place_shapes(shapes: Shapes, poses: Floats, room: TouchRoom) -> None:
-    """Computes where shapes are in the world, from poses of bodies: R by rows and p, (L, 12)."""
-    for g in range(shapes.kinds.size):
-        body, R, p = shapes.bodies[g], shapes.rotations[g], shapes.places[g]
-        for i in range(3):
-            for j in range(3):
-                room.rotations[g, i, j] = R[i, j]
-            room.places[g, i] = p[i]
-        if body >= 0:
-            pose = poses[body]
-            for i in range(3):
-                u, v, w = pose[3 * i], pose[3 * i + 1], pose[3 * i + 2]
-                room.places[g, i] = pose[9 + i] + u * p[0] + v * p[1] + w * p[2]
-                for j in range(3):
-                    room.rotations[g, i, j] = u * R[0, j] + v * R[1, j] + w * R[2, j]
-
-
-@inner
 def meet(table: TouchTable, pair: int, reach: float, room: TouchRoom) -> bool:
     """Computes what is closest of a pair, unless it is farther apart than a reach [m]."""
     shapes, (a, b) = table.shapes, (table.pairs[pair, 0], table.pairs[pair, 1])
@@ -103,15 +94,6 @@ def meet(table: TouchTable, pair: int, reach: float, room: TouchRoom) -> bool:
         return False
     find_closest(kinds[0], Ra, pa, shapes.sizes[a], kinds[1], Rb, pb, shapes.sizes[b], room.closest)
     return bool(room.closest.numbers[0] < reach)
-
-
-@kernel
-def measure_distances(table: TouchTable, poses: Floats, room: TouchRoom, out: Floats) -> None:
-    """Computes φ of each pair, shape (P,) [m], given poses of bodies, (L, 12)."""
-    place_shapes(table.shapes, poses, room)
-    for pair in range(table.pairs.shape[0]):
-        meet(table, pair, np.inf, room)
-        out[pair] = room.closest.numbers[0]
 
 
 @inner
@@ -147,7 +129,7 @@ def push(
         force: Jᵀ f is added, shape (n,).
         slopes: ∂(Jᵀ f)/∂(q, v) is added, in the tangent space, shape (n, 2n).
     """
-    place_shapes(table.shapes, poses, room)
+    place_shapes(table.shapes, poses, room.rotations, room.places)
     for pair in range(table.pairs.shape[0]):
         room.found[pair, 1] = 0.0
         if meet(table, pair, _FAR * eps, room):

@@ -119,6 +119,23 @@ class EquationsOfMotion:
         return len(self.velocities)
 
     @property
+    def turns(self) -> Bools:
+        """Whether each velocity is an angular one, shape (nv,)."""
+        return self.is_hinge
+
+    def normalized(self, q: Floats) -> Floats:
+        """Returns positions that can be, shape (nq,): all are."""
+        return q
+
+    def subtract(self, after: Floats, before: Floats) -> Floats:
+        """Returns the difference of positions, shape (…, nv), a velocity for 1 s."""
+        return np.subtract(after, before)
+
+    def calc_position_rate(self, q: Floats, v: Floats) -> Floats:
+        """Returns q̇, shape (…, nq)."""
+        return np.broadcast_to(v, np.shape(q))
+
+    @property
     def num_actuators(self) -> int:
         """The number of controls, nu."""
         return len(self.controls)

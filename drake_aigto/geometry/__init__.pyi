@@ -1,5 +1,6 @@
 from .closest import find_closest as find_closest
 from .closest import is_apart as is_apart
+from .closest import place_shapes as place_shapes
 from .shapes import BALL as BALL
 from .shapes import BOX as BOX
 from .shapes import CAPSULE as CAPSULE

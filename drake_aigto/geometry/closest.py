@@ -16,6 +16,7 @@ from drake_aigto.geometry.shapes import (
     CAPSULE,
     HALF_SPACE,
     Closest,
+    Shapes,
 )
 from drake_aigto.kernels import inner
 
@@ -23,6 +24,24 @@ from drake_aigto.kernels import inner
 _TINY = 1e-12
 # The square of the sine of the angle between axes below which they are parallel.
 _PARALLEL = 1e-12
+
+
+@inner
+def place_shapes(shapes: Shapes, poses: Floats, rotations: Floats, places: Floats) -> None:
+    """Computes where shapes are in the world, from poses of bodies: R by rows and p, (L, 12)."""
+    for g in range(shapes.kinds.size):
+        body, R, p = shapes.bodies[g], shapes.rotations[g], shapes.places[g]
+        for i in range(3):
+            for j in range(3):
+                rotations[g, i, j] = R[i, j]
+            places[g, i] = p[i]
+        if body >= 0:
+            pose = poses[body]
+            for i in range(3):
+                u, v, w = pose[3 * i], pose[3 * i + 1], pose[3 * i + 2]
+                places[g, i] = pose[9 + i] + u * p[0] + v * p[1] + w * p[2]
+                for j in range(3):
+                    rotations[g, i, j] = u * R[0, j] + v * R[1, j] + w * R[2, j]
 
 
 @inner

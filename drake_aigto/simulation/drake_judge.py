@@ -18,15 +18,23 @@ from drake_aigto.contact import (
     calc_time_to_wall,
     read_clearances,
 )
-from drake_aigto.simulation.recording import Controller, Held, Impact, Recording, Rest
+from drake_aigto.simulation.bodies import read_touches, sample_motion
+from drake_aigto.simulation.recording import (
+    Controller,
+    Held,
+    Impact,
+    Recording,
+    Rest,
+    sample_steps,
+)
 from drake_aigto.simulation.simulator import (
     SETTLED,
     calc_acceleration,
     start_plant,
 )
 from drake_aigto.simulation.springs import find_depth, read_touch
-from drake_aigto.simulation.verdict import calc_compliance_error, calc_lateness, sample_steps
-from drake_aigto.world import Scenario, World
+from drake_aigto.simulation.verdict import calc_compliance_error, calc_lateness
+from drake_aigto.world import Scenario, SpaceWorld, World
 
 
 class DrakeJudge:
@@ -153,7 +161,13 @@ class StepTrace:
         """Returns the states whenever the control changed, at the end, and about contacts."""
         recording = self._recording
         columns = (np.array([sample[k] for sample in self._samples]) for k in range(3))
-        recording.samples.append(sample_steps(*columns))
+        if isinstance(self._world, SpaceWorld):
+            times, states, controls = columns
+            q, v = np.split(states, [self._world.num_positions], axis=1)
+            ahead = np.vstack([controls[1:], controls[-1:]])
+            recording.samples.append(sample_motion(self._world, times, q, v, ahead))
+        else:
+            recording.samples.append(sample_steps(*columns))
         kept = {*recording.control_times, end}
         rows = [(row.time, row.x) for row in self._samples if self._keeps_all or row.time in kept]
         rows += self._read_contacts(recording)
@@ -161,14 +175,17 @@ class StepTrace:
         recording.impacts.sort(key=lambda impact: (impact.time, impact.contact))
         recording.rests.sort(key=lambda rest: rest.time)
         for time, x in sorted(rows, key=lambda row: row[0]):
-            recording.add(time, *np.split(x, 2))
+            recording.add(time, *np.split(x, [self._world.num_positions]))
         return recording
 
     def _read_contacts(self, recording: Recording) -> list[tuple[float, Floats]]:
         """Adds contacts and depth, and returns the times and states that are kept of them."""
         world, rows = self._world, self._samples
         times, states = np.array([row.time for row in rows]), np.array([row.x for row in rows])
-        q, v = np.split(states, 2, axis=1)
+        q, v = np.split(states, [world.num_positions], axis=1)
+        if isinstance(world, SpaceWorld):
+            recording.impacts, recording.max_penetration = read_touches(world, times, q, v)
+            return []
         distances, rates = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
         recording.max_penetration = find_depth(times, distances, rates)
         outside = distances > 0

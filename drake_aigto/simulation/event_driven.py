@@ -8,6 +8,7 @@ from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact import CompliantLaw, Walls, calc_depth, contact_law
 from drake_aigto.dynamics import ConstantDynamics
 from drake_aigto.kernels import kernel
+from drake_aigto.simulation.bodies import simulate_bodies
 from drake_aigto.simulation.flights import (
     STATE,
     TIME,
@@ -24,7 +25,7 @@ from drake_aigto.simulation.flights import (
 from drake_aigto.simulation.recording import Controller, HeldControl, Recording, list_impacts
 from drake_aigto.simulation.rigid import Flights, RigidMotion, SlidingMotion
 from drake_aigto.simulation.springs import SpringMotion
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, SpaceWorld, World
 
 # Of the first log; what has more impacts runs a second time.
 _USUAL_IMPACTS = 64
@@ -144,6 +145,9 @@ class EventDriven:
         """
         law, span = contact_law(world, scenario), (controller.start, controller.end)
         start = state or (scenario.initial_position, scenario.initial_velocity)
+        if isinstance(world, SpaceWorld):
+            assert isinstance(law, CompliantLaw), "else the world refuses the scenario"
+            return simulate_bodies(world, law, start, controller)
         if isinstance(law, CompliantLaw):
             recording = SpringMotion(world, law, start, controller.start).run(controller)
             recording.simulator = "integrated"

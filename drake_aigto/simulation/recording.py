@@ -8,9 +8,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.polynomial import legendre
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.simulation.flights import CONTACT, PUSH, SPEED, STATE, TIME
+
+# Of a quadrature between rows: the square of a cubic has degree 6, so that it is exact.
+_NODES, _WEIGHTS = legendre.leggauss(4)
 
 # A list that grows, or an array of what is known at once.
 Rows: TypeAlias = Any
@@ -211,3 +215,31 @@ def find_impacts(times: Floats, velocities: Floats, count: int) -> Ints:
     at_once = np.flatnonzero(np.diff(times) == 0)
     jumps = np.linalg.norm(np.diff(velocities, axis=0)[at_once], axis=1)
     return np.sort(at_once[np.argsort(-jumps, kind="stable")[:count]])
+
+
+def sample_steps(times: Floats, states: Floats, controls: Floats) -> tuple[MotionSamples, Floats]:
+    """Returns samples between the ends of steps, and the control at each.
+
+    Args:
+        times: of the ends, shape (K,) [s].
+        states: (q, v) there, shape (K, 2 nv).
+        controls: that led there, shape (K, nu) [N, N m].
+    """
+    held = controls[1:][np.diff(times) > 0]
+    return sample_cubics(times, states), np.repeat(held, len(_NODES), axis=0)
+
+
+def sample_cubics(times: Floats, states: Floats) -> MotionSamples:
+    """Returns samples along the cubics between rows of states (q, v), shape (K, 2 nv)."""
+    lasts = np.flatnonzero(np.diff(times) > 0)
+    steps = np.diff(times)[lasts, np.newaxis]
+    s = ((_NODES + 1) / 2)[:, np.newaxis, np.newaxis]
+    (q0, v0), (q1, v1) = (np.split(states[rows], 2, axis=1) for rows in (lasts, lasts + 1))
+    chord = (q1 - q0) / steps
+    bend, twist = 3 * chord - 2 * v0 - v1, v0 + v1 - 2 * chord
+    q = q0 + s * steps * (v0 + s * (bend + s * twist))
+    v = v0 + s * (2 * bend + 3 * s * twist)
+    at = times[lasts, np.newaxis] + s[..., 0].T * steps
+    weights = steps / 2 * _WEIGHTS
+    rows = np.concatenate([q, v], axis=-1).transpose(1, 0, 2)
+    return MotionSamples(at.ravel(), weights.ravel(), rows.reshape(-1, states.shape[1]))

@@ -6,7 +6,6 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import legendre
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import LEAST_RESTITUTION, ContactMotion, calc_delays, contact_delays
@@ -14,24 +13,22 @@ from drake_aigto.simulation.event_driven import EventDriven
 from drake_aigto.simulation.recording import (
     HeldControl,
     Impact,
-    MotionSamples,
     Recording,
     Rest,
     find_impacts,
+    sample_cubics,
 )
 from drake_aigto.simulation.rigid import calc_slide
 from drake_aigto.world import Limits, Scales, Scenario, TaskCost, World
 
 BOUNDS, HARD_GOAL = "bounds", "hard goal"
-# Of a quadrature between rows: the square of a cubic has degree 6, so that it is exact.
-_NODES, _WEIGHTS = legendre.leggauss(4)
 
 
 def state_scales(world: World, scenario: Scenario) -> Floats:
-    """Returns how much of q and v is much: 1 rad or a length, and that in T, shape (2n,)."""
+    """Returns how much of q and v is much: 1 rad or a length, and that in T, shape (nq + nv,)."""
     scales = Scales.of(world, scenario)
-    q = np.where(world.is_hinge, 1.0, scales.length)
-    return np.concatenate([q, q / scales.time])
+    q, v = (np.where(turns, 1.0, scales.length) for turns in (world.is_hinge, world.turns))
+    return np.concatenate([q, v / scales.time])
 
 
 def calc_excess(world: World, scenario: Scenario, positions: Floats, velocities: Floats) -> Floats:
@@ -75,8 +72,9 @@ def calc_violations(
         off = [task.goal_errors(positions[-1])]
         if scenario.goal_velocity is not None:
             off.append(velocities[-1] - task.goal_velocity)
-        ends = np.concatenate(off)
-        missed[HARD_GOAL] = float(np.max(np.abs(ends) / units[: len(ends)]))
+        ends, n = np.concatenate(off), world.num_velocities
+        sizes = np.concatenate([units[-n:] * scenario.duration, units[-n:]])
+        missed[HARD_GOAL] = float(np.max(np.abs(ends) / sizes[: len(ends)]))
     return missed
 
 
@@ -94,7 +92,7 @@ def calc_cost(
             samples; if it has none, along the cubic between rows, exact where flight is a parabola.
     """
     end = recording.positions[-1]
-    if scenario.is_plain:  # AIGTO's cost, in closed form.
+    if scenario.is_plain and world.num_positions == world.num_velocities:  # In closed form.
         effort = float(np.diff(times) @ np.sum(controls**2, axis=1))
         goal_error = float(np.linalg.norm(end - scenario.goal_position))
         cost = scenario.control_weight * effort + scenario.goal_weight * goal_error**2
@@ -108,7 +106,7 @@ def calc_cost(
         held = np.searchsorted(times, samples.times, side="right") - 1
         sampled = [(samples, controls[held])]
     for samples, control in sampled:
-        q, v = np.split(samples.states, 2, axis=-1)
+        q, v = np.split(samples.states, [world.num_positions], axis=-1)
         u = np.broadcast_to(control, (len(q), controls.shape[1]))
         cost += float(samples.weights @ task.running(samples.times, q, v, u))
     return cost, float(task.goal_error(end))
@@ -125,34 +123,6 @@ def explain_cost(world: World, scenario: Scenario, end: Floats, error: float) ->
     size = float(np.sqrt(missed @ task.QT @ missed))
     explained = error * float(np.sqrt(np.linalg.eigvalsh(task.QT).max()))
     return size**2 - max(0.0, size - explained) ** 2
-
-
-def sample_steps(times: Floats, states: Floats, controls: Floats) -> tuple[MotionSamples, Floats]:
-    """Returns samples between the ends of steps, and the control at each.
-
-    Args:
-        times: of the ends, shape (K,) [s].
-        states: (q, v) there, shape (K, 2 nv).
-        controls: that led there, shape (K, nu) [N, N m].
-    """
-    held = controls[1:][np.diff(times) > 0]
-    return sample_cubics(times, states), np.repeat(held, len(_NODES), axis=0)
-
-
-def sample_cubics(times: Floats, states: Floats) -> MotionSamples:
-    """Returns samples along the cubics between rows of states (q, v), shape (K, 2 nv)."""
-    lasts = np.flatnonzero(np.diff(times) > 0)
-    steps = np.diff(times)[lasts, np.newaxis]
-    s = ((_NODES + 1) / 2)[:, np.newaxis, np.newaxis]
-    (q0, v0), (q1, v1) = (np.split(states[rows], 2, axis=1) for rows in (lasts, lasts + 1))
-    chord = (q1 - q0) / steps
-    bend, twist = 3 * chord - 2 * v0 - v1, v0 + v1 - 2 * chord
-    q = q0 + s * steps * (v0 + s * (bend + s * twist))
-    v = v0 + s * (2 * bend + 3 * s * twist)
-    at = times[lasts, np.newaxis] + s[..., 0].T * steps
-    weights = steps / 2 * _WEIGHTS
-    rows = np.concatenate([q, v], axis=-1).transpose(1, 0, 2)
-    return MotionSamples(at.ravel(), weights.ravel(), rows.reshape(-1, states.shape[1]))
 
 
 # Of a contact's duration, integrated for 1e-3 ≤ e ≤ 1: e τ(e) / τ(1) exceeds e by no more than this

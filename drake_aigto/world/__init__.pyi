@@ -17,6 +17,7 @@ from .model_fields import ModelFields as ModelFields
 from .model_reader import add_dry_friction as add_dry_friction
 from .model_reader import build_diagram as build_diagram
 from .scenario import Scenario as Scenario
+from .space import SpaceWorld as SpaceWorld
 from .task_cost import Scales as Scales
 from .task_cost import TaskCost as TaskCost
 from .task_cost import calc_inertia as calc_inertia

@@ -71,8 +71,12 @@ def find_plant(diagram: Diagram) -> tuple[MultibodyPlant, SceneGraph]:
     return found[0], found[1]
 
 
-def check_plant(plant: MultibodyPlant) -> None:
+def check_plant(plant: MultibodyPlant, in_space: bool = False) -> None:
     """Refuses a plant that can't be planned for, whatever its equations are.
+
+    Args:
+        plant: finalized.
+        in_space: whether it is read as a tree (`SpaceWorld`), which joints of any kind make.
 
     Raises:
         ModelError: discrete, no moving joint, q̇ ≠ v, a joint of another kind, links that are
@@ -91,8 +95,9 @@ def check_plant(plant: MultibodyPlant) -> None:
             "the model lacks a joint that moves",
             remedy="Attach the moving link by a prismatic or a revolute joint.",
         )
-    _check_velocities(plant)
-    find_hinges(plant)
+    if not in_space:
+        _check_velocities(plant)
+        find_hinges(plant)
     if count := plant.num_constraints():
         raise refuse_loop(f"{count} constraint{'s' if count > 1 else ''} beside joints")
     _check_actuators(plant)

@@ -67,8 +67,8 @@ class Fingerprint:
         friction: ArrayLike,
     ) -> Fingerprint:
         """Returns that of a world."""
-        numbers = np.arange(1.0, 1.0 + motion.num_positions)
-        q, v = np.sin(numbers), np.cos(numbers)
+        q = motion.normalized(np.sin(np.arange(1.0, 1.0 + motion.num_positions)))
+        v = np.cos(np.arange(1.0, 1.0 + motion.num_velocities))
         controls = np.vstack([np.zeros(motion.num_actuators), np.eye(motion.num_actuators)])
         return cls(
             model=model,

@@ -52,13 +52,28 @@ def read_springs(scene_graph: SceneGraph, reachable: Sequence[ReachableFace]) ->
     """
     for each in reachable:
         _check_simulated(scene_graph, each)
-    dissipation = []
-    for each in reachable:
-        k1, k2 = (read_given(scene_graph, shape, STIFFNESS) for shape in each.face.shapes)
-        d1, d2 = (read_given(scene_graph, shape, DISSIPATION) for shape in each.face.shapes)
+    springs = combine_springs(
+        scene_graph, [(each.face.pair, each.face.shapes) for each in reachable]
+    )
+    return springs._replace(reaches=np.array([each.reach for each in reachable]))
+
+
+def combine_springs(
+    scene_graph: SceneGraph, pairs: Sequence[tuple[str, tuple[GeometryId, GeometryId]]]
+) -> SpringMaterial:
+    """Returns the same of named pairs of shapes, whatever they are; reaches are 0.
+
+    Raises:
+        ModelError: a shape lacks stiffness or dissipation, or both shapes are hydroelastic.
+    """
+    stiffness, dissipation = [], []
+    for name, shapes in pairs:
+        _check_points(scene_graph, name, shapes)
+        k1, k2 = (read_given(scene_graph, shape, STIFFNESS) for shape in shapes)
+        d1, d2 = (read_given(scene_graph, shape, DISSIPATION) for shape in shapes)
+        stiffness.append(1 / (1 / k1 + 1 / k2))
         dissipation.append((k2 * d1 + k1 * d2) / (k1 + k2))
-    reaches = np.array([each.reach for each in reachable])
-    return SpringMaterial(read_stiffness(scene_graph, reachable), np.array(dissipation), reaches)
+    return SpringMaterial(read_only(stiffness), np.array(dissipation), np.zeros(len(pairs)))
 
 
 def read_stiffness(scene_graph: SceneGraph, reachable: Sequence[ReachableFace]) -> Floats:
@@ -137,19 +152,30 @@ def set_material(
 def _check_simulated(scene_graph: SceneGraph, reachable: ReachableFace) -> None:
     """Refuses a contact of which Drake's force is another function than `CompliantLaw`'s."""
     face, contact = reachable.face, reachable.contact
-    inspector: Any = scene_graph.model_inspector()
-    of_shapes = (inspector.GetProximityProperties(shape) for shape in face.shapes)
-    if contact.name != face.pair:
-        got = "a box of which several faces can be reached"
-        remedy = (
-            "Take contact: rigid, where the face before the sphere counts; or give joints limits "
-            "that keep the sphere before one face; or put spheres at the box's corners, and leave "
-            f"it out by ignored_shapes: [{inspector.GetName(face.shapes[1])}]."
-        )
-    elif all(each.HasProperty(*_COMPLIANCE) for each in of_shapes):
-        got = "hydroelastic shapes, whose force is that of a pressure field"
-        remedy = "Leave <drake:compliant_hydroelastic> or <drake:rigid_hydroelastic> out of one."
-    else:
+    if contact.name == face.pair:
+        _check_points(scene_graph, face.pair, face.shapes)
         return
+    inspector: Any = scene_graph.model_inspector()
+    got = "a box of which several faces can be reached"
+    remedy = (
+        "Take contact: rigid, where the face before the sphere counts; or give joints limits "
+        "that keep the sphere before one face; or put spheres at the box's corners, and leave "
+        f"it out by ignored_shapes: [{inspector.GetName(face.shapes[1])}]."
+    )
     expected = "a sphere against a half space, or against one face of a box"
     raise ModelError(f"compliant contact of {face.pair}", got, expected, remedy)
+
+
+def _check_points(
+    scene_graph: SceneGraph, name: str, shapes: tuple[GeometryId, GeometryId]
+) -> None:
+    """Refuses two hydroelastic shapes, which do not touch in a point."""
+    inspector: Any = scene_graph.model_inspector()
+    of_shapes = (inspector.GetProximityProperties(shape) for shape in shapes)
+    if all(each.HasProperty(*_COMPLIANCE) for each in of_shapes):
+        raise ModelError(
+            f"compliant contact of {name}",
+            got="hydroelastic shapes, whose force is that of a pressure field",
+            expected="point contact",
+            remedy="Leave <drake:compliant_hydroelastic> or <drake:rigid_hydroelastic> out of one.",
+        )

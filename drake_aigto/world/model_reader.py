@@ -45,6 +45,7 @@ from drake_aigto.world.model_fields import Material, ModelFields
 from drake_aigto.world.model_text import read_model_text
 from drake_aigto.world.pair_errors import END, name_pair
 from drake_aigto.world.pairs import list_pairs, order_pair
+from drake_aigto.world.space_pairs import order_shapes
 
 _TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 # What Drake says of joints that form a loop.
@@ -101,6 +102,7 @@ def read_model(
     stiction_speed: float = STICTION_SPEED,
     fields: ModelFields | None = None,
     is_bare: bool = False,
+    in_space: bool = False,
 ) -> ReadModel:
     """Reads a model's file: URDF, SDF, MJCF or whatever else Drake parses.
 
@@ -110,6 +112,7 @@ def read_model(
         stiction_speed: that of all friction [m/s, rad/s].
         fields: how the model is read.
         is_bare: whether meshes are left out that only make shapes, as reading them takes seconds.
+        in_space: see `check_plant`; capsules are as they are.
 
     Raises:
         ModelError: there is no such file, Drake can't parse it, its joints form a loop, or it has
@@ -118,11 +121,11 @@ def read_model(
     """
     friction = dry_friction, stiction_speed
     if not is_bare:
-        return _read_model(model, *friction, fields or ModelFields())
+        return _read_model(model, *friction, fields or ModelFields(), in_space)
     with TemporaryDirectory() as folder:
         stub = Path(folder) / "stub.obj"
         stub.write_text(_TETRAHEDRON, encoding="utf-8")
-        return _read_model(model, *friction, fields or ModelFields(), stub)
+        return _read_model(model, *friction, fields or ModelFields(), in_space, stub)
 
 
 def _read_model(
@@ -130,6 +133,7 @@ def _read_model(
     dry_friction: Floats | None,
     stiction_speed: float,
     fields: ModelFields,
+    in_space: bool,
     stub: Path | None = None,
 ) -> ReadModel:
     path = find_model(model)
@@ -150,17 +154,20 @@ def _read_model(
     for name, spring in facts.springs.items():
         _add_spring(plant, plant.GetJointByName(name), *spring)
     set_materials(plant, scene_graph, fields.material)
-    ends = _add_ends(plant, scene_graph)
+    ends = {} if in_space else _add_ends(plant, scene_graph)
     try:
         plant.Finalize()
     except RuntimeError as error:
         if _LOOP in str(error):
             raise refuse_loop(f"a loop of joints in {path}") from error
         raise ModelError(f"Drake can't parse the model {path}", got=error) from error
-    check_plant(plant)
+    check_plant(plant, in_space)
     plant.set_stiction_tolerance(stiction_speed)
     _keep_apart(plant, scene_graph, facts)
-    _choose_ends(scene_graph, ends, facts)
+    if in_space:
+        _leave_pairs_out(scene_graph, facts)
+    else:
+        _choose_ends(scene_graph, ends, facts)
     if kind == "xml":
         _note_unlike_friction(scene_graph, facts)
     friction = _find_friction(plant, facts) if dry_friction is None else dry_friction
@@ -438,6 +445,16 @@ def _choose_ends(
         if not is_kept:
             apart.append(pair)
     _exclude(scene_graph, apart)
+
+
+def _leave_pairs_out(scene_graph: SceneGraph, facts: ModelFacts) -> None:
+    """Keeps pairs apart whose distance is not known in space, if that is allowed."""
+    inspector: Any = scene_graph.model_inspector()
+    for pair in list_pairs(inspector) if "pairs" in facts.fields.allow_ignored else []:
+        if order_shapes(inspector, pair) is None:
+            names = " and ".join(map(inspector.GetName, pair))
+            facts.refuse("pairs", f"contact of {names}", "they pass through each other")
+            _exclude(scene_graph, [pair])
 
 
 def _note_unlike_friction(scene_graph: SceneGraph, facts: ModelFacts) -> None:

@@ -18,6 +18,8 @@ from drake_aigto.world.model_facts import FixableError
 END = "_end"
 _MOST_WORK = 30_000  # Samples of all distances, about a second's worth.
 
+_IN_PLANE = "Sphere against Box, HalfSpace or Sphere, or Capsule against HalfSpace"
+
 Pair = tuple[GeometryId, GeometryId]
 
 
@@ -41,7 +43,7 @@ def explain_no_contact(scene_graph: SceneGraph, are_ignored: bool = False) -> st
     return f"nothing can touch: {why}"
 
 
-def refuse_pairs(inspector: Any, pairs: list[Pair]) -> ModelError:
+def refuse_pairs(inspector: Any, pairs: list[Pair], expected: str = _IN_PLANE) -> ModelError:
     """Returns the error of pairs that are not supported, with the fewest shapes to leave out."""
     of_kind: dict[tuple[str, ...], list[Pair]] = {}
     for pair in pairs:
@@ -55,7 +57,7 @@ def refuse_pairs(inspector: Any, pairs: list[Pair]) -> ModelError:
     return FixableError(
         f"contact of {name_pair(inspector, pairs[0])}" if len(pairs) == 1 else "contacts",
         got=" against ".join(next(iter(of_kind))) if len(pairs) == 1 else ". ".join(listed),
-        expected="Sphere against Box, HalfSpace or Sphere, or Capsule against HalfSpace",
+        expected=expected,
         remedy=f"Leave shapes out by the scenario's ignored_shapes: [{', '.join(out)}], or the "
         "pairs by allow_ignored: [pairs]; or change the collision shapes, or exclude pairs with a "
         "<drake:collision_filter_group>.",

@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 import yaml
@@ -31,6 +32,7 @@ from drake_aigto.world.fields import (
 )
 from drake_aigto.world.files import models_directory, read_scenario, scenario_names, suggest
 from drake_aigto.world.model_fields import Material, ModelFields, as_globs
+from drake_aigto.world.places import Pose, PoseWeight, as_places, by_name
 
 DEFAULT_MODEL = "package://drake_aigto_models/point_mass_and_wall.sdf"
 
@@ -71,7 +73,9 @@ _STEP_TOLERANCE = 1e-9
 _Weight = ArrayField[Any]  # A float of one number, an array of several.
 _Bound = ArrayField[float | Floats | None]
 _Vector = ArrayField[Floats | None]
-_running = partial(as_weight, at_least=0.0)
+_running = by_name(partial(as_weight, at_least=0.0))
+_final = by_name(as_weight_matrix)
+_places = cast(Callable[[str, object], Floats], as_places)  # Names are replaced by numbers.
 _price = partial(as_weight, above=0.0)  # At zero no optimum is unique.
 
 
@@ -101,9 +105,10 @@ class Scenario(ModelFields):
     Attributes:
         model: the world, a ``package://`` URI or a path to an SDF, URDF or MJCF. A relative path
             starts at the working directory; how it is read, say the `ModelFields`.
-        initial_position: q(0), shape (nq,).
+        initial_position: q(0), shape (nq,); or by names of joints and floating bodies, of which
+            others are at the model's default: numbers of a joint, or a pose (`place_scenario`).
         initial_velocity: v(0), shape (nv,).
-        goal_position: where q(T) should be, shape (nq,).
+        goal_position: where q(T) should be, the same; what is not named, where it starts.
         goal_velocity: what v(T) should be, shape (nv,); None: zero where it is weighed, and free
             where the goal is hard.
         hard_goal: q(T) has to be the goal, and v(T) the `goal_velocity` that is given.
@@ -115,10 +120,11 @@ class Scenario(ModelFields):
         duration_range: the least and the most that T may be [s], in as many time steps as
             `duration` has; None: T is the `duration`.
         control_weight: R > 0, one number or (nu,) [1/(N² s)], [1/((N m)² s)].
-        goal_weight: Q_T ≥ 0, one number, (nq,), or a symmetric matrix (nq, nq) [1/m²], [1/rad²].
+        goal_weight: Q_T ≥ 0, one number, (nv,), or a symmetric matrix (nv, nv) [1/m²], [1/rad²]; or
+            by names, 0 of others: numbers of a joint, or xyz and turn of a floating body.
         goal_velocity_weight: Q_vT ≥ 0, of the same kinds [s²/m²], [s²/rad²].
-        position_weight: Q ≥ 0, one number or (nq,) [1/(m² s)], [1/(rad² s)].
-        velocity_weight: Q_v ≥ 0, one number or (nv,) [s/m²], [s/rad²].
+        position_weight: Q ≥ 0, one number or (nv,) [1/(m² s)], [1/(rad² s)]; or by names.
+        velocity_weight: Q_v ≥ 0, one number or (nv,) [s/m²], [s/rad²]; or by names.
         reference_times: of the reference, increasing, shape (K,) [s].
         reference_positions: at these times, shape (K, nq), piecewise linear between and constant
             before and after; None: the goal.
@@ -153,9 +159,9 @@ class Scenario(ModelFields):
     """
 
     model: str = DEFAULT_MODEL
-    initial_position: ArrayField[Floats] = ArrayField(as_vector)
+    initial_position: ArrayField[Floats] = ArrayField(_places)
     initial_velocity: ArrayField[Floats] = ArrayField(as_vector)
-    goal_position: ArrayField[Floats] = ArrayField(as_vector)
+    goal_position: ArrayField[Floats] = ArrayField(_places)
     goal_velocity: _Vector = ArrayField(as_vector, None)
     hard_goal: bool = False
     angles: Angles = "exact"
@@ -165,8 +171,8 @@ class Scenario(ModelFields):
         partial(as_range, unit="s"), None
     )
     control_weight: _Weight = ArrayField(_price, 1e-3)
-    goal_weight: _Weight = ArrayField(as_weight_matrix, 1.0)
-    goal_velocity_weight: _Weight = ArrayField(as_weight_matrix, 0.0)
+    goal_weight: _Weight = ArrayField(_final, 1.0)
+    goal_velocity_weight: _Weight = ArrayField(_final, 0.0)
     position_weight: _Weight = ArrayField(_running, 0.0)
     velocity_weight: _Weight = ArrayField(_running, 0.0)
     reference_times: _Vector = ArrayField(as_vector, None)  # [s]
@@ -287,7 +293,7 @@ class Scenario(ModelFields):
     def extras(self) -> tuple[str, ...]:
         """The fields that ask for more than a plain task does."""
         values = self.__dict__
-        weights = (name for name in _WEIGHTS if isinstance(values[name], np.ndarray))
+        weights = (name for name in _WEIGHTS if isinstance(values[name], np.ndarray | dict))
         given = (
             name
             for name in _EXTRAS
@@ -399,6 +405,8 @@ _DEFAULTS = {field.name: field.default for field in dataclasses.fields(Scenario)
 def _as_plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist()
+    if isinstance(value, Pose | PoseWeight):
+        return {name: list(item) for name, item in value._asdict().items()}
     if isinstance(value, Material):
         return {name: item for name, item in value._asdict().items() if item is not None}
     if isinstance(value, dict):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,6 +45,7 @@ class TaskCost(ArrayRecord):
         times: of the reference, (K,) [s]; before the first and after the last it stands still.
         positions: q_ref at these times, (K, n), piecewise linear between; the goal's if none.
         velocities: v_ref, (K, n); the goal's.
+        subtract: of positions, the difference whose squares are weighed, (…, n).
     """
 
     R: Floats
@@ -57,6 +60,7 @@ class TaskCost(ArrayRecord):
     times: Floats
     positions: Floats
     velocities: Floats
+    subtract: Callable[[Any, Any], Floats] = np.subtract
 
     @classmethod
     def of(cls, world: EquationsOfMotion, scenario: Scenario) -> TaskCost:
@@ -66,11 +70,12 @@ class TaskCost(ArrayRecord):
             ScenarioError: a weight or a reference does not fit the model's coordinates, one weight
                 is given for coordinates of different units, or angles can't be compared as asked.
         """
-        n, is_hinge = world.num_positions, world.is_hinge
+        n, is_hinge = world.num_velocities, world.turns
         is_turning = np.any(world.actuation[is_hinge] != 0, axis=0)  # Of u: a torque, no force.
         given = ("goal_velocity", "reference_positions", "reference_velocities")
         for name in (name for name in given if getattr(scenario, name) is not None):
-            check_size(name, getattr(scenario, name), n)
+            size = world.num_positions if name == "reference_positions" else n
+            check_size(name, getattr(scenario, name), size)
         # Where none is given, the goal's velocity is zero, and the reference the goal.
         times = np.zeros(1) if scenario.reference_times is None else scenario.reference_times
         goal, speed = scenario.goal_position, scenario.goal_velocity
@@ -94,11 +99,12 @@ class TaskCost(ArrayRecord):
             times=times,
             positions=np.tile(goal, (len(times), 1)) if places is None else places,
             velocities=np.tile(speed, (len(times), 1)) if speeds is None else speeds,
+            subtract=world.subtract if world.num_positions != n else np.subtract,
         )
 
     def __post_init__(self) -> None:
         """Makes every array read-only."""
-        for field in fields(self):
+        for field in fields(self)[:-1]:
             values = getattr(self, field.name)
             object.__setattr__(self, field.name, read_only(values, np.asarray(values).dtype))
 
@@ -125,11 +131,11 @@ class TaskCost(ArrayRecord):
 
     def position_error(self, q: ArrayLike, about: ArrayLike) -> Floats:
         """Returns e_q, whose square is weighed, of positions about others, (…, n)."""
-        error = _turn(np.subtract(q, about), self.is_modulo)
+        error = _turn(self.subtract(q, about), self.is_modulo)
         return np.where(self.is_chordal, 2.0 * np.sin(error / 2.0), error)
 
     def hard_goal(self, scenario: Scenario) -> Floats:
-        """Returns q and v that a scenario prescribes at T, shape (2n,); NaN where free."""
+        """Returns q and v that a scenario prescribes at T, one after the other; NaN where free."""
         is_hard = scenario.hard_goal, scenario.hard_goal and scenario.goal_velocity is not None
         ends = zip(is_hard, (self.goal, self.goal_velocity), strict=True)
         return np.concatenate([np.where(hard, end, np.nan) for hard, end in ends])
@@ -139,7 +145,7 @@ class TaskCost(ArrayRecord):
 
         Turns count where the scenario's angles are exact; chords are measured along the arc.
         """
-        return _turn(np.subtract(q, self.goal), self.is_modulo | self.is_chordal)
+        return _turn(self.subtract(q, self.goal), self.is_modulo | self.is_chordal)
 
     @property
     def is_asked(self) -> Bools:
@@ -225,7 +231,8 @@ class Scales:
         jacobian = world.calc_contact_jacobian(q0)
         steepness = 1.0 if world.is_hinge.any() else np.linalg.norm(jacobian, axis=1)
         ways = world.calc_signed_distance(np.array([q0, goal])) / steepness
-        length = float(max(np.max(np.abs(goal - q0)), np.max(ways, initial=0.0))) or 1.0
+        way = world.subtract(goal, q0)
+        length = float(max(np.max(np.abs(way)), np.max(ways, initial=0.0))) or 1.0
         push = calc_inertia(world, q0) * length / T**2
         effort = float(np.max(scenario.control_weight)) * T * push**2
         if scenario.is_plain:

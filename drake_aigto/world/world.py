@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pkgutil import resolve_name
 from types import MappingProxyType
 from typing import Any
 
@@ -51,11 +52,16 @@ from drake_aigto.world.pairs import (
     refuse_beside,
     refuse_inside,
 )
+from drake_aigto.world.placing import place_scenario
 from drake_aigto.world.plant_reader import PlantReader
 from drake_aigto.world.rubbing import Rubbing
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.task_cost import TaskCost
 
+# Where models are read that fit no plane; it imports this module.
+_IN_SPACE = "drake_aigto.world.space:SpaceWorld"
+# Coordinates of compliant mechanisms that are read as sums; recursions are faster for more.
+_MOST_SUMMED = 5
 # A sphere this near to a wall with friction lies against it, however its place was rounded [m].
 _TOUCHING = 1e-9
 
@@ -107,7 +113,7 @@ class World(EquationsOfMotion):
             ScenarioError: the scenario does not fit the model (`check`).
         """
         world = cls.from_model(scenario, scenario.initial_position)
-        world.check(scenario)
+        world.check(world.place(scenario))
         return world
 
     @classmethod
@@ -118,23 +124,46 @@ class World(EquationsOfMotion):
             ModelError, ScenarioError: as `from_scenario` does.
         """
         try:
-            return cls._read(scenario, start)
-        except FixableError as error:
+            world = cls._read(scenario, start)
+            if cls is World and scenario.contact == "compliant":
+                world._check_plane(scenario)
+        except ModelError as error:
+            if cls is World and scenario.contact == "compliant":
+                in_space: type[World] = resolve_name(_IN_SPACE)
+                return in_space.from_model(scenario, start)
+            if not isinstance(error, FixableError):
+                raise
             raise gather(cls._check_answer, scenario, error) from error
+        return world
+
+    def _check_plane(self, scenario: Scenario) -> None:
+        """Refuses compliant contacts that a world in space has, and this one lacks.
+
+        Raises:
+            ModelError: a sphere can slide in two directions with friction, or touch several faces
+                of a box; or sums of so many coordinates take longer than recursions.
+        """
+        self.friction_coefficients(scenario)
+        if scenario.contact == "compliant":
+            _ = self.springs
+        if self.num_velocities > _MOST_SUMMED:
+            raise ModelError("the model has too many joints for sums of products")
 
     @classmethod
     def _read(cls, scenario: Scenario, start: Floats | None) -> World:
         """Reads a model, and stops at the first thing that is wrong with it."""
         friction = scenario.dry_friction, scenario.stiction_speed
         asked = scenario.model, *friction, scenario.model_fields
-        found = read_model(*asked, is_bare=True)
+        in_space = cls is not World
+        found = read_model(*asked, is_bare=True, in_space=in_space)
         if found.is_bare:
             cls._check_plant(scenario, found.diagram)
-            found = read_model(*asked)
+            found = read_model(*asked, in_space=in_space)
         plant, _ = find_plant(found.diagram)
         if start is not None:
+            scenario = place_scenario(plant, scenario)
             check_sizes(plant, scenario)
-            plant.SetDefaultPositions(start)
+            plant.SetDefaultPositions(scenario.initial_position)
         friction = found.dry_friction, scenario.stiction_speed
         given = scenario.mass, scenario.ignored_shapes, *friction, scenario.limits
         world = cls.from_diagram(found.diagram, *given)
@@ -237,6 +266,14 @@ class World(EquationsOfMotion):
             stiction_speed=stiction_speed,
             model_fields=fields,
         )._within_reach()
+
+    def place(self, scenario: Scenario) -> Scenario:
+        """Returns a scenario whose positions and weights by names are arrays (`place_scenario`).
+
+        Raises:
+            ScenarioError: a name is none of this world, or has another size.
+        """
+        return place_scenario(self.plant, scenario)
 
     def of_diagram(self, diagram: Diagram) -> World:
         """Returns the world of another diagram with a copy of its plant, all else as it is here.

@@ -1,0 +1,109 @@
+"""Accelerations of a tree whose bodies touch, in compiled code; and its tables, from a world."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.contact.laws import CompliantLaw
+from drake_aigto.contact.touching import TouchRoom, TouchTable, make_touch_room, push
+from drake_aigto.dynamics import (
+    TreeMemory,
+    TreeTables,
+    differentiate,
+    factor,
+    gather,
+    make_tree_memory,
+    prepare_slopes,
+    push_joints,
+    solve,
+    solve_rows,
+    spread,
+)
+from drake_aigto.kernels import inner
+from drake_aigto.world import SpaceWorld
+
+
+class Bodies(NamedTuple):
+    """A tree and its pairs of shapes."""
+
+    tree: TreeTables
+    table: TouchTable
+    pace: float  # of smoothed friction: v_s² + (ε pace)² in place of v_s² [1/s]
+
+    @classmethod
+    def of(cls, world: SpaceWorld, law: CompliantLaw, duration: float) -> Bodies:
+        """Returns those of a world, with a duration that is the unit of smoothed slips [s]."""
+        return cls(TreeTables(*world.tree), make_touch_table(world, law), 1.0 / duration)
+
+
+class BodiesMemory(NamedTuple):
+    """Room for one state."""
+
+    tree: TreeMemory
+    touch: TouchRoom
+
+
+def make_bodies_memory(bodies: Bodies) -> BodiesMemory:
+    """Returns room for evaluations."""
+    return BodiesMemory(make_tree_memory(bodies.tree), make_touch_room(bodies.table))
+
+
+def make_touch_table(world: SpaceWorld, law: CompliantLaw) -> TouchTable:
+    """Returns the pairs of a world under a law."""
+    tree, signs = world.tree, world.signs
+    moving = [np.flatnonzero(row) for row in signs]
+    n, before = world.num_velocities, np.zeros((world.num_velocities,) * 2, dtype=np.bool_)
+    for i in range(n):
+        j = int(tree.up[i])
+        while j >= 0:
+            before[j, i], j = tree.links[j] != tree.links[i], int(tree.up[j])
+    numbers = (
+        law.stiffness,
+        law.dissipation,
+        law.friction,
+        np.full(len(signs), world.stiction_speed),
+    )
+    return TouchTable(
+        shapes=world.geometry.shapes,
+        pairs=world.geometry.pairs,
+        law=np.column_stack(numbers).reshape(-1, 4),
+        starts=np.cumsum([0, *map(len, moving)]),
+        chain=np.concatenate([np.zeros(0, dtype=np.int64), *moving]).astype(np.int64),
+        signs=np.concatenate([np.zeros(0), *(s[i] for s, i in zip(signs, moving, strict=True))]),
+        carries=before,
+    )
+
+
+@inner
+def accelerate_bodies(
+    bodies: Bodies,
+    q: Floats,
+    v: Floats,
+    u: Floats,
+    eps: float,
+    has_slopes: bool,
+    memory: BodiesMemory,
+) -> None:
+    """Computes v̇ in the tree's `force`, and ∂v̇/∂(δ, v, u) in its `slopes` if asked.
+
+    Both are by degrees of freedom, whose place in v is `velocities` of the tree.
+    """
+    tree, room = bodies.tree, memory.tree
+    spread(tree, q, v, room)
+    if has_slopes:
+        prepare_slopes(tree, room)
+    push_joints(tree, q, u, eps, room)
+    gather(tree, has_slopes, room)
+    pushed, table = memory.touch, bodies.table
+    push(table, room.poses, room.motions, room.v, eps, bodies.pace, False, pushed, room.force,
+         room.slopes)  # fmt: skip
+    factor(tree.up, room.mass)
+    solve(tree.up, room.mass, room.force)
+    if has_slopes:
+        differentiate(tree, eps, room)
+        push(table, room.poses, room.motions, room.v, eps, bodies.pace, True, pushed, pushed.spare,
+             room.slopes)  # fmt: skip
+        solve_rows(tree.up, room.mass, room.slopes)

@@ -1,0 +1,99 @@
+"""Positions and weights by names of joints and bodies, as people write them in a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, TypeAlias, TypeVar
+
+import numpy as np
+from pydrake.math import RollPitchYaw
+
+from drake_aigto.arrays import Floats
+from drake_aigto.errors import ScenarioError
+from drake_aigto.world.fields import as_vector, as_weight
+from drake_aigto.world.model_fields import Named
+
+_Checked = TypeVar("_Checked")
+
+_POSE = "xyz [m], and rpy_deg [degrees], rpy [rad] or quaternion (w, x, y, z)"
+
+
+class Pose(NamedTuple):
+    """Where a floating body is in the world."""
+
+    xyz: tuple[float, ...]  # [m]
+    quaternion: tuple[float, ...]  # w, x, y, z, as it was given
+
+
+class PoseWeight(NamedTuple):
+    """Weights of a floating body's pose, or of its velocity."""
+
+    xyz: tuple[float, ...]  # along the world's axes
+    turn: tuple[float, ...]  # about them
+
+
+# Joint or floating body → its positions.
+Places: TypeAlias = Named["tuple[float, ...] | Pose"]
+
+
+def as_places(name: str, value: Any) -> Floats | Places:
+    """Returns positions: numbers, or a mapping from joints and floating bodies to theirs.
+
+    Raises:
+        ScenarioError: neither, or a pose that is none; says which.
+    """
+    if not isinstance(value, Mapping):
+        return as_vector(name, value)
+    return Named({key: _as_place(f"{name}[{key}]", item) for key, item in value.items()})
+
+
+def _as_place(name: str, value: Any) -> tuple[float, ...] | Pose:
+    """Returns the numbers of a joint, or the pose of a body."""
+    if isinstance(value, Pose):
+        return value
+    if not isinstance(value, Mapping):
+        return tuple(as_vector(name, value).tolist())
+    turns = [key for key in value if key != "xyz"]
+    if "xyz" not in value or len(turns) > 1 or set(turns) - {"rpy_deg", "rpy", "quaternion"}:
+        raise ScenarioError(name, got=repr(dict(value)), expected=f"a pose: {_POSE}")
+    turn = as_vector(name, value[turns[0]]) if turns else np.array([1.0, 0.0, 0.0, 0.0])
+    place, size = as_vector(name, value["xyz"]), 4 if turns in ([], ["quaternion"]) else 3
+    if (place.size, turn.size) != (3, size):
+        got = f"{place.size} and {turn.size} numbers"
+        raise ScenarioError(name, got=got, expected=f"3 of xyz, and {size} of the turn")
+    if size == 3:
+        angles = np.deg2rad(turn) if turns == ["rpy_deg"] else turn
+        turn = RollPitchYaw(angles).ToQuaternion().wxyz()
+    return Pose(tuple(place.tolist()), tuple(turn.tolist()))
+
+
+def by_name(check: Callable[[str, Any], _Checked]) -> Callable[[str, Any], _Checked]:
+    """Returns the check of weights that may be a mapping from joints and bodies to theirs.
+
+    What is not named weighs 0.
+    """
+
+    def as_weights(name: str, value: Any) -> Any:
+        if not isinstance(value, Mapping):
+            return check(name, value)
+        return Named({key: _as_weight(f"{name}[{key}]", item) for key, item in value.items()})
+
+    return as_weights
+
+
+def _as_weight(name: str, value: Any) -> tuple[Any, ...]:
+    """Returns weights of a joint, or of a body's pose."""
+    if isinstance(value, PoseWeight):
+        return value
+    if not isinstance(value, Mapping):
+        return tuple(np.ravel(as_weight(name, value, at_least=0.0)).tolist())
+    if set(value) - set(PoseWeight._fields):
+        raise ScenarioError(name, got=repr(dict(value)), expected="xyz and turn")
+    return PoseWeight(*(_as_three(name, value.get(part, 0.0)) for part in PoseWeight._fields))
+
+
+def _as_three(name: str, value: Any) -> tuple[float, ...]:
+    numbers = np.ravel(as_weight(name, value, at_least=0.0))
+    if numbers.size not in (1, 3):
+        raise ScenarioError(name, got=f"{numbers.size} numbers", expected="1 or 3")
+    return tuple(np.broadcast_to(numbers, 3).tolist())

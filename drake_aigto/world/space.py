@@ -1,0 +1,349 @@
+"""Worlds in space: any tree of joints and floating bodies, read as arrays instead of sums."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import GeometryId, SceneGraph
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.symbolic import Expression, MakeVectorVariable
+from pydrake.systems.framework import Diagram
+
+from drake_aigto.arrays import Bools, Floats, read_only
+from drake_aigto.dynamics import (
+    PRISMATIC,
+    STICTION_SPEED,
+    TRANSLATION,
+    Contact,
+    Tree,
+    make_tree_memory,
+)
+from drake_aigto.errors import ScenarioError
+from drake_aigto.geometry import make_closest
+from drake_aigto.world.diagram import check_friction_acts, check_plant, copy_diagram, find_plant
+from drake_aigto.world.fingerprint import Fingerprint
+from drake_aigto.world.limits import Limits, check_sizes
+from drake_aigto.world.material import SpringMaterial, combine_springs, read_materials
+from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
+from drake_aigto.world.model_reader import name_shapes, pick_shapes, read_model, set_materials
+from drake_aigto.world.pair_errors import explain_no_contact
+from drake_aigto.world.pairs import list_pairs
+from drake_aigto.world.scenario import Scenario
+from drake_aigto.world.space_pairs import (
+    ShapePair,
+    SpaceFriction,
+    SpaceShapes,
+    choose_space_pairs,
+    read_shapes,
+)
+from drake_aigto.world.task_cost import TaskCost
+from drake_aigto.world.world import World
+
+# Bodies that are deeper in each other than this part of the smaller one overlap at the start.
+_OVERLAP = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class SpaceWorld(World):
+    """A world of which numbers alone are known: M, h, φ and J at states, by recursion over a tree.
+
+    Velocities v are as Drake's plant has them; differences of positions, errors of goals and
+    weights are in the tangent space, of shape (nv,). Contacts are compliant, one per pair of
+    shapes.
+
+    Attributes:
+        tree: of joints and bodies.
+        pairs: of shapes that may touch, one per contact.
+        geometry: the same, for compiled code.
+        angular: whether each velocity turns, shape (nv,).
+    """
+
+    tree: Tree = field(kw_only=True)
+    pairs: tuple[ShapePair, ...] = field(kw_only=True)
+    geometry: SpaceShapes = field(kw_only=True)
+    angular: Bools = field(kw_only=True)
+
+    @classmethod
+    def from_diagram(
+        cls,
+        diagram: Diagram,
+        mass: float | None = None,
+        ignored_shapes: Iterable[str] | str = (),
+        dry_friction: Floats | None = None,
+        stiction_speed: float = STICTION_SPEED,
+        limits: Limited = "model",
+        material: Mapping[str, Any] = MappingProxyType({}),
+    ) -> SpaceWorld:
+        """Reads a diagram of your own; arguments are those of `World.from_diagram`.
+
+        Raises:
+            ModelError: the plant is discrete, lacks an actuator, is no tree, feels forces that are
+                not planned for, or has pairs of shapes whose distance is not known.
+            ScenarioError: a mass is given.
+        """
+        given: Any = material
+        fields = ModelFields(limits=limits, material=given)
+        diagram = copy_diagram(diagram) if fields.material else diagram
+        plant, scene_graph = find_plant(diagram)
+        set_materials(plant, scene_graph, fields.material)
+        check_plant(plant, in_space=True)
+        if mass is not None:
+            remedy = "Edit the masses in the model instead."
+            raise ScenarioError("mass", f"{mass:g} kg, in space", "None, the model's", remedy)
+        if dry_friction is not None:
+            check_friction_acts(plant, diagram)
+        globs = as_globs("ignored_shapes", ignored_shapes)
+        pairs = _choose_pairs(plant, scene_graph, globs)
+        tree = Tree.of(plant, dry_friction=dry_friction)
+        n, notes = plant.num_velocities(), []
+        if not pairs and (why := explain_no_contact(scene_graph, bool(globs))):
+            notes.append(why)
+        angles, turns = _find_angles(tree)
+        nothing = read_only(np.zeros((0, 0)), object)
+        contacts = [Contact(p.name, Expression(), np.zeros(n), i) for i, p in enumerate(pairs)]
+        return cls(
+            diagram=diagram,
+            plant=plant,
+            scene_graph=scene_graph,
+            mass=None,
+            is_hinge=angles,
+            positions=read_only(MakeVectorVariable(plant.num_positions(), "q"), object),
+            velocities=read_only(MakeVectorVariable(n, "v"), object),
+            controls=read_only(MakeVectorVariable(plant.num_actuated_dofs(), "u"), object),
+            mass_matrix=nothing,
+            bias=nothing,
+            actuation=read_only(plant.MakeActuationMatrix()),
+            contacts=tuple(contacts),
+            limits=Limits.of(plant, {}, limits),
+            _reachable=(),
+            _stuck=(),
+            ignored_shapes=globs,
+            dry_friction=dry_friction,
+            stiction_speed=stiction_speed,
+            model_fields=fields,
+            notes=tuple(notes),
+            tree=tree,
+            pairs=pairs,
+            geometry=read_shapes(plant, scene_graph, tree, pairs),
+            angular=turns,
+        )
+
+    def of_diagram(self, diagram: Diagram) -> SpaceWorld:
+        """Returns the world of another diagram with a copy of its plant, all else as it is here."""
+        friction = self.dry_friction, self.stiction_speed
+        given = None, self.ignored_shapes, *friction, self.model_fields.limits
+        other = SpaceWorld.from_diagram(diagram, *given)
+        kept = ("limits", "model_fields", "ignored", "notes")
+        return dataclasses.replace(other, **{name: getattr(self, name) for name in kept})
+
+    @property
+    def has_constant_inertia(self) -> bool:
+        """False: M is not looked at."""
+        return False
+
+    has_constant_dynamics = has_constant_inertia
+
+    @property
+    def turns(self) -> Bools:
+        """Whether each velocity is an angular one, shape (nv,)."""
+        return self.angular
+
+    @property
+    def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
+        """The shapes of each contact, in the scene graph."""
+        return tuple(pair.shapes for pair in self.pairs)
+
+    @cached_property
+    def fingerprint(self) -> Fingerprint:
+        """Names and numbers that no other world has."""
+        materials = tuple(read_materials(self.scene_graph, pair) for pair in self.shapes)
+        friction = self.rubbing.model_coefficients
+        return Fingerprint.of(self, self.plant, self.model, materials, self.limits, friction)
+
+    @cached_property
+    def springs(self) -> SpringMaterial:
+        """Stiffness and dissipation of contacts.
+
+        Raises:
+            ModelError: a shape lacks one of them, or both are hydroelastic.
+        """
+        return combine_springs(self.scene_graph, [(p.name, p.shapes) for p in self.pairs])
+
+    @property
+    def stiffness(self) -> Floats:
+        """That of each contact as the model has it, shape (m,) [N/m]."""
+        return self.springs.stiffness
+
+    @cached_property
+    def rubbing(self) -> Any:
+        """Friction of contacts (`SpaceFriction`)."""
+        return SpaceFriction(self.plant, self.scene_graph, self.diagram, self.pairs)
+
+    @property
+    def frictions(self) -> Mapping[str, float]:
+        """The model's μ above 0, by pair of shapes."""
+        found: Mapping[str, float] = self.rubbing.frictions
+        return found
+
+    def is_on_face(self, q: Floats) -> Bools:
+        """Returns True for each contact, shape (m,): distances are those of whole shapes."""
+        return np.ones(self.num_contacts, dtype=bool)
+
+    def check(self, scenario: Scenario) -> None:
+        """Checks that a scenario can be asked of this world.
+
+        Raises:
+            ScenarioError: as `World.check`; or bodies overlap at the start, or contact is rigid.
+            ModelError: a shape lacks stiffness or dissipation.
+        """
+        check_sizes(self.plant, scenario)
+        TaskCost.of(self, scenario)
+        self.bounds(scenario)
+        self._check_made_for(scenario)
+        if not self.pairs:
+            return
+        if scenario.contact != "compliant":
+            raise ScenarioError(
+                "contact",
+                got=f"{scenario.contact!r}, of bodies in space ({self.pairs[0].name})",
+                expected="'compliant', as rigid contact is planned for in the plane",
+                remedy="Ask for contact: compliant (--contact compliant).",
+            )
+        _ = self.springs
+        distances = self.calc_signed_distance(scenario.initial_position)
+        sizes = self.geometry.shapes.bounds[self.geometry.pairs]
+        smaller = np.min(np.where(sizes > 0, sizes, np.inf), axis=1)
+        worst = int(np.argmin(distances / smaller))
+        if distances[worst] < -_OVERLAP * smaller[worst]:
+            raise ScenarioError(
+                f"initial_position: {self.pairs[worst].name}",
+                got=f"bodies that overlap by {-distances[worst]:.3g} m",
+                expected=f"no more than {_OVERLAP * smaller[worst]:.3g} m",
+                remedy="Start them apart, or exclude the pair by ignored_shapes.",
+            )
+
+    @staticmethod
+    def _check_answer(scenario: Scenario) -> None:
+        """Reads of a model what can be refused at once."""
+        found = read_model(
+            scenario.model, fields=scenario.model_fields, is_bare=True, in_space=True
+        )
+        SpaceWorld._check_plant(scenario, found.diagram)
+
+    @staticmethod
+    def _check_plant(scenario: Scenario, diagram: Diagram) -> None:
+        """Checks what does not depend on a start: pairs of shapes."""
+        plant, scene_graph = find_plant(diagram)
+        _choose_pairs(plant, scene_graph, scenario.ignored_shapes)
+
+    def normalized(self, q: Floats) -> Floats:
+        """Returns positions with quaternions of unit length, shape (nq,)."""
+        return self.tree.add(q, np.zeros(self.num_velocities))
+
+    def subtract(self, after: Floats, before: Floats) -> Floats:
+        """Returns the shortest δ with before ⊕ δ = after, shape (…, nv), of positions (…, nq)."""
+        from drake_aigto.world.space_kernels import subtract_rows
+
+        after, before = np.broadcast_arrays(after, before)
+        found = subtract_rows(self.tree, _rows(after), _rows(before))
+        return found.reshape(*after.shape[:-1], self.num_velocities)
+
+    def calc_position_rate(self, q: Floats, v: Floats) -> Floats:
+        """Returns q̇ = N(q) v, shape (…, nq)."""
+        rows = [self.tree.calc_position_rate(*row) for row in zip(_rows(q), _rows(v), strict=True)]
+        return np.array(rows).reshape(np.shape(q))
+
+    def calc_mass_matrix(self, q: Floats) -> Floats:
+        """Returns M(q), shape (…, nv, nv), at q of shape (…, nq)."""
+        return self.tree.calc_mass_matrix(q)
+
+    def calc_bias(self, q: Floats, v: Floats) -> Floats:
+        """Returns h(q, v), shape (…, nv), with dry friction, at q (…, nq) and v (…, nv)."""
+        return self.tree.calc_bias(*_broadcast(q, v))
+
+    def calc_signed_distance(self, q: Floats) -> Floats:
+        """Returns φ(q), shape (…, m) [m], at q of shape (…, nq)."""
+        return self._measure(q)[0].reshape(*np.shape(q)[:-1], self.num_contacts)
+
+    def calc_contact_jacobian(self, q: Floats) -> Floats:
+        """Returns J(q) of φ̇ = J v, shape (…, m, nv), at q of shape (…, nq)."""
+        rows = [self._calc_jacobian(row) for row in _rows(q)]
+        return np.array(rows).reshape(*np.shape(q)[:-1], self.num_contacts, self.num_velocities)
+
+    def _measure(self, q: Floats) -> tuple[Floats, Floats]:
+        """Returns φ (K, m), and normals and points (K, m, 6), of rows."""
+        from drake_aigto.world.space_kernels import measure_pairs
+
+        memory = make_tree_memory(self.tree)
+        return measure_pairs(self.tree, *self.geometry, _rows(q), memory, make_closest())
+
+    def _calc_jacobian(self, q: Floats) -> Floats:
+        """Returns J at one state, shape (m, nv)."""
+        from drake_aigto.world.space_kernels import measure_pairs
+
+        memory, tree = make_tree_memory(self.tree), self.tree
+        _, points = measure_pairs(tree, *self.geometry, _rows(q), memory, make_closest())
+        n, C = points[0, :, np.newaxis, :3], points[0, :, np.newaxis, 3:]
+        moved = memory.motions[:, 3:] + np.cross(memory.motions[:, :3], C)
+        J = np.empty((self.num_contacts, self.num_velocities))
+        J[:, tree.velocities] = np.sum(n * moved, axis=2) * self.signs
+        return J
+
+    @cached_property
+    def signs(self) -> Floats:
+        """Whether degrees of freedom move the first body of each pair, 1, or the second, −1.
+
+        Its shape is (m, nv); of those that move both, 0.
+        """
+        tree, links = self.tree, self.geometry.shapes.bodies[self.geometry.pairs]
+        moves = np.zeros((len(tree.parents) + 1, self.num_velocities))  # The last row: the world.
+        for link in range(len(tree.parents)):
+            dof = int(tree.dofs[link + 1]) - 1
+            while dof >= 0:
+                moves[link, dof], dof = 1.0, int(tree.up[dof])
+        return read_only(moves[links[:, 0]] - moves[links[:, 1]])
+
+    def _divide_by_mass(self, q: Floats, momentum: Floats) -> Floats:
+        q, momentum = _broadcast(q, momentum)
+        found = np.linalg.solve(self.calc_mass_matrix(q), momentum[..., np.newaxis])
+        return np.asarray(found[..., 0], dtype=np.float64)
+
+
+def _choose_pairs(
+    plant: MultibodyPlant, scene_graph: SceneGraph, ignored: tuple[str, ...]
+) -> tuple[ShapePair, ...]:
+    """Returns pairs of shapes that may touch, but for ignored ones."""
+    shapes = pick_shapes("ignored_shapes", ignored, name_shapes(plant, scene_graph))
+    pairs = list_pairs(scene_graph.model_inspector())
+    return choose_space_pairs(scene_graph, [pair for pair in pairs if not set(pair) & set(shapes)])
+
+
+def _rows(values: Floats) -> Floats:
+    """Returns values as writable, contiguous rows."""
+    array = np.asarray(values, dtype=float)
+    return np.array(array.reshape(-1, array.shape[-1]), order="C")
+
+
+def _broadcast(one: Floats, other: Floats) -> tuple[Floats, Floats]:
+    """Returns rows of both at all states of either."""
+    shape = np.broadcast_shapes(np.shape(one)[:-1], np.shape(other)[:-1])
+    each = (np.broadcast_to(a, (*shape, np.shape(a)[-1])) for a in (one, other))
+    first, second = each
+    return first, second
+
+
+def _find_angles(tree: Tree) -> tuple[Bools, Bools]:
+    """Returns which positions (nq,) and which velocities (nv,) turn."""
+    q, v = np.ones(tree.num_positions, dtype=bool), np.ones(tree.num_velocities, dtype=bool)
+    for i in np.flatnonzero(np.isin(tree.kinds, (PRISMATIC, TRANSLATION))):
+        dofs = slice(tree.dofs[i], tree.dofs[i + 1])
+        v[tree.velocities[dofs]] = False
+        count, first = tree.dofs[i + 1] - tree.dofs[i], tree.positions[i]
+        q[first : first + count] = False
+    return read_only(q, bool), read_only(v, bool)

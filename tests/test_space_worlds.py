@@ -1,0 +1,130 @@
+"""Worlds in space: read at once, with poses as people write them; judged by us and by Drake."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from space_models import SPHERE, ball_and_finger, collision, make_scenario
+
+from drake_aigto import Scenario, World
+from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.simulation import replay_drake, replay_event_driven
+from drake_aigto.world import SpaceWorld, TaskCost
+
+BOX = "<box><size>0.1 0.1 0.1</size></box>"
+
+
+def build(scenario: Scenario) -> tuple[SpaceWorld, Scenario]:
+    """Returns the world of a scenario, and the scenario with its numbers."""
+    world = World.from_scenario(scenario)
+    assert isinstance(world, SpaceWorld)
+    return world, world.place(scenario)
+
+
+def test_distances_and_their_slopes_are_those_of_the_manifold(tmp_path: Path) -> None:
+    world, scenario = build(make_scenario(tmp_path))
+    rng, h = np.random.default_rng(0), 1e-6
+    q = world.tree.add(scenario.initial_position, rng.normal(size=9))
+    J = world.calc_contact_jacobian(q)
+    for j, step in enumerate(h * np.eye(9)):
+        ends = [world.calc_signed_distance(world.tree.add(q, s * step)) for s in (1, -1)]
+        np.testing.assert_allclose(J[:, j], (ends[0] - ends[1]) / (2 * h), rtol=0, atol=1e-8)
+
+
+def test_a_push_leads_to_the_same_end_here_and_in_drake(tmp_path: Path) -> None:
+    world, scenario = build(make_scenario(tmp_path))
+    times, controls = np.linspace(0, 1, 51), np.zeros((50, 3))
+    controls[:, 2] = 0.12 * 9.81
+    controls[:20, 0], controls[20:35, 0] = 0.4, -0.4
+    ours = replay_event_driven(world, scenario, times, controls)
+    drake = replay_drake(world, scenario, times, controls)
+    assert ours.bounce_times
+    assert ours.positions[-1, 7] - scenario.initial_position[7] > 0.05  # The ball rolled.
+    # Drake's steps miss 1e-12 each where contact has no kinks.
+    np.testing.assert_allclose(ours.positions[-1], drake.positions[-1], rtol=0, atol=1e-6)
+    assert ours.cost == pytest.approx(drake.cost, rel=1e-5)
+    assert ours.compliance_error < 1e-5
+
+
+def test_poses_are_written_in_degrees_radians_or_quaternions(tmp_path: Path) -> None:
+    turns: list[dict[str, Any]] = [
+        {"rpy_deg": [0, 0, 90]},
+        {"rpy": [0, 0, np.pi / 2]},
+        {"quaternion": [np.sqrt(0.5), 0, 0, np.sqrt(0.5)]},
+    ]
+    for turn in turns:
+        goal = {"thing": {"xyz": [0.3, 0, 0.05], **turn}}
+        weight = {"thing": {"xyz": 10.0, "turn": 1.0}, "x": 2.0}
+        asked = make_scenario(tmp_path, goal_position=goal, goal_weight=weight)
+        assert Scenario.from_plain(asked.to_plain()) == asked
+        world, scenario = build(asked)
+        cost = TaskCost.of(world, scenario)
+        error = cost.goal_errors(scenario.initial_position)
+        start = world.plant.GetJointByName("thing").velocity_start()
+        along = [0, 0, -np.pi / 2, -0.3, 0, -0.0007]
+        np.testing.assert_allclose(error[start : start + 6], along, atol=1e-12)
+        assert sorted(cost.QT.diagonal()) == [0, 0, 1, 1, 1, 2, 10, 10, 10]
+        # By angle: q and −q are the same turn.
+        other = np.array(scenario.goal_position)
+        first = world.plant.GetJointByName("thing").position_start()
+        other[first : first + 4] *= -1
+        assert cost.goal_error(other) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_quaternion_that_is_not_of_unit_length_is_made_one_and_reported(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    pose = {"xyz": [0, 0, 0.05], "quaternion": [0.7, 0, 0, -0.7]}
+    asked = make_scenario(tmp_path, initial_position={"thing": pose, "x": -0.2, "z": 0.05})
+    with caplog.at_level(logging.WARNING):
+        _, scenario = build(asked)
+    assert "the quaternion of 'thing' has the length 0.989949" in caplog.text
+    assert np.linalg.norm(scenario.initial_position[3:7]) == pytest.approx(1.0, abs=1e-15)
+
+
+OVERLAP = {"thing": {"xyz": [0, 0, 0.05]}, "x": -0.08, "z": 0.05}
+
+
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        (
+            {"goal_position": {"thin": {"xyz": [0, 0, 0]}}},
+            r"goal_position\[thin\]: got no joint that moves, and no floating body, of this name, "
+            "expected one of thing, x, y, z. Did you mean 'thing'",
+        ),
+        ({"goal_position": {"x": [1, 2]}}, r"goal_position\[x\]: got 2 numbers, expected 1"),
+        ({"goal_position": {"x": {"xyz": [1, 2, 3]}}}, "a pose of 'x', which prismatic joint"),
+        ({"goal_position": {"thing": {"xyz": [1, 2]}}}, "got 2 and 4 numbers, expected 3 of xyz"),
+        (
+            {"initial_position": {"thing": {"xyz": [0, 0, 0], "quaternion": [0, 0, 0, 0]}}},
+            "the quaternion .0.0, 0.0, 0.0, 0.0. of 'thing', expected one of unit length",
+        ),
+        ({"initial_position": OVERLAP}, "got bodies that overlap by 0.02 m, expected no more than"),
+        ({"mass": 2.0}, "mass: got 2 kg, in space"),
+        ({"goal_weight": {"thing": {"xyx": 1.0}}}, "expected xyz and turn"),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_name(
+    tmp_path: Path, changes: dict[str, Any], match: str
+) -> None:
+    with pytest.raises(ScenarioError, match=match):
+        World.from_scenario(make_scenario(tmp_path, **changes))
+
+
+def test_pairs_without_a_distance_are_listed_at_once(tmp_path: Path) -> None:
+    mesh = collision("hull", BOX) + collision("top", "<ellipsoid><radii>1 1 2</radii></ellipsoid>")
+    text = ball_and_finger(shapes=mesh).replace(SPHERE, BOX)
+    with pytest.raises(ModelError, match=r"Box against Box.*Ellipsoid.*expected Sphere against"):
+        World.from_scenario(make_scenario(tmp_path, text))
+    scenario = make_scenario(tmp_path, text, allow_ignored=["pairs"])
+    world = World.from_scenario(scenario)
+    assert [contact.name for contact in world.contacts] == [
+        "m::hull with ground::floor",
+        "m::tip with ground::floor",
+    ]
+    assert "contact of" in " ".join(world.ignored)
