@@ -1,14 +1,14 @@
-"""Lower bounds: below every value, near the least one, and above nothing that exact numbers say.
-
-Sums of squares: near the least value of coupled polynomials, and never above it.
-"""
+"""Lower bounds: below every value, near the least one, and above nothing that exact numbers say."""
 
 from __future__ import annotations
 
 import itertools
 import math
 import operator
-from collections.abc import Callable
+import re
+import sys
+import time
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from types import SimpleNamespace
 from typing import Any
@@ -22,10 +22,10 @@ from pydrake.solvers import ExpressionConstraint, ExpressionCost, MathematicalPr
 from benchmarks.collections.constrained_programs import concave_programs
 from benchmarks.random_programs import random_program
 from drake_aigto.certify import (
-    Block,
-    Identity,
     Method,
-    bound_by_squares,
+    Operation,
+    Relaxation,
+    Tape,
     certify,
     enclose_all,
     formula_of,
@@ -33,8 +33,9 @@ from drake_aigto.certify import (
     is_infeasible,
     make_tape,
     read_formulas,
+    safe_bound,
 )
-from drake_aigto.errors import UnsupportedTermError
+from drake_aigto.errors import OptionsError, UnsupportedTermError
 from drake_aigto.kernels import kernel
 from drake_aigto.solver import AigoOptions, AigoSolver, AigoStatus
 
@@ -455,70 +456,154 @@ def test_a_concave_program_of_many_coupled_variables_is_proven() -> None:
     assert found.lower_bound <= problem.minimum
 
 
-def test_waves_of_differences_are_polynomials() -> None:
-    prog = MathematicalProgram()
-    x = prog.NewContinuousVariables(12, "x")
-    prog.AddCost(sum(sym.cos(a - b) for a, b in itertools.combinations(x, 2)))
-    found = certify(prog)
-    assert found.method == Method.SQUARES
-    assert found.lower_bound <= -6.0  # as |Σ exp(i x)|² = 12 + 2 f ≥ 0
-    assert found.lower_bound == pytest.approx(-6.0, abs=1e-5)
+MPMATH: dict[Operation, Callable[..., Any]] = {
+    Operation.SHIFT: lambda a, b, p, v: v[a] + p,
+    Operation.SCALE: lambda a, b, p, v: p * v[a],
+    Operation.ADD: lambda a, b, p, v: v[a] + v[b],
+    Operation.MULTIPLY: lambda a, b, p, v: v[a] * v[b],
+    Operation.RECIPROCAL: lambda a, b, p, v: 1 / v[a],
+    Operation.POWER: lambda a, b, p, v: v[a] ** int(b),
+    Operation.REAL_POWER: lambda a, b, p, v: v[a] ** p,
+    Operation.MAX: lambda a, b, p, v: max(v[a], v[b]),
+    Operation.MIN: lambda a, b, p, v: min(v[a], v[b]),
+    Operation.ABS: lambda a, b, p, v: abs(v[a]),
+    Operation.ATAN: lambda a, b, p, v: mpmath.atan(v[a]),
+}
 
 
-def test_no_bound_is_above_the_best_value() -> None:
-    rng = np.random.default_rng(5)
-    for trial in range(8):
-        size = int(rng.integers(2, 7))
+def values_of(tape: Tape, x: Sequence[Any]) -> list[Any]:
+    """Returns the values of a tape's entries at a point."""
+    values: list[Any] = []
+    for number, a, b, p in zip(*tape[:4], strict=True):
+        operation = Operation(number)
+        if operation == Operation.NUMBER:
+            values.append(mpmath.mpf(float(p)))
+        elif operation == Operation.VARIABLE:
+            values.append(x[a])
+        elif operation in MPMATH:
+            values.append(MPMATH[operation](a, b, mpmath.mpf(float(p)), values))
+        else:
+            values.append(HIGH_PRECISION[operation.name.lower()](values[a]))
+    return values
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_relaxations_hold_at_all_points_of_a_cell_in_high_precision(seed: int) -> None:
+    rng = np.random.default_rng([8, seed])
+    for _ in range(15):
+        size = int(rng.integers(1, 5))
         prog, x = coupled(size)
-        matrix, cubic = rng.normal(size=(size, size)), rng.normal(size=size)
-        row = rng.normal(size=(size, size))
-        total = quadratic(matrix, x) + sum(a * x_i**3 for a, x_i in zip(cubic, x, strict=True))
-        cost = ExpressionCost(total + x[0] ** 2 * x[-1] ** 2)
-        prog.AddCost(cost, vars=cost.vars())
-        if trial % 2:
-            prog.AddConstraint(quadratic(row, x) <= 1.0)
-        found = bound_by_squares(read_formulas(prog), np.zeros(size))
-        points = rng.uniform(-1.0, 2.0, (5000, size))
-        values = np.einsum("ki,ij,kj->k", points, matrix, points) + points**3 @ cubic
-        values += points[:, 0] ** 2 * points[:, -1] ** 2
-        if trial % 2:
-            values = values[np.einsum("ki,ij,kj->k", points, row, points) <= 1.0]
-        least = np.min(values, initial=math.inf)
-        assert found.lower_bound <= least
-        assert found.lower_bound > -100.0  # which sums of ranges are below
+        for k in range(3):
+            formula = sym.Expression(0.1) * x[0] + random_function(rng, size, 3)(sym, x)
+            if k == 0:
+                add_cost(prog, formula)
+            else:
+                row = ExpressionConstraint([formula], [-np.inf], [1e9])
+                prog.AddConstraint(row, vars=row.vars())
+        relaxation = Relaxation(read_formulas(prog))
+        low = rng.uniform(-1.0, 1.0, size)
+        ends = low, low + 10.0 ** rng.uniform(-6.0, 0.0, size)
+        narrowed = [end.copy() for end in ends]
+        bound = relaxation.bound(narrowed[0], narrowed[1], np.inf).bound
+        (structure, cell), w = relaxation.linear_program, []
+        with mpmath.workdps(40):
+            for _ in range(5):
+                point = [mpmath.mpf(v) for v in rng.uniform(*ends).tolist()]
+                values = values_of(structure.joint.tape, point)
+                w = [values[entry] for entry in structure.entries]
+                assert values[structure.joint.roots[0]] >= bound
+                for column, value in enumerate(w):
+                    assert is_within(value, cell.box[:, column])
+                for row in range(cell.lower.size):
+                    terms = range(structure.starts[row], structure.starts[row + 1])
+                    total = sum(w[structure.columns[k]] * float(cell.values[k]) for k in terms)
+                    assert is_within(total, np.array([cell.lower[row], cell.upper[row]]))
 
 
 def test_however_bad_the_multipliers_are_the_bound_holds() -> None:
     rng = np.random.default_rng(6)
-    cost = {(0, 0, 1): Fraction(1), (1,): Fraction(-1, 3), (): Fraction(2)}
-    basis = ((), (0,), (1,), (0, 1))
-    for _ in range(20):
-        identity = Identity(cost)
-        matrix = rng.normal(size=(4, 4))
-        identity.take_squares(Block({(): Fraction(1)}, basis), matrix + matrix.T)
-        identity.take({(): Fraction(1), (0,): Fraction(-1)}, rng.uniform())
-        y = rng.uniform(-1.0, 1.0, (2, 1000))
-        assert identity.bound() <= np.min(y[0] ** 2 * y[1] - y[1] / 3 + 2.0)
+    prog, x = coupled(3)
+    add_cost(prog, quadratic(rng.normal(size=(3, 3)), x) + sym.exp(x[0] * x[1]))
+    prog.AddConstraint(quadratic(rng.normal(size=(3, 3)), x) <= 1.0)
+    relaxation = Relaxation(read_formulas(prog))
+    relaxation.bound(np.full(3, -1.0), np.full(3, 2.0), np.inf)
+    structure, cell = relaxation.linear_program
+    points = rng.uniform(-1.0, 2.0, (3000, 3))
+    feasible = [p for p in points if prog.CheckSatisfied(prog.GetAllConstraints(), p, 0.0)]
+    (cost,) = prog.GetAllCosts()
+    least = min(prog.EvalBinding(cost, p)[0] for p in feasible)
+    residuals = np.empty_like(structure.cost)
+    for _ in range(50):
+        y = rng.normal(size=cell.lower.size) * 10.0 ** rng.uniform(-3.0, 3.0)
+        assert (
+            safe_bound(structure, cell, structure.cost, structure.constant, y, residuals) <= least
+        )
 
 
 def test_that_coupled_rows_contradict_each_other_is_proven() -> None:
-    """Σ_{i<j} x_i x_j ≥ −½ Σ x_i² is −6 at least where |x| ≤ 1."""
+    """Σ_{i<j} x_i x_j ≥ −½ Σ x_i² is −2.5 at least where |x| ≤ 1."""
     prog = MathematicalProgram()
-    x = prog.NewContinuousVariables(12, "x")
+    x = prog.NewContinuousVariables(5, "x")
     prog.AddBoundingBoxConstraint(-1.0, 1.0, x)
     pairs = sum(a * b for a, b in itertools.combinations(x, 2))
     prog.AddCost(pairs)
-    prog.AddConstraint(pairs <= -5.9)
-    assert not certify(prog).is_infeasible
-    prog.AddConstraint(pairs <= -6.1)
+    prog.AddConstraint(pairs <= -1.9)
+    assert not certify(prog, cells=500).is_infeasible
+    prog.AddConstraint(pairs <= -2.6)
     assert certify(prog).is_infeasible
 
 
-def test_what_stands_in_the_way_is_said() -> None:
-    prog, x = coupled(6)
-    (free,) = prog.NewContinuousVariables(1, "free")
-    prog.AddCost(free**2 + sum(x[i] * x[j] for i, j in itertools.combinations(range(6), 2)))
-    assert bound_by_squares(read_formulas(prog), np.zeros(7)).reason == "free(0) lacks a bound"
-    prog, x = coupled(12)
-    prog.AddCost(sum(sym.exp(x[i] * x[j]) for i, j in itertools.combinations(range(12), 2)))
-    assert certify(prog).reason.endswith("no sums of squares: exp is no polynomial")
+def long_proof() -> MathematicalProgram:
+    """Returns a program of many cells: all of seven waves are coupled."""
+    prog, x = coupled(7)
+    add_cost(prog, sum(sym.sin(5.0 * a * b + a) for a, b in itertools.combinations(x, 2)))
+    return prog
+
+
+def test_seconds_end_a_proof_and_progress_is_told() -> None:
+    lines: list[str] = []
+    start = time.monotonic()
+    found = certify(long_proof(), seconds=2.5, progress=lines.append)
+    assert time.monotonic() - start < 10.0
+    assert "depends on the clock" in found.reason
+    assert math.isfinite(found.lower_bound)
+    assert lines[0].startswith("bound ")
+
+
+def test_an_interruption_keeps_the_bound_so_far() -> None:
+    prog = long_proof()
+    known = certify(prog, cells=100).lower_bound
+
+    def interrupt(_: str) -> None:
+        raise KeyboardInterrupt
+
+    found = certify(prog, progress=interrupt)
+    assert found.reason == "interrupted: this is the bound so far"
+    assert known <= found.lower_bound < math.inf
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"seconds": 0.0}, "seconds: got 0.0, expected a number above 0"),
+        ({"seconds": math.nan}, "seconds: got nan, expected a number above 0"),
+        ({"cells": 0}, "cells: got 0, expected a number above 0"),
+        ({"prover": "gurobi"}, "prover: got 'gurobi', expected one of own, scip"),
+    ],
+)
+def test_a_bad_limit_is_refused(wrong: dict[str, Any], message: str) -> None:
+    prog, _ = program(lambda x: x, 1)
+    with pytest.raises(OptionsError, match=re.escape(message)):
+        certify(prog, **wrong)
+
+
+def test_scip_proves_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    prog, least = on_a_circle()
+    pytest.importorskip("pyscipopt")
+    found = certify(prog, prover="scip")
+    assert found.method == Method.SCIP
+    assert found.best_cost == pytest.approx(least, abs=1e-5)
+    assert found.lower_bound == pytest.approx(least, abs=1e-5)
+    monkeypatch.setitem(sys.modules, "pyscipopt", None)
+    with pytest.raises(OptionsError, match=re.escape("pip install 'drake_aigto[scip]'")):
+        certify(prog, prover="scip")

@@ -11,21 +11,22 @@ from drake_aigto.certify.certificate import (
 )
 from drake_aigto.certify.enclosures import enclose_all
 from drake_aigto.certify.flights import Line, Wall
-from drake_aigto.certify.formulas import formula_of, make_tape, read_formulas
+from drake_aigto.certify.formulas import Operation, Tape, formula_of, make_tape, read_formulas
 from drake_aigto.certify.plans import PlanBound, bound_plans, fold, out_of_reach
-from drake_aigto.certify.squares import Block, Identity, bound_by_squares
+from drake_aigto.certify.relaxation import Relaxation
+from drake_aigto.certify.relaxation_kernels import safe_bound
 from drake_aigto.certify.touches import bound_line
 
 __all__ = [
-    "Block",
     "Certificate",
     "Certifier",
-    "Identity",
     "Line",
     "Method",
+    "Operation",
     "PlanBound",
+    "Relaxation",
+    "Tape",
     "Wall",
-    "bound_by_squares",
     "bound_line",
     "bound_plans",
     "certify",
@@ -38,4 +39,5 @@ __all__ = [
     "out_of_reach",
     "read_formulas",
     "relative_gap",
+    "safe_bound",
 ]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.certify.contraction import contract, has_narrowed
+from drake_aigto.certify.contraction import contract
 from drake_aigto.certify.enclosures import (
     GRADIENT,
     HESSIAN,
@@ -25,37 +25,16 @@ from drake_aigto.certify.expansions import (
     middle_of,
     set_steps,
 )
-from drake_aigto.certify.formulas import Tape
+from drake_aigto.certify.formulas import Joint, Tape
 from drake_aigto.certify.intervals import plus, power, scaled, times, up
+from drake_aigto.certify.pricing import Rows
 from drake_aigto.kernels import inner, kernel
 
 _COST = 0  # the formula's number; that of row j is 1 + j
 _ABOUT, _OVER = 0, 1  # jets of f about a point, and over a cell
-_MOST_SWEEPS = 3  # over all rows, to narrow a cell
 # A side is not cut that is this much shorter than the first box's, beside the longest one.
 _LEAST_SIDE = 1e-3
 _STEPS = 8  # of the descent within a cell where f is convex
-
-
-class Rows(NamedTuple):
-    """Rows lower ≤ r_j(x) ≤ upper, and their terms in the cost where they hold.
-
-    On all feasible x, f ≥ f + λ_j (r_j − t_j) + ½ ρ_j (r_j − t_j)²: of an equality with any λ and
-    ρ; of an inequality at its bound t with λ (r − t) ≤ 0 and ρ ≤ 2 |λ| / max |r − t|.
-
-    Attributes:
-        lower: bounds of r (R,).
-        upper: shape (R,).
-        targets: t (R,).
-        slopes: λ (R,); 0 leaves a row out.
-        bends: ρ (R,) of equalities, −ρ of inequalities, of which a cell may allow less.
-    """
-
-    lower: Floats
-    upper: Floats
-    targets: Floats
-    slopes: Floats
-    bends: Floats
 
 
 class Problem(NamedTuple):
@@ -63,6 +42,7 @@ class Problem(NamedTuple):
 
     Attributes:
         tape: f and the rows.
+        joint: the same with entries that they share.
         rows: R of them.
         outer: the box (2, n).
         best: the best known point (n,).
@@ -70,6 +50,7 @@ class Problem(NamedTuple):
     """
 
     tape: Tape
+    joint: Joint
     rows: Rows
     outer: Floats
     best: Floats
@@ -92,6 +73,9 @@ class _Work(NamedTuple):
         shares: of the variables in variations of formulas (n,).
         sides: of the first box, 1 where it has no such side (n,).
         old: a box (2, n).
+        ranges: of the joint tape's entries.
+        lower: bounds of f and the rows (1 + R,).
+        upper: shape (1 + R,).
     """
 
     jets: Floats
@@ -106,6 +90,9 @@ class _Work(NamedTuple):
     shares: Floats
     sides: Floats
     old: Floats
+    ranges: Floats
+    lower: Floats
+    upper: Floats
 
 
 @inner
@@ -162,24 +149,12 @@ def _narrow(problem: Problem, low: Floats, high: Floats, work: _Work) -> bool:
 
     Returns whether anything is left.
     """
-    rows, known, old = problem.rows, problem.known, work.old
-    for i in range(low.size):
-        old[0, i], old[1, i] = low[i], high[i]
-    for _ in range(_MOST_SWEEPS):
-        if math.isfinite(known[0]):
-            bounds = -np.inf, known[0]
-            is_left = contract(problem.tape, _COST, bounds, low, high, work.values)
-            if not is_left or np.any(low != old[0]) or np.any(high != old[1]):
-                known[1] = min(known[1], known[0])
-            if not is_left:
-                return False
-        for j in range(rows.lower.size):
-            bounds = rows.lower[j], rows.upper[j]
-            if not contract(problem.tape, 1 + j, bounds, low, high, work.values):
-                return False
-        if not has_narrowed(low, high, old[0], old[1]):
-            break
-    return True
+    rows, known = problem.rows, problem.known
+    work.lower[0], work.upper[0] = -np.inf, known[0]
+    known[1] = min(known[1], known[0])
+    for j in range(rows.lower.size):
+        work.lower[1 + j], work.upper[1 + j] = rows.lower[j], rows.upper[j]
+    return contract(problem.joint, work.lower, work.upper, low, high, work.ranges, work.old)
 
 
 @inner
@@ -197,7 +172,7 @@ def _bound(
         margins: see `bound_cells`.
         work: room; its `shares` are filled.
     """
-    (tape, rows, outer, best, known), jets, totals = problem, work.jets, work.totals
+    (tape, _, rows, outer, best, known), jets, totals = problem, work.jets, work.totals
     work.shares[:] = 0.0
     if not _narrow(problem, low, high, work):
         return np.inf
@@ -383,6 +358,9 @@ def bound_cells(
         np.empty(size),
         problem.outer[1] - problem.outer[0],
         np.empty((2, size)),
+        make_scratch(problem.joint.tape, size, VALUE),
+        np.empty(1 + num_rows),
+        np.empty(1 + num_rows),
     )
     for i in range(size):
         if not 0.0 < work.sides[i] < np.inf:

@@ -1,26 +1,68 @@
-"""Branch and bound over cells of all variables at once, for programs of few variables."""
+"""Branch and bound over cells of all variables at once."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.certify.cell_kernels import Problem, Rows, bound_cells
-from drake_aigto.certify.enclosures import GRADIENT, SumOfFormulas, enclose_all
+from drake_aigto.certify.cell_kernels import Problem, bound_cells
+from drake_aigto.certify.enclosures import SumOfFormulas
 from drake_aigto.certify.expansions import middles
-from drake_aigto.certify.formulas import Formulas, formula_of, make_tape
+from drake_aigto.certify.formulas import Formulas, join
+from drake_aigto.certify.pricing import cost_and_rows, priced_rows
+from drake_aigto.certify.relaxation import Relaxation
 
 _MOST_OPEN = 400_000  # cells
 _BATCH = 4  # this part of the open cells is cut at once, and at least this number
-# A row or a variable is at its bound where it is this near, relative to its size.
-_NEAR = 1e-5
-_BEND = 10.0  # relative to what makes up for the cost's slope in a unit's length
+_MOST_AT_ONCE = 4000  # so that progress is told, and the clock is looked at
+_MOST_BENT = 10  # variables of cells that are bounded by Hessians, too
+_FEW = 4  # variables of programs without rows that need no linear relaxations
+_PLAIN = 200  # cells that are bounded by Hessians alone, before relaxations
+# A relaxation pays if it closes this part of the gap; where fewer than this part of them do, every
+# sixteenth cell is relaxed only.
+_LEAST_SHARE, _SELDOM = 0.1, 16
+
+
+class Cells(NamedTuple):
+    """Cells and what is known of them.
+
+    Attributes:
+        low: lower ends (C, n).
+        high: upper ends.
+        bounds: of f (C,).
+        cuts: variables to cut next; −1: none can be (C,).
+        places: where; NaN: in the middle (C,).
+    """
+
+    low: Floats
+    high: Floats
+    bounds: Floats
+    cuts: Ints
+    places: Floats
+
+    def some(self, kept: Bools | Ints) -> Cells:
+        """Returns a part of them."""
+        return Cells._make(each[kept] for each in self)
+
+    def halves(self) -> Cells:
+        """Returns both parts of each, one after the other."""
+        parts = Cells._make(np.repeat(each, 2, axis=0) for each in self)
+        first, last = np.arange(0, len(parts.cuts), 2), np.arange(1, len(parts.cuts), 2)
+        own = first, self.cuts
+        middle = middles(parts.low[own], parts.high[own])
+        places = np.where(np.isnan(self.places), middle, self.places)
+        parts.high[first, self.cuts] = parts.low[last, self.cuts] = places
+        return parts
 
 
 class CellSearch:
     """Branch and bound over cells of a program, which may be gone on with.
+
+    An interruption leaves what is known in order: cells that are taken away, and what became of
+    them, are changed at once.
 
     Args:
         formulas: the program.
@@ -29,23 +71,29 @@ class CellSearch:
 
     Attributes:
         cost: f.
-        num_cells: number of cells that were cut.
+        num_cells: number of cells that were bounded; a linear program counts as some of them.
     """
 
     def __init__(self, formulas: Formulas, margin: float) -> None:
         """Opens the whole box."""
-        everything = range(formulas.lower.size)
-        sums = [formulas.summands, *((row,) for row in formulas.rows)]
-        tape = make_tape(formula_of(each, everything) for each in sums)
-        self.cost = SumOfFormulas(tape, [everything])
-        bounds = ([getattr(row, side) for row in formulas.rows] for side in ("lower", "upper"))
-        rows = Rows(*map(np.array, bounds), *np.zeros((3, len(formulas.rows))))
-        outer = np.array([formulas.lower, formulas.upper])
-        self._margin, self.num_cells = margin, 0
-        self._problem = Problem(tape, rows, outer, middles(*outer), np.full(2, np.inf))
-        # Open cells: their ends, bounds, and which variables are to be cut.
-        self._low, self._high = outer[:, None].copy()
-        self._bounds, self._cuts = np.array([-np.inf]), np.array([0])
+        size = formulas.lower.size
+        tape, rows = cost_and_rows(formulas)
+        self.cost = SumOfFormulas(tape, [range(size)])
+        outer, known = np.array([formulas.lower, formulas.upper]), np.full(2, np.inf)
+        joint = join([formulas.summands, *((row,) for row in formulas.rows)], size)
+        self._problem = Problem(tape, joint, rows, outer, middles(*outer), known)
+        self._margin, self._scale, self.num_cells = margin, 1.0, 0
+        self._is_bent = size <= _MOST_BENT
+        self._relaxation: Relaxation | None = None
+        if rows.lower.size or size > _FEW:
+            try:
+                self._relaxation = Relaxation(formulas)
+            except OverflowError:  # A coefficient is beyond the range of numbers.
+                self._is_bent = True
+        self._tries, self._gains, self._turn = _SELDOM, _SELDOM, 0
+        self._start: Floats | None = None  # of the lowest relaxation that was solved last
+        ends = outer[:, None].copy()
+        self._open = Cells(ends[0], ends[1], np.array([-np.inf]), np.array([0]), np.array([np.nan]))
 
     @property
     def best(self) -> Floats:
@@ -69,95 +117,90 @@ class CellSearch:
             count: number of cells at most.
             scale: the margin is relative to the best value, or to this where that is less in size.
         """
-        self._problem = self._problem._replace(rows=self._priced_rows())
-        end, margins = self.num_cells + count, (self._margin, scale)
+        if math.isfinite(self.least):
+            tape, _, rows, outer, x, _ = self._problem
+            self._problem = self._problem._replace(rows=priced_rows(tape, rows, outer, x))
+        end, self._scale = self.num_cells + count, scale
         if self.num_cells == 0:
-            self.num_cells, whole = 1, (self._low, self._high, self._bounds, self._cuts)
-            self._keep(np.zeros(1, dtype=bool))
-            self._add(*whole, margins)
+            self.num_cells = 1
+            self._open = self._bounded(self._whole())
         while self.num_cells < end:
-            enough = self.least - self._margin * max(abs(self.least), scale)
             # What holds nothing better, or cannot be cut, is left alone.
-            is_over = (self._bounds > enough) | (self._cuts < 0)
-            settled = np.min(self._bounds[is_over], initial=self._problem.known[1])
-            self._problem.known[1] = settled
-            self._keep(~is_over)
-            size = self._bounds.size
+            is_over = (self._open.bounds > self._enough) | (self._open.cuts < 0)
+            self._settle(float(np.min(self._open.bounds[is_over], initial=np.inf)))
+            self._open = self._open.some(~is_over)
+            size = self._open.bounds.size
             if not size or size > _MOST_OPEN:
                 return False
-            self._cut(min(end - self.num_cells, size, max(_BATCH, size // _BATCH)), margins)
+            most = min(_MOST_AT_ONCE, max(1, end - self.num_cells), size)
+            self._cut(min(most, max(_BATCH, size // _BATCH)))
         return True
 
-    def _keep(self, kept: Bools) -> None:
-        self._low, self._high = self._low[kept], self._high[kept]
-        self._bounds, self._cuts = self._bounds[kept], self._cuts[kept]
+    def _settle(self, bound: float) -> None:
+        """Takes note that what is left alone has this bound."""
+        self._problem.known[1] = min(self._problem.known[1], bound)
 
-    def _cut(self, count: int, margins: tuple[float, float]) -> None:
+    @property
+    def _enough(self) -> float:
+        """Bound that needs not be raised."""
+        size = max(abs(self.least), self._scale)
+        return self.least - self._margin * size if self.least < np.inf else np.inf
+
+    def _whole(self) -> Cells:
+        """Returns the whole box, narrowed by linear programs where cells are many-sided."""
+        whole = self._open
+        if self._relaxation is not None and not self._is_bent:
+            self._settle(self.least)
+            is_left = self._relaxation.tighten(whole.low[0], whole.high[0], self.least)
+            return whole.some(np.array([is_left]))
+        return whole
+
+    def _cut(self, count: int) -> None:
         """Cuts the lowest cells in two."""
-        lowest = np.argpartition(self._bounds, count - 1)[:count]
-        low, high, bounds, cuts = (
-            np.repeat(each[lowest], 2, axis=0)
-            for each in (self._low, self._high, self._bounds, self._cuts)
-        )
-        first, last = np.arange(0, 2 * count, 2), np.arange(1, 2 * count, 2)
-        middle = middles(low[first, cuts[first]], high[first, cuts[first]])
-        high[first, cuts[first]] = low[last, cuts[last]] = middle
-        self.num_cells += count
-        kept = np.ones(self._bounds.size, dtype=bool)
+        cells = self._open
+        lowest = np.argpartition(cells.bounds, count - 1)[:count]
+        kept = np.ones(cells.bounds.size, dtype=bool)
         kept[lowest] = False
-        self._keep(kept)
-        self._add(low, high, bounds, cuts, margins)
+        self.num_cells += count
+        parts = zip(cells.some(kept), self._bounded(cells.some(lowest).halves()), strict=True)
+        self._open = Cells._make(map(np.concatenate, parts))
 
-    def _add(
-        self, low: Floats, high: Floats, bounds: Floats, cuts: Ints, margins: tuple[float, float]
-    ) -> None:
-        """Bounds cells, and opens those that may hold a minimizer."""
-        bound_cells(self._problem, low, high, margins, bounds, cuts)
-        left = bounds < np.inf
-        self._low = np.concatenate([self._low, low[left]])
-        self._high = np.concatenate([self._high, high[left]])
-        self._bounds = np.append(self._bounds, bounds[left])
-        self._cuts = np.append(self._cuts, cuts[left])
+    def _bounded(self, cells: Cells) -> Cells:
+        """Returns the cells that may hold a minimizer, narrowed, with bounds and cuts."""
+        low, high, bounds, cuts, places = cells
+        places[:] = np.nan
+        if self._is_bent:
+            margins = self._margin, self._scale
+            bound_cells(self._problem, low, high, margins, bounds, cuts)
+        if self._relaxation is not None and (not self._is_bent or self.num_cells > _PLAIN):
+            self._relax(self._relaxation, cells)
+        return cells.some(bounds < np.inf)
 
-    def _priced_rows(self) -> Rows:
-        """Returns rows with which the Lagrangian has next to no slope at the best point."""
-        tape, rows, outer, x, _ = self._problem
-        low, high, *_ = rows
-        count = low.size + 1
-        if count == 1 or not math.isfinite(self.least):
-            return rows
-        points = np.tile(x, (count, 1))
-        jets = enclose_all(tape, np.arange(count), points, points, GRADIENT)
-        if not np.all(np.isfinite(jets)):
-            return rows
-        values, gradients = np.mean(jets[:, 0], axis=-1), np.mean(jets[:, 1:], axis=-1)
-        at_low, at_high = _is_at(values[1:], low), _is_at(values[1:], high)
-        # Of the side that is active: λ ≥ 0 at the upper one, ≤ 0 at the lower one.
-        signs = np.where(at_high, 1.0, -1.0)
-        active = at_low | at_high
-        free = ~np.any([_is_at(x, bound) for bound in outer], axis=0)
-        slopes = np.zeros(count - 1)
-        while np.any(active) and np.any(free):
-            matrix = gradients[1:][np.ix_(active, free)].T
-            slopes[:] = 0.0
-            slopes[active] = np.linalg.lstsq(matrix, -gradients[0][free], rcond=None)[0]
-            wrong = active & (low != high) & (slopes * signs <= 0.0)
-            if not np.any(wrong):
-                break
-            active &= ~wrong
-            slopes[~active] = 0.0
-        sizes = np.sum(gradients[1:] ** 2, axis=1)
-        largest = max(1.0, float(np.max(np.abs(gradients[0]), initial=0.0)))
-        bends = np.zeros(count - 1)
-        bent = active & (sizes > 0.0)
-        bends[bent] = np.where(low == high, _BEND, -_BEND)[bent] * largest / sizes[bent]
-        targets = np.where(at_high, high, np.where(at_low, low, 0.0))
-        return Rows(low, high, targets, np.where(active, slopes, 0.0), bends)
+    def _relax(self, relaxation: Relaxation, cells: Cells) -> None:
+        """Raises bounds by linear relaxations, and narrows cells by them."""
+        low, high, bounds, cuts, places = cells
+        self._settle(self.least)
+        lowest, enough = np.inf, self._enough
+        for c in np.flatnonzero(bounds < enough):
+            self._turn += 1
+            if self._gains < _LEAST_SHARE * self._tries and self._turn % _SELDOM:
+                continue
+            found = relaxation.bound(low[c], high[c], self.least)
+            self.num_cells += relaxation.effort
+            self._tries += 1
+            more = found.bound - bounds[c]
+            is_gain = found.bound > enough or more > _LEAST_SHARE * (enough - bounds[c])
+            self._gains += is_gain or more == np.inf
+            bounds[c] = max(bounds[c], found.bound)
+            if bounds[c] < lowest:
+                lowest, self._start = bounds[c], found.x
+            if not self._is_bent:  # Hessians know better where to cut.
+                cuts[c], places[c] = found.cut
 
     @property
     def is_over(self) -> bool:
         """Whether no cell is left that can be cut."""
-        return not self._bounds.size
+        return not self._open.bounds.size
 
     @property
     def is_empty(self) -> bool:
@@ -167,15 +210,15 @@ class CellSearch:
     @property
     def lower_bound(self) -> float:
         """Of f over all feasible points; at most the best value."""
-        return float(np.min(self._bounds, initial=np.min(self._problem.known)))
+        return float(np.min(self._open.bounds, initial=np.min(self._problem.known)))
 
     @property
     def lowest_point(self) -> Floats | None:
-        """The middle (n,) of the open cell of the lowest bound, if there is one."""
-        if self.is_over:
-            return None
-        lowest = int(np.argmin(self._bounds))
-        return middles(self._low[lowest], self._high[lowest])
+        """A point (n,) near a minimizer, perhaps: of the last relaxation, or the lowest cell."""
+        if self.is_over or self._start is not None:
+            return self._start
+        lowest = int(np.argmin(self._open.bounds))
+        return middles(self._open.low[lowest], self._open.high[lowest])
 
     @property
     def hull(self) -> Floats | None:
@@ -183,15 +226,10 @@ class CellSearch:
 
         It holds the best point, too. None if there is no such cell.
         """
-        below = self._bounds <= self.least
+        below = self._open.bounds <= self.least
         if not np.any(below):
             return None
-        low, high = self._low[below].min(axis=0), self._high[below].max(axis=0)
+        low, high = self._open.low[below].min(axis=0), self._open.high[below].max(axis=0)
         if math.isfinite(self.least):
             low, high = np.minimum(low, self.best), np.maximum(high, self.best)
         return np.array([low, high])
-
-
-def _is_at(values: Floats, bounds: Floats) -> Bools:
-    """Returns which values are next to their bounds, which are finite then."""
-    return np.abs(values - bounds) <= _NEAR * np.maximum(1.0, np.abs(values))

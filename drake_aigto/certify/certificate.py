@@ -4,39 +4,45 @@ from __future__ import annotations
 
 import enum
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.cells import CellSearch
-from drake_aigto.certify.cliques import MOST_VARIABLES, CliqueSearch
+from drake_aigto.certify.cliques import MOST_VARIABLES, CliqueSearch, elimination
 from drake_aigto.certify.contraction import contract_box
 from drake_aigto.certify.enclosures import SumOfFormulas
 from drake_aigto.certify.formulas import (
     Formulas,
     formula_of,
+    join,
     make_tape,
     read_formulas,
 )
-from drake_aigto.certify.squares import SquaresBound, bound_by_squares, elimination
-from drake_aigto.errors import UnsupportedTermError
+from drake_aigto.certify.pricing import with_prices
+from drake_aigto.certify.scip import bound_by_scip
+from drake_aigto.errors import OptionsError, UnsupportedTermError
 
 # A point → a feasible one near it, if there is one.
 Improve = Callable[[Floats], Floats | None]
+Progress = Callable[[str], None]
+Prover = Literal["own", "scip"]
 
-# Cells of more variables are too many.
-_MOST_VARIABLES = 10
-# Of up to this many variables, cells of all of them converge faster than trees of cliques.
-_FEW = 4
+# Of up to this many variables, cells of all of them converge faster than trees of cliques. With
+# rows, of up to the second number; there cliques are tried first, on this many cells.
+_FEW, _FEW_WITH_ROWS = 4, 10
+_TRIAL = 1000
 _FIRST_CHUNK = 500
-_FIRST_CELLS = 2000  # before sums of squares
+_SOON = 2.0  # seconds from one line of progress to the next
 # Costs below it are lost in what rounding adds to numbers that may underflow.
 _LEAST_SCALE = 1e-290
 # Polynomials of more variables are too many to multiply out.
-_MOST_OF_SQUARES = 1000
+_MOST_OF_SQUARES = 0
 # Cells are settled at this part of the required gap.
 _MARGIN = 0.5
 # Dynamic programming bounds up to this many cells for each that branch and bound may use.
@@ -48,8 +54,8 @@ class Method(enum.Enum):
 
     CELLS = "branch and bound over cells of all variables"
     CLIQUES = "dynamic programming over bins of a tree of small cliques"
-    SQUARES = "sums of squares over cliques of variables"
     ROWS = "rows that leave nothing of the bounds"
+    SCIP = "SCIP, by floating point with tolerances: not rigorous"
     SUM = "the sum of what each summand is at least"
     NONE = "no bound"
 
@@ -105,22 +111,58 @@ def certify(
     *,
     gap: float = 1e-6,
     cells: int = 1_000_000,
+    seconds: float | None = None,
+    prover: Prover = "own",
+    progress: Progress | None = None,
 ) -> Certificate:
     """Returns a lower bound of a program's cost over all points that meet its constraints.
+
+    Ctrl-C ends the search; the bound so far is returned, and `Certificate.reason` says so.
 
     Args:
         prog: costs and constraints linear, quadratic or symbolic; variables with bounds.
         point: a feasible point, the better the tighter, shape (n,).
         gap: relative; small enough.
-        cells: the most cells that are bounded.
+        cells: the most cells that are bounded; a linear program counts as some of them.
+        seconds: the most that it takes, if any; the bound depends on the clock then.
+        prover: "own", or "scip" where SCIP is installed (extra `scip`), which is not rigorous.
+        progress: called with a line of text every two seconds.
 
     Raises:
-        UnsupportedTermError: a function without an enclosure, by name.
+        OptionsError: a limit that is not above 0, or a prover that is unknown or not installed.
+        UnsupportedTermError: a function without an enclosure, or an integer variable, by name.
     """
-    certifier = Certifier(prog, gap=gap)
+    if prover not in (known := get_args(Prover)):
+        raise OptionsError("prover", got=repr(prover), expected=f"one of {', '.join(known)}")
+    for name, limit in (("gap", gap), ("cells", cells), ("seconds", seconds)):
+        if limit is not None and not limit > 0:
+            raise OptionsError(name, got=limit, expected="a number above 0")
+    if prover == "scip":
+        return _certify_with_scip(prog, gap, seconds)
+    certifier = Certifier(prog, gap=gap, seconds=seconds, progress=progress)
     if point is not None:
         certifier.offer(point)
-    return certifier.run(cells)
+    try:
+        return certifier.run(cells)
+    except KeyboardInterrupt:
+        return replace(certifier.certificate(), reason="interrupted: this is the bound so far")
+
+
+def _certify_with_scip(prog: MathematicalProgram, gap: float, seconds: float | None) -> Certificate:
+    formulas = read_formulas(prog)
+    bound, point = bound_by_scip(formulas, gap, seconds)
+    cost = math.inf
+    if point is not None:
+        cost = float(sum(prog.EvalBinding(each, point)[0] for each in prog.GetAllCosts()))
+    return Certificate(
+        lower_bound=bound,
+        best_cost=cost,
+        scale=1.0,
+        method=Method.SCIP,
+        cells=0,
+        best=np.full(formulas.lower.size, np.nan) if point is None else point,
+        hull=np.array([formulas.lower, formulas.upper]),
+    )
 
 
 def is_infeasible(prog: MathematicalProgram) -> bool:
@@ -137,6 +179,8 @@ class Certifier:
     Args:
         prog: as in `certify`.
         gap: as in `certify`.
+        seconds: as in `certify`, of all runs.
+        progress: as in `certify`.
 
     Attributes:
         least_sum: the sum of the lower bounds of summands.
@@ -145,20 +189,28 @@ class Certifier:
         UnsupportedTermError: as in `certify`.
     """
 
-    def __init__(self, prog: MathematicalProgram, gap: float = 1e-6) -> None:
+    def __init__(
+        self,
+        prog: MathematicalProgram,
+        gap: float = 1e-6,
+        seconds: float | None = None,
+        progress: Progress | None = None,
+    ) -> None:
         """Chooses a method by the program's structure."""
+        self._clock = _Clock(seconds, progress)
         self._asked = read_formulas(prog)
         self._formulas, is_feasible = _narrowed(self._asked)
         formulas, self._gap = self._formulas, gap
         self._search: CellSearch | CliqueSearch | None = None
-        self._squares: SquaresBound | None = None
-        self._method, order = Method.SUM, self._order()
+        self._method, self._order = Method.SUM, self._find_order()
+        is_many = formulas.lower.size > (_FEW_WITH_ROWS if formulas.rows else _FEW)
         if not is_feasible:
             self._method = Method.ROWS
-        elif order is not None:
-            self._method, self._search = Method.CLIQUES, CliqueSearch(formulas, order)
-        elif 0 < formulas.lower.size <= _MOST_VARIABLES:
+        elif self._order is not None and is_many:
+            self._method, self._search = Method.CLIQUES, CliqueSearch(formulas, self._order)
+        elif formulas.lower.size:
             self._method, self._search = Method.CELLS, CellSearch(formulas, _MARGIN * gap)
+        self._is_priced, self._floor = False, -math.inf
         self._cost = _sum_of(formulas) if self._search is None else self._search.cost
         least, most = self._cost.range(formulas.lower, formulas.upper)
         self.least_sum = least if is_feasible else math.inf
@@ -167,11 +219,11 @@ class Certifier:
         self._scale = max(min(1.0, width), _LEAST_SCALE) if math.isfinite(width) else 1.0
         self._best, self._best_cost = np.full(formulas.lower.size, np.nan), math.inf
 
-    def _order(self) -> list[tuple[int, ...]] | None:
+    def _find_order(self) -> list[tuple[int, ...]] | None:
         """Returns in which order variables of small cliques are eliminated; None: of others."""
         formulas = self._formulas
-        size, few = formulas.lower.size, _MOST_VARIABLES if formulas.rows else _FEW
-        if size <= few or not np.all(np.isfinite(formulas.upper - formulas.lower)):
+        size = formulas.lower.size
+        if size <= _FEW or not np.all(np.isfinite(formulas.upper - formulas.lower)):
             return None
         read = [each.variables for each in (*formulas.summands, *formulas.rows)]
         if max(map(len, read), default=0) > MOST_VARIABLES:
@@ -194,53 +246,35 @@ class Certifier:
             cells: number of cells at most.
             improve: called with points of the lowest cells; returns a feasible one nearby, or None.
         """
-        # Squares may prove at once what many cells would be spent on.
-        first = min(cells, _FIRST_CELLS) if isinstance(self._search, CellSearch) else cells
-        self._run_search(first, improve)
-        if self._squares is None and self._gap_of(self._bound) > self._gap:
-            self._run_squares(improve)
-        if self._gap_of(self._bound) > self._gap:
-            self._run_search(cells - first, improve)
-        return self._certificate()
-
-    def _run_search(self, cells: int, improve: Improve) -> None:
+        self._price_rows(cells, improve)
+        if self._gap_of(self._bound) <= self._gap:
+            return self.certificate()
         if isinstance(self._search, CellSearch):
             self._run_cells(self._search, cells, improve)
         elif isinstance(self._search, CliqueSearch):
             self._run_cliques(self._search, cells, improve)
-
-    @property
-    def _cells_bound(self) -> float:
-        """The lower bound without sums of squares."""
-        if self._search is None:
-            return self.least_sum
-        return math.inf if self._search.is_empty else self._search.lower_bound
+        return self.certificate()
 
     @property
     def _bound(self) -> float:
-        return max(self._cells_bound, self._squares.lower_bound if self._squares else -math.inf)
+        if self._search is None:
+            return self.least_sum
+        found = max(self.least_sum, self._floor, self._search.lower_bound)
+        return math.inf if self._search.is_empty else found
 
     def _gap_of(self, bound: float) -> float:
         """Returns how far the best cost is above a bound; 0 if there is no feasible point."""
         return 0.0 if bound == math.inf else relative_gap(self._best_cost, bound, self._scale)
 
-    def _run_squares(self, improve: Improve) -> None:
-        size = self._formulas.lower.size
-        if size > _MOST_OF_SQUARES:
-            self._squares = SquaresBound(-math.inf, reason=f"{size} variables are too many")
-            return
-        x = np.where(np.isfinite(self._best), self._best, 0.0)
-        self._squares = bound_by_squares(self._formulas, x)
-        better = None if self._squares.start is None else improve(self._squares.start)
-        if better is not None:
-            self.offer(better)
-
     def _run_cells(self, search: CellSearch, cells: int, improve: Improve) -> None:
         end, chunk, last = search.num_cells + cells, _FIRST_CHUNK, math.inf
         while search.num_cells < end:
-            if not search.run(min(chunk, end - search.num_cells), self._scale):
+            if self._clock.is_over or not search.run(
+                min(chunk, end - search.num_cells), self._scale
+            ):
                 break
-            chunk *= 2
+            self._clock.tell(search.lower_bound, search.least, search.num_cells)
+            chunk = min(2 * chunk, self._clock.most)
             if self._formulas.rows:
                 start = search.lowest_point
             else:
@@ -259,60 +293,99 @@ class Certifier:
         if better is not None:
             self.offer(better)
 
+    def _price_rows(self, cells: int, improve: Improve) -> None:
+        """Pays for rows, once a point is known that says at what prices, and bounds cliques."""
+        formulas, old = self._formulas, self._search
+        if self._is_priced or not formulas.rows or self._order is None or old is None:
+            return
+        if not math.isfinite(self._best_cost):
+            return
+        self._is_priced = True
+        self._search = priced = CliqueSearch(with_prices(formulas, self._best), self._order)
+        priced.offer(self._best, self._best_cost)
+        if isinstance(old, CellSearch):
+            self._run_cliques(priced, min(cells, _TRIAL), improve)
+            if self._gap_of(self._bound) > self._gap:
+                self._search = old
+        self._floor = max(self._floor, priced.lower_bound, old.lower_bound)
+
     def _run_cliques(self, search: CliqueSearch, cells: int, improve: Improve) -> None:
         end = search.num_cells + _CLIQUE_CELLS * cells
         while search.num_cells + search.next_size() <= end:
+            if self._clock.is_over:
+                return
             self._try(search.step(), improve)
+            self._clock.tell(search.lower_bound, search.least, search.num_cells)
             if search.is_empty:
                 return
             search.drop()
             if self._gap_of(search.lower_bound) <= self._gap:
                 return
 
-    def _certificate(self) -> Certificate:
+    def certificate(self) -> Certificate:
+        """Returns the bound so far."""
         formulas, search = self._formulas, self._search
         bound = self._bound
-        method = self._method if bound == self._cells_bound else Method.SQUARES
         hull = None if search is None else search.hull
         return Certificate(
             lower_bound=bound,
             best_cost=self._best_cost,
             scale=self._scale,
-            method=method,
+            method=Method.CLIQUES if isinstance(search, CliqueSearch) else self._method,
             cells=0 if search is None else search.num_cells,
-            reason=self._reason(bound, method),
+            reason=self._reason(bound),
             best=self._best,
             hull=np.array([formulas.lower, formulas.upper]) if hull is None else hull,
         )
 
-    def _reason(self, bound: float, method: Method) -> str:
-        formulas = self._formulas
+    def _reason(self, bound: float) -> str:
         if self._gap_of(bound) <= self._gap:
             return ""
+        if self._clock.is_over:
+            return "the seconds allowed were used up: the bound depends on the clock"
         if bound == -math.inf:
-            return _missing(formulas) or "the cost falls without end in some cell"
+            return _missing(self._formulas) or "the cost falls without end in some cell"
         if isinstance(self._search, CellSearch) and self._search.is_over:
             return "cells are as small as numbers allow, or their number is"
-        if self._search is not None:
-            return "the cells allowed were used up"
-        coupled = (
-            f"{formulas.lower.size} variables are coupled in more than trees of cliques of "
-            f"{MOST_VARIABLES}, and cells of more than {_MOST_VARIABLES} are too many"
-        )
-        if method is Method.SQUARES:
-            return f"{coupled}; sums of squares leave this gap"
-        squares = self._squares.reason if self._squares else ""
-        return f"{coupled}; no sums of squares: {squares}" if squares else coupled
+        return "the cells allowed were used up"
+
+
+class _Clock:
+    """Seconds that are left, and lines of progress.
+
+    Args:
+        seconds: the most, if any.
+        progress: as in `certify`.
+
+    Attributes:
+        most: cells from one look at the clock to the next.
+    """
+
+    def __init__(self, seconds: float | None, progress: Progress | None) -> None:
+        self._end = math.inf if seconds is None else time.monotonic() + seconds
+        self._progress, self._next = progress, time.monotonic() + _SOON
+        self.most = _FIRST_CHUNK if seconds is not None or progress else 1_000_000_000
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no seconds are left."""
+        return time.monotonic() >= self._end
+
+    def tell(self, bound: float, cost: float, cells: int) -> None:
+        """Reports the bound, if it is time to."""
+        if self._progress is not None and time.monotonic() >= self._next:
+            self._next = time.monotonic() + _SOON
+            self._progress(f"bound {bound:.9g}, best known {cost:.9g}, {cells} cells")
 
 
 def _narrowed(formulas: Formulas) -> tuple[Formulas, bool]:
     """Returns formulas with bounds that rows leave something of, and whether they leave any."""
-    everything, rows = range(formulas.lower.size), formulas.rows
-    tape = make_tape(formula_of((row,), everything) for row in rows)
     lower, upper = formulas.lower.copy(), formulas.upper.copy()
+    rows = formulas.rows
+    joint = join([(row,) for row in rows], lower.size)
     sides = np.array([[row.lower for row in rows], [row.upper for row in rows]])
     is_feasible = bool(np.all(lower <= upper)) and contract_box(
-        tape, sides[0], sides[1], lower, upper
+        joint, sides[0], sides[1], lower, upper
     )
     return (replace(formulas, lower=lower, upper=upper) if is_feasible else formulas), is_feasible
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.enclosures import VALUE, at, enclose, make_scratch, put
-from drake_aigto.certify.formulas import Operation, Tape
+from drake_aigto.certify.formulas import Joint, Operation
 from drake_aigto.certify.intervals import (
     Interval,
     exponential,
@@ -28,7 +28,7 @@ from drake_aigto.certify.intervals import (
 from drake_aigto.kernels import inner, kernel
 
 _GAIN = 0.1  # of a side: a sweep over all rows that cuts off less is the last one
-_MOST_SWEEPS = 20
+_MOST_SWEEPS = 10
 
 
 @inner
@@ -128,35 +128,6 @@ def _go_back(jets: Floats, entry: int, operation: int, a: int, b: int, p: float)
 
 
 @inner
-def contract(
-    tape: Tape, formula: int, bounds: Interval, low: Floats, high: Floats, jets: Floats
-) -> bool:
-    """Narrows low ≤ x ≤ high (L,), in place, to where a formula may be within bounds.
-
-    Args:
-        tape: holds the formula.
-        formula: its number.
-        bounds: of its value.
-        low: lower ends.
-        high: upper ends.
-        jets: as `make_scratch` returns them.
-
-    Returns:
-        Whether anything is left; if not, the box says nothing.
-    """
-    start, end = tape.starts[formula], enclose(tape, formula, low, high, VALUE, jets)
-    if end < 0 or not _narrow(jets, end, bounds):
-        return False
-    for k in range(end, -1, -1):
-        operation, a = tape.operations[start + k], tape.a[start + k]
-        if operation == Operation.VARIABLE:
-            low[a], high[a] = at(jets, k, 0)
-        elif not _go_back(jets, k, operation, a, tape.b[start + k], tape.numbers[start + k]):
-            return False
-    return True
-
-
-@inner
 def has_narrowed(low: Floats, high: Floats, old_low: Floats, old_high: Floats) -> bool:
     """Returns whether a side of a box is now shorter by a tenth, and makes the old box the same."""
     is_shorter = False
@@ -168,12 +139,65 @@ def has_narrowed(low: Floats, high: Floats, old_low: Floats, old_high: Floats) -
     return is_shorter
 
 
-@kernel
-def contract_box(tape: Tape, lower: Floats, upper: Floats, low: Floats, high: Floats) -> bool:
-    """Narrows low ≤ x ≤ high (n,), in place, to where all rows may hold.
+@inner
+def _contract_once(
+    joint: Joint, lower: Floats, upper: Floats, low: Floats, high: Floats, jets: Floats
+) -> bool:
+    tape, roots = joint
+    if enclose(tape, 0, low, high, VALUE, jets) < 0:
+        return False
+    for r in range(roots.size):
+        if not _narrow(jets, roots[r], (lower[r], upper[r])):
+            return False
+    for k in range(tape.operations.size - 1, -1, -1):
+        operation, a = tape.operations[k], tape.a[k]
+        if operation == Operation.VARIABLE:
+            low[a], high[a] = at(jets, k, 0)
+        elif not _go_back(jets, k, operation, a, tape.b[k], tape.numbers[k]):
+            return False
+    return True
+
+
+@inner
+def contract(
+    joint: Joint,
+    lower: Floats,
+    upper: Floats,
+    low: Floats,
+    high: Floats,
+    jets: Floats,
+    old: Floats,
+) -> bool:
+    """Narrows low ≤ x ≤ high (n,), in place, to where all formulas may be within bounds.
 
     Args:
-        tape: the rows.
+        joint: the formulas.
+        lower: their bounds (R,).
+        upper: shape (R,).
+        low: lower ends.
+        high: upper ends.
+        jets: as `make_scratch` returns them; filled with the ranges of entries.
+        old: room (2, n).
+
+    Returns:
+        Whether anything is left; if not, the box says nothing.
+    """
+    for i in range(low.size):
+        old[0, i], old[1, i] = low[i], high[i]
+    for _ in range(_MOST_SWEEPS):
+        if not _contract_once(joint, lower, upper, low, high, jets):
+            return False
+        if not has_narrowed(low, high, old[0], old[1]):
+            break
+    return True
+
+
+@kernel
+def contract_box(joint: Joint, lower: Floats, upper: Floats, low: Floats, high: Floats) -> bool:
+    """Narrows low ≤ x ≤ high (n,), in place, to where all formulas may be within bounds.
+
+    Args:
+        joint: the formulas.
         lower: their bounds (R,).
         upper: shape (R,).
         low: lower ends, contiguous.
@@ -182,11 +206,5 @@ def contract_box(tape: Tape, lower: Floats, upper: Floats, low: Floats, high: Fl
     Returns:
         Whether anything is left.
     """
-    jets, old_low, old_high = make_scratch(tape, low.size, VALUE), low.copy(), high.copy()
-    for _ in range(_MOST_SWEEPS):
-        for j in range(lower.size):
-            if not contract(tape, j, (lower[j], upper[j]), low, high, jets):
-                return False
-        if not has_narrowed(low, high, old_low, old_high):
-            break
-    return True
+    jets, old = make_scratch(joint.tape, low.size, VALUE), np.empty((2, low.size))
+    return contract(joint, lower, upper, low, high, jets, old)

@@ -70,7 +70,7 @@ def put(jets: Floats, entry: int, place: int, x: Interval) -> None:
 
 
 @inner
-def _derivatives(
+def derivatives(
     operation: int, x: Interval, exponent: int, p: float, order: int
 ) -> tuple[Interval, Interval, Interval]:
     """Returns enclosures of a function of one argument, and of its two derivatives."""
@@ -232,7 +232,7 @@ def enclose(tape: Tape, formula: int, low: Floats, high: Floats, order: int, jet
             if operation == Operation.LOG or operation == Operation.REAL_POWER:
                 is_partial |= x[0] < 0.0
                 is_open &= x[0] > 0.0
-            values = _derivatives(operation, x, b, p, order)
+            values = derivatives(operation, x, b, p, order)
             if values[0][0] > values[0][1]:
                 return -1
             _apply(jets, k, a, values, size, order)

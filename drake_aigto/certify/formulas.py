@@ -89,6 +89,18 @@ class Tape(NamedTuple):
     starts: Ints
 
 
+class Joint(NamedTuple):
+    """Formulas that share their entries.
+
+    Attributes:
+        tape: all of them as one; its first entries are the variables.
+        roots: entries of the formulas (R,).
+    """
+
+    tape: Tape
+    roots: Ints
+
+
 @dataclass(frozen=True, eq=False)
 class Summand:
     """A summand of the cost.
@@ -112,6 +124,14 @@ class BoundedFormula(Summand):
 
     lower: float
     upper: float
+
+
+@dataclass(frozen=True, eq=False)
+class PricedRow(Summand):
+    """factor · (formula − target) of a row, which is 0 or less where the row holds."""
+
+    factor: float
+    target: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,22 +221,30 @@ def formula_of(parts: Sequence[Summand], variables: Sequence[int]) -> list[Entry
     Raises:
         UnsupportedTermError: one has a function without an enclosure, by name.
     """
-    place = {variable: k for k, variable in enumerate(variables)}
     formula = Formula()
-    # Summands of one binding are added again, as powers of one variable are bounded together.
-    for _, alike in itertools.groupby(parts, lambda part: id(part.binding)):
-        first, *others = alike
-        total = sum((part.expression for part in others), first.expression)
-        try:
-            formula.add({i: place[j] for i, j in first.index.items() if j in place}, total)
-        except _NoEnclosureError as error:
-            raise UnsupportedTermError(
-                f"{evaluator_label(first.binding)} can't be bounded",
-                got=f"{error} in {shown(total)}",
-                expected="sums, products, quotients, powers, roots, exp, log, sin, cos, tan, tan⁻¹,"
-                " tanh, |x|, max and min",
-            ) from None
+    formula.add_all(parts, {variable: k for k, variable in enumerate(variables)})
     return formula.finish()
+
+
+def join(sums: Iterable[Sequence[Summand]], num_variables: int, is_nested: bool = True) -> Joint:
+    """Returns sums of summands as formulas that share their entries.
+
+    Args:
+        sums: the formulas.
+        num_variables: n.
+        is_nested: whether powers of one variable are written as Horner does.
+
+    Raises:
+        UnsupportedTermError: as in `formula_of`.
+    """
+    formula, places = Formula(is_nested), {i: i for i in range(num_variables)}
+    for i in range(num_variables):
+        formula.put(Operation.VARIABLE, i)
+    roots = []
+    for parts in sums:
+        formula.add_all(parts, places)
+        roots.append(formula.pop())
+    return Joint(make_tape([formula.entries]), np.array(roots, dtype=np.int64))
 
 
 def make_tape(formulas: Iterable[Sequence[Entry]]) -> Tape:
@@ -240,13 +268,23 @@ _FUNCTIONS = {
 
 
 class Formula:
-    """A sum of expressions as entries of a tape, each made once."""
+    """A sum of expressions as entries of a tape, each made once.
 
-    def __init__(self) -> None:
+    Args:
+        is_nested: whether powers of one variable are written as Horner does.
+    """
+
+    def __init__(self, is_nested: bool = True) -> None:
         """Starts empty."""
         self._place: Index = {}
         self._known: dict[Entry, int] = {}
         self._last: int | None = None
+        self._is_nested = is_nested
+
+    @property
+    def entries(self) -> list[Entry]:
+        """All of them, in their order."""
+        return list(self._known)
 
     def add(self, place_of: Index, e: Expression) -> None:
         """Adds an expression to the sum.
@@ -256,31 +294,62 @@ class Formula:
             e: the expression.
         """
         self._place = place_of
-        place = self._enter(e)
-        self._last = place if self._last is None else self._put(Operation.ADD, self._last, place)
+        self._add(self._enter(e))
+
+    def _add(self, place: int) -> None:
+        self._last = place if self._last is None else self.put(Operation.ADD, self._last, place)
+
+    def add_all(self, parts: Sequence[Summand], places: Index) -> None:
+        """Adds summands; index of a variable in the program ↦ its place among the formula's."""
+        # Summands of one binding are added again, as powers of one variable are bounded together.
+        for _, alike in itertools.groupby(
+            parts, lambda part: id(part) if isinstance(part, PricedRow) else id(part.binding)
+        ):
+            first, *others = alike
+            total = sum((part.expression for part in others), first.expression)
+            try:
+                self._place = {i: places[j] for i, j in first.index.items() if j in places}
+                place = self._enter(total)
+            except _NoEnclosureError as error:
+                raise UnsupportedTermError(
+                    f"{evaluator_label(first.binding)} can't be bounded",
+                    got=f"{error} in {shown(total)}",
+                    expected="sums, products, quotients, powers, roots, exp, log, sin, cos, tan, "
+                    "tan⁻¹, tanh, |x|, max and min",
+                ) from None
+            if isinstance(first, PricedRow):
+                place = self.put(Operation.SHIFT, place, 0, -first.target)
+                place = self.put(Operation.SCALE, place, 0, first.factor)
+            self._add(place)
+
+    def pop(self) -> int:
+        """Returns the entry of the sum, 0 if it is empty, and begins a new one."""
+        last = self.put(Operation.NUMBER) if self._last is None else self._last
+        self._last = None
+        return last
 
     def finish(self) -> list[Entry]:
         """Returns the entries, that of the sum last."""
-        last = self._put(Operation.NUMBER) if self._last is None else self._last
-        entries = list(self._known)
+        last, entries = self.pop(), self.entries
         if last < len(entries) - 1:
             entries.append((int(Operation.SHIFT), last, 0, 0.0))
         return entries
 
-    def _put(self, operation: Operation, a: int = 0, b: int = 0, number: float = 0.0) -> int:
+    def put(self, operation: Operation, a: int = 0, b: int = 0, number: float = 0.0) -> int:
+        """Returns the place of an entry, which is new or known."""
         return self._known.setdefault((int(operation), a, b, number), len(self._known))
 
     def _enter(self, e: Expression) -> int:
         """Enters an expression, and returns the place of its value."""
         kind = e.get_kind()
         if kind == ExpressionKind.Constant:
-            return self._put(Operation.NUMBER, number=e.Evaluate())
+            return self.put(Operation.NUMBER, number=e.Evaluate())
         if kind == ExpressionKind.Var:
             (variable,) = e.GetVariables()
-            return self._put(Operation.VARIABLE, self._place[variable.get_id()])
+            return self.put(Operation.VARIABLE, self._place[variable.get_id()])
         parts = operands(e)
         if kind in _FUNCTIONS:
-            return self._put(_FUNCTIONS[kind], *map(self._enter, parts))
+            return self.put(_FUNCTIONS[kind], *map(self._enter, parts))
         if kind == ExpressionKind.Add:
             return self._sum(parts)
         if kind == ExpressionKind.Mul:
@@ -289,10 +358,10 @@ class Formula:
         if kind == ExpressionKind.Pow:
             return self._power(*parts)
         if kind == ExpressionKind.Sqrt:
-            return self._put(Operation.REAL_POWER, self._enter(parts[0]), number=0.5)
+            return self.put(Operation.REAL_POWER, self._enter(parts[0]), number=0.5)
         if kind == ExpressionKind.Tan:
             place = self._enter(parts[0])
-            return self._divide(self._put(Operation.SIN, place), self._put(Operation.COS, place))
+            return self._divide(self.put(Operation.SIN, place), self.put(Operation.COS, place))
         if kind == ExpressionKind.Div:
             return self._divide(*map(self._enter, parts))
         raise _NoEnclosureError(kind.name)
@@ -302,17 +371,17 @@ class Formula:
 
         Of an interval, a x² + b x + c is wider than (a x + b) x + c, and ∞ − ∞ if that has no end.
         """
-        if powers := _powers_of_one(parts):
+        if self._is_nested and (powers := _powers_of_one(parts)):
             return self._nested(*powers)
         number, others = _split_number(parts, 0.0)
         total = self._fold(Operation.ADD, others)
-        return self._put(Operation.SHIFT, total, 0, number) if number else total
+        return self.put(Operation.SHIFT, total, 0, number) if number else total
 
     def _fold(self, operation: Operation, parts: Sequence[Expression]) -> int:
         """Enters a sum or a product, from left to right."""
         total = self._enter(parts[0])
         for part in parts[1:]:
-            total = self._put(operation, total, self._enter(part))
+            total = self.put(operation, total, self._enter(part))
         return total
 
     def _nested(self, variable: Expression, coefficients: Mapping[int, float]) -> int:
@@ -321,17 +390,17 @@ class Formula:
         exponents = sorted(coefficients, reverse=True)
         for p, q in itertools.pairwise([*exponents, 0]):
             if p > q:
-                factor = x if p == q + 1 else self._put(Operation.POWER, x, p - q)
+                factor = x if p == q + 1 else self.put(Operation.POWER, x, p - q)
                 if total < 0:
                     total = self._scaled(factor, coefficients[p])
                 else:
-                    total = self._put(Operation.MULTIPLY, factor, total)
+                    total = self.put(Operation.MULTIPLY, factor, total)
             if q in coefficients and q < p:
-                total = self._put(Operation.SHIFT, total, 0, coefficients[q])
+                total = self.put(Operation.SHIFT, total, 0, coefficients[q])
         return total
 
     def _scaled(self, place: int, number: float) -> int:
-        return self._put(Operation.SCALE, place, 0, number) if number != 1.0 else place
+        return self.put(Operation.SCALE, place, 0, number) if number != 1.0 else place
 
     def _power(self, base: Expression, exponent: Expression) -> int:
         if exponent.get_kind() != ExpressionKind.Constant:
@@ -341,13 +410,13 @@ class Formula:
         if abs(p) > _MOST_EXPONENT:
             raise _NoEnclosureError(f"power with the exponent {p:g}")
         if p != int(p):
-            return self._put(Operation.REAL_POWER, place, number=p)
+            return self.put(Operation.REAL_POWER, place, number=p)
         if p >= 0:
-            return self._put(Operation.POWER, place, int(p))
-        return self._put(Operation.RECIPROCAL, self._put(Operation.POWER, place, int(-p)))
+            return self.put(Operation.POWER, place, int(p))
+        return self.put(Operation.RECIPROCAL, self.put(Operation.POWER, place, int(-p)))
 
     def _divide(self, above: int, below: int) -> int:
-        return self._put(Operation.MULTIPLY, above, self._put(Operation.RECIPROCAL, below))
+        return self.put(Operation.MULTIPLY, above, self.put(Operation.RECIPROCAL, below))
 
 
 def _split_number(parts: Sequence[Expression], neutral: float) -> tuple[float, list[Expression]]:

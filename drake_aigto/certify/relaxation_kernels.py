@@ -1,0 +1,332 @@
+"""Rows of linear relaxations over cells, and bounds by their multipliers, rounded outward.
+
+Every row holds for all x of a cell, whatever is rounded: of a product, McCormick's four (1976,
+Math. Program. 10:147); of a convex or concave function of one variable, its secant and tangents; of
+any other one, lines through its ends with its least and its largest slope, and its secant, moved by
+an eighth of its curvature times the width squared.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.certify.contraction import contract
+from drake_aigto.certify.enclosures import at, derivatives
+from drake_aigto.certify.formulas import Joint, Operation
+from drake_aigto.certify.intervals import (
+    Interval,
+    down,
+    minus,
+    plus,
+    times,
+    up,
+    up_product,
+    up_quotient,
+)
+from drake_aigto.kernels import inner, kernel
+
+ROWS_OF_ONE, ROWS_OF_TWO = 6, 4  # of a function of one argument, and of two
+_LARGEST = 1e12  # coefficient of a row; larger ones are left out
+
+
+class Structure(NamedTuple):
+    """Columns and rows of the linear relaxation of a program.
+
+    A column is a variable, a function that is not linear, or the linear argument of one.
+
+    Attributes:
+        joint: cost and rows as one tape.
+        entries: of the tape, that columns stand for; variables first (C,).
+        functions: entries that are not linear: entry, its column, those of its arguments, the
+            second one −1 if there is none, and its first row (K, 5).
+        starts: first coefficient of each row, and their number (M + 1,).
+        columns: of the coefficients.
+        values: the coefficients; those of functions are filled for each cell.
+        errors: what rounding may have changed of a coefficient.
+        lower: of rows (M,).
+        upper: of rows (M,).
+        cost: coefficients of the cost (C, 2), enclosed.
+        constant: of the cost, rounded down.
+    """
+
+    joint: Joint
+    entries: Ints
+    functions: Ints
+    starts: Ints
+    columns: Ints
+    values: Floats
+    errors: Floats
+    lower: Floats
+    upper: Floats
+    cost: Floats
+    constant: float
+
+
+class Cell(NamedTuple):
+    """The linear program of a cell: minimize cost · w with lower ≤ A w ≤ upper, w in `box`.
+
+    Attributes:
+        values: coefficients of A.
+        lower: of its rows (M,).
+        upper: shape (M,).
+        box: ends of columns (2, C).
+        ranges: of the tape's entries (E, 1, 2).
+        old: room (2, n).
+    """
+
+    values: Floats
+    lower: Floats
+    upper: Floats
+    box: Floats
+    ranges: Floats
+    old: Floats
+
+
+@inner
+def _put_row(
+    structure: Structure, cell: Cell, row: int, slopes: tuple[float, float], ends: Interval
+) -> None:
+    """Sets ends ≤ w − s a − t b ≤; leaves the row out where a number is too large, or is none."""
+    first, last = structure.starts[row], structure.starts[row + 1]
+    (s, t), (low, high) = slopes, ends
+    is_finite = abs(s) <= _LARGEST and abs(t) <= _LARGEST
+    if not (is_finite and low < np.inf and high > -np.inf):
+        s = t = 0.0
+        low, high = -np.inf, np.inf
+    cell.values[first], cell.values[first + 1] = 1.0, -s
+    if last - first > 2:
+        cell.values[first + 2] = -t
+    cell.lower[row], cell.upper[row] = low, high
+
+
+@inner
+def _line_through(value: Interval, slope: float, t: float) -> Interval:
+    """Returns value − slope t, of a line with that slope through a point."""
+    return plus(value, times((-slope, -slope), (t, t)))
+
+
+@inner
+def _tangent(operation: int, b: int, p: float, x: Interval, t: float) -> tuple[float, Interval]:
+    """Returns a slope s near that at t, and what φ(t) + φ′(t) (a − t) − s a is over x."""
+    value, first, _ = derivatives(operation, (t, t), b, p, 1)
+    slope = 0.5 * (first[0] + first[1])
+    turn = times(plus(first, (-slope, -slope)), plus(x, (-t, -t)))
+    return slope, plus(_line_through(value, slope, t), turn)
+
+
+@inner
+def _put_function(structure: Structure, cell: Cell, k: int) -> None:
+    """Fills the rows of a function of one argument."""
+    entry, _, argument, _, row = structure.functions[k]
+    tape = structure.joint.tape
+    operation, b, p = tape.operations[entry], tape.b[entry], tape.numbers[entry]
+    x = cell.box[0, argument], cell.box[1, argument]
+    _, first, second = derivatives(operation, x, b, p, 2)
+    is_convex = second[0] >= 0.0 or operation == Operation.ABS
+    is_concave = second[1] <= 0.0 and not is_convex
+    at_low, _, _ = derivatives(operation, (x[0], x[0]), b, p, 0)
+    at_high, _, _ = derivatives(operation, (x[1], x[1]), b, p, 0)
+    none = -np.inf, np.inf
+    for extra in range(ROWS_OF_ONE):
+        _put_row(structure, cell, row + extra, (np.nan, 0.0), none)
+    width = x[1] - x[0]
+    if 0.0 < width < np.inf:
+        slope = (0.5 * (at_high[0] + at_high[1]) - 0.5 * (at_low[0] + at_low[1])) / width
+        one, other = _line_through(at_low, slope, x[0]), _line_through(at_high, slope, x[1])
+        least, most = min(one[0], other[0]), max(one[1], other[1])
+        if not (is_convex or is_concave):
+            square = up(up_product(width, width) * 0.125) * 1.000001
+            least = down(least - up_product(max(second[1], 0.0), square))
+            most = up(most + up_product(max(-second[0], 0.0), square))
+        ends = (
+            -np.inf if is_convex else least,
+            np.inf if is_concave else most,
+        )
+        _put_row(structure, cell, row, (slope, 0.0), ends)
+    if is_convex or is_concave:
+        middle = 0.5 * x[0] + 0.5 * x[1]
+        for n in range(1, ROWS_OF_ONE):
+            t = middle
+            if n == 1:
+                t = x[0]
+            elif n == 2:
+                t = x[1]
+            elif n > 3:
+                t = 0.5 * x[n - 4] + 0.5 * middle
+            slope, ends = _tangent(operation, b, p, x, t)
+            ends = (ends[0], np.inf) if is_convex else (-np.inf, ends[1])
+            _put_row(structure, cell, row + n, (slope, 0.0), ends)
+        return
+    for n in range(4):
+        slope = first[n % 2]
+        t, value = (x[0], at_low) if n < 2 else (x[1], at_high)
+        line = _line_through(value, slope, t)
+        is_below = (n == 0) or (n == 3)
+        ends = (line[0], np.inf) if is_below else (-np.inf, line[1])
+        _put_row(structure, cell, row + 1 + n, (slope, 0.0), ends)
+
+
+@inner
+def _put_pair(structure: Structure, cell: Cell, k: int) -> None:
+    """Fills the rows of a product, or of the larger or smaller one of two."""
+    entry, _, i, j, row = structure.functions[k]
+    operation = structure.joint.tape.operations[entry]
+    box = cell.box
+    for n in range(ROWS_OF_TWO):
+        if operation == Operation.MULTIPLY:
+            # (a − a₀)(b − b₀) is 0 or more at two corners, and 0 or less at the others.
+            a, b = box[n % 2, i], box[n // 2, j]
+            corner = minus(times((a, a), (b, b)))
+            is_below = n % 2 == n // 2
+            ends = (corner[0], np.inf) if is_below else (-np.inf, corner[1])
+            _put_row(structure, cell, row + n, (b, a), ends)
+            continue
+        sign = 1.0 if operation == Operation.MAX else -1.0
+        one, other = (i, j) if n % 2 == 0 else (j, i)
+        # max(a, b) − a is b − a at most, or 0.
+        ahead = up(box[1, other] - box[0, one]) if sign > 0.0 else up(box[1, one] - box[0, other])
+        more = 0.0 if n < 2 else max(0.0, ahead)
+        is_below = (n < 2) == (sign > 0.0)
+        ends = (sign * more, np.inf) if is_below else (-np.inf, sign * more)
+        _put_row(structure, cell, row + n, (1.0, 0.0) if one == i else (0.0, 1.0), ends)
+
+
+@kernel
+def relax(
+    structure: Structure,
+    lower: Floats,
+    upper: Floats,
+    low: Floats,
+    high: Floats,
+    cell: Cell,
+) -> bool:
+    """Fills the linear program of a cell, which is narrowed in place; returns if anything is left.
+
+    Args:
+        structure: of the program.
+        lower: bounds of its cost and its rows (1 + R,).
+        upper: shape (1 + R,).
+        low: lower ends of the cell (n,).
+        high: upper ends.
+        cell: filled.
+    """
+    joint, entries = structure.joint, structure.entries
+    if not contract(joint, lower, upper, low, high, cell.ranges, cell.old):
+        return False
+    for c in range(entries.size):
+        cell.box[0, c], cell.box[1, c] = at(cell.ranges, entries[c], 0)
+    for c in range(low.size):
+        cell.box[0, c], cell.box[1, c] = low[c], high[c]
+    num_linear = structure.starts.size - 1
+    if structure.functions.shape[0]:
+        num_linear = structure.functions[0, 4]
+    for row in range(num_linear):
+        slack = 0.0
+        for k in range(structure.starts[row], structure.starts[row + 1]):
+            if structure.errors[k] > 0.0:
+                a, b = cell.box[0, structure.columns[k]], cell.box[1, structure.columns[k]]
+                slack = up(slack + up_product(structure.errors[k], max(-a, b)))
+        cell.lower[row] = down(structure.lower[row] - slack)
+        cell.upper[row] = up(structure.upper[row] + slack)
+    for k in range(structure.functions.shape[0]):
+        if structure.functions[k, 3] >= 0:
+            _put_pair(structure, cell, k)
+        else:
+            _put_function(structure, cell, k)
+    return True
+
+
+@kernel
+def safe_bound(
+    structure: Structure,
+    cell: Cell,
+    cost: Floats,
+    constant: float,
+    multipliers: Floats,
+    residuals: Floats,
+) -> float:
+    """Returns a bound of constant + cost · w, by any multipliers of the rows.
+
+    y · (A w) ≥ Σ y_i lower_i or y_i upper_i, and the rest (cost − Aᵀy) · w is least at ends of
+    columns (Neumaier & Shcherbina 2004, Math. Program. 99:283).
+
+    Args:
+        structure: of the program.
+        cell: its linear program.
+        cost: enclosed (C, 2).
+        constant: rounded down.
+        multipliers: y (M,); those of rows without an end on their side are left out.
+        residuals: filled with cost − Aᵀy (C, 2).
+    """
+    residuals[:] = cost
+    total = constant
+    for row in range(multipliers.size):
+        y = multipliers[row]
+        end = cell.lower[row] if y > 0.0 else cell.upper[row]
+        if y == 0.0 or not math.isfinite(end) or not math.isfinite(y):
+            continue
+        total = down(total + times((y, y), (end, end))[0])
+        for k in range(structure.starts[row], structure.starts[row + 1]):
+            c, a = structure.columns[k], cell.values[k]
+            taken = plus((residuals[c, 0], residuals[c, 1]), minus(times((y, y), (a, a))))
+            residuals[c, 0], residuals[c, 1] = taken
+    for c in range(residuals.shape[0]):
+        own = times((residuals[c, 0], residuals[c, 1]), (cell.box[0, c], cell.box[1, c]))
+        total = down(total + own[0])
+    return total if not math.isnan(total) else -np.inf
+
+
+@kernel
+def cut_by_residuals(
+    bound: float, cutoff: float, residuals: Floats, low: Floats, high: Floats
+) -> None:
+    """Narrows a cell, in place, to where a cost with this bound may be no more than the cutoff.
+
+    The cost is at least bound + r_i (x_i − low_i) of r_i > 0, and so from the other side.
+    """
+    gap = up(cutoff - bound)
+    for i in range(low.size):
+        least, most = residuals[i]
+        if least > 0.0:
+            high[i] = min(high[i], max(low[i], up(low[i] + up_quotient(gap, least))))
+        elif most < 0.0:
+            low[i] = max(low[i], min(high[i], down(high[i] - up_quotient(gap, -most))))
+
+
+@kernel
+def violations(
+    structure: Structure, cell: Cell, w: Floats, multipliers: Floats, scores: Floats
+) -> None:
+    """Fills how far functions are from their columns at a point, in the cost's unit (K,).
+
+    Args:
+        structure: of the program.
+        cell: its linear program.
+        w: the point (C,).
+        multipliers: of the rows (M,).
+        scores: filled.
+    """
+    tape = structure.joint.tape
+    for k in range(scores.size):
+        entry, column, i, j, row = structure.functions[k]
+        operation = tape.operations[entry]
+        a = w[i]
+        if j >= 0:
+            b = w[j]
+            value = a * b
+            if operation != Operation.MULTIPLY:
+                value = max(a, b) if operation == Operation.MAX else min(a, b)
+        else:
+            x = min(max(a, cell.box[0, i]), cell.box[1, i])
+            own, _, _ = derivatives(operation, (x, x), tape.b[entry], tape.numbers[entry], 0)
+            value = 0.5 * own[0] + 0.5 * own[1]
+        weight = 0.0
+        for r in range(row, row + (ROWS_OF_TWO if j >= 0 else ROWS_OF_ONE)):
+            weight += abs(multipliers[r])
+        scores[k] = weight * abs(w[column] - value)
+        if not math.isfinite(scores[k]):
+            scores[k] = 0.0

@@ -1,0 +1,129 @@
+"""SCIP as another prover: its bounds are floating point with tolerances, and prove nothing.
+
+Bolusani et al. 2024, "The SCIP Optimization Suite 9.0", arXiv:2402.17702. It is not installed with
+this package, but with its extra `scip`.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import operator
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.certify.formulas import Entry, Formulas, Operation, Summand, formula_of
+from drake_aigto.errors import OptionsError, UnsupportedTermError
+
+_LARGE = 1e20  # infinite to SCIP
+
+
+def _scip() -> Any:
+    try:
+        import pyscipopt
+    except ImportError:
+        raise OptionsError(
+            "prover",
+            got="'scip', which is not installed",
+            remedy="Install it with this package: `pip install 'drake_aigto[scip]'`.",
+        ) from None
+    return pyscipopt
+
+
+def bound_by_scip(
+    formulas: Formulas, gap: float, seconds: float | None
+) -> tuple[float, Floats | None]:
+    """Returns SCIP's lower bound, ∞ if it finds no feasible point, and its best point (n,).
+
+    Args:
+        formulas: the program.
+        gap: relative; small enough.
+        seconds: of the processor, at most; None: as long as it takes.
+
+    Raises:
+        OptionsError: SCIP is not installed.
+        UnsupportedTermError: a function that SCIP does not know, by name.
+    """
+    scip = _scip()
+    model = scip.Model()
+    model.hideOutput()
+    names = [(float(a), float(b)) for a, b in zip(formulas.lower, formulas.upper, strict=True)]
+    x = [model.addVar(lb=_end(low), ub=_end(high)) for low, high in names]
+    everything = range(len(x))
+    cost = model.addVar(lb=None, ub=None)
+    model.addCons(cost >= _expression(scip, formulas.summands, everything, x))
+    model.setObjective(cost)
+    for row in formulas.rows:
+        own = _expression(scip, (row,), everything, x)
+        if row.lower == row.upper:
+            model.addCons(own == row.lower)
+            continue
+        if math.isfinite(row.upper):
+            model.addCons(own <= row.upper)
+        if math.isfinite(row.lower):
+            model.addCons(own >= row.lower)
+    model.setParam("limits/gap", gap)
+    model.setParam("lp/threads", 1)
+    model.setParam("timing/clocktype", 1)  # of the processor
+    if seconds is not None:
+        model.setParam("limits/time", seconds)
+    model.optimize()
+    if model.getStatus() == "infeasible":
+        return math.inf, None
+    bound = float(model.getDualbound())
+    best = model.getBestSol() if model.getNSols() else None
+    point = None if best is None else np.array([best[each] for each in x])
+    return (bound if bound > -_LARGE else -math.inf), point
+
+
+def _end(bound: float) -> float | None:
+    return bound if math.isfinite(bound) else None
+
+
+def _expression(
+    scip: Any, parts: Sequence[Summand], variables: Sequence[int], x: Sequence[Any]
+) -> Any:
+    """Returns the sum of some summands as SCIP writes it."""
+    values: list[Any] = []
+    for entry in formula_of(parts, variables):
+        values.append(_apply(scip, entry, values, x))
+    return 0.0 * x[0] + values[-1]
+
+
+def _apply(scip: Any, entry: Entry, values: Sequence[Any], x: Sequence[Any]) -> Any:
+    operation, a, b, p = Operation(entry[0]), *entry[1:]
+    known = {
+        Operation.EXP: scip.exp,
+        Operation.LOG: scip.log,
+        Operation.SIN: scip.sin,
+        Operation.COS: scip.cos,
+        Operation.ABS: abs,
+    }
+    if operation in known:
+        return known[operation](values[a])
+    match operation:
+        case Operation.NUMBER:
+            return p
+        case Operation.VARIABLE:
+            return x[a]
+        case Operation.SHIFT:
+            return values[a] + p
+        case Operation.SCALE:
+            return p * values[a]
+        case Operation.ADD:
+            return values[a] + values[b]
+        case Operation.MULTIPLY:
+            return values[a] * values[b]
+        case Operation.RECIPROCAL:
+            return 1.0 / values[a]
+        case Operation.POWER:
+            # Of a number, SCIP would make an expression of degree 0.
+            return functools.reduce(operator.mul, [values[a]] * b) if b < 4 else values[a] ** b
+        case Operation.REAL_POWER:
+            return values[a] ** p
+    raise UnsupportedTermError(
+        "SCIP has no such function", got=operation.name.lower(), remedy="Use the other prover."
+    )
