@@ -13,9 +13,6 @@ from typing import Any
 
 import numpy as np
 
-# SciPy's own binding: `linprog` takes fifteen times as long for programs of this size.
-from scipy.optimize._highspy import _core as highs
-
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.expansions import middles
 from drake_aigto.certify.formulas import Formulas, Joint, Operation, join
@@ -243,7 +240,11 @@ class Relaxation:
         sides = formulas.upper - formulas.lower
         self._sides = np.where((sides > 0.0) & np.isfinite(sides), sides, 1.0)
         self._integrality = np.zeros(num_columns, dtype=np.int32)
-        self._highs = highs._Highs()
+        # SciPy's own binding: `linprog` takes fifteen times as long for programs of this size. It
+        # takes a while to load, and most who plan need no bounds.
+        from scipy.optimize._highspy import _core as highs
+
+        self._core, self._highs = highs, highs._Highs()
         for name, value in (
             ("output_flag", False),
             ("presolve", "off"),
@@ -315,7 +316,7 @@ class Relaxation:
 
     def _solve(self, cost: Floats, constant: float) -> tuple[float, Floats, Floats]:
         """Returns a bound of a cost, the point where the relaxation is least, and multipliers."""
-        cell, solver = self._cell, self._highs
+        cell, solver, highs = self._cell, self._highs, self._core
         box = cell.box
         solver.passModel(
             box.shape[1],
