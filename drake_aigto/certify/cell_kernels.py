@@ -25,7 +25,7 @@ from drake_aigto.certify.expansions import (
     middle_of,
     set_steps,
 )
-from drake_aigto.certify.formulas import Joint, Tape
+from drake_aigto.certify.formulas import JointTape, Tape
 from drake_aigto.certify.intervals import plus, power, scaled, times, up
 from drake_aigto.certify.pricing import Rows
 from drake_aigto.kernels import inner, kernel
@@ -50,7 +50,7 @@ class Problem(NamedTuple):
     """
 
     tape: Tape
-    joint: Joint
+    joint: JointTape
     rows: Rows
     outer: Floats
     best: Floats

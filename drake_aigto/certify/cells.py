@@ -26,7 +26,7 @@ _PLAIN = 200  # cells that are bounded by Hessians alone, before relaxations
 _LEAST_SHARE, _SELDOM = 0.1, 16
 
 
-class Cells(NamedTuple):
+class OpenCells(NamedTuple):
     """Cells and what is known of them.
 
     Attributes:
@@ -43,13 +43,13 @@ class Cells(NamedTuple):
     cuts: Ints
     places: Floats
 
-    def some(self, kept: Bools | Ints) -> Cells:
+    def some(self, kept: Bools | Ints) -> OpenCells:
         """Returns a part of them."""
-        return Cells._make(each[kept] for each in self)
+        return OpenCells._make(each[kept] for each in self)
 
-    def halves(self) -> Cells:
+    def halves(self) -> OpenCells:
         """Returns both parts of each, one after the other."""
-        parts = Cells._make(np.repeat(each, 2, axis=0) for each in self)
+        parts = OpenCells._make(np.repeat(each, 2, axis=0) for each in self)
         first, last = np.arange(0, len(parts.cuts), 2), np.arange(1, len(parts.cuts), 2)
         own = first, self.cuts
         middle = middles(parts.low[own], parts.high[own])
@@ -93,7 +93,9 @@ class CellSearch:
         self._tries, self._gains, self._turn = _SELDOM, _SELDOM, 0
         self._start: Floats | None = None  # of the lowest relaxation that was solved last
         ends = outer[:, None].copy()
-        self._open = Cells(ends[0], ends[1], np.array([-np.inf]), np.array([0]), np.array([np.nan]))
+        self._open = OpenCells(
+            ends[0], ends[1], np.array([-np.inf]), np.array([0]), np.array([np.nan])
+        )
 
     @property
     def best(self) -> Floats:
@@ -146,7 +148,7 @@ class CellSearch:
         size = max(abs(self.least), self._scale)
         return self.least - self._margin * size if self.least < np.inf else np.inf
 
-    def _whole(self) -> Cells:
+    def _whole(self) -> OpenCells:
         """Returns the whole box, narrowed by linear programs where cells are many-sided."""
         whole = self._open
         if self._relaxation is not None and not self._is_bent:
@@ -163,9 +165,9 @@ class CellSearch:
         kept[lowest] = False
         self.num_cells += count
         parts = zip(cells.some(kept), self._bounded(cells.some(lowest).halves()), strict=True)
-        self._open = Cells._make(map(np.concatenate, parts))
+        self._open = OpenCells._make(map(np.concatenate, parts))
 
-    def _bounded(self, cells: Cells) -> Cells:
+    def _bounded(self, cells: OpenCells) -> OpenCells:
         """Returns the cells that may hold a minimizer, narrowed, with bounds and cuts."""
         low, high, bounds, cuts, places = cells
         places[:] = np.nan
@@ -176,7 +178,7 @@ class CellSearch:
             self._relax(self._relaxation, cells)
         return cells.some(bounds < np.inf)
 
-    def _relax(self, relaxation: Relaxation, cells: Cells) -> None:
+    def _relax(self, relaxation: Relaxation, cells: OpenCells) -> None:
         """Raises bounds by linear relaxations, and narrows cells by them."""
         low, high, bounds, cuts, places = cells
         self._settle(self.least)

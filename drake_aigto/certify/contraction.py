@@ -13,7 +13,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.enclosures import VALUE, at, enclose, make_scratch, put
-from drake_aigto.certify.formulas import Joint, Operation
+from drake_aigto.certify.formulas import JointTape, Operation
 from drake_aigto.certify.intervals import (
     Interval,
     exponential,
@@ -141,7 +141,7 @@ def has_narrowed(low: Floats, high: Floats, old_low: Floats, old_high: Floats) -
 
 @inner
 def _contract_once(
-    joint: Joint, lower: Floats, upper: Floats, low: Floats, high: Floats, jets: Floats
+    joint: JointTape, lower: Floats, upper: Floats, low: Floats, high: Floats, jets: Floats
 ) -> bool:
     tape, roots = joint
     if enclose(tape, 0, low, high, VALUE, jets) < 0:
@@ -160,7 +160,7 @@ def _contract_once(
 
 @inner
 def contract(
-    joint: Joint,
+    joint: JointTape,
     lower: Floats,
     upper: Floats,
     low: Floats,
@@ -193,7 +193,7 @@ def contract(
 
 
 @kernel
-def contract_box(joint: Joint, lower: Floats, upper: Floats, low: Floats, high: Floats) -> bool:
+def contract_box(joint: JointTape, lower: Floats, upper: Floats, low: Floats, high: Floats) -> bool:
     """Narrows low ≤ x ≤ high (n,), in place, to where all formulas may be within bounds.
 
     Args:

@@ -89,7 +89,7 @@ class Tape(NamedTuple):
     starts: Ints
 
 
-class Joint(NamedTuple):
+class JointTape(NamedTuple):
     """Formulas that share their entries.
 
     Attributes:
@@ -226,7 +226,9 @@ def formula_of(parts: Sequence[Summand], variables: Sequence[int]) -> list[Entry
     return formula.finish()
 
 
-def join(sums: Iterable[Sequence[Summand]], num_variables: int, is_nested: bool = True) -> Joint:
+def join(
+    sums: Iterable[Sequence[Summand]], num_variables: int, is_nested: bool = True
+) -> JointTape:
     """Returns sums of summands as formulas that share their entries.
 
     Args:
@@ -244,7 +246,7 @@ def join(sums: Iterable[Sequence[Summand]], num_variables: int, is_nested: bool 
     for parts in sums:
         formula.add_all(parts, places)
         roots.append(formula.pop())
-    return Joint(make_tape([formula.entries]), np.array(roots, dtype=np.int64))
+    return JointTape(make_tape([formula.entries]), np.array(roots, dtype=np.int64))
 
 
 def make_tape(formulas: Iterable[Sequence[Entry]]) -> Tape:

@@ -15,12 +15,12 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.expansions import middles
-from drake_aigto.certify.formulas import Formulas, Joint, Operation, join
+from drake_aigto.certify.formulas import Formulas, JointTape, Operation, join
 from drake_aigto.certify.intervals import UNIT
 from drake_aigto.certify.relaxation_kernels import (
     ROWS_OF_ONE,
     ROWS_OF_TWO,
-    Cell,
+    LinearProgram,
     Structure,
     cut_by_residuals,
     relax,
@@ -40,7 +40,7 @@ _Linear = tuple[dict[int, Fraction], Fraction]
 
 
 @dataclass
-class _Rows:
+class _RowLists:
     """Rows as they are read: columns, coefficients and their errors, and bounds."""
 
     columns: list[list[int]] = field(default_factory=list)
@@ -72,7 +72,7 @@ def _error(c: Fraction) -> float:
     return 0.0 if Fraction(float(c)) == c else abs(float(c)) * UNIT + _TINY
 
 
-class _Reader:
+class _StructureReader:
     """Reads the linear structure of formulas that share their entries.
 
     Args:
@@ -80,10 +80,10 @@ class _Reader:
         num_variables: n.
     """
 
-    def __init__(self, joint: Joint, num_variables: int) -> None:
+    def __init__(self, joint: JointTape, num_variables: int) -> None:
         self.entries = list(range(num_variables))
         self.functions: list[tuple[int, int, int, int]] = []
-        self.rows = _Rows()
+        self.rows = _RowLists()
         self._joint = joint
         self._linear: list[_Linear] = []
         self._columns: dict[int, int] = {}
@@ -153,9 +153,9 @@ def read_structure(formulas: Formulas) -> Structure:
     """
     size = formulas.lower.size
     joint = join([formulas.summands, *((row,) for row in formulas.rows)], size, is_nested=False)
-    reader = _Reader(joint, size)
+    reader = _StructureReader(joint, size)
     rows, cost = reader.rows, reader.form(joint.roots[0])
-    own = _Rows()
+    own = _RowLists()
     own.add(cost, -np.inf, np.inf)
     for row, root in zip(formulas.rows, joint.roots[1:], strict=True):
         own.add(reader.form(root), row.lower, row.upper)
@@ -224,7 +224,7 @@ class Relaxation:
         self._upper = np.array([np.inf, *(row.upper for row in formulas.rows)])
         num_rows, num_columns = structure.lower.size, structure.entries.size
         size, entries = formulas.lower.size, structure.joint.tape.operations.size
-        self._cell = Cell(
+        self._cell = LinearProgram(
             structure.values.copy(),
             np.empty(num_rows),
             np.empty(num_rows),
@@ -257,7 +257,7 @@ class Relaxation:
         self.effort = 1 + num_columns // 4
 
     @property
-    def linear_program(self) -> tuple[Structure, Cell]:
+    def linear_program(self) -> tuple[Structure, LinearProgram]:
         """Columns and rows, and those of the last cell."""
         return self.structure, self._cell
 

@@ -16,7 +16,7 @@ import numpy as np
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.certify.contraction import contract
 from drake_aigto.certify.enclosures import at, derivatives
-from drake_aigto.certify.formulas import Joint, Operation
+from drake_aigto.certify.formulas import JointTape, Operation
 from drake_aigto.certify.intervals import (
     Interval,
     down,
@@ -53,7 +53,7 @@ class Structure(NamedTuple):
         constant: of the cost, rounded down.
     """
 
-    joint: Joint
+    joint: JointTape
     entries: Ints
     functions: Ints
     starts: Ints
@@ -66,7 +66,7 @@ class Structure(NamedTuple):
     constant: float
 
 
-class Cell(NamedTuple):
+class LinearProgram(NamedTuple):
     """The linear program of a cell: minimize cost · w with lower ≤ A w ≤ upper, w in `box`.
 
     Attributes:
@@ -88,7 +88,7 @@ class Cell(NamedTuple):
 
 @inner
 def _put_row(
-    structure: Structure, cell: Cell, row: int, slopes: tuple[float, float], ends: Interval
+    structure: Structure, cell: LinearProgram, row: int, slopes: tuple[float, float], ends: Interval
 ) -> None:
     """Sets ends ≤ w − s a − t b ≤; leaves the row out where a number is too large, or is none."""
     first, last = structure.starts[row], structure.starts[row + 1]
@@ -119,7 +119,7 @@ def _tangent(operation: int, b: int, p: float, x: Interval, t: float) -> tuple[f
 
 
 @inner
-def _put_function(structure: Structure, cell: Cell, k: int) -> None:
+def _put_function(structure: Structure, cell: LinearProgram, k: int) -> None:
     """Fills the rows of a function of one argument."""
     entry, _, argument, _, row = structure.functions[k]
     tape = structure.joint.tape
@@ -171,7 +171,7 @@ def _put_function(structure: Structure, cell: Cell, k: int) -> None:
 
 
 @inner
-def _put_pair(structure: Structure, cell: Cell, k: int) -> None:
+def _put_pair(structure: Structure, cell: LinearProgram, k: int) -> None:
     """Fills the rows of a product, or of the larger or smaller one of two."""
     entry, _, i, j, row = structure.functions[k]
     operation = structure.joint.tape.operations[entry]
@@ -202,7 +202,7 @@ def relax(
     upper: Floats,
     low: Floats,
     high: Floats,
-    cell: Cell,
+    cell: LinearProgram,
 ) -> bool:
     """Fills the linear program of a cell, which is narrowed in place; returns if anything is left.
 
@@ -243,7 +243,7 @@ def relax(
 @kernel
 def safe_bound(
     structure: Structure,
-    cell: Cell,
+    cell: LinearProgram,
     cost: Floats,
     constant: float,
     multipliers: Floats,
@@ -299,7 +299,7 @@ def cut_by_residuals(
 
 @kernel
 def violations(
-    structure: Structure, cell: Cell, w: Floats, multipliers: Floats, scores: Floats
+    structure: Structure, cell: LinearProgram, w: Floats, multipliers: Floats, scores: Floats
 ) -> None:
     """Fills how far functions are from their columns at a point, in the cost's unit (K,).
 
