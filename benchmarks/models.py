@@ -1,13 +1,14 @@
 """What becomes of models that other people made, from four collections.
 
     pip install 'drake_aigto[models]'
-    python -m benchmarks.models --markdown docs/models.md     # all of them
+    python -m benchmarks.models --rows build/models.jsonl --markdown docs/models.md   # all of them
     python -m benchmarks.models reacher acrobot --no-plan     # those whose name contains a word
 
 Each model is read as a new user would: as it is; then, if it is refused, once more with the fields
 that the error names. MJCFs are compared with MuJoCo's own M, h, limits and friction at random
-states. What can be read, with at most four coordinates, is asked to go 0.3 rad or 0.1 m with each
-driven joint, and what the plan does is simulated by MuJoCo as well.
+states. What can be read is asked to go to a goal at which it can rest, by one rule for all (`aim`),
+and what the plan does is simulated by MuJoCo as well. With `--rows` it may be ended by Ctrl-C and
+gone on with. Plans with contact: `benchmarks.model_contacts`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import argparse
 import dataclasses
 import importlib
 import importlib.util
+import json
 import site
 import sys
 import time
@@ -28,12 +30,15 @@ import pydrake
 import yaml
 
 from drake_aigto import Plan, Scenario, World, plan
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import AigtoError
 from drake_aigto.output import write_text
 from drake_aigto.world import FixableError
 
-_MOST_COORDINATES = 4
+_MOST_COORDINATES, _KEPT = 4, 2
 _MOVES = {True: 0.3, False: 0.1}  # Of a hinge [rad], of a slider [m].
+_NEAR, _SLOW = 0.05, 0.1  # Of a move, and of a move per duration: a goal that is reached.
+_RESTS = 1e-9  # Of the largest force: what Newton's method leaves of a balance.
 _NUM_STATES = 5
 _UNLIMITED, _LARGE = 1e9, 1e5  # Of controls and efforts; larger ones count as infinite.
 _STEP = 1e-4  # Of MuJoCo's simulation [s].
@@ -50,10 +55,13 @@ as it is, and, if it is refused, once more with the fields of a scenario that it
 - **MuJoCo agrees to**: the largest relative difference, at five random states, of the mass matrix,
   of bias forces with friction of joints, of limits of joints, and of least and largest efforts,
   between this reading and MuJoCo's of the same MJCF. Contact and fluid are left out.
-- **plan**: of models with at most four coordinates, from default positions to 0.3 rad or 0.1 m
-  farther at each driven joint, within one second and the model's limits, without contact. The goal
-  is a cost, not a constraint, so that a plan may hold and end off it: no cart-pole stands still
-  with its pole at an angle. The last number is how far MuJoCo ends from the plan under the same
+- **plan**: without contact, from default positions to a goal by one rule for all models, fixed
+  beforehand: each driven joint 0.3 rad or 0.1 m farther, and joints that nothing drives where they
+  rest then, within one second, or two if there are such joints. Of models with more than four
+  coordinates the two driven joints nearest to the base move, and all others are fixed. Where no
+  control within the model's limits holds the goal, that is said and nothing is planned. A plan
+  *reaches* if it holds, ends within 5 % of each move of the goal, and is slower there than a tenth
+  of the move per duration. The last number is how far MuJoCo ends from the plan under the same
   control, relative to the way.
 """
 
@@ -187,24 +195,92 @@ def _differ(mine: Any, theirs: Any) -> float:
     return float(np.abs(mine - theirs).max(initial=0.0) / max(1.0, np.abs(theirs).max(initial=0.0)))
 
 
-def ask(world: World, scenario: Scenario) -> Plan:
-    """Plans from the default positions to a goal that depends on nothing but the model."""
+def keep_few(world: World, scenario: Any) -> tuple[World, Scenario]:
+    """Returns a model with at most four coordinates, by the rule of this study."""
+    if world.num_positions <= _MOST_COORDINATES:
+        return world, scenario
+    plant = world.plant
+    depth, moving = {plant.world_body().index(): 0}, []
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    for _ in joints:  # Parents may come after children.
+        for joint in joints:
+            if (above := joint.parent_body().index()) in depth:
+                depth[joint.child_body().index()] = depth[above] + 1
+    driven = np.any(world.actuation != 0, axis=1)
+    moving = [each for each in joints if each.num_positions()]
+    moving.sort(key=lambda each: depth[each.child_body().index()])
+    kept = [each.name() for each in moving if driven[each.velocity_start()]][:_KEPT]
+    others = [each.name() for each in moving if each.name() not in kept]
+    fields: Any = {"fixed_joints": [*scenario.fixed_joints, *others]}
+    if scenario.effort_limits:
+        limits = scenario.effort_limits.items()
+        fields["effort_limits"] = {name: limit for name, limit in limits if name not in others}
+    fewer = dataclasses.replace(scenario, **fields)
+    return World.from_model(fewer), fewer
+
+
+def aim(world: World) -> tuple[Floats, Floats, Floats] | None:
+    """Returns start, goal, and the control that holds the goal; None where there is no such goal.
+
+    Joints that nothing drives rest at the goal where Newton's method from the start finds that.
+    """
     driven = np.any(world.actuation != 0, axis=1)
     start = np.array(world.plant.GetDefaultPositions())
     lower, upper = world.limits.position
     move = np.where(driven, [_MOVES[bool(hinge)] for hinge in world.is_hinge], 0.0)
     start = np.clip(start, lower + 0.0, upper - np.where(np.isfinite(upper), move, 0.0))
+    start, goal, still = np.maximum(start, lower), start + move, np.zeros(start.size)
+    for q in (start, goal):
+        for _ in range(20 * bool((~driven).any())):
+            force = world.calc_bias(q, still)[~driven]
+            steps = 1e-6 * np.eye(q.size)[~driven]
+            slopes = np.array([world.calc_bias(q + step, still)[~driven] - force for step in steps])
+            q[~driven] -= np.linalg.lstsq(slopes.T / 1e-6, force, rcond=1e-9)[0]
+    force = world.calc_bias(goal, still)
+    control = world.inverse_actuation @ force
+    is_balanced = np.abs(world.actuation @ control - force).max() <= _RESTS * (
+        1.0 + np.abs(force).max()
+    )
+    inside = np.all((lower <= goal) & (goal <= upper))
+    least, most = world.limits.control
+    holds = np.all((least <= control) & (control <= most))
+    return (start, goal, control) if is_balanced and inside and holds else None
+
+
+def ask(world: World, scenario: Scenario) -> Plan | None:
+    """Plans to a goal that depends on nothing but the model; None where there is none."""
+    if (ends := aim(world)) is None:
+        return None
+    start, goal, hold = ends
+    driven = np.any(world.actuation != 0, axis=1)
+    duration = 1.0 if driven.all() else 2.0
+    move = np.array([_MOVES[bool(hinge)] for hinge in world.is_hinge])
+    push = world.inverse_actuation @ (world.calc_mass_matrix(goal) @ (goal - start))
+    effort = np.maximum(np.abs(hold), 4.0 * np.abs(push) / duration**2)
     question = dataclasses.replace(
         scenario,
         initial_position=start,
         initial_velocity=np.zeros(start.size),
-        goal_position=start + move,
-        goal_weight=np.where(driven, 100.0, 1e-3),
-        control_weight=np.full(world.num_actuators, 1e-3),
-        time_step=0.02,
+        goal_position=goal,
+        goal_weight=1e3 / move**2,
+        goal_velocity_weight=1e2 * (duration / move) ** 2,
+        control_weight=1.0 / np.maximum(effort, 1e-6 + 1e-3 * effort.max()) ** 2,
+        duration=duration,
+        time_step=0.02 * duration,
         ignored_shapes="all",
     )
     return plan(question)
+
+
+def describe(found: Plan, world: World) -> str:
+    """Returns whether a plan holds and reaches its goal."""
+    scenario, motion = found.scenario, found.trajectory
+    move = np.array([_MOVES[bool(hinge)] for hinge in world.is_hinge])
+    off = float(np.max(np.abs(motion.positions[-1] - scenario.goal_position) / move))
+    speed = float(np.max(np.abs(motion.velocities[-1]) * scenario.duration / move))
+    reaches = found.holds and off <= _NEAR and speed <= _SLOW
+    text = "holds and reaches" if reaches else "holds" if found.holds else "does not hold"
+    return f"{text}, {100 * off:.1g} % off"
 
 
 def simulate_in_mujoco(found: Plan, world: World, path: Path) -> float:
@@ -238,14 +314,16 @@ def study(collection: str, path: Path, plans: bool) -> Row:
     with_all &= not (scenario.fixed_joints or scenario.weld or scenario.actuators)
     if is_mjcf and with_all:
         row.agrees = f"{compare(world, path):.0e}"
-    if plans and world.num_positions <= _MOST_COORDINATES:
+    if plans:
         try:
+            whole, (world, scenario) = world, keep_few(world, scenario)
             start = time.perf_counter()
-            found = ask(world, scenario)
-            row.plan = f"{'holds' if found.holds else 'does not hold'}, "
-            error = np.linalg.norm(found.trajectory.positions[-1] - found.scenario.goal_position)
-            row.plan += f"{error:.1e} off, {time.perf_counter() - start:.1f} s"
-            if is_mjcf and with_all and world.dry_friction is None:
+            if (found := ask(world, scenario)) is None:
+                row.plan = "no goal at which it can rest"
+                return row
+            moving = "" if world is whole else f", {world.num_positions} joints"
+            row.plan = f"{describe(found, world)}{moving}, {time.perf_counter() - start:.1f} s"
+            if is_mjcf and with_all and world is whole and world.dry_friction is None:
                 row.plan += f", MuJoCo {simulate_in_mujoco(found, world, path):.0e}"
         except AigtoError as error:
             row.plan = f"refused: {error.what}"
@@ -266,12 +344,14 @@ def summarize(rows: Sequence[Row]) -> list[str]:
     as_is = sum(row.read == "as it is" for row in rows)
     answered = sum(row.read.startswith("with") for row in rows)
     planned = sum(row.plan.startswith("holds") for row in rows)
+    reach = sum(row.plan.startswith("holds and reaches") for row in rows)
+    asked = sum(bool(row.plan) and not row.plan.startswith("no goal") for row in rows)
     slow = max((row.seconds for row in rows if row.read != "as it is"), default=0.0)
     return [
         f"{len(rows)} models: {as_is} are read as they are, {answered} with the fields that one "
         f"error names, {len(rows) - as_is - answered} are refused. "
         f"The slowest refusal takes {slow:.1f} s.",
-        f"{planned} plans hold.",
+        f"Of {asked} that have a goal by the rule, {planned} plans hold, and {reach} reach it.",
     ]
 
 
@@ -280,13 +360,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("words", nargs="*", help="only models whose path has one of these in it")
     parser.add_argument("--no-plan", dest="plans", action="store_false", help="read them only")
+    parser.add_argument("--rows", metavar="FILE", help="keep rows here, and go on from there")
     parser.add_argument("--markdown", metavar="FILE", help="write the page here")
     options = parser.parse_args(arguments)
     rows = []
+    kept = Path(options.rows) if options.rows else None
+    lines = kept.read_text(encoding="utf-8").splitlines() if kept and kept.exists() else []
+    known = {path: Row(**row) for path, row in map(json.loads, lines)}
     for collection, path in find_models():
         if not options.words or any(word in str(path) for word in options.words):
-            rows.append(study(collection, path, options.plans))
+            rows.append(known.get(str(path)) or study(collection, path, options.plans))
             print(*format_rows(rows[-1:], "  ")[1:], flush=True)
+            if kept and str(path) not in known:
+                with kept.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps([str(path), vars(rows[-1])]) + "\n")
     print(*summarize(rows), sep="\n")
     if options.markdown:
         lines = format_rows(rows, " | ")

@@ -281,6 +281,11 @@ BAD_MJCF = {
     "an unknown joint": ({"ACTUATORS": '<motor joint="knee"/>'}, "the unknown joint 'knee'"),
     "an unknown class": ({"ACTUATORS": '<motor joint="elbow" class="x"/>'}, "unknown class 'x'"),
     "two at one joint": ({"ACTUATORS": f'{MOTOR}<motor joint="shoulder"/>'}, "'motor' and .* at"),
+    "no range": ({"JOINT": 'range="1 -1"'}, "range of joint 'shoulder' .* from 1 to -1, expected"),
+    "no range of control": (
+        {"ACTUATORS": '<motor name="m" joint="elbow" ctrlrange="1 0"/>'},
+        "ctrlrange of actuator 'm' in .*: got from 1 to 0, expected least first",
+    ),
     "no number": ({"JOINT": 'stiffness="much"'}, "got 'much', expected finite numbers"),
     "NaN": ({"JOINT": 'stiffness="nan"'}, "got 'nan', expected finite numbers"),
 }
@@ -734,6 +739,38 @@ def test_links_that_several_joints_connect_do_not_touch_each_other(tmp_path: Pat
     model.write_text(text, encoding="utf-8")
     world = make(str(model), 4, ignored_shapes=(), goal_weight=np.ones(4), friction=0.0)
     assert [contact.name for contact in world.contacts] == ["a against d"]
+
+
+def test_limits_that_are_none_are_refused_or_noted(gantry: Any, tmp_path: Path) -> None:
+    model = write(tmp_path / "gantry.urdf", GANTRY.replace('lower="-2"', 'lower="3"'))
+    with pytest.raises(ModelError, match=r"range of joint 'x' in .*: got from 3 to 2, expected l"):
+        make(model)
+    model = write(tmp_path / "gantry.urdf", GANTRY.replace('velocity="9"', 'velocity="0"'))
+    world = make(model)
+    assert np.isinf(world.limits.velocity).all()
+    assert world.notes[0] == "the velocity limit 0 of joint 'x' counts as none"
+
+
+def test_a_xacro_is_told_from_a_urdf(gantry: Any) -> None:
+    with pytest.raises(ModelError, match=r"got <xacro:if>: an xacro, .*xacro gantry.urdf > gantry"):
+        gantry(COLLISION='<xacro:if value="1"/>')
+
+
+def test_friction_in_files_that_an_sdf_includes_acts(tmp_path: Path) -> None:
+    link = """<link name='l'><inertial><mass>2</mass>
+      <inertia><ixx>1</ixx><iyy>1</iyy><izz>1</izz></inertia></inertial></link>"""
+    joint = """<joint name='j' type='revolute'><parent>base</parent><child>l</child>
+      <axis><xyz>0 1 0</xyz><dynamics><friction>.5</friction></dynamics></axis></joint>"""
+    part, model = tmp_path / "part.sdf", tmp_path / "model.sdf"
+    part.write_text(
+        f"<sdf version='1.9'><model name='p'><link name='base'/>{link}{joint}</model></sdf>"
+    )
+    model.write_text(f"""<sdf version='1.9'><model name='m'>
+      <include><uri>file://{part}</uri></include><joint name='w' type='fixed'>
+      <parent>world</parent><child>p::base</child></joint></model></sdf>""")
+    np.testing.assert_array_equal(make(str(model), 1).dry_friction, [0.5])
+    with pytest.raises(ModelError, match=r"got j in the included .*part.sdf, expected joints of"):
+        make(str(model), 1, fixed_joints=["j"])
 
 
 @pytest.mark.slow

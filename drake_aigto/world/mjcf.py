@@ -15,7 +15,13 @@ from xml.etree.ElementTree import Element, SubElement
 
 from drake_aigto.errors import ModelError
 from drake_aigto.world.files import read_xml
-from drake_aigto.world.model_facts import ModelFacts, Spring, read_numbers, refuse_element
+from drake_aigto.world.model_facts import (
+    ModelFacts,
+    Spring,
+    read_numbers,
+    read_range,
+    refuse_element,
+)
 
 # Drawing, numerics and measuring: nothing that moves depends on them.
 _HARMLESS = {
@@ -248,6 +254,8 @@ class _MjcfReader:
             joint.set("damping", "0")
         is_limited = "limit" not in self._off and self._is_limited(values, "")
         joint.set("limited", "true" if is_limited else "false")
+        if is_limited:
+            read_range(self._path, values["range"], f"the range of joint {name!r}")
         joint.attrib.pop("actuatorfrcrange", None)
         for key in ("damping", "stiffness"):
             if len(terms := values.get(key, "0").split()) > 1:
@@ -258,8 +266,8 @@ class _MjcfReader:
             self._armatures[name] = number["armature"]
         limited = values.get("actuatorfrclimited", "auto")
         if "actuatorfrcrange" in values and limited != "false":
-            lower, upper = read_numbers(self._path, values["actuatorfrcrange"], 2)
-            self._efforts[name] = lower, upper
+            what = f"actuatorfrcrange of joint {name!r}"
+            self._efforts[name] = read_range(self._path, values["actuatorfrcrange"], what)
 
     def _read_geoms(self) -> None:
         """Reads which geoms may touch, as their masks say it."""
@@ -410,10 +418,10 @@ class _MjcfReader:
         elif self._is_limited(values, "ctrl") and "clampctrl" not in self._off:
             gain = read_numbers(self._path, values.get("gainprm", "1"))[0]
             gain = gain if motor.tag == "general" else 1.0
-            low, high = read_numbers(self._path, values["ctrlrange"], 2)
+            low, high = read_range(self._path, values["ctrlrange"], f"ctrlrange of {what}")
             ends.append((gain * low, gain * high))
         if self._is_limited(values, "force"):
-            ends.append(tuple(read_numbers(self._path, values["forcerange"], 2)))  # type: ignore[arg-type]
+            ends.append(read_range(self._path, values["forcerange"], f"forcerange of {what}"))
         lower, upper = max(min(end) for end in ends), min(max(end) for end in ends)
         return (gear * lower, gear * upper) if gear > 0 else (gear * upper, gear * lower)
 

@@ -172,6 +172,20 @@ def read_numbers(
     return numbers
 
 
+def read_range(path: Path, text: str, what: str) -> tuple[float, float]:
+    """Returns the least and the most of a range.
+
+    Raises:
+        ModelError: they are no numbers, or the first one is larger.
+    """
+    lower, upper = read_numbers(path, text, 2, what)[:2]
+    if lower > upper:
+        raise ModelError(
+            f"{what} in {path}", got=f"from {lower:g} to {upper:g}", expected="least first"
+        )
+    return lower, upper
+
+
 def refuse_element(path: Path, element: Element, got: str, expected: str = "") -> ModelError:
     """Returns the error of an element that is wrong in itself."""
     return ModelError(

@@ -11,7 +11,7 @@ from pydrake.multibody.parsing import PackageMap
 from drake_aigto.errors import ModelError
 from drake_aigto.world.files import read_xml
 from drake_aigto.world.mjcf import read_mjcf
-from drake_aigto.world.model_facts import MESHES, ModelFacts, read_numbers
+from drake_aigto.world.model_facts import MESHES, ModelFacts, read_numbers, read_range
 from drake_aigto.world.model_fields import ModelFields
 
 _KINDS = {"mujoco": "xml", "robot": "urdf", "sdf": "sdf"}
@@ -47,6 +47,12 @@ def read_model_text(
             return None, "", facts
         raise
     kind = _KINDS.get(root.tag, "")
+    if leftover := next((each.tag for each in root.iter() if each.tag.startswith("xacro:")), None):
+        raise ModelError(
+            f"model {path}",
+            got=f"<{leftover}>: an xacro, not a URDF",
+            remedy=f"Expand it: xacro {path.name} > {path.name.partition('.')[0]}.urdf.",
+        )
     if kind == "xml":
         read_mjcf(root, path, facts)
         is_changed = True
@@ -55,6 +61,7 @@ def read_model_text(
             root.set("name", root.get("name") or path.stem)
             _tell_materials_apart(root)
         is_changed = _read_joints(root, path, facts)
+        _read_includes(root, path, packages, facts)
         is_changed |= _prune_shapes(root, path, packages, facts)
     else:
         return None, kind, facts
@@ -80,22 +87,58 @@ def _read_joints(root: Element, path: Path, facts: ModelFacts) -> bool:
                     cost = "a joint that follows another one"
                     facts.refuse("mimic", f"<mimic> of joint {name!r}", cost)
                 joint.remove(mimic)
-            if friction := _find_number(path, joint, "friction"):
-                facts.friction[name] = friction
-            effort = _find_number(path, joint, "effort")
-            if effort == 0.0:
-                facts.no_effort.add(name)
-            elif effort is not None and effort > 0.0:
-                facts.joint_efforts[name] = effort
+            is_changed |= _read_numbers(path, joint, name, facts)
     return is_changed
 
 
-def _find_number(path: Path, joint: Element, name: str) -> float | None:
-    """Returns the friction or the effort of a joint, as URDF or as SDF has it."""
-    folder = {"friction": "dynamics", "effort": "limit"}[name]
+def _read_numbers(path: Path, joint: Element, name: str, facts: ModelFacts) -> bool:
+    """Reads friction and limits of a joint; returns whether a limit is removed."""
+    if friction := _find_number(path, joint, "friction", "dynamics"):
+        facts.friction[name] = friction
+    ends = (_find_number(path, joint, end) for end in ("lower", "upper"))
+    lower, upper = ("" if end is None else repr(end) for end in ends)
+    if lower and upper:
+        read_range(path, f"{lower} {upper}", f"the range of joint {name!r}")
+    effort = _find_number(path, joint, "effort")
+    if effort == 0.0:
+        facts.no_effort.add(name)
+    elif effort is not None and effort > 0.0:
+        facts.joint_efforts[name] = effort
+    if _find_number(path, joint, "velocity") != 0.0:
+        return False
+    for limit in [*joint.findall("limit"), *joint.findall("axis/limit")]:
+        limit.attrib.pop("velocity", None)
+        for each in limit.findall("velocity"):
+            limit.remove(each)
+    facts.notes.append(f"the velocity limit 0 of joint {name!r} counts as none")
+    return True
+
+
+def _find_number(path: Path, joint: Element, name: str, folder: str = "limit") -> float | None:
+    """Returns a number of a joint, as URDF or as SDF has it."""
     text = next((each.get(name) for each in joint.findall(folder)), None)
     text = text or joint.findtext(f"axis/{folder}/{name}")
     return None if text is None else read_numbers(path, text)[0]
+
+
+def _read_includes(root: Element, path: Path, packages: PackageMap, facts: ModelFacts) -> None:
+    """Reads friction and efforts in files that an SDF includes, which are not rewritten."""
+    for text in (each.findtext("uri", "") for each in root.iter("include")):
+        file = _find_file(text, path, packages)
+        if file is not None and file.is_dir():
+            file /= "model.sdf"
+        if file is None or not file.is_file() or file == path:
+            continue  # Drake's parser says it.
+        included = read_xml(file)
+        joints = [each.get("name", "") for each in included.iter("joint")]
+        if fixed := [name for name in joints if facts.fixes(name)]:
+            raise ModelError(
+                f"fixed_joints in {path}",
+                got=f"{', '.join(fixed)} in the included {file}",
+                expected="joints of the model's own file",
+            )
+        _read_joints(included, file, facts)
+        _read_includes(included, file, packages, facts)
 
 
 def _fix(root: Element, joint: Element, name: str) -> None:
@@ -167,30 +210,30 @@ def _list_shapes(root: Element) -> Iterator[tuple[Element, Element]]:
 
 
 def _find_mesh(shape: Element, path: Path, packages: PackageMap) -> Path | None:
-    """Returns the file of a mesh, whose URI becomes absolute; None for any other shape.
-
-    Raises:
-        ModelError: it is in an unknown package, and the shape may touch.
-    """
+    """Returns the file of a mesh, whose URI becomes absolute; None for any other shape."""
     mesh = shape.find("geometry/mesh")
     if mesh is None:
         return None
     uri = mesh.find("uri")
     text = (mesh.get("filename") if uri is None else uri.text) or ""
-    scheme, _, rest = text.partition("://")
-    if not rest:
-        found = path.parent / text
-    elif scheme == "file":
-        found = Path(rest)
-    else:
-        package, _, inside = rest.lstrip("/").partition("/")
-        known = packages.Contains(package)
-        if not known and shape.tag == "collision":
-            return Path(f"in the unknown package {package}")
-        found = Path(packages.GetPath(package)) / inside if known else Path(package)
+    found = _find_file(text, path, packages)
+    if found is None:
+        package = text.partition("://")[2].lstrip("/").partition("/")[0]
+        return Path(f"in the unknown package {package}")
     if found.is_file():
         _set_file(shape, found)
     return found
+
+
+def _find_file(uri: str, path: Path, packages: PackageMap) -> Path | None:
+    """Returns the file of a URI in a model's file; None in a package that is unknown."""
+    scheme, _, rest = uri.strip().partition("://")
+    if not rest:
+        return path.parent / uri.strip()
+    if scheme == "file":
+        return Path(rest)
+    package, _, inside = rest.lstrip("/").partition("/")
+    return Path(packages.GetPath(package)) / inside if packages.Contains(package) else None
 
 
 def _set_file(shape: Element, file: Path) -> None:
