@@ -161,3 +161,11 @@ def stiffen(parts: str, stiffness: float) -> str:
     given = f"""<drake:point_contact_stiffness>{2 * stiffness}</drake:point_contact_stiffness>
       <drake:hunt_crossley_dissipation>0</drake:hunt_crossley_dissipation>"""
     return parts.replace(MATERIAL, MATERIAL.replace("\n", given, 1))
+
+
+def drop_ball() -> World:
+    return build_world(
+        link("ball", 2.0, ">0 0 0.5 0 0 0", shape=sphere("ball", "0 0 0"))
+        + joint("prismatic", "world", "ball", "0 0 1")
+        + wall(plane("floor", "0 0 0 0 0 0"))
+    )

@@ -25,11 +25,12 @@ from drake_aigto.planning import Aim, MechanismTask, PlanOptions
 _STEPS = 199
 
 
-def test_boxes_that_know_no_friction_close_near_a_plan_that_slides_to_its_goal() -> None:
+def test_guesses_that_know_no_friction_close_near_a_plan_that_slides_to_its_goal() -> None:
     """As walls are closed, they end at 7.2 and more."""
     scenario = ask_payload(11)
     problem = MechanismTask(World.from_scenario(scenario), scenario, PlanOptions())
-    closed = (problem.close(problem.run_aigo(rung), Aim()) for rung in problem.ladder)
+    guesses, rng = problem.guesses, np.random.default_rng(0)
+    closed = [problem.close(guesses.draw(start, rng), Aim()) for start in 2 * guesses.starts]
     best = min(closed, key=problem.rank)
     assert best.violation == 0
     assert best.cost < 0.5

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drake_aigto import Planner, Scenario
-from drake_aigto.planning import MECHANISM_LADDER, PlanOptions, lay_out
+from drake_aigto.planning import PlanOptions, lay_out
 from drake_aigto.transcription import Touch
 
 MODELS = Path(__file__).parents[1] / "models"
@@ -48,7 +48,7 @@ def test_carts_in_a_row_press_both_contacts_at_once(tmp_path: Path) -> None:
         goal_weight=[100.0, 100.0, 100.0],
         goal_velocity_weight=[10.0, 10.0, 10.0],
     )
-    options = PlanOptions(renewals=0, ladder=MECHANISM_LADDER[:6], confirm=False)
+    options = PlanOptions(renewals=0, starts=6, confirm=False)
     plan = Planner(scenario, options).plan()
     assert plan.holds
     assert plan.cost < 40.0

@@ -11,10 +11,10 @@ import pytest
 
 from drake_aigto import ModelPredictiveController, Plan, Planner, PlanOptions, Scenario
 from drake_aigto.errors import ControlError, ProgramError, UnsupportedTermError
-from drake_aigto.planning import MECHANISM_LADDER, PlanningError
+from drake_aigto.planning import PlanningError
 from drake_aigto.transcription import OpenProgram
 
-QUICK = PlanOptions(renewals=0, ladder=MECHANISM_LADDER[2:4], finalists=1)
+QUICK = PlanOptions(renewals=0, starts=12, finalists=1)
 SOFT, RIGID = "cart_pole/soft_06", "cart_pole/rigid_06"
 FASTEST = np.array([3.0, 5.0])  # of cart and pole [m/s, rad/s]
 
@@ -70,11 +70,11 @@ def test_a_final_cost_and_a_bound_of_the_last_knot_count_between_rigid_walls() -
     planner, plain = make_planner(RIGID), plan_plain(RIGID).trajectory
     program = planner.transcription
     program.AddFinalCost(50 * program.state()[2] ** 2, "slow cart")
-    program.prog().AddBoundingBoxConstraint(-0.02, 0.02, program.final_state()[0])
+    program.prog().AddBoundingBoxConstraint(-0.005, 0.005, program.final_state()[0])
     found = planner.plan()
     end = found.trajectory.positions[-1], found.trajectory.velocities[-1]
     assert found.holds
-    assert abs(end[0][0]) <= 0.021 < abs(plain.positions[-1, 0])
+    assert abs(end[0][0]) <= 0.006 < abs(plain.positions[-1, 0])
     assert abs(end[1][0]) < 0.5 * abs(plain.velocities[-1, 0])
     assert found.best.added_costs == pytest.approx({"slow cart": 50 * end[1][0] ** 2}, abs=1e-6)
 

@@ -18,15 +18,12 @@ from drake_aigto import Plan, Planner, PlanningError, Scenario, World
 from drake_aigto.errors import OptionsError
 from drake_aigto.planning import (
     BALL_LADDER,
-    MECHANISM_LADDER,
     Aim,
     Candidate,
-    Center,
-    MechanismRung,
+    Guess,
     MechanismSearch,
     MechanismTask,
     PlanOptions,
-    Renewal,
     Replays,
 )
 from drake_aigto.shooting import ShootingResult
@@ -83,8 +80,9 @@ def test_what_passes_its_bounds_between_knots_has_narrower_ones_there(cart_pole:
     within = narrowed.bounds.velocity
     np.testing.assert_allclose(within[1], [np.inf, 7.0 - fastest])
     np.testing.assert_array_equal(within[0], [-np.inf, -np.inf])
+    # The cart's bounds are narrower, too, and can't hold at the first knots; they end the updates.
     slow = narrowed.tighten(motion)
-    assert np.max(slow.states[1:, 3]) < 7.0 - fastest + 1e-3
+    assert np.max(slow.states[1:, 3]) < 7.0 - fastest + 1e-2
 
 
 def test_what_simulations_contradict_gives_way_to_what_was_left_out_for_it(
@@ -119,7 +117,7 @@ def test_a_hard_goal_is_met_in_both_simulations() -> None:
 @pytest.mark.slow
 def test_what_misses_a_hard_goal_is_no_plan(cart_pole: Planner) -> None:
     scenario = dataclasses.replace(cart_pole.scenario, hard_goal=True, control_upper=0.1)
-    options = dataclasses.replace(QUICK, renewals=0, ladder=MECHANISM_LADDER[:2])
+    options = dataclasses.replace(QUICK, renewals=0, starts=3)
     with pytest.raises(PlanningError, match=r"there it breaks .*'hard goal'"):
         Planner(scenario, options, cart_pole.world).plan()
 
@@ -208,7 +206,8 @@ def test_light_links_that_cheap_controls_fling_about_are_led_to_the_goal_with_ca
         contact="compliant",
     )
     problem = MechanismTask(make_light_arm(), scenario, PlanOptions())
-    centers = [problem.run_aigo(rung) for rung in MECHANISM_LADDER[-6:]]
+    guesses, rng = problem.guesses, np.random.default_rng(0)
+    centers = [guesses.draw(start, rng) for start in guesses.starts for _ in range(2)]
     rough = [problem.close(center, Aim(is_patient=False)) for center in centers]
     careful = [problem.close(center, Aim()) for center in centers]
     # Without control it costs 81.
@@ -223,46 +222,27 @@ def test_a_search_closes_what_may_be_kept_and_no_more_than_it_has_to() -> None:
     class Watched(MechanismTask):
         aims: ClassVar[list[Aim]] = []
 
-        def close(self, center: Center, aim: Aim) -> ShootingResult:
+        def close(self, guess: Guess, aim: Aim) -> ShootingResult:
             self.aims.append(aim)
-            return super().close(center, aim)
+            return super().close(guess, aim)
 
     scenario = Scenario.named("cart_pole/soft_06")
     search = MechanismSearch(Watched(World.from_scenario(scenario), scenario, QUICK))
     search.explore()
-    aims, rungs = Watched.aims, len(MECHANISM_LADDER)
-    assert aims[:rungs] == [Aim()] * rungs
+    aims, starts = Watched.aims, QUICK.starts
+    assert aims[:starts] == [Aim()] * starts
     assert not aims[-1].is_patient and search.motions[-1].cost <= aims[-1].most < np.inf
-
-
-def test_a_search_without_boxes_has_none_in_renewals_either(
-    cart_pole: Planner, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    widths, draw, run = [], MechanismTask.renew, MechanismTask.run_aigo
-
-    def renew(self: MechanismTask, motion: ShootingResult, renewal: Renewal) -> Center:
-        widths.append(renewal.half_width)
-        return draw(self, motion, renewal)
-
-    def run_aigo(self: MechanismTask, rung: MechanismRung) -> Center:
-        widths.append(rung.half_width)
-        return run(self, rung)
-
-    monkeypatch.setattr(MechanismTask, "renew", renew)
-    monkeypatch.setattr(MechanismTask, "run_aigo", run_aigo)
-    for half_width in (0.0, 0.5):
-        rung = MechanismRung(half_width=half_width, num_steps=15)
-        options = PlanOptions(ladder=(rung,), renewals=2, finalists=1, confirm=False)
-        Planner(cart_pole.scenario, options, cart_pole.world).plan()
-    assert widths[:3] == [0.0, 0.0, 0.0]
-    assert min(widths[3:]) > 0
 
 
 @pytest.mark.parametrize(
     ("name", "given", "message"),
     [
         ("cart_pole/soft_06", {"aigo_steps": 9}, "aigo_steps: got 9 for a mechanism, expected the"),
-        ("cart_pole/soft_06", {"ladder": BALL_LADDER}, "ladder: got a Rung for a mechanism"),
+        (
+            "cart_pole/soft_06",
+            {"ladder": BALL_LADDER},
+            "ladder: got .*only for balls between",
+        ),
         (
             "cart_pole/rigid_06",
             {"local_solver": "ipopt"},
@@ -274,7 +254,7 @@ def test_a_search_without_boxes_has_none_in_renewals_either(
             "renewals: got 9 for balls between",
         ),
         ("table1/1", {"seed": 1}, "seed: got 1 for balls .*It counts only for a mechanism"),
-        ("table1/1", {"ladder": MECHANISM_LADDER}, "ladder: got a MechanismRung for balls"),
+        ("table1/1", {"starts": 3}, "starts: got 3 for balls .*only for a mechanism"),
     ],
 )
 def test_options_that_would_not_count_are_refused(

@@ -24,7 +24,6 @@ from drake_aigto import (
 )
 from drake_aigto.control import ClosedLoopRun, Disturbance, TickStatus, make_horizon, run_in_loop
 from drake_aigto.errors import ControlError
-from drake_aigto.planning import MECHANISM_LADDER
 from drake_aigto.simulation import make_simulator
 from drake_aigto.world import TaskCost
 
@@ -347,8 +346,7 @@ SPIN_SHOT = Scenario.named("billiard/spin_shot")
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["tracking", "replanning"])
 def test_a_ball_with_spin_is_brought_off_a_rigid_wall_that_rubs(method: str) -> None:
-    ladder = MECHANISM_LADDER[:2]
-    options = PlanOptions(renewals=0, ladder=ladder, finalists=1, confirm=False, threads=1)
+    options = PlanOptions(renewals=0, starts=3, finalists=1, confirm=False, threads=1)
     planner = Planner(SPIN_SHOT, options)
     planned = planner.plan()
     assert planned.cost < 0.44 and len(planned.best.contacts) == 1  # 0.638 without friction
@@ -366,8 +364,7 @@ SPINNER = Scenario.named("spinner/two_radians")
 
 
 def test_ticks_along_a_push_with_friction_are_no_dearer_than_the_one_before() -> None:
-    ladder = MECHANISM_LADDER[4:5]
-    planner = Planner(SPINNER, PlanOptions(renewals=0, ladder=ladder, threads=1))
+    planner = Planner(SPINNER, PlanOptions(renewals=0, starts=8, threads=1))
     horizon = make_horizon(planner, is_receding=False, iterations=5, period=SPINNER.time_step)
     start = np.concatenate([SPINNER.initial_position, SPINNER.initial_velocity])
     motion = horizon.search(0.0, start)

@@ -10,7 +10,6 @@ import pytest
 
 from drake_aigto import Plan, Planner, Scenario
 from drake_aigto.planning import (
-    MECHANISM_LADDER,
     MechanismSearch,
     PlanOptions,
     Progress,
@@ -141,8 +140,7 @@ def test_what_costs_more_than_a_finalist_that_holds_is_left_before_it_meets_its_
         def explore(self, progress: Progress | None = None) -> None:
             self.motions = search.motions
 
-    planner, few = Planner(Scenario.named("paddle/bat")), MECHANISM_LADDER[2:4]
-    options = PlanOptions(renewals=0, ladder=few)
+    planner, options = Planner(Scenario.named("paddle/bat")), PlanOptions(renewals=0, starts=8)
     problem = Task(planner.world, planner.scenario, options)
     search = MechanismSearch(problem)
     thorough = ThoroughSearch(ThoroughTask(planner.world, planner.scenario, options))

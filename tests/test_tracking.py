@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from loops import Wrapper, close_loop, hold_samples, set_start
-from mechanism_tasks import drop_ball
+from mechanisms import drop_ball
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, TrajectorySource

@@ -71,12 +71,7 @@ def _middles(count: int) -> np.ndarray:
 
 def plan(question: Question, first: int = 0) -> Attempts:
     """Yields the plan, of which there is one."""
-    yield Attempt(*find_plan(question, has_boxes=True))
-
-
-def plan_of_points(question: Question, first: int = 0) -> Attempts:
-    """Yields the plan without boxes."""
-    yield Attempt(*find_plan(question, has_boxes=False))
+    yield Attempt(*find_plan(question))
 
 
 def shooting_multistart(question: Question, first: int = 0) -> Attempts:
@@ -134,14 +129,13 @@ def snopt_multistart(question: Question, first: int = 0) -> Attempts:
 
 METHODS: Mapping[str, Method] = {
     "plan": Method(plan),
-    "plan, points": Method(plan_of_points),
     "shooting": Method(shooting_multistart, on_rigid_walls=False),
     "listed": Method(listed_sequences, on_soft_walls=False),
     "bounces": Method(bounces, only="pendulum/off_the_wall"),
     "IPOPT": Method(ipopt_multistart),
     "SNOPT": Method(snopt_multistart, on_rigid_walls=False),
 }
-PLANS = ("plan", "plan, points")  # They end by themselves.
+PLANS = ("plan",)  # They end by themselves.
 
 
 def is_installed(name: str) -> bool:

@@ -1,6 +1,6 @@
-"""Local optima by the planner's own shooting, from random controls: what boxes have to beat.
+"""Local optima by the planner's own shooting, from random controls: what plans have to beat.
 
-The plan, and the plan without boxes. Each process has one planner of each kind a world.
+The plan itself: each process has one planner a world.
 
 The other gradient peer: Drake's SNOPT on the transcription that our shooting solves.
 
@@ -91,7 +91,7 @@ def shoot(
 ) -> Iterator[tuple[float, Control]]:
     """Yields J and the control that shooting makes of others (N, nu); infinite if not promising.
 
-    Closed roughly first, as the planner closes the centers of its boxes.
+    Closed roughly first, as the planner closes its guesses.
     """
     best = np.inf
     for problem, guess in zip(problems, guesses, strict=False):
@@ -131,28 +131,19 @@ def list_phases(question: Question, rng: np.random.Generator) -> Phases:
 
 
 _OPTIONS = PlanOptions(confirm=False, threads=1)
-_POINTS = dataclasses.replace(
-    _OPTIONS,
-    ladder=tuple(dataclasses.replace(rung, half_width=0.0) for rung in _OPTIONS.mechanism_ladder),
-)
 
 
 @cache
-def _planner(world: str, restitution: float, has_boxes: bool) -> Planner:
+def _planner(world: str, restitution: float) -> Planner:
     scenario = dataclasses.replace(scenario_of(Question(world, 0)), restitution=restitution)
-    return Planner(scenario, _OPTIONS if has_boxes else _POINTS, world_of(world))
+    return Planner(scenario, _OPTIONS, world_of(world))
 
 
-def find_plan(question: Question, has_boxes: bool) -> tuple[float, Control]:
-    """Returns J that the plan promises, infinite if there is none, and its control.
-
-    Args:
-        question: where it starts.
-        has_boxes: or else points in place of boxes.
-    """
+def find_plan(question: Question) -> tuple[float, Control]:
+    """Returns J that the plan promises, infinite if there is none, and its control."""
     scenario, world = scenario_of(question), world_of(question.world)
     try:
-        plan = _planner(question.world, scenario.restitution, has_boxes).plan(
+        plan = _planner(question.world, scenario.restitution).plan(
             scenario.initial_position,
             scenario.initial_velocity,
             scenario.goal_position,

@@ -24,6 +24,7 @@ from .laws import RigidLaw as RigidLaw
 from .laws import calc_deeper as calc_deeper
 from .laws import calc_dissipation as calc_dissipation
 from .laws import calc_drag as calc_drag
+from .laws import calc_levers as calc_levers
 from .laws import calc_pushes as calc_pushes
 from .laws import calc_share as calc_share
 from .laws import calc_slips as calc_slips

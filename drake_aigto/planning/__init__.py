@@ -1,5 +1,7 @@
 """From a scenario to a plan: search, refinement, and replay on rigid walls."""
 
+from typing import Any
+
 from drake_aigto.planning.balls.arc_program import ArcPrograms
 from drake_aigto.planning.balls.arcs import Arcs, solve_in_arcs
 from drake_aigto.planning.balls.branching import find_grazes, find_insertions
@@ -16,8 +18,9 @@ from drake_aigto.planning.candidate import (
     Veto,
     sample,
 )
-from drake_aigto.planning.mechanisms.boxes import Center, MechanismBoxes
-from drake_aigto.planning.mechanisms.closing import COARSE, Aim, Launch, find_tight, steady
+from drake_aigto.planning.mechanisms.closing import COARSE, Aim, find_tight, soften, steady
+from drake_aigto.planning.mechanisms.guesses import Guess, Guesses
+from drake_aigto.planning.mechanisms.measures import Measures
 from drake_aigto.planning.mechanisms.phases import (
     find_deepest,
     in_order,
@@ -42,13 +45,7 @@ from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
 from drake_aigto.planning.planner import Planner, needs_shooting, plan, run_search
 from drake_aigto.planning.program_task import ProgramTask
 from drake_aigto.planning.programs import ProgramSolution
-from drake_aigto.planning.rungs import (
-    BALL_LADDER,
-    MECHANISM_LADDER,
-    MechanismRung,
-    Renewal,
-    Rung,
-)
+from drake_aigto.planning.rungs import BALL_LADDER, Rung
 from drake_aigto.planning.search import Progress, Proposal, Search, Stopwatch
 from drake_aigto.planning.sequence_search import SequenceSearch
 from drake_aigto.planning.sequences import (
@@ -65,18 +62,16 @@ __all__ = [
     "COARSE",
     "COASTING",
     "LARGEST_DEFECT",
-    "MECHANISM_LADDER",
     "Aim",
     "ArcPrograms",
     "Arcs",
     "BallSearch",
     "BallTask",
     "Candidate",
-    "Center",
-    "Launch",
+    "Guess",
+    "Guesses",
     "LocalSolverName",
-    "MechanismBoxes",
-    "MechanismRung",
+    "Measures",
     "MechanismSearch",
     "MechanismTask",
     "Origin",
@@ -92,7 +87,6 @@ __all__ = [
     "ProgramTask",
     "Progress",
     "Proposal",
-    "Renewal",
     "Replays",
     "RigidMechanismTask",
     "Rung",
@@ -129,9 +123,24 @@ __all__ = [
     "retimed",
     "run_search",
     "sample",
+    "soften",
     "solve_in_arcs",
     "steady",
     "straight_path",
     "swapped",
     "trace",
 ]
+
+# Names of the past, and what stands for them now.
+_GONE = {
+    **dict.fromkeys(("Center", "MechanismBoxes"), "Guess and Guesses: mechanisms have no boxes"),
+    **dict.fromkeys(("MECHANISM_LADDER", "MechanismRung"), "PlanOptions(starts=…)"),
+    "Renewal": "Guesses.renew",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Says of a public name that is gone where it is now."""
+    if name in _GONE:
+        raise ImportError(f"drake_aigto.planning.{name} is gone: use {_GONE[name]}.")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
 from drake_aigto.arrays import Floats
-from drake_aigto.planning.rungs import MechanismRung, Rung
+from drake_aigto.planning.rungs import Rung
 from drake_aigto.simulation import (
     PlannedContact,
     Replay,
@@ -89,7 +89,7 @@ class Origin:
     """
 
     proposer: str
-    rung: Rung | MechanismRung | None = None
+    rung: Rung | None = None
     changes: tuple[Change, ...] = ()
     renewals: int = 0
 

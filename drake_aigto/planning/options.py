@@ -9,7 +9,7 @@ from pkgutil import resolve_name
 from typing import Literal, get_args
 
 from drake_aigto.errors import OptionsError, check_counts
-from drake_aigto.planning.rungs import BALL_LADDER, MECHANISM_LADDER, MechanismRung, Rung
+from drake_aigto.planning.rungs import BALL_LADDER, Rung
 
 LocalSolverName = Literal["newton", "ipopt", "snopt"]
 
@@ -20,8 +20,8 @@ _KINDS = {
     "shooting": "drake_aigto.planning.options:PlanOptions",
 }
 # Options that count for one kind of task only.
-_OF_BALLS = ("local_solver", "relaxation", "aigo_steps", "exhaustive", "branches")
-_OF_MECHANISMS = ("renewals", "patience", "search_steps", "seed")
+_OF_BALLS = ("ladder", "local_solver", "relaxation", "aigo_steps", "exhaustive", "branches")
+_OF_MECHANISMS = ("starts", "renewals", "patience", "search_steps", "seed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,10 +85,7 @@ class PlanOptions(SearchOptions):
     where they do not count, only their defaults are accepted.
 
     Attributes:
-        ladder: the starts of AIGO; candidates come out of each. `Rung` for balls, `MechanismRung`
-            for mechanisms, where the center of each last box is closed by shooting; None: those of
-            `BALL_LADDER` or `MECHANISM_LADDER`. If no rung of a mechanism has a half width,
-            renewals have none either: a search without boxes.
+        ladder: balls: the starts of AIGO, from each of which candidates come; None: `BALL_LADDER`.
         finalists: how many of the best candidates are improved; for mechanisms at most: fewer if
             the next ones promise no lower cost than those found, and between rigid walls not to
             the end if they cost more.
@@ -106,22 +103,23 @@ class PlanOptions(SearchOptions):
         exhaustive: balls: whether rungs are run, too, that hardly have new results
             (`BallSearch.rungs`), and flights refined that cost too much (`BallSearch.add`).
         branches: balls: number of candidates with neighbors tried, with one bounce more or fewer.
-        renewals: mechanisms: how many times at most a stretch of a candidate is opened to boxes
-            again, or boxes are drawn around another start.
+        starts: mechanisms: how many guesses of motions are closed first.
+        renewals: mechanisms: how many more guesses are closed at most, near the best motions and
+            around other starts in turn.
         patience: mechanisms: renewals in a row that find nothing better, after which there are no
-            more; twice as many if a hinge turns fast at the start, or after a wall has pushed it
-            off.
+            more.
         search_steps: mechanisms: number of time steps of candidates, at most; finalists have the
             scenario's.
         seed: mechanisms: of random draws.
     """
 
-    ladder: tuple[Rung | MechanismRung, ...] | None = field(default=None, repr=False)
+    ladder: tuple[Rung, ...] | None = field(default=None, repr=False)
     certify: bool = False
     relaxation: float = 1e-4
     aigo_steps: int = 50
     exhaustive: bool = False
     branches: int = 3
+    starts: int = 12
     renewals: int = 240
     patience: int = 72
     search_steps: int = 60
@@ -130,8 +128,8 @@ class PlanOptions(SearchOptions):
     def __post_init__(self) -> None:
         """Checks what does not depend on the task."""
         super().__post_init__()
-        counts = {"aigo_steps": 1, "branches": 0, "renewals": 0, "patience": 1, "search_steps": 2}
-        check_counts(self, **counts, seed=0)
+        check_counts(self, aigo_steps=1, branches=0, starts=1, renewals=0, patience=1, seed=0)
+        check_counts(self, search_steps=2)
         if self.ladder is not None and not self.ladder:
             raise OptionsError("ladder", got="no rung", expected="at least one")
         if not 0 <= self.relaxation < float("inf"):
@@ -140,23 +138,17 @@ class PlanOptions(SearchOptions):
     @property
     def ball_ladder(self) -> tuple[Rung, ...]:
         """The starts of AIGO for balls."""
-        return tuple(rung for rung in self.ladder or BALL_LADDER if isinstance(rung, Rung))
-
-    @property
-    def mechanism_ladder(self) -> tuple[MechanismRung, ...]:
-        """The starts of AIGO for mechanisms."""
-        rungs = self.ladder or MECHANISM_LADDER
-        return tuple(rung for rung in rungs if isinstance(rung, MechanismRung))
+        return self.ladder or BALL_LADDER
 
     def check(self, is_of_balls: bool) -> None:
         """Refuses options that do not count for a task, of balls between rigid walls or another.
 
         Raises:
-            OptionsError: an option is not at its default, or a rung is of other tasks.
+            OptionsError: an option is not at its default, or a rung is none.
         """
         tasks = "balls between rigid walls", "a mechanism"
         task, other = tasks if is_of_balls else tasks[::-1]
-        names, rung = (_OF_MECHANISMS, Rung) if is_of_balls else (_OF_BALLS, MechanismRung)
+        names = _OF_MECHANISMS if is_of_balls else _OF_BALLS
         defaults = {each.name: each.default for each in dataclasses.fields(self)}
         for name in names:
             if (got := getattr(self, name)) != defaults[name]:
@@ -167,9 +159,9 @@ class PlanOptions(SearchOptions):
                     remedy=f"It counts only for {other}: leave it out here.",
                 )
         for each in self.ladder or ():
-            if not isinstance(each, rung):
+            if not isinstance(each, Rung):
                 raise OptionsError(
                     "ladder",
                     got=f"a {type(each).__name__} for {task}",
-                    expected=f"every one a {rung.__name__}",
+                    expected="every one a Rung",
                 )

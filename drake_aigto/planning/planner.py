@@ -69,8 +69,8 @@ class Planner:
         self.is_of_balls = not needs_shooting(self.world, scenario)
         asked = options or PlanOptions()
         asked.check(self.is_of_balls)
-        # Plans keep options with their ladder.
-        ladder = asked.ball_ladder if self.is_of_balls else asked.mechanism_ladder
+        # Plans of balls keep options with their ladder.
+        ladder = asked.ball_ladder if self.is_of_balls else None
         self.options = dataclasses.replace(asked, ladder=ladder)
         if self.options.confirm and scenario.contact == "rigid" and self.world.contacts:
             contact_delay(self.world)  # A wall without stiffness is refused before long work.

@@ -18,7 +18,6 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.plain import to_plain
 from drake_aigto.planning import (
     BALL_LADDER,
-    MECHANISM_LADDER,
     Candidate,
     Plan,
     SearchOptions,
@@ -251,11 +250,10 @@ def _describe_options(options: SearchOptions | None) -> str:
     """Returns which options of a plan are not the defaults, as a sentence."""
     if options is None:
         return "The plan's file does not say its options."
-    usual = BALL_LADDER, MECHANISM_LADDER
     changed = [
         "a ladder of one's own" if field.name == "ladder" else f"{field.name} = {value}"
         for field in fields(options)
-        if (value := getattr(options, field.name)) not in usual and value != field.default
+        if (value := getattr(options, field.name)) not in (BALL_LADDER, field.default)
     ]
     return f"Options: {', '.join(changed)}." if changed else "All options are the defaults."
 

@@ -10,15 +10,6 @@ from drake_aigto.transcription.additions import (
 )
 from drake_aigto.transcription.consistency import check_together
 from drake_aigto.transcription.knot_program import Layout
-from drake_aigto.transcription.mechanism_program import (
-    COST,
-    DISTANCES,
-    GOAL,
-    ROWS,
-    Ends,
-    MechanismProgram,
-    soften,
-)
 from drake_aigto.transcription.open_program import MotionProgram, OpenProgram
 from drake_aigto.transcription.rigid import ImpulseDirections, RigidTranscription
 from drake_aigto.transcription.rows import (
@@ -56,27 +47,21 @@ from drake_aigto.transcription.transcription import Transcription, rigid_defects
 __all__ = [
     "AT_ONCE",
     "CONTACT",
-    "COST",
-    "DISTANCES",
     "DYNAMICS",
     "FLIGHT",
-    "GOAL",
     "INTEGRATION",
     "KINEMATICS",
     "NONPENETRATION",
     "NO_ADDITIONS",
     "RESTITUTION",
-    "ROWS",
     "UNITS",
     "Addition",
     "Additions",
     "Bounds",
-    "Ends",
     "Facing",
     "Fronts",
     "ImpulseDirections",
     "Layout",
-    "MechanismProgram",
     "MotionProgram",
     "OpenProgram",
     "Part",
@@ -99,6 +84,5 @@ __all__ = [
     "scaled_defects",
     "shared_constraint",
     "shared_cost",
-    "soften",
     "touches_at_once",
 ]

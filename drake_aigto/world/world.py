@@ -323,6 +323,11 @@ class World(EquationsOfMotion):
         """
         return read_stiffness(self.scene_graph, self._reachable)
 
+    @property
+    def reaches(self) -> Floats:
+        """Sums of radii of two spheres that move about each other, else 0, shape (m,) [m]."""
+        return np.array([each.reach for each in self._reachable])
+
     @cached_property
     def springs(self) -> SpringMaterial:
         """Stiffness, dissipation and reaches of compliant contacts.

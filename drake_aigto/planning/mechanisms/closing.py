@@ -1,4 +1,4 @@
-"""Settings for closing motions by shooting, launches before it, and corrections after it."""
+"""Settings for closing guesses by shooting, and corrections after it."""
 
 from __future__ import annotations
 
@@ -8,16 +8,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Bools, Floats
-from drake_aigto.contact import CompliantLaw, ContactLaw, calc_pushes
+from drake_aigto.arrays import Floats
+from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, calc_dissipation
 from drake_aigto.shooting import ShootingOptions, ShootingProblem, ShootingResult, Smoothing
 from drake_aigto.simulation import EVENT_DRIVEN, Held, HeldControl, has_knots, replay_with
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, World, find_anywhere
 
-# Box centers are closed in a few steps: from walls smoothed by more, it takes longer and ends
-# within 1 % of the best half as often (of 800 boxes around the cart-pole, `cart_pole/soft_06`).
+# Guesses are closed in a few steps, some from contact that is wide at first (`Guess.width`).
 COARSE = ShootingOptions(
-    rungs=(Smoothing(1e-2, 8, 5e-2), Smoothing(1e-3, 15, 1e-2)), order=2, multiplier_updates=0
+    rungs=(
+        *(Smoothing(each, 8, 5e-2) for each in (0.3, 0.1, 0.03, 0.01)),
+        Smoothing(1e-3, 15, 1e-2),
+    ),
+    order=2,
+    multiplier_updates=0,
 )
 
 # Hard goals take more: with the settings above, no kept motion reached the goal in four of 16 tasks
@@ -27,7 +31,7 @@ AIMED = dataclasses.replace(COARSE, multiplier_updates=2)
 # Between compliant walls, hardly smoothed, in Runge-Kutta steps that resolve them: of 9 random
 # starts deep in a wall of `cart_pole/soft_06`, plans of 5 are within 1 % of the best of ten such
 # settings, and of all of 19 others; with the settings above, of 2 and 18.
-NEAR = ShootingOptions(rungs=(Smoothing(1e-3, 23, 1e-2),), order=2, multiplier_updates=0)
+NEAR = dataclasses.replace(COARSE, rungs=(*COARSE.rungs[:-1], Smoothing(1e-3, 23, 1e-2)))
 
 # First in short time steps, then with hardly smoothed walls: with more smoothing, their forces
 # would differ by as much as hard goals allow.
@@ -54,6 +58,9 @@ TIGHT_DRY = ShootingOptions(
     penalty=1e-5,
 )
 
+_LEAST_RESTITUTION = 0.2  # of springs that stand in for rigid walls
+_LEAST_MOBILITY = 0.01  # of the one elsewhere: an arm that is not quite stretched out
+
 # The longest second-order Runge-Kutta step that is stable, and the longest that resolves contact,
 # as parts of the time in which the fastest oscillation turns by 1 rad.
 _LONGEST_STEP, _RESOLVING_STEP = 1.5, 0.75
@@ -70,7 +77,7 @@ HOPELESS = 0.05
 
 
 class Aim(NamedTuple):
-    """Limits of the effort to close box centers.
+    """Limits of the effort to close guesses.
 
     Attributes:
         most: motions that promise to cost more are left unfinished, where one pass closes them;
@@ -87,10 +94,16 @@ class Aim(NamedTuple):
         return dataclasses.replace(options, most_promised=self.most) if is_plain else options
 
 
+def begin_at(options: ShootingOptions, width: float) -> ShootingOptions:
+    """Returns options without rungs that are wider than this; the last one stays."""
+    kept = tuple(each for each in options.rungs[:-1] if each.smoothing <= width)
+    return dataclasses.replace(options, rungs=(*kept, options.rungs[-1]))
+
+
 def find_closing(
     world: World, law: ContactLaw, q: Floats, time_step: float, is_aimed: bool
 ) -> ShootingOptions:
-    """Returns the options for closing box centers.
+    """Returns the options for closing guesses.
 
     Args:
         world: the mechanism.
@@ -116,6 +129,38 @@ def find_tight(world: World) -> ShootingOptions:
     return TIGHT if world.dry_friction is None else TIGHT_DRY
 
 
+def soften(world: World, law: RigidLaw, time_step: float, speed: float) -> CompliantLaw:
+    """Returns springs that stand in for rigid walls, as soft as time steps require.
+
+    They reverse a speed in π dt, k = 1/(dt² J M⁻¹ Jᵀ) at the plant's default position, where
+    explicit steps would become unstable at twice the frequency; their restitution is e at a speed.
+
+    Args:
+        world: has M and J.
+        law: has μ, and e; it is at least 0.2, as springs with less would pull.
+        time_step: dt [s].
+        speed: φ̇ of an impact with restitution e [m/s].
+    """
+    mobility = _calc_mobility(world)
+    e = np.maximum(law.restitution, _LEAST_RESTITUTION)
+    dissipation = np.array([calc_dissipation(each, speed) for each in e])
+    return CompliantLaw(1 / (time_step**2 * mobility), dissipation, law.friction)
+
+
+def _calc_mobility(world: World) -> Floats:
+    """Returns J M⁻¹ Jᵀ of each contact at the plant's default position, shape (m,) [1/kg].
+
+    If an arm is stretched out there along the wall's normal, with zero mobility, it is that at
+    another position.
+    """
+    mobilities = []
+    for q in (world.plant.GetDefaultPositions(), find_anywhere(world.plant)):
+        J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)
+        mobilities.append(np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T)))
+    here, elsewhere = mobilities
+    return np.where(here > _LEAST_MOBILITY * elsewhere, here, elsewhere)
+
+
 def _from_afar(options: ShootingOptions, turn: float) -> ShootingOptions:
     """Returns options with walls that push from afar first, in stable Runge-Kutta steps.
 
@@ -137,60 +182,6 @@ def _calc_pace(world: World, law: CompliantLaw, q: Floats) -> float:
     _, _, levers = law.find_gaps(distances, np.zeros_like(distances))
     mobility = np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T)) * levers**2
     return float(np.sqrt(np.max(law.stiffness * mobility, initial=0.0)))
-
-
-# A launch takes this part of the duration at most: in a longer one, control has an effect.
-_THROW = 0.1
-# The largest turn of a launched hinge in a time step of drawn boxes [rad].
-_LARGEST_TURN = 1.0
-
-
-class Launch(NamedTuple):
-    """First knot that boxes optimize.
-
-    A wall pushes a start off within one time step of boxes. They take its first push for a
-    sustained one, and all that follows is wrong. Of 20 random starts deep in the walls of
-    `cart_pole/soft_06`, 13 have plans within 1 % of the best known if boxes begin where these leave
-    the walls, with more patience and time steps that resolve how fast they turn; 9 if boxes begin
-    at the start (means of three seeds; 2.9 and 2.2 CPU seconds).
-
-    Attributes:
-        knot: of motions as they are searched for; 0: the start.
-        time: of it [s].
-        position: q there, shape (n,).
-        velocity: v there, shape (n,).
-    """
-
-    knot: int
-    time: float
-    position: Floats
-    velocity: Floats
-
-    def find_haste(self, time_step: float, is_hinge: Bools) -> int:
-        """Returns the factor of time steps of boxes that resolves fast hinges.
-
-        Args:
-            time_step: the usual one [s].
-            is_hinge: which coordinates turn, shape (n,).
-        """
-        fastest = np.max(np.abs(self.velocity[is_hinge]), initial=0.0)
-        return max(1, int(np.ceil(time_step * fastest / _LARGEST_TURN)))
-
-
-def find_launch(world: World, law: CompliantLaw, coast: ShootingResult) -> Launch:
-    """Returns the first knot without contact of the uncontrolled motion, if that is soon.
-
-    Args:
-        world: the mechanism.
-        law: of its contacts.
-        coast: the uncontrolled motion.
-    """
-    q, v = np.split(coast.states, 2, axis=1)
-    is_finite = np.isfinite(coast.states).all(axis=1)
-    is_soon = is_finite & (coast.times <= _THROW * coast.times[-1])
-    pushes = calc_pushes(world, law, q[is_soon], v[is_soon])
-    knot = int(np.argmin(np.any(pushes > 0, axis=1)))
-    return Launch(knot, float(coast.times[knot]), q[knot], v[knot])
 
 
 class _Correcting(HeldControl):

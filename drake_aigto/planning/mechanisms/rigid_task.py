@@ -1,4 +1,4 @@
-"""A mechanism's task between rigid walls: boxes have springs there, and shooting has phases."""
+"""A mechanism's task between rigid walls: first on springs, then in phases that meet at walls."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import RigidLaw
 from drake_aigto.planning.candidate import Candidate, ChangeName, Origin
-from drake_aigto.planning.mechanisms.boxes import Center
-from drake_aigto.planning.mechanisms.closing import COARSE, Aim
+from drake_aigto.planning.mechanisms.closing import COARSE, Aim, begin_at
+from drake_aigto.planning.mechanisms.guesses import Guess
 from drake_aigto.planning.mechanisms.phases import (
     Dip,
     find_deepest,
@@ -88,6 +88,8 @@ _SETTLED = ShootingOptions(
 _TRUE = 1e-7
 # A motion is steady if other steps move its end by less than this part of its scales.
 _STEADY = 1.0
+# A polish may lower costs by up to this factor.
+_UNPOLISHED = 1.2
 # A polish diverged if it raised the cost by more than this factor.
 _FAR = 1.05
 _COARSE = ShootingOptions(rungs=(Smoothing(0.0, 40, 1e-3),), multiplier_updates=4)
@@ -100,13 +102,22 @@ _HOPELESS = 3.0
 class RigidMechanismTask(MechanismTask):
     """A task of a mechanism between rigid walls.
 
-    Boxes, and the first shooting, have springs in place of the walls (`soften`). The touches of
-    that motion are read off, and shooting continues in phases that meet there (`Phases`): on rigid
+    The first shooting has springs in place of the walls (`soften`). The touches of that motion are
+    read off, and shooting continues in phases that meet there (`Phases`): on rigid
     walls, with impacts at knots with free times.
     """
 
-    polish_ratio = 1.2
     simulate_ratio = 1.01
+
+    @property
+    def polish_ratio(self) -> float:
+        """Motions that cost more than this times the best finalist are not polished."""
+        return _UNPOLISHED
+
+    @property
+    def finalists(self) -> int:
+        """How many of the best motions are polished, at most."""
+        return self.options.finalists
 
     @property
     def close_ratio(self) -> float:
@@ -118,18 +129,18 @@ class RigidMechanismTask(MechanismTask):
         """The mechanism between springs."""
         return Mechanism.of(self.world, self._springs)
 
-    def close(self, center: Center, aim: Aim) -> ShootingResult:
-        """Returns the motion on rigid walls near a box center, closed on springs or as it is.
+    def close(self, guess: Guess, aim: Aim) -> ShootingResult:
+        """Returns the motion on rigid walls near a guess, closed on springs or as it is.
 
         Args:
-            center: of boxes.
+            guess: the guess.
             aim: of its `most` see `bounce`.
         """
-        soft = self._close_on_springs(center, COARSE)
+        soft = self._close_on_springs(guess, begin_at(COARSE, guess.width))
         touches = read_touches(self.world, self.rigid_law, soft, self.lasting)
         found = [self.bounce(touches, soft, aim.most)]
-        if self._sinks_in:
-            states, controls = center.sample(soft.times)
+        controls, states = guess.sample(soft.times)
+        if self._sinks_in and states is not None:
             shown = dataclasses.replace(soft, states=states, controls=controls)
             touches = read_touches(self.world, self.rigid_law, shown, self.lasting)
             found.append(self.bounce(touches, shown, aim.most))
@@ -179,7 +190,7 @@ class RigidMechanismTask(MechanismTask):
             dip = find_deepest(self.world, motion) if np.isfinite(motion.cost) else None
             tried.append(motion)
             is_full = len(motion.phases.knots) + 1 >= self.search_steps
-            if dip is None or dip.depth < _DEEP * self.scales.length or is_full:
+            if dip is None or dip.depth < _DEEP * self.measures.length or is_full:
                 break
             guess, touches = motion, self.with_dip(motion, dip)
         return self._switch(min(tried, key=self.rank))
@@ -242,8 +253,8 @@ class RigidMechanismTask(MechanismTask):
             most: an optimum that costs more is returned before it clears its walls, or meets them
                 to rounding.
         """
-        num_steps, margin = self.scenario.num_steps, _MARGIN * self.scales.length
-        grazes = find_grazes(self.world, motion, _SLOW * self.scales.velocity)
+        num_steps, margin = self.scenario.num_steps, _MARGIN * self.measures.length
+        grazes = find_grazes(self.world, motion, _SLOW * self.measures.speed)
         touches = tuple(each for i, each in enumerate(motion.touches) if i not in grazes)
         is_as_is = not grazes and len(motion.controls) == num_steps
         first = motion if is_as_is else self._shoot(touches, motion, num_steps, _FINE)
@@ -271,7 +282,7 @@ class RigidMechanismTask(MechanismTask):
     def _with_depth(self, motion: ShootingResult) -> ShootingResult:
         """Returns a motion whose violation includes penetrations between its knots."""
         dip = find_deepest(self.world, motion) if np.isfinite(motion.cost) else None
-        depth = 0.0 if dip is None else dip.depth / self.scales.length
+        depth = 0.0 if dip is None else dip.depth / self.measures.length
         return dataclasses.replace(motion, violation=max(motion.violation, depth))
 
     def idle_candidate(self) -> Candidate:
@@ -349,7 +360,7 @@ class RigidMechanismTask(MechanismTask):
             times=times,
             phases=phases,
             clearances=clearances,
-            slowest=_SLOW * self.scales.velocity,
+            slowest=_SLOW * self.measures.speed,
         )
 
     @property

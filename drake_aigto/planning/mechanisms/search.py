@@ -1,10 +1,10 @@
-"""The search for a mechanism's plan: boxes propose motions, and shooting closes them."""
+"""The search for a mechanism's plan: guesses of motions, which shooting closes."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TypeAlias
 
@@ -13,12 +13,11 @@ import numpy as np
 from drake_aigto.arrays import interpolate
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.planning.candidate import COASTING, Candidate, Origin
-from drake_aigto.planning.mechanisms.boxes import Center
 from drake_aigto.planning.mechanisms.closing import Aim
+from drake_aigto.planning.mechanisms.guesses import Guess, StartName
 from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask
 from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.mechanisms.touches import NEAR
-from drake_aigto.planning.rungs import MechanismRung, Renewal
 from drake_aigto.planning.search import Proposal, Search, Stopwatch, scaled
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.simulation import BOUNDS
@@ -26,12 +25,16 @@ from drake_aigto.transcription import TouchSequence
 
 _LOG = logging.getLogger(__name__)
 
-# Newton steps of a box, and the motion that it led to.
-Closed: TypeAlias = tuple[int, ShootingResult]
 # Which contacts are touched, how the impacts end, and roughly when and for how long.
 _Key: TypeAlias = tuple[tuple[int, int, int, int], ...]
 
-_ANNEALING = "annealing"
+_WORDS: dict[StartName, str] = {
+    "rest": "from standing still",
+    "coast": "from the motion without control",
+    "line": "from a line to the goal",
+    "turn": "from a line to the goal, the other way round",
+    "controls": "from controls",
+}
 # Motions that are kept, at most, no two near each other; and the least difference of their costs.
 _MOST_KEPT, _SAME = 8, 1e-3
 # Motions whose positions differ by no more than this, relative to their scales, have one optimum.
@@ -74,7 +77,7 @@ class KeptMotion:
 
 
 class MechanismSearch(Search):
-    """Rungs of boxes, each closed by shooting; then renewals of stretches of the best motions.
+    """Guesses around a few starts, closed by shooting; then renewals of the best motions.
 
     Between rigid walls, a touch of the best motions is dropped, added, swapped with the next, or,
     with friction, changed to another mode or divided into two after each wave of proposals, until
@@ -112,68 +115,71 @@ class MechanismSearch(Search):
         return self.motions
 
     def propose(self) -> Iterator[Sequence[Proposal]]:
-        """Yields centers of all rungs' boxes, and motions with the first touches without control.
+        """Yields guesses, and motions with the first touches without control.
 
-        A fast start touches a wall at once, where boxes and springs are too coarse to tell how.
+        A fast start touches a wall at once, where springs are too coarse to tell how.
         """
-        self.tell(f"AIGO from {len(self.task.ladder)} starts")
-        yield [self._start(rung) for rung in self.task.ladder]
+        count = self.task.options.starts
+        self.tell(f"shooting from {count} starts")
+        plain = len(self.task.guesses.starts)
+        yield [self._start(number, number < plain) for number in range(count)]
         first = self._rigid.coasting[:_MOST_UNCONTROLLED] if self._rigid else ()
         sequences = [first[: count + 1] for count in range(len(first))]
         yield [self._touch(Origin(COASTING), each, self.task.idle_motion) for each in sequences]
 
     def vary(self) -> Iterator[Sequence[Proposal]]:
-        """Yields renewals of stretches of the best motions, and new starts in turn."""
-        options, rng = self.task.options, np.random.default_rng(self.task.options.seed)
+        """Yields renewals of the best motions, and new starts in turn."""
+        options = self.task.options
         best, idle = (True, np.inf), 0
         for first in range(0, options.renewals if self.motions else 0, _WAVE):
             misses, cost = rank = self.motions[0].rank
             is_better = misses < best[0] or not cost + _SAME * abs(cost) >= best[1]
             best, idle = (rank, 0) if is_better else (best, idle + _WAVE)
             is_free = not self.task.additions and cost <= _NOTHING * self.task.scales.cost
-            if idle >= self.task.patience or is_free:
+            if idle >= options.patience or is_free:
                 break
             self.tell(f"renewal {first} of {options.renewals}; the best costs {cost:.6g}")
             last = min(first + _WAVE, options.renewals)
-            yield [self._draw(rng, number) for number in range(first, last)]
+            yield [self._draw(number) for number in range(first, last)]
 
-    def _draw(self, rng: np.random.Generator, number: int) -> Proposal:
-        """Returns a random renewal, or every second time a random start."""
-        problem, num_steps = self.task, self.task.renewal_steps
-        has_boxes = any(rung.half_width for rung in problem.ladder)
+    def _draw(self, number: int) -> Proposal:
+        """Returns a renewal, or every second time a random start."""
         if number % 2:
-            rung = MechanismRung.draw(rng, num_steps, problem.world.is_hinge)
-            return self._start(replace(rung, half_width=has_boxes * rung.half_width))
+            return self._start(self.task.options.starts + number // 2)
+        rng = self._make_generator(number, is_renewal=True)
         most = min(_MOST_RENEWED, len(self.motions))
         motion = self.motions[int(rng.integers(most)) if number % 4 else 0]
-        renewal = Renewal.draw(rng, num_steps, problem.world.num_positions)
-        renewal = replace(renewal, half_width=has_boxes * renewal.half_width)
-        propose = partial(problem.renew, motion.result, renewal)
+        propose = partial(self.task.guesses.renew, motion.result, rng)
         return Proposal(motion.origin.renewed(), partial(self._close, propose))
 
-    def _start(self, rung: MechanismRung) -> Proposal:
-        propose = partial(self.task.run_aigo, rung)
-        return Proposal(Origin(_ANNEALING, rung), partial(self._close, propose))
+    def _make_generator(self, number: int, is_renewal: bool) -> np.random.Generator:
+        return np.random.default_rng([self.task.options.seed, is_renewal, number])
 
-    def _close(self, propose: Callable[[], Center]) -> Closed:
-        """Closes a box center."""
-        center = propose()
-        return center.iterations, self.task.close(center, self._aim)
+    def _start(self, number: int, is_plain: bool = False) -> Proposal:
+        guesses = self.task.guesses
+        start = guesses.starts[number % len(guesses.starts)]
+        rng = self._make_generator(number, is_renewal=False)
+        propose = partial(guesses.plain, start) if is_plain else partial(guesses.draw, start, rng)
+        words = f"shooting {_WORDS[start]}" + ("" if is_plain else ", perturbed")
+        return Proposal(Origin(words), partial(self._close, propose))
+
+    def _close(self, propose: Callable[[], Guess]) -> ShootingResult:
+        """Closes a guess."""
+        return self.task.close(propose(), self._aim)
 
     def _touch(self, origin: Origin, touches: TouchSequence, guess: ShootingResult) -> Proposal:
         assert self._rigid is not None
         bounce = self._rigid.bounce
-        return Proposal(origin, lambda: (0, bounce(touches, guess, self._aim.most)))
+        return Proposal(origin, lambda: bounce(touches, guess, self._aim.most))
 
     def _find_aim(self) -> Aim:
         """Returns the aim that leaves motions unfinished that would not be kept.
 
         Between rigid walls, that is those that cost far more than the best.
         Where half of the motions are better than no control, others are not closed with more care:
-        of 3,072 around cart-poles between soft walls 403 were, and two of these were kept. Where a
-        hinge turns fast at the start, costs fall late, and no motion is left unfinished.
+        of 3,072 around cart-poles between soft walls 403 were, and two of these were kept.
         """
-        is_full = len(self.motions) == _MOST_KEPT and not self.task.is_fast
+        is_full = len(self.motions) == _MOST_KEPT
         limits = self.motions[:1] if self._rigid else self.motions[-1:] if is_full else []
         misses, cost = limits[0].rank if limits else (True, np.inf)
         most = np.inf if misses else scaled(self.task.close_ratio, cost)
@@ -223,10 +229,8 @@ class MechanismSearch(Search):
                 self._tried.add(key)
                 yield self._touch(motion.origin.changed(change, found.touches), touches, found)
 
-    def keep(self, origin: Origin, found: Closed) -> None:
+    def keep(self, origin: Origin, result: ShootingResult) -> None:
         """Keeps a motion if it is among the best, and no better one is near."""
-        steps, result = found
-        self.aigo_steps += steps
         self._num_closed += 1
         self._num_of_use += self.task.is_of_use(result)
         motion = KeptMotion(origin, result, self.task.rank(result))
@@ -272,7 +276,7 @@ class MechanismSearch(Search):
         It ends once enough finalists hold, or cost more than one that holds.
         """
         for motion in self._tight:
-            is_full = len(self._holding) + len(self._not_simulated) >= self.task.options.finalists
+            is_full = len(self._holding) + len(self._not_simulated) >= self.task.finalists
             is_ended = self.is_interrupted and self._known
             if is_full or is_ended or self._is_hopeless(motion):
                 return

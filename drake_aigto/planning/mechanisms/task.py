@@ -1,4 +1,4 @@
-"""A mechanism's task, compiled for boxes and for shooting: the road's steps one by one."""
+"""A mechanism's task, compiled for shooting: the road's steps one by one."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from drake_aigto.arrays import interpolate
-from drake_aigto.contact import CompliantLaw, RigidLaw, contact_law
+from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, contact_law
 from drake_aigto.planning.candidate import (
     NO_CONTROL,
     Candidate,
@@ -18,29 +17,25 @@ from drake_aigto.planning.candidate import (
     add_to_replay,
     sample,
 )
-from drake_aigto.planning.mechanisms.boxes import (
-    Center,
-    CompiledMechanism,
-    MechanismBoxes,
-    round_duration,
-    sample_cubic,
-)
 from drake_aigto.planning.mechanisms.closing import (
     COOLING,
     HOPELESS,
     POLISH,
     Aim,
-    Launch,
+    begin_at,
     find_closing,
-    find_launch,
     find_tight,
     halve_steps,
+    soften,
     steady,
 )
+from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, sample_cubic
+from drake_aigto.planning.mechanisms.measures import Measures
 from drake_aigto.planning.mechanisms.traces import trace
 from drake_aigto.planning.options import PlanOptions
-from drake_aigto.planning.rungs import MechanismRung, Renewal
 from drake_aigto.shooting import (
+    NO_TERMS,
+    AddedTerms,
     Mechanism,
     Phases,
     ShootingOptions,
@@ -63,48 +58,70 @@ from drake_aigto.transcription import (
     INTEGRATION,
     NO_ADDITIONS,
     Additions,
-    Ends,
     Samples,
-    soften,
 )
 from drake_aigto.world import Scales, Scenario, TaskCost, World
 
-# Factor of patience where a start turns fast, which has more optima.
-_PATIENT = 2
 # Price of violating bounds (relative to the state's scales) in the task's scale. As a violation may
 # save more than that, motions with a larger one than `_MUCH` rank after all others.
 _PRICE, _MUCH = 10.0, 1e-2
+# With friction, costs fall by up to this factor as steps become shorter, and their order changes:
+# this many times more finalists are polished.
+_FALLS, _MORE = 1.2, 2
 # Motions that promise to cost more than this times the worst kept one are left unfinished. In 3,072
 # boxes around cart-poles between soft walls that saves 31 % of all iterations and loses 10 of 346
 # motions that would have been the best so far; 1.0 saves 37 % and loses 13, and 1.5 22 % and 8.
 _WORTH = 1.2
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Compiled:
+    """Tables that all tasks with one contact law share.
+
+    Attributes:
+        mechanism: the world as shooting has it.
+        additions: costs and constraints of users.
+        added: these, compiled for shooting.
+    """
+
+    mechanism: Mechanism
+    additions: Additions = NO_ADDITIONS
+    added: AddedTerms = NO_TERMS
+
+    @classmethod
+    def of(cls, world: World, law: ContactLaw, additions: Additions) -> Compiled:
+        """Compiles a world with its contact law, and costs and constraints of users.
+
+        Raises:
+            ProgramError, UnsupportedTermError: see `AddedTerms.of`.
+        """
+        added = AddedTerms.of(world, additions) if additions else NO_TERMS
+        return cls(Mechanism.of(world, law), additions, added)
+
+
 class MechanismTask:
     """A task of a mechanism between compliant walls, or of one without contacts.
 
-    Boxes of its positions shrink (`MechanismBoxes`), and the motion at their center is closed by
-    shooting (`ShootingProblem`). Both are compiled for the world and the task's weights, once.
+    Guesses of its motion (`Guesses`) are closed by shooting (`ShootingProblem`), which is compiled
+    for the world, once.
 
     Attributes:
         world: the mechanism.
         scenario: the task.
         options: numerics.
-        ladder: the starts of AIGO.
         additions: costs and constraints of users.
         task: the scenario's cost.
         bounds: of positions, velocities and controls.
         law: of its contacts.
-        scales: of the task, and `state_scales` of q and v, shape (2n,).
+        scales: of the task and its verdict, and `state_scales` of q and v, shape (2n,).
+        measures: units of the search.
         search_steps: of motions during the search.
         shooting: the problem in any number of time steps.
-        polish_ratio: motions that cost more than this times the best finalist are not polished.
         simulate_ratio: those that do after their polish are not simulated, but are finalists.
     """
 
     transcription_name: ClassVar[str] = "shooting"
     remedy: ClassVar[str] = "Allow more time or control, or try more renewals."
-    polish_ratio: float = 1.0
     simulate_ratio: float = 2.0
 
     def __init__(
@@ -112,10 +129,10 @@ class MechanismTask:
         world: World,
         scenario: Scenario,
         options: PlanOptions,
-        compiled: CompiledMechanism | None = None,
+        compiled: Compiled | None = None,
         additions: Additions = NO_ADDITIONS,
     ) -> None:
-        """Reads the task; programs are compiled as they are needed.
+        """Reads the task.
 
         Args:
             world: the mechanism.
@@ -131,17 +148,16 @@ class MechanismTask:
         """
         options.check(is_of_balls=False)
         self.world, self.scenario, self.options = world, scenario, options
-        self.ladder = options.mechanism_ladder
         self.task, self.bounds = TaskCost.of(world, scenario), world.bounds(scenario)
         self.law = contact_law(world, scenario)
         self.scales, self.state_scales = Scales.of(world, scenario), state_scales(world, scenario)
+        self.measures = Measures.of(world, scenario)
         self.search_steps = min(scenario.num_steps, options.search_steps)
-        self._compiled = compiled or CompiledMechanism.of(world, self.law, additions)
+        self._compiled = compiled or Compiled.of(world, self.law, additions)
         self.additions = self._compiled.additions
         if isinstance(self.law, RigidLaw) or scenario.duration_range is not None:
             self._compiled.added.check_untimed()
-        self._usual_steps = max(2, self.search_steps // 4)
-        self.shooting, self._boxes = cache(self._pose), cache(self._start_boxes)
+        self.shooting = cache(self._pose)
 
     @property
     def mechanism(self) -> Mechanism:
@@ -157,12 +173,12 @@ class MechanismTask:
             cost=self.task,
             times=np.linspace(0.0, T, num_steps + 1),
             start=np.concatenate([scenario.initial_position, scenario.initial_velocity]),
-            scales=self.state_scales,
+            scales=np.concatenate([self.measures.position, self.measures.velocity]),
             state_bounds=np.hstack([bounds.position, bounds.velocity]),
             control_bounds=bounds.control,
             hard_goal=self.task.hard_goal(scenario),
             control_norm=scenario.control_norm or np.inf,
-            length=self.scales.length,
+            length=self.measures.length,
             phases=None if free is None else Phases.free(T, free),
             added=self._compiled.added,
         )
@@ -177,28 +193,17 @@ class MechanismTask:
     @property
     def sources(self) -> str:
         """The sources of candidates, in words."""
-        return f"{len(self.ladder)} rungs and {self.options.renewals} renewals"
+        return f"{self.options.starts} starts and {self.options.renewals} renewals"
 
     @property
-    def renewal_steps(self) -> int:
-        """The number of time steps of drawn boxes: a quarter, unless that is too coarse."""
-        return min(self._haste * self._usual_steps, max(self._usual_steps, self.search_steps))
+    def polish_ratio(self) -> float:
+        """Motions that cost more than this times the best finalist are not polished."""
+        return _FALLS if self.mechanism.has_friction else 1.0
 
     @property
-    def is_fast(self) -> bool:
-        """Whether a hinge turns fast at the start, or after a wall has pushed it off."""
-        return self._haste > 1
-
-    @cached_property
-    def _haste(self) -> int:
-        """The factor by which drawn boxes need more time steps than usual."""
-        step = self.scenario.duration / self._usual_steps
-        return self.launch.find_haste(step, self.world.is_hinge)
-
-    @property
-    def patience(self) -> int:
-        """How many renewals in a row may find nothing better: more for fast starts."""
-        return self.options.patience * (_PATIENT if self.is_fast else 1)
+    def finalists(self) -> int:
+        """How many of the best motions are polished, at most."""
+        return self.options.finalists * (_MORE if self.mechanism.has_friction else 1)
 
     @property
     def close_ratio(self) -> float:
@@ -206,64 +211,33 @@ class MechanismTask:
         return _WORTH
 
     @cached_property
-    def launch(self) -> Launch:
-        """First knot that boxes optimize; the start with free times or friction."""
-        scenario, law = self.scenario, self.law
-        is_timed = scenario.duration_range is not None or len(self.task.times) > 1
-        if isinstance(law, CompliantLaw) and not (is_timed or self.mechanism.has_friction):
-            return find_launch(self.world, law, self.coast)
-        return Launch(0, 0.0, scenario.initial_position, scenario.initial_velocity)
-
-    @cached_property
     def _springs(self) -> CompliantLaw:
-        """The springs that replace walls in boxes."""
+        """The springs that replace walls in guesses."""
         if isinstance(self.law, CompliantLaw):
             return self.law
         time_step = self.scenario.duration / self.search_steps
-        return soften(self.world, self.law, time_step, self.scales.velocity)
+        return soften(self.world, self.law, time_step, self.measures.speed)
 
-    def _start_boxes(self, num_steps: int, duration: float) -> MechanismBoxes:
-        """Returns boxes from this start; their programs serve any start."""
-        ends = Ends(self.launch.position, self.launch.velocity, self.task)
-        is_hard, limits = np.isfinite(self.task.hard_goal(self.scenario)), self.bounds.control
-        return self._compiled.find_boxes(
-            self.world, ends, self._springs, duration, num_steps, is_hard, limits
-        )
+    @cached_property
+    def guesses(self) -> Guesses:
+        """Guesses of motions."""
+        T = self.scenario.duration
+        total = self.scenario.duration_range or (T, T)
+        problem = self.shooting(self.search_steps)
+        return Guesses(self.world, self._springs, problem, self.measures, self.coast, total)
 
-    def run_aigo(self, rung: MechanismRung) -> Center:
-        """Returns the box center that a rung leads to."""
-        start, end = self.launch.time, self.scenario.duration
-        boxes = self._boxes(rung.num_steps, end - start)
-        if rung.start == "coast":
-            path = self.coast.states[self.launch.knot :, : self.world.num_positions]
-        else:
-            path = boxes.rest() if rung.start == "rest" else boxes.line()
-        return boxes.run(rung, path).lasting(start, end)
-
-    def renew(self, motion: ShootingResult, renewal: Renewal) -> Center:
-        """Returns the box center after a stretch of a motion is perturbed and opened."""
-        start, end = self.launch.time, float(motion.times[-1])
-        times = np.linspace(start, end, self.renewal_steps + 1)
-        q = interpolate(times, motion.times, motion.states[:, : self.world.num_positions])
-        beyond = 2 * q[-1] - q[-2]
-        length = round_duration(end, self.scenario.duration) - start
-        boxes = self._boxes(self.renewal_steps, length)
-        return boxes.renew(np.vstack([q, beyond]), renewal).lasting(start, end)
-
-    def close(self, center: Center, aim: Aim) -> ShootingResult:
-        """Returns the motion after a few steps from a box center."""
+    def close(self, guess: Guess, aim: Aim) -> ShootingResult:
+        """Returns the motion after a few steps from a guess."""
         q, is_aimed = self.scenario.initial_position, self.scenario.hard_goal
         time_step = self.scenario.duration / self.search_steps
-        options = find_closing(self.world, self.law, q, time_step, is_aimed)
-        return self._close_on_springs(center, aim.limit(options), aim.is_patient)
+        options = begin_at(find_closing(self.world, self.law, q, time_step, is_aimed), guess.width)
+        return self._close_on_springs(guess, aim.limit(options), aim.is_patient)
 
     def _close_on_springs(
-        self, center: Center, options: ShootingOptions, is_patient: bool = True
+        self, guess: Guess, options: ShootingOptions, is_patient: bool = True
     ) -> ShootingResult:
-        problem = self.shooting(self.search_steps).lasting(float(center.times[-1]))
-        states, controls = center.sample(problem.knot_times)
-        first = slice(self.launch.knot)
-        states[first], controls[first] = self.coast.states[first], self.coast.controls[first]
+        problem = self.shooting(self.search_steps).lasting(float(guess.times[-1]))
+        controls, states = guess.sample(problem.knot_times)
         found = problem.solve(controls, states, options)
         if self.mechanism.has_friction or not is_patient or self.is_of_use(found):
             return found
@@ -392,5 +366,5 @@ class MechanismTask:
         return other
 
     def again(self, scenario: Scenario) -> MechanismTask:
-        """Returns the task of a changed scenario; boxes are compiled anew for other weights."""
+        """Returns the task of a changed scenario."""
         return type(self)(self.world, scenario, self.options, self._compiled)

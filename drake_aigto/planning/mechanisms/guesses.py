@@ -1,0 +1,226 @@
+"""Guesses of a mechanism's motion, from paths and from controls, that shooting closes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+from pydrake.trajectories import PiecewisePolynomial
+
+from drake_aigto.arrays import Floats, interpolate
+from drake_aigto.contact import CompliantLaw, calc_pushes
+from drake_aigto.planning.mechanisms.measures import Measures
+from drake_aigto.shooting import ShootingProblem, ShootingResult
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.world import World
+
+StartName: TypeAlias = Literal["rest", "coast", "line", "turn", "controls"]
+STARTS: tuple[StartName, ...] = get_args(StartName)
+
+# Largest amplitudes of the waves that are added to a path: of a slider in its unit, of a hinge.
+_FAR, _ROUND = 0.5, np.pi
+_MOST_WAVES = 3
+# Powers of ten of amplitudes of controls, in those that move by the units in the duration; and the
+# numbers of their knots.
+_EFFORTS, _FEWEST, _MOST = (-1.0, 0.7), 2, 8
+# Power of ten of the widest contact, in the unit of distances, where closing begins.
+_WIDTHS = (-3.0, 0.0)
+# Parts of a motion's units by which it is perturbed, as powers of ten.
+_PERTURBED = (-1.5, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """A motion that need not obey the equations of motion.
+
+    Attributes:
+        times: t_0 … t_N, shape (N + 1,) [s].
+        controls: held between them, shape (N, nu).
+        states: q and v at the times, shape (N + 1, 2n); None: those that the controls lead to.
+        width: of contact where closing begins, in the unit of distances.
+    """
+
+    times: Floats
+    controls: Floats
+    states: Floats | None = None
+    width: float = 1.0
+
+    def sample(self, times: Floats) -> tuple[Floats, Floats | None]:
+        """Returns controls to hold between times (K + 1,), and states at them."""
+        middles = (times[1:] + times[:-1]) / 2
+        rows = np.searchsorted(self.times, middles) - 1
+        controls = self.controls[np.clip(rows, 0, len(self.controls) - 1)]
+        states = self.states
+        return controls, None if states is None else interpolate(times, self.times, states)
+
+
+def sample_cubic(knots: Floats, positions: Floats, velocities: Floats, times: Floats) -> Floats:
+    """Returns states at times, cubic between knots that have these q and v, shape (K, 2n)."""
+    motion = PiecewisePolynomial.CubicHermite(knots, positions.T, velocities.T)
+    each = motion.vector_values(times), motion.MakeDerivative().vector_values(times)
+    return np.vstack(each).T
+
+
+class Guesses:
+    """Guesses for a task: random ones around a few starts, and those near a motion.
+
+    Paths are standing still (rest), the uncontrolled motion (coast), and a move to the goal (line),
+    or to it from the other side where turns of a hinge do not count (turn). A move begins after a
+    wait and ends before the end, or not; it lasts from the mechanism's own period up to all of the
+    duration. Waves are added, and inverse dynamics gives the controls of a path,
+
+        u = B⁺ (M(q) v̇ + h(q, v) − J(q)ᵀ f(q, v))   within bounds,
+
+    which leave unexplained what no control can do. Or the controls themselves are random, linear
+    between few knots, and lead to a motion.
+
+    Args:
+        world: the mechanism.
+        law: of compliant contact.
+        problem: of shooting, in the knots of guesses.
+        measures: units of the task.
+        coast: the uncontrolled motion.
+        total: the least and the most that a motion may last [s].
+    """
+
+    def __init__(
+        self,
+        world: World,
+        law: CompliantLaw,
+        problem: ShootingProblem,
+        measures: Measures,
+        coast: ShootingResult,
+        total: tuple[float, float],
+    ) -> None:
+        """Keeps all of these."""
+        self._world, self._law, self._problem = world, law, problem
+        self._measures, self._coast, self._total = measures, coast, total
+        cost, n = problem.cost, world.num_positions
+        self._start, self._velocity = problem.start[:n], problem.start[n:]
+        self._turns = cost.is_modulo | cost.is_chordal
+        self._way = -cost.goal_errors(self._start)
+
+    @property
+    def starts(self) -> tuple[StartName, ...]:
+        """The starts that differ from each other."""
+        return tuple(each for each in STARTS if each != "turn" or self._turns.any())
+
+    def plain(self, start: StartName) -> Guess:
+        """Returns the guess of a start as it is: no wait, no waves, no control."""
+        times = self._problem.knot_times
+        if start == "controls":
+            return Guess(times, np.zeros((len(times) - 1, self._world.num_actuators)))
+        return self._follow(times, self._find_path(start, times, 0.0, times[-1]))
+
+    def draw(self, start: StartName, rng: np.random.Generator) -> Guess:
+        """Returns a random guess around a start."""
+        duration = float(self._problem.knot_times[-1])
+        least, most = self._total
+        if least < most:
+            duration = least * (most / least) ** rng.uniform()
+        times = self._problem.knot_times * (duration / self._problem.knot_times[-1])
+        begin, end = self._draw_stretch(rng, duration)
+        width = 10 ** rng.uniform(*_WIDTHS)
+        if start == "controls":
+            return Guess(times, self._draw_controls(rng, times, begin, end), None, width)
+        path = self._find_path(start, times, begin, end) + self._draw_waves(rng, times)
+        return self._follow(times, path, width)
+
+    def renew(self, motion: ShootingResult, rng: np.random.Generator) -> Guess:
+        """Returns a motion with a stretch of its path, or of its controls, perturbed, or moved."""
+        T, N = float(motion.times[-1]), len(self._problem.times) - 1
+        times, width = np.linspace(0.0, T, N + 1), 10 ** rng.uniform(*_WIDTHS)
+        begin, end = self._draw_stretch(rng, T)
+        kind, n = int(rng.integers(4)), self._world.num_positions
+        size = 10 ** rng.uniform(*_PERTURBED)
+        as_is = Guess(motion.times, motion.controls, motion.states, width)
+        if kind == 0:  # Sooner or later.
+            late = rng.uniform(-0.5, 0.5) * self._measures.period
+            return self._move(as_is, times, late)
+        controls, states = as_is.sample(times)
+        if kind == 1:
+            return Guess(times, controls + size * self._draw_controls(rng, times, begin, end))
+        assert states is not None
+        s = np.clip((times - begin) / (end - begin), 0.0, 1.0)[:, np.newaxis]
+        wave = np.sin(np.pi * s) * size * self._measures.position * rng.uniform(-1.0, 1.0, n)
+        before, after = (self._follow(times, q) for q in (states[:, :n], states[:, :n] + wave))
+        assert before.states is not None and after.states is not None
+        change = after.states - before.states
+        controls = controls + after.controls - before.controls
+        return Guess(times, self._bounded(controls), states + change, width)
+
+    def follow(self, trajectory: Trajectory) -> Guess:
+        """Returns the guess of a trajectory."""
+        states = np.hstack([trajectory.positions, trajectory.velocities])
+        return Guess(trajectory.times, trajectory.controls, states)
+
+    def _move(self, guess: Guess, times: Floats, late: float) -> Guess:
+        """Returns a motion that is late by some time [s]: it waits first, or rests at the end."""
+        assert guess.states is not None
+        shifted = np.clip(times - late, 0.0, times[-1])
+        middles = (shifted[1:] + shifted[:-1]) / 2
+        rows = np.clip(np.searchsorted(guess.times, middles) - 1, 0, len(guess.controls) - 1)
+        states = interpolate(shifted, guess.times, guess.states)
+        waits = (times[1:] + times[:-1]) / 2 < late
+        controls = np.where(waits[:, np.newaxis], 0.0, guess.controls[rows])
+        return Guess(times, self._bounded(controls), states, guess.width)
+
+    def _draw_stretch(self, rng: np.random.Generator, duration: float) -> tuple[float, float]:
+        """Returns begin and end of a part of the duration [s]; half of these touch an end."""
+        shortest = min(self._measures.period, duration / 4)
+        length = shortest * (duration / shortest) ** rng.uniform()
+        begin = float(rng.choice([0.0, rng.uniform(), rng.uniform(), 1.0])) * (duration - length)
+        return begin, begin + length
+
+    def _find_path(self, start: StartName, times: Floats, begin: float, end: float) -> Floats:
+        """Returns the positions of a start's path, shape (N + 1, n)."""
+        n = self._world.num_positions
+        if start in ("line", "turn"):
+            s = np.clip((times - begin) / (end - begin), 0.0, 1.0)[:, np.newaxis]
+            way = self._way
+            if start == "turn":
+                way = way - np.where(self._turns, 2 * np.pi * np.copysign(1.0, way), 0.0)
+            return self._start + s * s * (3 - 2 * s) * way
+        coast = self._coast.states[:, :n]
+        if start == "coast" and np.isfinite(coast).all():
+            return interpolate(times, self._coast.times, coast)
+        return np.tile(self._start, (len(times), 1))
+
+    def _draw_waves(self, rng: np.random.Generator, times: Floats) -> Floats:
+        """Returns a random sum of waves that vanishes at the start, shape (N + 1, n)."""
+        far = np.where(self._world.is_hinge, _ROUND, _FAR) * self._measures.position
+        s, total = times / times[-1], np.zeros((len(times), len(far)))
+        for number in range(1, 1 + int(rng.integers(1, 1 + _MOST_WAVES))):
+            size = 10 ** rng.uniform(-1.0, 0.0) / number * rng.uniform(-1.0, 1.0, len(far))
+            total += np.sin(np.pi * number * s)[:, np.newaxis] * far * size
+        return total
+
+    def _draw_controls(
+        self, rng: np.random.Generator, times: Floats, begin: float, end: float
+    ) -> Floats:
+        """Returns random controls between two times, else zero, shape (N, nu)."""
+        scales = self._problem.control_scales
+        knots = np.linspace(begin, end, int(rng.integers(_FEWEST, _MOST + 1)))
+        values = 10 ** rng.uniform(*_EFFORTS) * rng.normal(size=(len(knots), len(scales)))
+        middles = (times[1:] + times[:-1]) / 2
+        acts = ((middles >= begin) & (middles <= end))[:, np.newaxis]
+        return self._bounded(acts * interpolate(middles, knots, values * scales))
+
+    def _follow(self, times: Floats, q: Floats, width: float = 1.0) -> Guess:
+        """Returns the guess of positions at even times, shape (N + 1, n)."""
+        world, h = self._world, times[1] - times[0]
+        v = np.gradient(q, h, axis=0)
+        v[0] = self._velocity
+        middle, mean = (q[1:] + q[:-1]) / 2, (v[1:] + v[:-1]) / 2
+        a = np.diff(v, axis=0) / h
+        force = np.einsum("kij,kj->ki", world.calc_mass_matrix(middle), a)
+        force += world.calc_bias(middle, mean)
+        if world.num_contacts:
+            pushes = calc_pushes(world, self._law, middle, mean)
+            force -= np.einsum("ki,kij->kj", pushes, world.calc_contact_jacobian(middle))
+        controls = self._bounded(force @ world.inverse_actuation.T)
+        return Guess(times, controls, np.hstack([q, v]), width)
+
+    def _bounded(self, controls: Floats) -> Floats:
+        return np.asarray(np.clip(controls, *self._problem.control_bounds))

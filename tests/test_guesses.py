@@ -1,0 +1,148 @@
+"""Guesses of motions, and the units that they are drawn in."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from mechanisms import LEFT, MECHANISMS, build_world, drop_ball, joint, link, plane, sphere, wall
+
+from drake_aigto import Scenario, World, planning
+from drake_aigto.contact import RigidLaw
+from drake_aigto.planning import (
+    Aim,
+    Measures,
+    MechanismTask,
+    PlanOptions,
+    make_mechanism_task,
+    soften,
+)
+
+
+@cache
+def make_task(name: str) -> MechanismTask:
+    scenario = Scenario.named(name)
+    return make_mechanism_task(World.from_scenario(scenario), scenario, PlanOptions())
+
+
+@pytest.mark.parametrize("name", ["cart_pole/soft_06", "acrobot/swing_up", "paddle/bat"])
+def test_the_same_draw_gives_the_same_bits_from_the_start_within_bounds(name: str) -> None:
+    task = make_task(name)
+    start = np.concatenate([task.scenario.initial_position, task.scenario.initial_velocity])
+    for start_name in task.guesses.starts:
+        one, other = (task.guesses.draw(start_name, np.random.default_rng(7)) for _ in range(2))
+        np.testing.assert_array_equal(one.controls, other.controls)
+        assert np.all(one.controls >= task.bounds.control[0])
+        assert np.all(one.controls <= task.bounds.control[1])
+        if one.states is not None:
+            np.testing.assert_allclose(one.states[0], start, atol=1e-12)
+
+
+def test_where_every_joint_is_driven_the_controls_of_a_path_follow_it() -> None:
+    scenario = Scenario.named("pendulum/off_the_wall")
+    scenario = dataclasses.replace(scenario, initial_velocity=[0.0], control_upper=None)
+    task = MechanismTask(World.from_scenario(scenario), scenario, PlanOptions())
+    guess = task.guesses.plain("line")
+    assert guess.states is not None
+    followed = task.shooting(task.search_steps).simulate(guess.controls, substeps=4)
+    away = np.abs(followed.states[:, 0] - guess.states[:, 0])
+    assert np.max(away) < 0.02 * np.ptp(guess.states[:, 0])
+
+
+def test_lines_lead_to_the_goal_from_both_sides_where_turns_do_not_count() -> None:
+    task = make_task("cart_pole/soft_06")
+    ends = [task.guesses.plain(start).states for start in ("line", "turn")]
+    angles = [states[-1, 1] for states in ends if states is not None]
+    assert abs(angles[0] - angles[1]) == pytest.approx(2 * np.pi)
+    assert np.cos(angles[0]) == pytest.approx(np.cos(task.scenario.goal_position[1]))
+    exact = dataclasses.replace(task.scenario, angles="exact")
+    assert "turn" not in MechanismTask(task.world, exact, PlanOptions()).guesses.starts
+
+
+def test_moves_wait_first_or_rest_at_the_end_for_any_time() -> None:
+    scenario = dataclasses.replace(Scenario.named("acrobot/swing_up"), duration=6.0)
+    task = MechanismTask(World.from_scenario(scenario), scenario, PlanOptions())
+    assert task.measures.period == pytest.approx(0.976, rel=1e-2)
+    waits, rests = [], []
+    for seed in range(60):
+        guess = task.guesses.draw("controls", np.random.default_rng(seed))
+        acts = np.flatnonzero(np.any(guess.controls, axis=1))
+        waits.append(guess.times[acts[0]] / 6)
+        rests.append(1 - guess.times[acts[-1] + 1] / 6)
+    assert min(waits) < 0.05 and max(waits) > 0.7
+    assert min(rests) < 0.05 and max(rests) > 0.7
+
+
+def test_a_renewal_perturbs_a_stretch_alone_or_moves_all_of_a_motion() -> None:
+    task = make_task("acrobot/swing_up")
+    motion = task.close(task.guesses.plain("line"), Aim())
+    kept = 0
+    for seed in range(30):
+        guess = task.guesses.renew(motion, np.random.default_rng(seed))
+        assert guess.controls.shape == motion.controls.shape
+        same = np.isclose(guess.controls, motion.controls, atol=1e-9).all(axis=1)
+        kept += bool(same.any() and not same.all())
+    assert kept > 10
+
+
+def slide(length: float, mass: float, time: float) -> tuple[World, Scenario]:
+    """Returns a ball on a rail before a wall, in other units of length, mass and time."""
+    world = build_world(
+        link("ball", mass, ">0 0 0 0 0 0", shape=sphere("ball", "0 0 0", radius=0.1 * length))
+        + joint("prismatic", "world", "ball", "1 0 0")
+        + wall(plane("wall", "0 0 0 0 1.5707963267948966 0"))
+    )
+    scenario = Scenario(
+        model="ball",
+        initial_position=[length],
+        initial_velocity=[-length / time],
+        goal_position=[2 * length],
+        duration=2 * time,
+        time_step=0.05 * time,
+        contact="compliant",
+    )
+    return world, scenario
+
+
+@pytest.mark.parametrize("units", [(10.0, 1.0, 1.0), (1.0, 0.01, 1.0), (1.0, 1.0, 100.0)])
+def test_units_scale_with_lengths_masses_and_times_and_with_nothing_else(units: Any) -> None:
+    length, _, time = units
+    one, other = (Measures.of(*slide(*each)) for each in ((1.0, 1.0, 1.0), units))
+    np.testing.assert_allclose(other.position, length * one.position)
+    np.testing.assert_allclose(other.velocity, length / time * one.velocity)
+    assert other.length == pytest.approx(length * one.length)
+    assert other.speed == pytest.approx(length / time * one.speed)
+
+
+def test_hinges_are_measured_in_radians_and_their_contacts_by_their_arms() -> None:
+    measures = make_task("spinner/two_radians").measures
+    np.testing.assert_array_equal(measures.position, np.ones(3))
+    assert 0.5 < measures.length < 2.5  # links of 1 m
+    # Nothing slides or touches: the length has no use.
+    assert make_task("acrobot/swing_up").measures.length == 1.0
+
+
+def test_springs_in_place_of_rigid_walls_return_what_these_do_at_one_speed() -> None:
+    law = soften(drop_ball(), RigidLaw(np.array([0.6])), 0.02, 1.5)
+    assert law.stiffness[0] == pytest.approx(2.0 / 0.02**2)
+    depth, speed, h = 0.0, 1.5, 1e-5  # Of its motion into the spring, without gravity.
+    while depth >= 0.0:
+        depth += h * speed
+        push = law.stiffness[0] * depth * (1 + law.dissipation[0] * speed)
+        speed -= h * push / 2.0
+    assert speed == pytest.approx(-0.6 * 1.5, rel=1e-3)
+
+
+def test_a_wall_below_a_rod_that_hangs_has_a_finite_spring_in_its_place() -> None:
+    world = build_world(MECHANISMS["pendulum"].replace(LEFT, "0 0 -0.9 0 0 0"))
+    assert not np.any(world.calc_contact_jacobian(np.zeros(1)))
+    law = soften(world, RigidLaw(np.ones(1)), 0.02, 1.5)
+    assert np.all(np.isfinite(law.stiffness)) and np.all(law.stiffness > 0)
+
+
+def test_names_of_boxes_say_what_takes_their_place() -> None:
+    with pytest.raises(ImportError, match=r"MechanismRung is gone: use PlanOptions\(starts=…\)"):
+        getattr(planning, "MechanismRung")  # noqa: B009
