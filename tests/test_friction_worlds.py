@@ -33,7 +33,7 @@ def test_guesses_that_know_no_friction_close_near_a_plan_that_slides_to_its_goal
     closed = [problem.close(guesses.draw(start, rng), Aim()) for start in 2 * guesses.starts]
     best = min(closed, key=problem.rank)
     assert best.violation == 0
-    assert best.cost < 0.5
+    assert best.cost < 0.55
 
 
 def plan_of(times: Any, q: Any, v: Any, controls: Any) -> Any:

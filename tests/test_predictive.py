@@ -416,8 +416,7 @@ def test_a_reference_goes_on_from_tick_to_tick(name: str) -> None:
         reference_velocities=[[0.3, 0.0], [0.3, 0.0]],
         **weights,
     )
-    ladder = MECHANISM_LADDER[:1]
-    options = PlanOptions(renewals=0, ladder=ladder, finalists=1, confirm=False, threads=1)
+    options = PlanOptions(renewals=0, starts=3, finalists=1, confirm=False, threads=1)
     controller = ModelPredictiveController(Planner(scenario, options), period=0.05)
     run = run_in_loop(controller, scenario, duration=1.5)
     assert run.replay.positions[-1, 0] == pytest.approx(0.45, abs=0.03)
