@@ -1,23 +1,17 @@
-"""Compiled functions: Numba's compiler, with a cache on disk that is never stale."""
+"""Compiled functions: Numba's compiler, which leaves inner functions to the kernels above them."""
 
 from __future__ import annotations
 
-import hashlib
 import os
-import re
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
 from typing import Any, TypeVar, cast
 
-import llvmlite
 import numba
 from numba import _dynfunc  # type: ignore[attr-defined]
 from numba.core import types
-from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
@@ -26,6 +20,7 @@ from numba.core.event import Event, Listener, install_listener
 from numba.core.typed_passes import NativeLowering
 from numba.extending import intrinsic
 
+from drake_aigto.code_cache import CodeCache, find_reason
 from drake_aigto.progress import Notice
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -40,11 +35,6 @@ _LOST = "it can be kept nowhere: NUMBA_CACHE_DIR may name a folder"
 # above this, kernels are as fast, and compile sooner (`python -m benchmarks.start_time`).
 _LARGE = 200
 
-_PACKAGE = __name__.partition(".")[0]
-_IMPORT = re.compile(
-    r"^[ \t]*(?:from|import)[ \t]+(\.*)([\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|.*))?", re.M
-)
-
 
 def njit(**options: Any) -> Callable[[_Function], _Function]:
     """Returns `numba.njit` with these options and a cache, as a decorator.
@@ -54,9 +44,7 @@ def njit(**options: Any) -> Callable[[_Function], _Function]:
     optimized and emitted with it as a whole. Numba on its own optimizes and emits each function
     with all that it calls, and then once more for each function above, which doubles the time.
 
-    Numba keeps machine code beside the source, else in ``NUMBA_CACHE_DIR`` or the user's cache
-    folder. Where it can write to none of them, as in a package that root installed, run by a user
-    without a home, each process compiles for itself.
+    What is compiled is kept, and installed packages may have it from the start (`CodeCache`).
 
     No function gets a C entry, which nothing here calls and which takes time to compile.
     """
@@ -68,14 +56,10 @@ def njit(**options: Any) -> Callable[[_Function], _Function]:
         compiled = numba.njit(pipeline_class=pipeline, **options)(function)
         _forget_literals(compiled)
         compiled.compile = _undisturbed()(compiled.compile)
-        if is_inner:  # Kernels keep it within their own code.
+        is_typed_in = not os.path.exists(function.__code__.co_filename)
+        if is_inner or is_typed_in:  # Kernels keep inner functions within their own code.
             return compiled
-        try:
-            compiled._cache = _SourceCache(function)  # As njit(cache=True) does with its own.
-        except RuntimeError as error:
-            # Numba has no class of its own for this.
-            if not str(error).startswith("cannot cache function"):
-                raise
+        compiled._cache = CodeCache(function)  # As njit(cache=True) does with its own.
         return compiled
 
     return compile_later
@@ -269,94 +253,8 @@ class _FirstCompilation(Listener):
     def on_start(self, event: Event) -> None:
         if self._tell:
             tell, self._tell = self._tell, None
-            is_kept = isinstance(event.data["dispatcher"]._cache, FunctionCache)
-            tell(Notice(_COMPILES + (_KEPT if is_kept else _LOST)))
+            is_kept = getattr(event.data["dispatcher"]._cache, "keeps", False)
+            tell(Notice(find_reason() + _COMPILES + (_KEPT if is_kept else _LOST)))
 
     def on_end(self, event: Event) -> None:
         pass
-
-
-class _SourceCache(FunctionCache):
-    """Numba's cache of a function, which is fresh while all sources that it may use are.
-
-    Machine code holds the functions that it calls, the constants that it reads and the layout of
-    its arguments, wherever these are defined. Numba itself looks at the function's file alone.
-    """
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        """Adds a digest of those sources to what Numba compares first, which is its version.
-
-        It does not even read what other versions cached: classes named there may be gone.
-        """
-        super().__init__(function)  # type: ignore[no-untyped-call]
-        file, package = function.__code__.co_filename, function.__module__.partition(".")[0]
-        used = _digest(os.path.abspath(file), package)
-        self._cache_file._version = numba.__version__, llvmlite.__version__, used
-
-
-@cache
-def _digest(file: str, package: str) -> str:
-    """Returns a digest of a file and all that it imports, directly or by way of others.
-
-    Only sources of its own package and of ours count, also those imported for type checkers alone.
-    """
-    paths = {name: getattr(sys.modules.get(name), "__path__", None) for name in (package, _PACKAGE)}
-    folders = tuple((name, path[0]) for name, path in paths.items() if path)
-    files, digest = [file], hashlib.sha256()
-    for each in files:  # It grows meanwhile.
-        digest.update(hashlib.sha256(_read(each)).digest())
-        files += [found for found in _imported_files(each, folders) if found not in files]
-    return digest.hexdigest()
-
-
-@cache
-def _read(file: str) -> bytes:
-    with open(file, "rb") as source:
-        return source.read()
-
-
-@cache
-def _imports(file: str) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
-    """Returns what a file imports: leading dots, a module, and names in it (or none)."""
-    found = _IMPORT.findall(_read(file).decode())
-    return tuple((dots, module, tuple(re.findall(r"\w+", names))) for dots, module, names in found)
-
-
-@cache
-def _imported_files(file: str, folders: tuple[tuple[str, str], ...]) -> tuple[str, ...]:
-    """Returns the files that a file imports from packages in these folders, by name."""
-    found = (
-        origin
-        for dots, module, names in _imports(file)
-        for name in names or ("",)
-        for origin in _origins(file, folders, dots, module, name)
-    )
-    return tuple(dict.fromkeys(found))
-
-
-def _origins(
-    file: str, folders: tuple[tuple[str, str], ...], dots: str, module: str, name: str
-) -> tuple[str, ...]:
-    """Returns the files that a name comes from: beyond a package's door, where it is passed on."""
-    root, _, rest = module.partition(".")
-    base = dict(folders).get(root)
-    if dots:
-        base, rest = os.path.join(os.path.dirname(file), *[".."] * (len(dots) - 1)), module
-    if base is None:
-        return ()
-    stem = os.path.normpath(os.path.join(base, *rest.split(".")))
-    submodule = _sources(os.path.join(stem, name))
-    if submodule:
-        return submodule
-    for door in _sources(stem):
-        for dots, module, names in _imports(door) if name else ():
-            if name in names:
-                return _origins(door, folders, dots, module, name)
-    return _sources(stem)
-
-
-@cache
-def _sources(stem: str) -> tuple[str, ...]:
-    """Returns the files of a module or package, the stub of a lazy door among them."""
-    names = (f"{stem}.py", os.path.join(stem, "__init__.py"), os.path.join(stem, "__init__.pyi"))
-    return tuple(name for name in names if os.path.isfile(name))

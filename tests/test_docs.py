@@ -34,7 +34,7 @@ from drake_aigto.errors import ModelError
 API = Path(__file__).resolve().parents[1] / "docs" / "api"
 
 # What people import; the others serve these.
-INTERNAL = {"arrays", "cli", "kernels", "output", "plain"}
+INTERNAL = {"arrays", "cli", "code_cache", "kernels", "output", "plain"}
 
 
 def public_modules() -> list[str]:

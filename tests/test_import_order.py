@@ -21,6 +21,7 @@ ROAD = (
     "progress",
     "plain",
     "arrays",
+    "code_cache",
     "kernels",
     "linear",
     "terms",

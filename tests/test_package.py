@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
+import platform
+import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -12,6 +15,7 @@ from pathlib import Path
 import pytest
 
 import drake_aigto
+from drake_aigto import Planner, PlanOptions, Scenario
 
 CHECKOUT = Path(__file__).parents[1]
 
@@ -179,3 +183,61 @@ import matplotlib
 print(look() == before, matplotlib.rcParams == matplotlib.rcParamsDefault)
 """
     assert run_python(program, installed) == "True True"
+
+
+FIRST_PLAN = """
+import sys
+from numba.core import event
+from drake_aigto import Planner, PlanOptions, Scenario
+from drake_aigto.kernels import tell_compilation
+told = []
+with event.install_recorder("numba:compile") as recorder, tell_compilation(told.append):
+    plan = Planner(Scenario.named("table1/1"), PlanOptions(confirm=False)).plan()
+print(plan.cost.hex(), len(recorder.buffer), *told)
+"""
+
+
+@pytest.mark.slow
+def test_a_wheel_with_machine_code_compiles_nothing_and_plans_the_same(tmp_path: Path) -> None:
+    if platform.machine() not in ("x86_64", "AMD64"):
+        pytest.skip("machine code is made for x86-64 alone")
+    # In a copy, as a build writes into its tree.
+    source = tmp_path / "source"
+    tracked = subprocess.run(
+        ["git", "ls-files"], cwd=CHECKOUT, check=True, capture_output=True, text=True
+    )
+    for name in tracked.stdout.split("\n")[:-1]:
+        if (CHECKOUT / name).is_file():
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(CHECKOUT / name, source / name)
+    os.environ["DRAKE_AIGTO_MACHINE_CODE"] = "table1/1"
+    try:
+        (wheel,) = build(source, tmp_path / "dist", "--target", "wheel").glob("*.whl")
+    finally:
+        del os.environ["DRAKE_AIGTO_MACHINE_CODE"]
+    assert "none-any" not in wheel.name
+    installed = tmp_path / "installed"
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
+    subprocess.run([*command, "--target", str(installed), str(wheel)], check=True)
+
+    def plan(number: int) -> list[str]:
+        cache = tmp_path / f"cache{number}"
+        return run_python(FIRST_PLAN, installed, NUMBA_CACHE_DIR=str(cache)).split(maxsplit=2)
+
+    here = Planner(Scenario.named("table1/1"), PlanOptions(confirm=False)).plan().cost.hex()
+    assert plan(0) == [here, "0"]
+    # Of sources that were edited, and of other versions, it does not count.
+    edited = installed / "drake_aigto" / "box" / "kernels.py"
+    text = edited.read_text(encoding="utf-8")
+    edited.write_text(f"{text}# edited\n", encoding="utf-8")
+    cost, compiled, why = plan(1)
+    assert cost == here and int(compiled) > 0
+    assert why.startswith("the package's machine code is of other sources")
+    edited.write_text(text, encoding="utf-8")
+    manifest = installed / "drake_aigto" / "machine_code" / "manifest.json"
+    versions = json.loads(manifest.read_text(encoding="utf-8"))
+    manifest.write_text(json.dumps({**versions, "numba": "0.1"}), encoding="utf-8")
+    for index in manifest.parent.glob("*.nbi"):
+        index.unlink()
+    _, _, why = plan(2)
+    assert why.startswith("the package's machine code is for numba 0.1, not ")
