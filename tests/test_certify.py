@@ -28,6 +28,7 @@ from drake_aigto.certify import (
     Tape,
     certify,
     enclose_all,
+    explain_infeasibility,
     formula_of,
     intervals,
     is_infeasible,
@@ -176,6 +177,8 @@ UNARY: tuple[Callable[..., Any], ...] = (
     lambda m, a: m.log(1.0 + a * a),
     lambda m, a: m.pow(2.0 + m.cos(a), 1.3),
     lambda m, a: m.sqrt(0.5 + a**2),
+    lambda m, a: m.pow(m.abs(a), 1.5),
+    lambda m, a: m.sqrt(m.abs(a)),
     lambda m, a: m.abs(a),
     lambda m, a: a**2 - 0.5 * a,
     lambda m, a: a**3,
@@ -204,13 +207,73 @@ def random_function(rng: np.random.Generator, size: int, depth: int) -> Callable
     return lambda m, x: both(m, first(m, x), last(m, x))
 
 
+ONE = {
+    "square": lambda m, x: x**2,
+    "cube": lambda m, x: x**3,
+    "seventh power": lambda m, x: x**7,
+    "quotient": lambda m, x: 1 / x,
+    "root": lambda m, x: m.sqrt(x),
+    "power 1.5": lambda m, x: m.pow(x, 1.5),
+    "power -0.3": lambda m, x: m.pow(x, -0.3),
+    "exp": lambda m, x: m.exp(x),
+    "log": lambda m, x: m.log(x),
+    "sin": lambda m, x: m.sin(x),
+    "cos": lambda m, x: m.cos(x),
+    "tanh": lambda m, x: m.tanh(x),
+    "atan": lambda m, x: m.atan(x),
+}
+
+
+def check_enclosures(function: Callable[..., Any], count: int) -> None:
+    """Checks value and derivatives over cells of widths from nothing to the size of x."""
+    rng, exact = np.random.default_rng(11), SimpleNamespace(**HIGH_PRECISION)
+    x = sym.Variable("x")
+    prog = MathematicalProgram()
+    prog.AddDecisionVariables(np.array([x]))
+    add_cost(prog, function(sym, x))
+    tape = make_tape([formula_of(read_formulas(prog).summands, (0,))])
+    size = 10.0 ** rng.uniform(-9.0, 2.0, count)
+    low, high = size, size * (1.0 + rng.choice([0.0, 1e-15, 1e-9, 1e-3, 1.0], count))
+    cells = low[:, None], high[:, None]
+    jets = enclose_all(tape, np.zeros(count, dtype=np.int64), *cells, order=2)
+    with mpmath.workdps(60):
+        for own, *ends in zip(jets, low, high, strict=True):
+            at = mpmath.mpf(float(rng.uniform(*ends)))
+            for order in range(3):
+                value = mpmath.diff(lambda x: function(exact, x), at, order, h=at * 1e-15)
+                assert own[order, 0] <= value <= own[order, 1]
+
+
+@pytest.mark.parametrize("name", ONE)
+def test_a_function_of_one_variable_is_enclosed(name: str) -> None:
+    check_enclosures(ONE[name], 60)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ONE)
+def test_a_function_of_one_variable_is_enclosed_at_thousands_of_points(name: str) -> None:
+    check_enclosures(ONE[name], 4000)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_feasible_point_is_never_excluded(seed: int) -> None:
+    check_feasible_points(np.random.default_rng([7, seed]), 40)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10))
+def test_a_feasible_point_is_never_excluded_in_10000_programs(seed: int) -> None:
+    check_feasible_points(np.random.default_rng([9, seed]), 1000)
+
+
+def check_feasible_points(rng: np.random.Generator, count: int) -> None:
     """Rows and bounds that a point meets just about, fixed variables and rows twice among them."""
-    rng, exact = np.random.default_rng([7, seed]), SimpleNamespace(**HIGH_PRECISION)
-    for trial in range(40):
-        size = int(rng.integers(1, 6))
-        point = rng.normal(size=size) * 10.0 ** rng.choice([-8.0, 0.0, 0.0, 0.0, 4.0])
+    exact = SimpleNamespace(**HIGH_PRECISION)
+    for trial in range(count):
+        size = int(rng.integers(1, 7))
+        scales = [-150.0, -8.0, 0.0, 0.0, 0.0, 0.0, 4.0, 60.0]
+        point = rng.normal(size=size) * 10.0 ** rng.choice(scales)
+        point[rng.random(size) < 0.1] = 0.0  # edges of domains
         reach = np.abs(point) * rng.choice([0.0, 1e-9, 1.0, 30.0], (2, size))
         reach[rng.random((2, size)) < 0.1] = np.inf
         prog = MathematicalProgram()
@@ -237,7 +300,8 @@ def test_a_feasible_point_is_never_excluded(seed: int) -> None:
         with mpmath.workdps(40):
             numbers = list(map(mpmath.mpf, point.tolist()))
             least = float(cost(exact, numbers) + 0.1 * numbers[0])
-        found = certify(prog, point if trial % 2 else None, cells=int(rng.integers(1, 80)))
+        cells = int(10.0 ** rng.uniform(0.0, 2.8))
+        found = certify(prog, point if trial % 2 else None, cells=cells)
         assert not found.is_infeasible
         assert found.lower_bound <= least + 1e-12 * (1e-3 + abs(least))
 
@@ -607,3 +671,30 @@ def test_scip_proves_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyscipopt", None)
     with pytest.raises(OptionsError, match=re.escape("pip install 'drake_aigto[scip]'")):
         certify(prog, prover="scip")
+
+
+def test_few_rows_that_contradict_each_other_are_told_with_numbers() -> None:
+    prog, (x, y, z) = program(lambda x, y, z: x + y + z, 3)
+    prog.AddConstraint(x * y + z <= 5.0)
+    prog.AddConstraint(x >= 1.0 + 0.1 * y)
+    wrong = [prog.AddConstraint(x**2 + y**2 <= 1.0), prog.AddConstraint(x + 0.5 * y >= 1.7)]
+    prog.AddConstraint(sym.exp(z) >= 0.2)
+    wrong[0].evaluator().set_description("disc")
+    wrong[1].evaluator().set_description("beyond")
+    text = explain_infeasibility(prog)
+    assert len(text.splitlines()) == 2
+    assert "'disc'" in text and "'beyond'" in text
+    assert "has to be in [-inf, -1.7], and is in [-1.5, 1.5] where the others hold" in text
+    details = AigoSolver(AigoOptions(rounds=2, starts=2)).Solve(prog).get_solver_details()
+    assert details.status == AigoStatus.INFEASIBLE
+    assert text in str(details)
+    prog.RemoveConstraint(wrong[1])
+    assert not explain_infeasibility(prog)
+
+
+def test_bounds_that_cross_are_told() -> None:
+    prog = MathematicalProgram()
+    (x,) = prog.NewContinuousVariables(1, "x")
+    prog.AddConstraint(x >= 2.0)
+    prog.AddConstraint(x <= 1.0)
+    assert explain_infeasibility(prog) == "x(0) has to be at least 2, and at most 1"

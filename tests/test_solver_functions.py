@@ -148,10 +148,19 @@ def test_constraints_may_have_such_functions_too() -> None:
     assert AigoSolver().Solve(shares).get_optimal_cost() == pytest.approx(-math.log(3), abs=1e-6)
 
 
+def test_entropy_is_minimized_down_to_bounds_of_0() -> None:
+    prog = MathematicalProgram()
+    p = prog.NewContinuousVariables(2, "p")
+    prog.AddBoundingBoxConstraint(0.0, 1.0, p)
+    cost = ExpressionCost(sum(each * sym.log(each) for each in p))
+    prog.AddCost(cost, vars=cost.vars())
+    assert AigoSolver().Solve(prog).get_optimal_cost() == pytest.approx(-2.0 / math.e, abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("formula", "message"),
     [
-        (lambda x: sym.log(x[0]) + x[1], r"log\(x\(0\)\), where x\(0\) is in \[-1, 2\].*> 0"),
+        (lambda x: sym.log(x[0]) + x[1], r"log\(x\(0\)\), where x\(0\) is in \[-1, 2\].*>= 0"),
         (lambda x: sym.sqrt(x[0] + x[1]), r"sqrt.* is in \[-2, 4\] .* >= 0"),
         (lambda x: x[1] / x[0], r"\(x\(1\) / x\(0\)\), where x\(0\) is in .*divisor that is not 0"),
         (lambda x: sym.tan(2 * x[0]), r"cos\(\(2 \* x\(0\)\)\) is in .*divisor that is not 0"),

@@ -6,9 +6,9 @@ from drake_aigto.certify.certificate import (
     Certifier,
     Method,
     certify,
-    is_infeasible,
     relative_gap,
 )
+from drake_aigto.certify.conflicts import explain_infeasibility, is_infeasible
 from drake_aigto.certify.enclosures import enclose_all
 from drake_aigto.certify.flights import Line, Wall
 from drake_aigto.certify.formulas import Operation, Tape, formula_of, make_tape, read_formulas
@@ -31,6 +31,7 @@ __all__ = [
     "bound_plans",
     "certify",
     "enclose_all",
+    "explain_infeasibility",
     "fold",
     "formula_of",
     "intervals",

@@ -15,18 +15,17 @@ from pydrake.solvers import MathematicalProgram
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.cells import CellSearch
 from drake_aigto.certify.cliques import MOST_VARIABLES, CliqueSearch, elimination
-from drake_aigto.certify.contraction import contract_box
+from drake_aigto.certify.conflicts import narrowed
 from drake_aigto.certify.enclosures import SumOfFormulas
 from drake_aigto.certify.formulas import (
     Formulas,
     formula_of,
-    join,
     make_tape,
     read_formulas,
 )
 from drake_aigto.certify.pricing import with_prices
 from drake_aigto.certify.scip import bound_by_scip
-from drake_aigto.errors import OptionsError, UnsupportedTermError
+from drake_aigto.errors import OptionsError
 
 # A point → a feasible one near it, if there is one.
 Improve = Callable[[Floats], Floats | None]
@@ -165,14 +164,6 @@ def _certify_with_scip(prog: MathematicalProgram, gap: float, seconds: float | N
     )
 
 
-def is_infeasible(prog: MathematicalProgram) -> bool:
-    """Returns whether ranges of rows prove that no point within the bounds meets them all."""
-    try:
-        return not _narrowed(read_formulas(prog))[1]
-    except UnsupportedTermError:
-        return False
-
-
 class Certifier:
     """Bounds of one program, which may be gone on with.
 
@@ -199,7 +190,7 @@ class Certifier:
         """Chooses a method by the program's structure."""
         self._clock = _Clock(seconds, progress)
         self._asked = read_formulas(prog)
-        self._formulas, is_feasible = _narrowed(self._asked)
+        self._formulas, is_feasible = narrowed(self._asked)
         formulas, self._gap = self._formulas, gap
         self._search: CellSearch | CliqueSearch | None = None
         self._method, self._order = Method.SUM, self._find_order()
@@ -376,18 +367,6 @@ class _Clock:
         if self._progress is not None and time.monotonic() >= self._next:
             self._next = time.monotonic() + _SOON
             self._progress(f"bound {bound:.9g}, best known {cost:.9g}, {cells} cells")
-
-
-def _narrowed(formulas: Formulas) -> tuple[Formulas, bool]:
-    """Returns formulas with bounds that rows leave something of, and whether they leave any."""
-    lower, upper = formulas.lower.copy(), formulas.upper.copy()
-    rows = formulas.rows
-    joint = join([(row,) for row in rows], lower.size)
-    sides = np.array([[row.lower for row in rows], [row.upper for row in rows]])
-    is_feasible = bool(np.all(lower <= upper)) and contract_box(
-        joint, sides[0], sides[1], lower, upper
-    )
-    return (replace(formulas, lower=lower, upper=upper) if is_feasible else formulas), is_feasible
 
 
 def _sum_of(formulas: Formulas) -> SumOfFormulas:

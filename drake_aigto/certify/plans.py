@@ -7,15 +7,14 @@ unit time, with ∫ ẍ² priced at 1, the goal at w, and k(τ) = 3w/(3 + wτ³)
   uncontrolled motion ends.
 - Elastic walls are mirrors: any motion is a flight without walls to one of the goal's images, so
   that D is the distance to the nearest image.
-- Else it touches nothing, which is a flight; or it touches a wall first, at time s and speed a. Up
-  to there, a cubic is the cheapest motion:
+- Beside one other wall it touches nothing, which is a flight; or it touches the wall first at time
+  s and speed a. Up to there, a cubic is the cheapest motion:
 
       3(2p + (v − a)s)²/s³ + (a + v)²/s
 
-  and with τ = 1 − s left it never comes to another wall, L away, at no less than a flight,
-  k(τ)(g − eaτ)², as touching the same wall again is never cheaper ("Why the optima are exact" in
-  the documentation); or it does. Touches take speed away, so that the way asks for L ≤ eaτ +
-  ∫(τ − t)|ẍ|, and for 3 max(0, L − eaτ)²/τ³. Branch and bound over (s, a) bounds the least.
+  and with τ = 1 − s left it costs no less than a flight, k(τ)(g − eaτ)², as touching the wall again
+  is never cheaper ("Why the optima are exact" in the documentation). Branch and bound over (s, a)
+  bounds the least. Between two walls, and under a constant force, `touches` bounds it.
 
 Elastic walls are mirrors, whatever they couple: walls askew, and like masses that touch. Let all
 masses be alike, so that a touch without loss mirrors the motion at its plane n·q + d = 0: that of a
@@ -41,7 +40,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import pydrake.symbolic as sym
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 
 from drake_aigto.arrays import Floats
@@ -221,19 +219,20 @@ def _make_lines(world: World, scenario: Scenario) -> Iterator[Line]:
 
 def _bound(line: Line, most: float) -> float:
     """Returns a bound of the cost on a line, if it is no more than the most that is of interest."""
-    if line.drift and line.walls:
+    is_lossy = any(wall.restitution < 1.0 for wall in line.walls)
+    if (line.drift and line.walls) or (is_lossy and len(line.walls) > 1):
         return bound_line(line, most)
-    if all(wall.restitution == 1.0 for wall in line.walls):
+    if not is_lossy:
         sides = np.array([[float(wall.side)] for wall in line.walls]).reshape(-1, 1)
         offsets = np.array([-wall.side * wall.position for wall in line.walls])
         folded = fold(np.array([line.goal - line.miss]), sides, offsets)
         miss = 0.0 if folded is None else line.goal - float(folded[0])
         return goal_price(line.weight) * miss**2
-    return min(most, direct_cost(line), *(_touch_bound(line, wall, most) for wall in line.walls))
+    return min(most, direct_cost(line), _touch_bound(line, line.walls[0], most))
 
 
 def _touch_bound(line: Line, wall: Wall, most: float) -> float:
-    """Returns a bound of motions whose first touch is of a wall."""
+    """Returns a bound of motions that touch the only wall."""
     p = wall.side * (line.position - wall.position)
     v, goal = wall.side * line.velocity, wall.side * (line.goal - wall.position)
     # Faster touches cost more than the most by the change of speed alone.
@@ -247,10 +246,6 @@ def _touch_bound(line: Line, wall: Wall, most: float) -> float:
     way = 2.0 * p + (v - a) * s
     before = 3.0 * way**2 / s**3 + (a + v) ** 2 / s
     rest = 3.0 * line.weight / (3.0 + line.weight * left**3) * (goal - after) ** 2
-    for other in line.walls:
-        if other is not wall:
-            distance = abs(other.position - wall.position)
-            rest = sym.min(rest, 3.0 * sym.max(0.0, distance - after) ** 2 / left**3)
     cost = ExpressionCost((before + rest) / most)
     prog.AddCost(cost, vars=cost.vars())
     return most * certify(prog, gap=_GAP, cells=_CELLS).lower_bound

@@ -45,6 +45,7 @@ class Answers:
     Attributes:
         program: the one that is searched, after presolve if that was done.
         staged: the same without presolve, its complementarities relaxed.
+        observe: called with every better point, and a line about it.
         best: None if no point had a finite cost.
         is_unbounded: whether a variable x has no two bounds (n,).
         polishes: number of local solves.
@@ -55,7 +56,7 @@ class Answers:
         """Starts without any; `observe` is called with every better point, and a line about it."""
         self.program = program = staged.program
         self.staged = staged
-        self._options, self._observe = options, observe
+        self._options, self.observe = options, observe
         self.best: CheckedPoint | None = None
         self._best_cost: tuple[CheckedPoint, float] | None = None  # by the program's own formulas
         is_unbounded = np.isinf(program.given.lower) | np.isinf(program.given.upper)
@@ -98,7 +99,7 @@ class Answers:
         answer = CheckedPoint(x, cost, rounding, program.violation(x), origin)
         if self.best is None or self._is_better(answer, self.best):
             self.best = answer
-            self._observe(x, f"cost {cost:.9g}, violation {answer.violation:.1e}: {origin}")
+            self.observe(x, f"cost {cost:.9g}, violation {answer.violation:.1e}: {origin}")
             if self._is_beyond(x):  # Nearer is as good where a cost is flat.
                 self.keep(np.where(self.is_unbounded, np.clip(x, -_OUT, _OUT), x), origin)
 

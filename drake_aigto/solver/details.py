@@ -56,6 +56,8 @@ class AigoOptions:
         certify: whether a lower bound of the cost is found too (`drake_aigto.certify`): it ends the
             search once it proves the answer, and bounds the first box.
         cells: the most cells that bounds are taken of.
+        seconds: the most that these take in all; None: as long as it takes. The bound depends on
+            the clock then, and `AigoDetails.certificate` says so.
         presolve: whether variables that an equality defines are substituted.
         seed: of everything random.
     """
@@ -70,6 +72,7 @@ class AigoOptions:
     decades: int = 6
     certify: bool = False
     cells: int = 500_000
+    seconds: float | None = None
     presolve: bool = True
     seed: int = 0
 
@@ -81,6 +84,8 @@ class AigoOptions:
         check_positive(self, "feasibility", "first_half_width")
         check_counts(self, rounds=0, patience=1, max_doublings=0, starts=0, decades=0, seed=0)
         check_counts(self, cells=1)
+        if self.seconds is not None:
+            check_positive(self, "seconds")
         for name in ("rounds", "patience", "max_doublings", "starts", "decades", "cells", "seed"):
             if (value := getattr(self, name)) != int(value):
                 raise OptionsError(name, got=value, expected="a whole number")
@@ -168,6 +173,8 @@ class AigoDetails:
             None where no box was shrunk.
         kkt_storage: the same of the local solver's; None where there was no polish of ours.
         certificate: a lower bound of the cost; None unless the options ask for it.
+        conflict: rows that contradict each other, one a line, with what the others leave of each;
+            empty unless the program is infeasible, and ranges of rows prove it.
     """
 
     status: AigoStatus
@@ -189,6 +196,7 @@ class AigoDetails:
     repeats: int = 0
     cost: float = np.inf
     certificate: Certificate | None = None
+    conflict: str = ""
 
     @property
     def lower_bound(self) -> float:
@@ -217,7 +225,7 @@ class AigoDetails:
                 for i, (low, high) in enumerate(zip(*self.searched, strict=True))
                 if np.isfinite(low) or np.isfinite(high)
             ]
-        return "\n".join(lines)
+        return "\n".join(filter(None, [*lines, self.conflict]))
 
 
 class AigoProgramResult(MathematicalProgramResult):

@@ -72,7 +72,7 @@ def lift(prog: MathematicalProgram) -> Lifted:
 
         a/b          z b = a                       where b is not 0
         b^(p/q)      z^p,  z^q = b,  z ≥ 0         where b ≥ 0
-        log b        exp z = b                     where b > 0
+        log b        exp z = b                     where b ≥ 0, and not 0 in an answer
         f(a)         f(z),  z = a                  of sin, cos or exp, a not affine
         atan a       sin z = a cos z,  |z| ≤ π/2; likewise asin and acos
         tanh a       1 − 2/(exp 2a + 1); likewise sinh and cosh
@@ -326,7 +326,8 @@ class _Lift:
     def _lift_inverse(self, e: Expression, _: int) -> Expression:
         (argument,) = operands(e)
         if e.get_kind() == ExpressionKind.Log:
-            self._require(argument, e)
+            # At 0 itself it has no value, and exp z = 0 has no solution.
+            self._require(argument, e, is_strict=False)
         else:
             self._require(1.0 - argument, e, is_strict=False)
             self._require(1.0 + argument, e, is_strict=False)

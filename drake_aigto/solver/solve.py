@@ -10,7 +10,13 @@ from pydrake.solvers import GetProgramType, ProgramType
 
 from drake_aigto.aigo import Box
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.certify import Certificate, Certifier, is_infeasible, relative_gap
+from drake_aigto.certify import (
+    Certificate,
+    Certifier,
+    explain_infeasibility,
+    is_infeasible,
+    relative_gap,
+)
 from drake_aigto.solver.answers import FAR, Answers, CheckedPoint, Observer
 from drake_aigto.solver.boxes import BoxStage, make_first_box
 from drake_aigto.solver.details import AigoDetails, AigoOptions, AigoStatus
@@ -117,7 +123,7 @@ class Solve:
         self._certifier: Certifier | None = None
         self._certificate: Certificate | None = None
         if options.certify:  # It reads formulas as they were given, not as presolve made them.
-            self._certifier = Certifier(whole.source, gap=_PROVEN)
+            self._certifier = Certifier(whole.source, _PROVEN, options.seconds, self._tell)
         self._decades = 0
         if staged.is_beyond_boxes and self._ladders:
             self._begin(self._ladders.first)
@@ -143,6 +149,11 @@ class Solve:
         is_open &= np.any(self._answers.is_unbounded)
         self._first, self._outside = first, Outside(own, lower, upper, is_open)
 
+    def _tell(self, line: str) -> None:
+        """Reports the proof's progress."""
+        if self._answers.best is not None:
+            self._answers.observe(self._answers.best.x, line)
+
     @property
     def _program(self) -> AigoProgram:
         return self._answers.program
@@ -162,6 +173,8 @@ class Solve:
                     self._prove(self._options.cells - self._first_cells)
         except KeyboardInterrupt:
             status = AigoStatus.INTERRUPTED
+            if self._certifier is not None:
+                self._certificate = self._certifier.certificate()
         except ContradictionError:  # Found by presolve, after ladders were gone up in vain.
             status = AigoStatus.CONTRADICTORY_BOUNDS
         best = self._answers.best
@@ -383,4 +396,7 @@ class Solve:
             kkt_storage=self._answers.kkt_storage,
             cost=program.cost(best.x),
             certificate=self._certificate,
+            conflict=explain_infeasibility(program.source)
+            if status == AigoStatus.INFEASIBLE
+            else "",
         )
