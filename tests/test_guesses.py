@@ -41,6 +41,21 @@ def test_the_same_draw_gives_the_same_bits_from_the_start_within_bounds(name: st
             np.testing.assert_allclose(one.states[0], start, atol=1e-12)
 
 
+def test_a_motion_is_extended_by_a_wait_and_by_rest() -> None:
+    task = make_task("acrobot/swing_up")
+    longer = dataclasses.replace(task.scenario, duration=3 * task.scenario.duration)
+    guesses = MechanismTask(task.world, longer, PlanOptions()).guesses
+    motion = task.close(task.guesses.plain("line"), Aim())
+    guess = guesses.extend(motion, 2.0)
+    assert guess.states is not None
+    waits, rests = guess.times <= 2.0, guess.times > 4.0 + 1e-9
+    np.testing.assert_allclose(guess.states[waits], motion.states[:1].repeat(waits.sum(), axis=0))
+    np.testing.assert_allclose(guess.states[rests][:, 2:], 0.0)
+    np.testing.assert_allclose(guess.states[rests][:, :2] - motion.states[-1, :2], 0.0, atol=1e-12)
+    np.testing.assert_array_equal(guess.controls[waits[1:]], 0.0)
+    assert "coast" not in guesses.starts  # It hangs still.
+
+
 def test_where_every_joint_is_driven_the_controls_of_a_path_follow_it() -> None:
     scenario = Scenario.named("pendulum/off_the_wall")
     scenario = dataclasses.replace(scenario, initial_velocity=[0.0], control_upper=None)

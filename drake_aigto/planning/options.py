@@ -21,7 +21,7 @@ _KINDS = {
 }
 # Options that count for one kind of task only.
 _OF_BALLS = ("ladder", "local_solver", "relaxation", "aigo_steps", "exhaustive", "branches")
-_OF_MECHANISMS = ("starts", "renewals", "patience", "search_steps", "seed")
+_OF_MECHANISMS = ("starts", "renewals", "patience", "repeats", "search_steps", "seed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,6 +108,9 @@ class PlanOptions(SearchOptions):
             around other starts in turn.
         patience: mechanisms: renewals in a row that find nothing better, after which there are no
             more.
+        repeats: mechanisms: how often the best motion is found anew, by searches that do not begin
+            with it, after which there are no more renewals: where a better one is found a third as
+            easily, it has been missed with a probability of exp(−repeats/3).
         search_steps: mechanisms: number of time steps of candidates, at most; finalists have the
             scenario's.
         seed: mechanisms: of random draws.
@@ -122,6 +125,7 @@ class PlanOptions(SearchOptions):
     starts: int = 12
     renewals: int = 240
     patience: int = 72
+    repeats: int = 9
     search_steps: int = 60
     seed: int = 0
 
@@ -129,7 +133,7 @@ class PlanOptions(SearchOptions):
         """Checks what does not depend on the task."""
         super().__post_init__()
         check_counts(self, aigo_steps=1, branches=0, starts=1, renewals=0, patience=1, seed=0)
-        check_counts(self, search_steps=2)
+        check_counts(self, search_steps=2, repeats=1)
         if self.ladder is not None and not self.ladder:
             raise OptionsError("ladder", got="no rung", expected="at least one")
         if not 0 <= self.relaxation < float("inf"):

@@ -39,12 +39,15 @@ class PlanStats:
     """Iterations and seconds of a plan.
 
     Attributes:
-        aigo_steps: inner iterations of AIGO, all candidates.
+        aigo_steps: inner iterations of AIGO, all candidates; 0 of mechanisms.
         polished: number of candidates that are feasible after their polish.
         seconds: wall time by part of the road.
         box_contacts: numbers of contacts of the last box of each rung, before any polish; None for
             a rung that was left out.
         flight_left_out: lower bound of a free flight's cost, if it was left out because of that.
+        searches: mechanisms: how many guesses were closed.
+        found: in how many of those that did not begin with it the best motion was found: what was
+            found once may not be the best there is.
     """
 
     aigo_steps: int
@@ -52,6 +55,15 @@ class PlanStats:
     seconds: Mapping[str, float]
     box_contacts: tuple[int | None, ...] = ()
     flight_left_out: float | None = None
+    searches: int = 0
+    found: int = 0
+
+    def __str__(self) -> str:
+        """Returns the size of the search in words."""
+        if not self.searches:
+            return f"{self.aigo_steps} iterations of AIGO"
+        times = "once" if self.found == 1 else f"{self.found} times"
+        return f"found {times} in {self.searches} searches"
 
 
 class PlanningError(AigtoError, RuntimeError):

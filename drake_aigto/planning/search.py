@@ -126,6 +126,7 @@ class Search(ABC):
         clock: times of the parts of the search.
         others: candidates that do not come from the search, such as the uncontrolled motion.
         aigo_steps: inner iterations of AIGO so far.
+        searches: see `PlanStats`, as for `found`.
         is_interrupted: whether Ctrl-C ended it.
     """
 
@@ -133,7 +134,7 @@ class Search(ABC):
         """Starts with no candidate."""
         self.task, self.clock = task, clock or Stopwatch()
         self.others: list[Candidate] = []
-        self.aigo_steps = 0
+        self.aigo_steps = self.searches = self.found = 0
         self.is_interrupted = False
         self._progress: Progress | None = None
         self._replays: dict[int, Replays] = {}  # Of candidates for the plan, by id.
@@ -307,9 +308,11 @@ class Search(ABC):
             dict(self.clock.seconds),
             self.box_contacts,
             self.flight_left_out,
+            self.searches,
+            self.found,
         )
         took = ", ".join(f"{part} {seconds:.2f}" for part, seconds in stats.seconds.items())
-        _LOG.info("%d inner steps of AIGO; seconds: %s", stats.aigo_steps, took)
+        _LOG.info("%s; seconds: %s", stats, took)
         options, world = self.task.options, self.task.world
         return Plan(
             scenario=scenario,

@@ -324,8 +324,7 @@ def _search_facts(plan: Plan) -> Iterator[Fact]:
     for index, items in enumerate([boxes, *parts]):
         if items:
             yield "" if index else "found by", join_items(items)
-    iterations = f"{plan.stats.aigo_steps} iterations of AIGO"
-    yield "candidates", join_items([*count_candidates(plan).split(", "), iterations])
+    yield "candidates", join_items([*count_candidates(plan).split(", "), str(plan.stats)])
 
 
 def count_candidates(plan: Plan) -> str:

@@ -236,10 +236,7 @@ def _add_reproduction(page: Page, plan: Plan) -> None:
             f"That leaves out what was added to the planner's program in Python: {names}."
         )
     seconds = sum(plan.stats.seconds.values())
-    page.paragraph(
-        f"Planned in {seconds:.1f} s, with {plan.stats.aigo_steps} iterations of AIGO. "
-        f"{describe_versions()}"
-    )
+    page.paragraph(f"Planned in {seconds:.1f} s: {plan.stats}. {describe_versions()}")
 
 
 def _add_yaml(page: Page, asked: Any) -> None:

@@ -26,6 +26,8 @@ _MOST_WAVES = 3
 _EFFORTS, _FEWEST, _MOST = (-1.0, 0.7), 2, 8
 # Power of ten of the widest contact, in the unit of distances, where closing begins.
 _WIDTHS = (-3.0, 0.0)
+# A motion that departs by less than this part of its units rests.
+_STILL = 1e-6
 # Parts of a motion's units by which it is perturbed, as powers of ten.
 _PERTURBED = (-1.5, 0.0)
 
@@ -104,7 +106,10 @@ class Guesses:
     @property
     def starts(self) -> tuple[StartName, ...]:
         """The starts that differ from each other."""
-        return tuple(each for each in STARTS if each != "turn" or self._turns.any())
+        same = {} if self._turns.any() else {"turn"}
+        path = self._coast.states[:, : self._world.num_positions]
+        is_still = np.allclose(path, self._start, rtol=0.0, atol=_STILL * self._measures.position)
+        return tuple(each for each in STARTS if each not in {*same, *(["coast"] * is_still)})
 
     def plain(self, start: StartName) -> Guess:
         """Returns the guess of a start as it is: no wait, no waves, no control."""
@@ -136,8 +141,7 @@ class Guesses:
         size = 10 ** rng.uniform(*_PERTURBED)
         as_is = Guess(motion.times, motion.controls, motion.states, width)
         if kind == 0:  # Sooner or later.
-            late = rng.uniform(-0.5, 0.5) * self._measures.period
-            return self._move(as_is, times, late)
+            return self.extend(motion, rng.uniform(-0.5, 0.5) * self._measures.period, width)
         controls, states = as_is.sample(times)
         if kind == 1:
             return Guess(times, controls + size * self._draw_controls(rng, times, begin, end))
@@ -155,16 +159,25 @@ class Guesses:
         states = np.hstack([trajectory.positions, trajectory.velocities])
         return Guess(trajectory.times, trajectory.controls, states)
 
-    def _move(self, guess: Guess, times: Floats, late: float) -> Guess:
-        """Returns a motion that is late by some time [s]: it waits first, or rests at the end."""
-        assert guess.states is not None
-        shifted = np.clip(times - late, 0.0, times[-1])
-        middles = (shifted[1:] + shifted[:-1]) / 2
-        rows = np.clip(np.searchsorted(guess.times, middles) - 1, 0, len(guess.controls) - 1)
-        states = interpolate(shifted, guess.times, guess.states)
-        waits = (times[1:] + times[:-1]) / 2 < late
-        controls = np.where(waits[:, np.newaxis], 0.0, guess.controls[rows])
-        return Guess(times, self._bounded(controls), states, guess.width)
+    def extend(self, motion: ShootingResult, late: float, width: float = 0.0) -> Guess:
+        """Returns a motion that begins late, or sooner; before it waits, and rests in the end.
+
+        Args:
+            motion: of any duration.
+            late: the time that it waits; below 0: how much of its beginning is left out [s].
+            width: of contact where closing begins.
+        """
+        n, times, world = self._world.num_positions, self._problem.knot_times, self._world
+        if self._total[0] < self._total[1]:
+            times = np.linspace(0.0, motion.times[-1], len(times))
+        shifted = times - late
+        controls, states = Guess(motion.times, motion.controls, motion.states).sample(shifted)
+        assert states is not None
+        states[shifted > motion.times[-1], n:] = 0.0
+        middles, end = (shifted[1:] + shifted[:-1]) / 2, motion.states[-1, :n]
+        hold = world.inverse_actuation @ world.calc_bias(end, np.zeros(n))
+        controls[middles < 0.0], controls[middles > motion.times[-1]] = 0.0, hold
+        return Guess(times, self._bounded(controls), states, width)
 
     def _draw_stretch(self, rng: np.random.Generator, duration: float) -> tuple[float, float]:
         """Returns begin and end of a part of the duration [s]; half of these touch an end."""

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -52,6 +52,8 @@ _MOST_RENEWED = 4
 # Neighbors are tried of at most 3 of the best motions, which cost at most 1.5 times the best, and
 # of at most 6 per wave of proposals: along a wall the number of sequences has no bound.
 _MOST_BRANCHED, _PROMISING, _MOST_BRANCHES = 3, 1.5, 6
+# How many motions of half the duration are extended by a rest.
+_MOST_EXTENDED = 4
 # How many of the first touches of the uncontrolled motion are tried.
 _MOST_UNCONTROLLED = 3
 
@@ -74,6 +76,18 @@ class KeptMotion:
     def cost(self) -> float:
         """Its J, plus a price for violations of bounds and a hard goal."""
         return self.rank[1]
+
+
+class Found(NamedTuple):
+    """A motion that a search found.
+
+    Attributes:
+        result: of shooting.
+        parent: the motion that the search began with, if any.
+    """
+
+    result: ShootingResult
+    parent: KeptMotion | None = None
 
 
 class MechanismSearch(Search):
@@ -123,6 +137,13 @@ class MechanismSearch(Search):
         self.tell(f"shooting from {count} starts")
         plain = len(self.task.guesses.starts)
         yield [self._start(number, number < plain) for number in range(count)]
+        if (shorter := self.task.shortened()) is not None:
+            search = MechanismSearch(shorter, self.clock)
+            search.explore(self._progress)
+            self.tell("shooting from motions of half the duration, and rest")
+            late = self.task.scenario.duration - shorter.scenario.duration
+            kept = search.motions[:_MOST_EXTENDED]
+            yield [self._extend(each, wait) for each in kept for wait in (0.0, late)]
         first = self._rigid.coasting[:_MOST_UNCONTROLLED] if self._rigid else ()
         sequences = [first[: count + 1] for count in range(len(first))]
         yield [self._touch(Origin(COASTING), each, self.task.idle_motion) for each in sequences]
@@ -136,7 +157,7 @@ class MechanismSearch(Search):
             is_better = misses < best[0] or not cost + _SAME * abs(cost) >= best[1]
             best, idle = (rank, 0) if is_better else (best, idle + _WAVE)
             is_free = not self.task.additions and cost <= _NOTHING * self.task.scales.cost
-            if idle >= options.patience or is_free:
+            if idle >= options.patience or self.found > options.repeats or is_free:
                 break
             self.tell(f"renewal {first} of {options.renewals}; the best costs {cost:.6g}")
             last = min(first + _WAVE, options.renewals)
@@ -150,7 +171,7 @@ class MechanismSearch(Search):
         most = min(_MOST_RENEWED, len(self.motions))
         motion = self.motions[int(rng.integers(most)) if number % 4 else 0]
         propose = partial(self.task.guesses.renew, motion.result, rng)
-        return Proposal(motion.origin.renewed(), partial(self._close, propose))
+        return Proposal(motion.origin.renewed(), partial(self._close, propose, motion))
 
     def _make_generator(self, number: int, is_renewal: bool) -> np.random.Generator:
         return np.random.default_rng([self.task.options.seed, is_renewal, number])
@@ -163,14 +184,25 @@ class MechanismSearch(Search):
         words = f"shooting {_WORDS[start]}" + ("" if is_plain else ", perturbed")
         return Proposal(Origin(words), partial(self._close, propose))
 
-    def _close(self, propose: Callable[[], Guess]) -> ShootingResult:
-        """Closes a guess."""
-        return self.task.close(propose(), self._aim)
+    def _extend(self, motion: KeptMotion, late: float) -> Proposal:
+        words = "after a wait" if late else "before a rest"
+        propose = partial(self.task.guesses.extend, motion.result, late)
+        return Proposal(Origin(f"{motion.origin}; {words}"), partial(self._close, propose))
 
-    def _touch(self, origin: Origin, touches: TouchSequence, guess: ShootingResult) -> Proposal:
+    def _close(self, propose: Callable[[], Guess], parent: KeptMotion | None = None) -> Found:
+        """Closes a guess."""
+        return Found(self.task.close(propose(), self._aim), parent)
+
+    def _touch(
+        self,
+        origin: Origin,
+        touches: TouchSequence,
+        guess: ShootingResult,
+        parent: KeptMotion | None = None,
+    ) -> Proposal:
         assert self._rigid is not None
         bounce = self._rigid.bounce
-        return Proposal(origin, lambda: bounce(touches, guess, self._aim.most))
+        return Proposal(origin, lambda: Found(bounce(touches, guess, self._aim.most), parent))
 
     def _find_aim(self) -> Aim:
         """Returns the aim that leaves motions unfinished that would not be kept.
@@ -227,17 +259,30 @@ class MechanismSearch(Search):
             )
             if key not in self._tried:
                 self._tried.add(key)
-                yield self._touch(motion.origin.changed(change, found.touches), touches, found)
+                yield self._touch(
+                    motion.origin.changed(change, found.touches), touches, found, motion
+                )
 
-    def keep(self, origin: Origin, result: ShootingResult) -> None:
+    def keep(self, origin: Origin, found: Found) -> None:
         """Keeps a motion if it is among the best, and no better one is near."""
+        result, parent = found
         self._num_closed += 1
         self._num_of_use += self.task.is_of_use(result)
         motion = KeptMotion(origin, result, self.task.rank(result))
+        self._count(motion, parent)
         near = [known for known in self.motions if self._are_same(known, motion)]
         if np.isfinite(motion.cost) and all(self._is_better(motion, known) for known in near):
             others = [known for known in self.motions if known not in near]
             self.motions = sorted([*others, motion], key=lambda each: each.rank)[:_MOST_KEPT]
+
+    def _count(self, motion: KeptMotion, parent: KeptMotion | None) -> None:
+        """Counts a search, and whether it found the best motion so far, or a better one."""
+        self.searches += 1
+        if not self.motions or not self._are_same(self.motions[0], motion):
+            is_best = not self.motions or motion.rank < self.motions[0].rank
+            self.found = 1 if is_best else self.found
+        elif parent is None or not self._are_same(self.motions[0], parent):
+            self.found += 1
 
     def _is_better(self, motion: KeptMotion, known: KeptMotion) -> bool:
         """Returns whether a motion costs less, or as much with fewer touches.

@@ -65,6 +65,8 @@ from drake_aigto.world import Scales, Scenario, TaskCost, World
 # Price of violating bounds (relative to the state's scales) in the task's scale. As a violation may
 # save more than that, motions with a larger one than `_MUCH` rank after all others.
 _PRICE, _MUCH = 10.0, 1e-2
+# Horizons of more periods than this are searched at half their length first.
+_LONG = 4.0
 # With friction, costs fall by up to this factor as steps become shorter, and their order changes:
 # this many times more finalists are polished.
 _FALLS, _MORE = 1.2, 2
@@ -225,6 +227,19 @@ class MechanismTask:
         total = self.scenario.duration_range or (T, T)
         problem = self.shooting(self.search_steps)
         return Guesses(self.world, self._springs, problem, self.measures, self.coast, total)
+
+    def shortened(self) -> MechanismTask | None:
+        """Returns the task in half of the time, if the mechanism may rest in the other half.
+
+        None where the duration is free, or no longer than a few periods of the mechanism.
+        """
+        scenario, step = self.scenario, self.scenario.time_step
+        is_long = scenario.duration > _LONG * self.measures.period
+        if scenario.duration_range is not None or not is_long:
+            return None
+        half = dataclasses.replace(scenario, duration=step * max(2, scenario.num_steps // 2))
+        options = dataclasses.replace(self.options, renewals=self.options.renewals // 2)
+        return type(self)(self.world, half, options, self._compiled)
 
     def close(self, guess: Guess, aim: Aim) -> ShootingResult:
         """Returns the motion after a few steps from a guess."""

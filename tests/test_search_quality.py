@@ -1,0 +1,107 @@
+"""Plans of changed tasks, against the best that other methods have found."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_aigto import PlanOptions, Scenario, World, plan
+from drake_aigto.planning import MechanismSearch, make_mechanism_task
+
+pytestmark = pytest.mark.slow
+SPINNER = Scenario.named("spinner/two_radians")
+MODELS = Path(__file__).parents[1] / "models"
+
+
+@pytest.mark.parametrize(("angle", "most"), [(2.8, 5.5), (3.0, 6.97), (np.pi, 6.6)])
+def test_a_spinner_is_turned_by_any_angle(angle: float, most: float) -> None:
+    reference = np.array(SPINNER.reference_positions)
+    reference[-1, -1] = angle
+    goal = [*SPINNER.goal_position[:2], angle]
+    scenario = dataclasses.replace(SPINNER, goal_position=goal, reference_positions=reference)
+    found = plan(scenario)
+    assert found.holds and not found.best.is_idle
+    assert found.cost < most
+
+
+def scale_spinner(factor: float) -> str:
+    """Returns the shipped spinner with all lengths times a factor, and all masses as they are."""
+    text = (MODELS / "spinner.sdf").read_text(encoding="utf-8")
+
+    def scaled(values: str, power: int) -> str:
+        return " ".join(repr(float(each) * factor**power) for each in values.split())
+
+    text = re.sub(r"(<pose[^>]*>)\s*(\S+ \S+ \S+)", lambda m: f"{m[1]}{scaled(m[2], 1)}", text)
+    for names, power in (("radius|length", 1), ("ixx|iyy|izz|damping", 2)):
+        text = re.sub(
+            rf"<({names})>([^<]*)<",
+            lambda m, power=power: f"<{m[1]}>{scaled(m[2], power)}<",  # type: ignore[misc]
+            text,
+        )
+    return re.sub(
+        r"(hunt_crossley_dissipation>)([\d.]+)<", lambda m: f"{m[1]}{scaled(m[2], -1)}<", text
+    )
+
+
+def test_a_small_spinner_is_turned_as_a_large_one(tmp_path: Path) -> None:
+    (tmp_path / "spinner.sdf").write_text(scale_spinner(0.1), encoding="utf-8")
+    small = dataclasses.replace(
+        SPINNER,
+        model=str(tmp_path / "spinner.sdf"),
+        control_weight=[1e3, 1e3],
+        stiction_speed=0.005,
+    )
+    found = plan(small)
+    assert found.holds and found.best.contacts
+    assert found.cost < 2.85  # idle: 42.667
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "most"),
+    [
+        ([0.8037304251537628, 0.71672183364263], [-0.975128387370213, 0.08554995881670191], 132.0),
+        (
+            [0.9350092221974413, 0.6589850492023026],
+            [-0.8464870215039917, -2.195667155432691],
+            170.2,
+        ),
+    ],
+)
+def test_poles_that_a_wall_has_whirled_up_stand(
+    position: list[float], velocity: list[float], most: float
+) -> None:
+    scenario = dataclasses.replace(
+        Scenario.named("cart_pole/soft_06"), initial_position=position, initial_velocity=velocity
+    )
+    found = plan(scenario)
+    assert found.holds and found.cost < most
+
+
+def test_a_hopper_hops_for_less_than_in_one_stride() -> None:
+    found = plan(Scenario.named("hopper/hop"))
+    assert found.holds and found.cost < 9.0
+    assert found.stats.searches > found.stats.found >= 1
+
+
+@pytest.mark.parametrize(
+    ("name", "duration", "steps", "most"),
+    [
+        ("cart_pole/soft_06", 4.5, 120, 83.0),
+        ("cart_pole/rigid_06", 4.5, 120, 83.0),
+        ("acrobot/swing_up", 6.0, 120, 90.0),
+    ],
+)
+def test_motions_in_a_longer_horizon_rest_at_the_goal_or_wait_first(
+    name: str, duration: float, steps: int, most: float
+) -> None:
+    scenario = dataclasses.replace(
+        Scenario.named(name), duration=duration, time_step=duration / steps
+    )
+    task = make_mechanism_task(World.from_scenario(scenario), scenario, PlanOptions())
+    search = MechanismSearch(task)
+    search.explore()
+    assert search.motions[0].cost < most
