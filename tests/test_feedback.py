@@ -16,9 +16,9 @@ from replay_worlds import make_diagram, make_scenario, make_task, shipped, shipp
 
 import drake_aigto.control
 from drake_aigto import Scenario, World
-from drake_aigto.control import Feedback, Regulator, Sweep
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.paper import rigid_optimum
+from drake_aigto.planning import Feedback, Regulator, Sweep
 from drake_aigto.simulation import (
     DRAKE,
     EVENT_DRIVEN,
@@ -341,7 +341,10 @@ def test_another_worlds_plan_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("name", "stands"),
-    [("FlightFeedback", "Feedback, one law"), ("track_drake", r"simulation\.replay_with\(DRAKE, ")],
+    [
+        ("FlightFeedback", r"planning\.Feedback, one law"),
+        ("track_drake", r"simulation\.replay_with\(DRAKE, "),
+    ],
 )
 def test_a_name_of_the_past_says_what_stands_for_it(name: str, stands: str) -> None:
     with pytest.raises(ImportError, match=rf"{name} is gone: use {stands}"):

@@ -13,7 +13,8 @@ from rubbing_worlds import RADIUS, make_discs
 from drake_aigto import PlanOptions, Scenario, TrackingController, World, plan
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import Mode
-from drake_aigto.control import Disturbance, Feedback, Sweep, run_in_loop
+from drake_aigto.control import Disturbance, run_in_loop
+from drake_aigto.planning import Feedback, Sweep
 from drake_aigto.simulation import (
     EVENT_DRIVEN,
     Controller,

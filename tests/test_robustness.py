@@ -45,10 +45,10 @@ from benchmarks.robustness.study import (
 )
 from benchmarks.study.page import write_results_page
 from drake_aigto import PlanningError, Scenario
-from drake_aigto.control import Feedback
 from drake_aigto.errors import ModelError, OptionsError, ScenarioError
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.plain import from_plain, to_plain
+from drake_aigto.planning import Feedback
 from drake_aigto.simulation import EVENT_DRIVEN, replay_event_driven, replay_with
 
 SMALL = RobustnessQuestion(rows=(1,), restitutions=(0.8,), samples=1, confirm=False)

@@ -159,7 +159,8 @@ def test_a_failing_verdict_names_the_simulation(
     def spoil(replay: Replay, is_wrong: bool) -> Replay:
         return dataclasses.replace(replay, cost=1.0) if is_wrong else replay
 
-    replays = Replays(*(spoil(*pair) for pair in zip(plan.replay, wrong, strict=True)))
+    own, drake = (spoil(*pair) for pair in zip(plan.replay, wrong, strict=True))
+    replays = Replays(own, drake)
     text = format_plan(dataclasses.replace(plan, replay=replays), world)
     assert text.startswith("verdict     fails: ")
     assert f" the control alone misses the plan's promise {where}\n" in text

@@ -16,9 +16,9 @@ from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto import Plan, Planner, PlanOptions, Scenario, TrackingController, World
-from drake_aigto.control import Disturbance, Sweep, run_in_loop
+from drake_aigto.control import Disturbance, run_in_loop
 from drake_aigto.errors import ControlError, ModelError
-from drake_aigto.planning import MechanismTask
+from drake_aigto.planning import MechanismTask, Sweep
 from drake_aigto.simulation import make_simulator, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 
@@ -173,10 +173,10 @@ def test_gains_are_those_of_the_discrete_riccati_equation() -> None:
     task = MechanismTask(drop_ball(), scenario, PlanOptions()).shooting(8)
     expected = solve_riccati(0.1, 8, 2.0, weights)
     # A descent's first damping is a millionth of the curvature.
-    np.testing.assert_allclose(task.calc_gains(np.zeros((8, 1)), 8), expected, rtol=2e-6)
+    np.testing.assert_allclose(task.linearize(np.zeros((8, 1)), 8).gains, expected, rtol=2e-6)
     # Where a control is clamped it answers nothing.
     bounds = np.array([[-0.5], [0.0]])
-    clamped = dataclasses.replace(task, control_bounds=bounds).calc_gains(np.zeros((8, 1)), 8)
+    clamped = dataclasses.replace(task, control_bounds=bounds).linearize(np.zeros((8, 1)), 8).gains
     assert not clamped[0].any()
     # Phases of what touches nothing have the same, but for what runs.
     weights |= {"position_weight": 0.0, "velocity_weight": 0.0}

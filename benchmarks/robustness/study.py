@@ -9,12 +9,11 @@ from typing import Any, ClassVar, NamedTuple
 
 from benchmarks.robustness.question import RobustnessQuestion, Task
 from benchmarks.study.study import Call, Study, round_to
-from drake_aigto.control import Feedback
 from drake_aigto.errors import AigtoError
 from drake_aigto.local import as_program, solve_with_drake
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.plain import from_plain
-from drake_aigto.planning import Arcs, PhaseProblem, Planner, PlanOptions
+from drake_aigto.planning import Arcs, Feedback, PhaseProblem, Planner, PlanOptions
 from drake_aigto.progress import Count
 from drake_aigto.simulation import DRAKE as DRAKES_PLANT
 from drake_aigto.simulation import (

@@ -9,9 +9,11 @@ _find, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 # Names of the past, and what stands for them now.
 _GONE = {
+    "Regulator": "planning.Regulator",
+    "Sweep": "planning.Sweep",
     **dict.fromkeys(
-        ("FlightFeedback", "KnotFeedback", "PhaseFeedback", "make_feedback"),
-        "Feedback, one law for every plan",
+        ("Feedback", "FlightFeedback", "KnotFeedback", "PhaseFeedback", "make_feedback"),
+        "planning.Feedback, one law for every plan",
     ),
     "track_drake": "simulation.replay_with(DRAKE, …)",
     "track_event_driven": "simulation.replay_with(EVENT_DRIVEN, …)",

@@ -1,5 +1,3 @@
-from .feedback import Feedback as Feedback
-from .feedback import Sweep as Sweep
 from .horizon import Horizon as Horizon
 from .loop import LoopRecorder as LoopRecorder
 from .loop import run_in_loop as run_in_loop
@@ -11,7 +9,6 @@ from .loop_run import is_run as is_run
 from .mechanism_horizon import make_horizon as make_horizon
 from .predictive import ModelPredictiveController as ModelPredictiveController
 from .predictive import TickStatus as TickStatus
-from .regulator import Regulator as Regulator
 from .touches import PlannedMotion as PlannedMotion
 from .touches import SeenBounces as SeenBounces
 from .touches import choose as choose

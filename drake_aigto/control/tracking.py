@@ -19,11 +19,9 @@ from pydrake.systems.framework import (
 )
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.control.feedback import Feedback
-from drake_aigto.control.stretches import Cut, is_at_rest_on
 from drake_aigto.control.touches import WALL_DOUBT, find_bounce
 from drake_aigto.errors import ControlError
-from drake_aigto.planning import Plan
+from drake_aigto.planning import Cut, Feedback, Plan, is_at_rest_on
 from drake_aigto.world import Scales, World
 
 # A period of what happens once [s]; and how near to a sample is the same, as a part of the period.
@@ -101,7 +99,8 @@ class TrackingController(LeafSystem):
         self.plan = plan
         usual = plan.scenario.time_step / _SAMPLES
         self.period = usual if period is None else check_period(period)
-        self.feedback = Feedback(world, plan.scenario, plan.trajectory, self.period)
+        known, of = plan.best.gains, (world, plan.scenario, plan.trajectory)
+        self.feedback = Feedback(*of, known, period=self.period)
         self._world, self._bodies = world, _find_bodies(world)
         n, m, nu = world.num_positions, world.num_contacts, world.num_actuators
         self._estimate = self.DeclareVectorInputPort("estimated_state", 2 * n)

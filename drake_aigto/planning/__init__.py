@@ -18,6 +18,7 @@ from drake_aigto.planning.candidate import (
     Veto,
     sample,
 )
+from drake_aigto.planning.feedback import Feedback
 from drake_aigto.planning.mechanisms.closing import COARSE, Aim, find_tight, soften, steady
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses
 from drake_aigto.planning.mechanisms.measures import Measures
@@ -40,11 +41,13 @@ from drake_aigto.planning.mechanisms.traces import (
     replay_at_knots,
     trace,
 )
-from drake_aigto.planning.options import LocalSolverName, PlanOptions, SearchOptions
+from drake_aigto.planning.options import LocalSolverName, PlanOptions, SearchOptions, needs_shooting
 from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
-from drake_aigto.planning.planner import Planner, needs_shooting, plan, run_search
+from drake_aigto.planning.planner import Planner, plan, run_search
 from drake_aigto.planning.program_task import ProgramTask
 from drake_aigto.planning.programs import ProgramSolution
+from drake_aigto.planning.regulator import Regulator, calc_divergence
+from drake_aigto.planning.riccati import FeedbackPhase, Sweep
 from drake_aigto.planning.rungs import BALL_LADDER, Rung
 from drake_aigto.planning.search import Progress, Proposal, Search, Stopwatch
 from drake_aigto.planning.sequence_search import SequenceSearch
@@ -56,6 +59,8 @@ from drake_aigto.planning.sequences import (
     retimed,
     swapped,
 )
+from drake_aigto.planning.stretches import Cut, is_at_rest_on
+from drake_aigto.planning.tracked import needs_feedback
 
 __all__ = [
     "BALL_LADDER",
@@ -68,6 +73,9 @@ __all__ = [
     "BallSearch",
     "BallTask",
     "Candidate",
+    "Cut",
+    "Feedback",
+    "FeedbackPhase",
     "Guess",
     "Guesses",
     "LocalSolverName",
@@ -87,6 +95,7 @@ __all__ = [
     "ProgramTask",
     "Progress",
     "Proposal",
+    "Regulator",
     "Replays",
     "RigidMechanismTask",
     "Rung",
@@ -94,8 +103,10 @@ __all__ = [
     "SearchOptions",
     "SequenceSearch",
     "Stopwatch",
+    "Sweep",
     "Veto",
     "add_impulses",
+    "calc_divergence",
     "coarsen",
     "drop",
     "find_deepest",
@@ -105,6 +116,7 @@ __all__ = [
     "find_tight",
     "in_order",
     "integrate_rates",
+    "is_at_rest_on",
     "is_closed",
     "is_same",
     "kinds",
@@ -115,6 +127,7 @@ __all__ = [
     "make_ball_task",
     "make_mechanism_task",
     "make_trajectory",
+    "needs_feedback",
     "needs_shooting",
     "neighbors",
     "plan",

@@ -15,8 +15,10 @@ import numpy.typing as npt
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
 from drake_aigto.arrays import Floats
+from drake_aigto.planning.riccati import FeedbackPhase
 from drake_aigto.planning.rungs import Rung
 from drake_aigto.simulation import (
+    Growth,
     PlannedContact,
     Replay,
     confirms,
@@ -116,13 +118,18 @@ class Replays:
     Attributes:
         event_driven: with exactly rigid walls.
         drake: on the continuous plant with its compliant contact; None if not requested.
+        alone: of the control alone, where the others are with the plan's feedback; they judge
+            nothing, and one that runs away is missing.
+        perturbed: with feedback, from starts that are off.
     """
 
     event_driven: Replay
     drake: Replay | None
+    alone: tuple[Replay, ...] = ()
+    perturbed: tuple[Replay, ...] = ()
 
     def __iter__(self) -> Iterator[Replay]:
-        """Yields the replays that were run."""
+        """Yields the replays that were run from the start, and that judge."""
         yield self.event_driven
         if self.drake is not None:
             yield self.drake
@@ -147,6 +154,11 @@ class Candidate:
         scales: of the task, which its verdict is relative to.
         added_costs: costs of users, by name.
         drake: its replay in Drake, if it was to be the plan, and another candidate is.
+        cost_error: estimate of the error of its cost, by steps of half the length; None: not known.
+        growth: of errors along it; None: not known, as its feedback is not.
+        gains: its feedback, if that judges it (`needs_feedback`); its replays are with that.
+        alone: then, the control alone; None also if that runs away.
+        perturbed: then, from starts that are off by 1e-3 of the scales.
     """
 
     origin: Origin
@@ -162,6 +174,17 @@ class Candidate:
     scales: Scales
     added_costs: Mapping[str, float] = field(default_factory=dict)
     drake: Replay | None = None
+    cost_error: float | None = None
+    growth: Growth | None = None
+    gains: tuple[FeedbackPhase, ...] = ()
+    alone: Replay | None = None
+    perturbed: tuple[Replay, ...] = ()
+
+    @property
+    def own_replays(self) -> Replays:
+        """Its replays without Drake's."""
+        alone = () if self.alone is None else (self.alone,)
+        return Replays(self.replay, None, alone, self.perturbed)
 
     @property
     def is_idle(self) -> bool:
@@ -180,8 +203,8 @@ class Candidate:
 
     @cached_property
     def is_confirmed(self) -> bool:
-        """Whether the event-driven replay confirms it."""
-        return self.is_confirmed_by(self.replay)
+        """Whether the event-driven replay confirms it, and those from starts that are off."""
+        return self.holds(self.own_replays)
 
     def is_confirmed_by(self, replay: Replay) -> bool:
         """Returns whether a replay of its control confirms it (`replay.confirms`).
@@ -215,6 +238,10 @@ class Candidate:
             )
         )
 
+    def describe_growth(self) -> str:
+        """Returns in words by how much errors grow along it."""
+        return f"errors grow {self.growth.factor:.1e} times" if self.growth else "growth not known"
+
     def describe_contacts(self) -> str:
         """Returns its contact sequence in words."""
         times = ", ".join(f"{contact.time:.3f} s" for contact in self.contacts)
@@ -222,7 +249,7 @@ class Candidate:
 
     def holds(self, replays: Replays) -> bool:
         """Returns whether all replays of this candidate's control confirm it."""
-        return all(map(self.is_confirmed_by, replays))
+        return all(map(self.is_confirmed_by, (*replays, *replays.perturbed)))
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,13 @@ import dataclasses
 import os
 from dataclasses import dataclass, field
 from pkgutil import resolve_name
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from drake_aigto.errors import OptionsError, check_counts
 from drake_aigto.planning.rungs import BALL_LADDER, Rung
+
+if TYPE_CHECKING:
+    from drake_aigto.world import Scenario, World
 
 LocalSolverName = Literal["newton", "ipopt", "snopt"]
 
@@ -169,3 +172,15 @@ class PlanOptions(SearchOptions):
                     got=f"a {type(each).__name__} for {task}",
                     expected="every one a Rung",
                 )
+
+
+def needs_shooting(world: World, scenario: Scenario) -> bool:
+    """Returns whether a task is more than one of balls between rigid walls.
+
+    It is where a joint turns or has limits, M or J depends on q, there is friction, contact is
+    compliant, nothing can touch, or the task is not AIGTO's (`Scenario.is_plain`).
+    """
+    is_ball = bool(world.contacts) and world.has_constant_inertia and not world.is_hinge.any()
+    is_free = is_ball and not world.limits.are_any
+    has_friction = scenario.contact == "rigid" and world.friction_coefficients(scenario).any()
+    return not (is_free and not has_friction and scenario.is_plain)

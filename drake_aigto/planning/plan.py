@@ -14,13 +14,14 @@ from drake_aigto.errors import AigtoError, DamagedDataError, ModelError, PlanFil
 from drake_aigto.output import write_text
 from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
 from drake_aigto.planning.candidate import Candidate, Replays, Veto
+from drake_aigto.planning.feedback import Feedback
 from drake_aigto.planning.options import SearchOptions
+from drake_aigto.planning.tracked import confirm_in_drake, perturb, replay_own
 from drake_aigto.simulation import (
     BOUNDS,
     HARD_GOAL,
+    Replay,
     confirms,
-    replay_drake,
-    replay_event_driven,
 )
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import largest_defect
@@ -123,6 +124,11 @@ class Plan:
             f"largest defect {largest_defect(self.defects, best.scales):.1e}",
             f"deepest penetration {best.max_penetration + 0.0:.2g} m",
             *([] if ratio is None else [f"energy ratio {ratio:.4g}"]),
+            *(
+                [f"with feedback: errors grow {best.growth.factor:.1e} times"]
+                if best.gains and best.growth
+                else []
+            ),
             *(["interrupted"] if self.is_interrupted else []),
             *([self.idleness] if self.idleness else []),
         ]
@@ -275,10 +281,17 @@ class Plan:
         Raises:
             ModelError: from `find_world`.
         """
-        world, t = self.find_world(world), self.trajectory
-        own = replay_event_driven(world, self.scenario, t.times, t.controls)
-        drake = replay_drake(world, self.scenario, t.times, t.controls) if confirm else None
-        return dataclasses.replace(self, replay=Replays(own, drake), world=world)
+        world, scenario, t, best = self.find_world(world), self.scenario, self.trajectory, self.best
+        feedback = None
+        perturbed: tuple[Replay, ...] = ()
+        if best.gains and best.growth:
+            feedback = Feedback(world, scenario, t, best.gains)
+            perturbed = perturb(world, scenario, feedback, best.growth)
+        replays = replay_own(world, scenario, t, feedback)
+        drakes = confirm_in_drake(world, scenario, t, feedback) if confirm else []
+        alone = (*replays[1:], *drakes[1:])
+        replay = Replays(replays[0], drakes[0] if confirm else None, alone, perturbed)
+        return dataclasses.replace(self, replay=replay, world=world)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a JSON file that `load` reads back to the same numbers, whole or not at all.

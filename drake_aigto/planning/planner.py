@@ -19,7 +19,7 @@ from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.mechanisms.rigid_task import make_mechanism_task
 from drake_aigto.planning.mechanisms.search import MechanismSearch
 from drake_aigto.planning.mechanisms.task import MechanismTask
-from drake_aigto.planning.options import PlanOptions
+from drake_aigto.planning.options import PlanOptions, needs_shooting
 from drake_aigto.planning.plan import Plan, PlanningError
 from drake_aigto.planning.search import Progress, Search, Stopwatch, name_active
 from drake_aigto.transcription import MotionProgram, OpenProgram, RigidTranscription
@@ -179,18 +179,6 @@ class Planner:
         return (
             BallSearch(task, clock) if isinstance(task, BallTask) else MechanismSearch(task, clock)
         )
-
-
-def needs_shooting(world: World, scenario: Scenario) -> bool:
-    """Returns whether a task is more than one of balls between rigid walls.
-
-    It is where a joint turns or has limits, M or J depends on q, there is friction, contact is
-    compliant, nothing can touch, or the task is not AIGTO's (`Scenario.is_plain`).
-    """
-    is_ball = bool(world.contacts) and world.has_constant_inertia and not world.is_hinge.any()
-    is_free = is_ball and not world.limits.are_any
-    has_friction = scenario.contact == "rigid" and world.friction_coefficients(scenario).any()
-    return not (is_free and not has_friction and scenario.is_plain)
 
 
 def _check_friction(world: World, scenario: Scenario) -> None:

@@ -361,7 +361,7 @@ class ProgramTask(ABC):
     def confirm(self, candidate: Candidate) -> Replays:
         """Returns the candidate's replays: its own, and Drake's if the options confirm."""
         if not self.options.confirm:
-            return Replays(candidate.replay, None)
+            return candidate.own_replays
         motion, scenario = candidate.trajectory, self.transcription.scenario
         drake = replay_drake(self.world, scenario, motion.times, motion.controls)
         return Replays(candidate.replay, add_to_replay(drake, self.additions, motion))

@@ -265,7 +265,7 @@ class Search(ABC):
         """
         steps = len(candidate.trajectory.controls)
         self.tell(f"replaying the best of {len(self.ranked())} candidates, {steps} time steps")
-        self._replays[id(candidate)] = Replays(candidate.replay, None)
+        self._replays[id(candidate)] = candidate.own_replays
         try:
             with self.clock("replay"):
                 self._replays[id(candidate)] = self.task.confirm(candidate)

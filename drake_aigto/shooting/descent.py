@@ -148,7 +148,7 @@ def _improve(
     while damping <= _MOST:
         drop = sweep_back(program, controls, has_gaps, damping, memory.expansion, memory.sweep)
         if drop >= 0.0:
-            if not has_gaps and drop <= small:
+            if drop <= small and (not has_gaps or small == np.inf):
                 return -1.0, damping
             if not has_gaps and cost - _FALLS * drop > settings.most:
                 return -2.0, damping
@@ -170,6 +170,8 @@ def descend(
 ) -> Outcome:
     """Improves a motion in place until the expansion promises nearly nothing.
 
+    With an infinite tolerance it is only expanded, and stays as it is.
+
     Args:
         program: the problem.
         states: shape (K + 1, nz); computed first unless they have gaps.
@@ -182,13 +184,14 @@ def descend(
     states, controls = borrow(states), borrow(controls)
     damping, is_converged, count, slow, before = _DAMPING, False, 0, 0, np.inf
     is_left, eps, cost, is_possible = False, settings.eps, 0.0, settings.iterations > 0
+    plain = np.inf
     if not has_gaps:
         cost = travel(program, states, controls, ROLL, 0.0, eps, np.inf, memory)
         is_possible = is_possible and np.isfinite(cost)
     while is_possible and count < settings.iterations:
         count += 1
-        cost = travel(program, states, controls, LINEARIZE, 0.0, eps, np.inf, memory)
-        cost += visit_bounds(program, states, controls, settings.penalty, EXPAND, memory)
+        plain = travel(program, states, controls, LINEARIZE, 0.0, eps, np.inf, memory)
+        cost = plain + visit_bounds(program, states, controls, settings.penalty, EXPAND, memory)
         if not np.isfinite(cost):
             break
         small = settings.tolerance * max(abs(cost), settings.scale)
@@ -207,7 +210,9 @@ def descend(
         _copy(memory.controls, controls)
         has_gaps = has_gaps and length < 1.0
         damping = max(damping / 4, 1e-9)
-    if has_gaps or is_possible:
+    if settings.tolerance == np.inf:
+        cost = plain
+    elif has_gaps or is_possible:
         cost = travel(program, states, controls, ROLL, 0.0, eps, np.inf, memory)
     job = UPDATE if settings.updates else MEASURE
     violation = visit_bounds(program, states, controls, settings.penalty, job, memory)

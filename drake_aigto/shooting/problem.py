@@ -8,8 +8,16 @@ from functools import cached_property
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
+from drake_aigto.shooting.added import NO_TERMS, AddedTerms
+from drake_aigto.shooting.mechanism import Mechanism
 from drake_aigto.shooting.optimal_control import OptimalControlProblem, StageLayout
-from drake_aigto.shooting.solve import ShootingOptions, ShootingResult, ShootingRun, Smoothing
+from drake_aigto.shooting.solve import (
+    Linearization,
+    ShootingOptions,
+    ShootingResult,
+    ShootingRun,
+    Smoothing,
+)
 from drake_aigto.shooting.tables import (
     CHORDAL,
     COEFFICIENT,
@@ -23,7 +31,8 @@ from drake_aigto.shooting.tables import (
     Program,
     copy_writable,
 )
-from drake_aigto.world import TaskCost
+from drake_aigto.simulation import MOST_GROWTH, calc_growth, state_scales
+from drake_aigto.world import Scales, Scenario, TaskCost, World
 
 # Time of each evaluation of a Runge-Kutta step, as a part of the step, and its weight. Its state is
 # ahead of the start by that part of the slope before it; before the first one only positions move.
@@ -44,6 +53,39 @@ class ShootingProblem(OptimalControlProblem):
 
     Motion is integrated by Runge-Kutta steps, and the cost with it.
     """
+
+    @classmethod
+    def of(
+        cls,
+        world: World,
+        scenario: Scenario,
+        mechanism: Mechanism,
+        times: Floats,
+        added: AddedTerms = NO_TERMS,
+    ) -> ShootingProblem:
+        """Returns a scenario's task with a mechanism of its world, at these knots, of fixed times.
+
+        Args:
+            world: the mechanism.
+            scenario: start, cost and bounds.
+            mechanism: its tables, with the contact law to plan with.
+            times: of the knots, shape (N + 1,) [s].
+            added: terms of users.
+        """
+        bounds, cost = world.bounds(scenario), TaskCost.of(world, scenario)
+        return cls(
+            mechanism=mechanism,
+            cost=cost,
+            times=times,
+            start=np.concatenate([scenario.initial_position, scenario.initial_velocity]),
+            scales=state_scales(world, scenario),
+            state_bounds=np.hstack([bounds.position, bounds.velocity]),
+            control_bounds=bounds.control,
+            hard_goal=cost.hard_goal(scenario),
+            control_norm=scenario.control_norm or np.inf,
+            length=Scales.of(world, scenario).length,
+            added=added,
+        )
 
     def solve(
         self,
@@ -87,35 +129,77 @@ class ShootingProblem(OptimalControlProblem):
         options = ShootingOptions((Smoothing(smoothing, 1, 1.0),), substeps, order)
         return self._start(controls, None, options).finish()
 
-    def calc_gains(self, controls: Floats, substeps: int, smoothing: float = 0.0) -> Floats:
-        """Returns optimal feedback gains of held controls, shape (N, nu, 2n).
+    def linearize(
+        self,
+        controls: Floats,
+        substeps: int,
+        smoothing: float = 0.0,
+        states: Floats | None = None,
+        order: int = 4,
+    ) -> Linearization:
+        """Returns the problem about a motion, and optimal feedback gains of held controls.
 
-        ũ_k = K_k x̃_k has the least cost to go to second order, in the Gauss-Newton form, about the
-        motion of given controls. Where a control is at its bound, K_k is 0.
+        ũ_k = K_k x̃_k has the least cost to go to second order, in the Gauss-Newton form. Where a
+        control is at its bound, K_k is 0.
 
         Args:
             controls: see `simulate`, as for substeps and smoothing.
             substeps: Runge-Kutta steps between knots.
             smoothing: ε in units of the problem's length.
+            states: q and v of the motion at knots, shape (N + 1, 2n); None: those that the controls
+                lead to.
+            order: see `ShootingOptions`.
 
         Raises:
             ProgramError: a shape does not fit, or the motion diverges.
         """
-        options = ShootingOptions((Smoothing(smoothing, 1, np.inf),), substeps)
-        return self._start(controls, None, options).find_gains()
+        options = ShootingOptions((Smoothing(smoothing, 1, np.inf),), substeps, order)
+        return self._start(controls, states, options).linearize()
+
+    def is_unstable(self, result: ShootingResult) -> bool:
+        """Returns whether errors grow so much along a result that feedback has to judge it."""
+        if not np.isfinite(result.states).all():
+            return False
+        found = self.linearize(result.controls, result.substeps, 0.0, result.states, result.order)
+        return calc_growth(found.transitions, self.scales).factor > MOST_GROWTH
 
     def estimate_error(self, result: ShootingResult) -> float:
         """Returns the error of a result's steps, against twice as many of order 4.
 
         It is the larger one of the cost's change, in units of the cost or of `cost_scale` if that
-        is larger, and the final state's, in units of its scales.
+        is larger, and the final state's, in units of its scales. Of an unstable result, which only
+        feedback can follow, errors of all stages are added up as they are without their growth.
         """
         question = self.starting_from(result)
+        if question.is_unstable(result):
+            return question._add_errors(result)
         finer = question.simulate(result.controls, 2 * result.substeps)
         same = question.simulate(result.controls, result.substeps, order=result.order)
         unit = max(abs(finer.exact_cost), self.cost_scale)
         off = np.abs(finer.states[-1] - same.states[-1]) / self.scales
         error = max(abs(finer.exact_cost - same.exact_cost) / unit, float(off.max()))
+        return error if np.isfinite(error) else np.inf
+
+    def refine_cost(self, result: ShootingResult) -> tuple[float, float]:
+        """Returns J of a result in steps of half the length, and by how much that differs.
+
+        With friction, whose stiction speed follows the steps, it is J in its own steps.
+        """
+        controls, substeps, same = result.controls, 2 * result.substeps, result.exact_cost
+        if self.is_unstable(result):
+            finer = self.linearize(controls, substeps, 0.0, result.states).cost
+            same = self.linearize(controls, result.substeps, 0.0, result.states, result.order).cost
+        else:
+            finer = self.simulate(controls, substeps).exact_cost
+        return same if self.mechanism.has_friction else finer, abs(finer - same)
+
+    def _add_errors(self, result: ShootingResult) -> float:
+        controls, states, order = result.controls, result.states, result.order
+        finer = self.linearize(controls, 2 * result.substeps, 0.0, states)
+        same = self.linearize(controls, result.substeps, 0.0, states, order)
+        off = np.sum(np.abs(finer.gaps - same.gaps), axis=0) / self.scales
+        change = abs(finer.cost - same.cost) / max(abs(finer.cost), self.cost_scale)
+        error = max(change, float(off.max()))
         return error if np.isfinite(error) else np.inf
 
     def make_program(self, options: ShootingOptions) -> Program:

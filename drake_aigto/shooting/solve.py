@@ -100,6 +100,22 @@ class ShootingOptions:
         return replace(self, substeps=_SHORTER * self.substeps, is_wary=True)
 
 
+class Linearization(NamedTuple):
+    """A problem about a motion: K stages, of which N are flights.
+
+    Attributes:
+        cost: of all stages, each from its own state of the motion.
+        gaps: by how much each stage misses the next one's state, shape (K, 2n).
+        transitions: ∂(q, v) after each stage by (q, v) before it, shape (K, 2n, 2n).
+        gains: of the best feedback of held controls, shape (N, nu, 2n).
+    """
+
+    cost: float
+    gaps: Floats
+    transitions: Floats
+    gains: Floats
+
+
 @dataclass(frozen=True, eq=False)
 class ShootingResult(ArrayRecord):
     """The motion of given controls, to the accuracy of its steps.
@@ -249,14 +265,20 @@ class ShootingRun:
             stuck = stuck + 1 if outcome.violation > _STUCK * before else 0
         return self.finish(outcome)
 
-    def find_gains(self) -> Floats:
-        """Returns the gains of one sweep about the motion, without a step."""
+    def linearize(self) -> Linearization:
+        """Returns the expansion about the motion, after one sweep, without a step."""
         outcome = self._descend(self._options.rungs[-1], self._states, False)
         if not outcome.is_converged:
             got = f"a motion that costs {outcome.cost}"
             raise ProgramError("controls", got=got, expected="a finite one")
+        nx, found = len(self._problem.start), self._memory.expansion
         gains = self._memory.sweep.gains[self._layout.flights]
-        return np.array(gains[:, :, : len(self._problem.start)])
+        return Linearization(
+            cost=outcome.cost,
+            gaps=np.array(found.gaps[:, :nx]),
+            transitions=np.array(found.F[:, :nx, :nx]),
+            gains=np.array(gains[:, :, :nx]),
+        )
 
     def _choose_rungs(self) -> tuple[Smoothing, ...]:
         """Returns the rungs; without springs and friction, one."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from drake_aigto.arrays import interpolate
 from drake_aigto.contact import contact_delay, contact_delays
-from drake_aigto.planning import Candidate, Plan, PlanOptions, Veto
+from drake_aigto.planning import Candidate, Plan, PlanOptions, Veto, calc_divergence
 from drake_aigto.show.text import (
     WIDTH,
     contact_names,
@@ -124,6 +124,16 @@ def verdict_facts(plan: Plan, world: World) -> Iterator[Fact]:
     yield "", join_items([f"cost {cost_text(plan.cost, 3, scale)}", *costs])
     if plan.is_interrupted:
         yield "interrupted", INTERRUPTED
+    if best.growth is not None:
+        judge = ": its own feedback judges it, not the control alone" if best.gains else ""
+        yield "growth", f"{best.describe_growth()} along the motion{judge}"
+    if rate := calc_divergence(world, plan.scenario):
+        q = ", ".join(f"{each:.4g}" for each in plan.scenario.goal_position)
+        yield (
+            "holding",
+            f"the goal, q = ({q}), is an unstable equilibrium, where errors grow e-fold in "
+            f"{1 / rate:.2g} s: to hold it beyond the plan's end needs feedback",
+        )
     vetoes = sorted(plan.vetoes, key=lambda veto: veto.candidate.cost)
     for veto in vetoes[:_MOST_VETOES]:
         yield "vetoed", _describe_veto(veto, plan.scenario, world)
@@ -153,6 +163,7 @@ def answer_facts(plan: Plan, world: World) -> Iterator[Fact]:
         f"{plan.transcription} transcription",
         *(literal if plan.transcription == "literal" else []),
         f"cost {cost_text(plan.cost, 3, best.scales.cost)}",
+        *([] if best.cost_error is None else [f"known to {best.cost_error:.0e}"]),
         f"ends {miss_text(best, scenario, world)} off the goal",
         f"deepest penetration {length_text(best.max_penetration)}",
     ]
@@ -186,6 +197,12 @@ def answer_facts(plan: Plan, world: World) -> Iterator[Fact]:
     delay = _find_delay(plan, world)
     for replay in plan.replay:
         yield "simulated", join_items(_simulation(plan, replay, world, delay))
+    for replay in plan.replay.alone:
+        yield "alone", join_items(_simulation(plan, replay, world, delay))
+    if plan.replay.perturbed:
+        costs = (cost_text(each.cost, 3, best.scales.cost) for each in plan.replay.perturbed)
+        off = "from starts 1e-3 of the scales off, with its feedback, the cost is"
+        yield "perturbed", f"{off} {' and '.join(costs)}"
 
 
 def _why_idle(plan: Plan, world: World) -> Iterator[str]:
@@ -212,17 +229,20 @@ def verdict_items(plan: Plan, world: World) -> Iterator[str]:
     """Yields whether simulations confirm a plan, and what is wrong with it."""
     if plan.idleness:
         yield plan.idleness
-    names = contact_names(world)
-    against = [replay for replay in plan.replay if not plan.best.is_confirmed_by(replay)]
-    where = " and ".join(name_simulator(replay, names) for replay in against or plan.replay)
+    names, replays = contact_names(world), (*plan.replay, *plan.replay.perturbed)
+    against = [replay for replay in replays if not plan.best.is_confirmed_by(replay)]
+    named = dict.fromkeys(name_simulator(replay, names) for replay in against or replays)
+    where, control = " and ".join(named).rstrip(","), "control alone"
+    if plan.best.gains:
+        where, control = where.replace(", with its feedback", ""), "control with its feedback"
     if against:
-        yield f"fails: the control alone misses the plan's promise {where}"
+        yield f"fails: the {control} misses the plan's promise {where}"
         broken = dict.fromkeys(name for replay in against for name in replay.broken)
         yield from (f"breaks '{name}'" for name in broken)
     elif plan.is_beaten:
         yield f"fails: {name_simulator(plan.replay.event_driven, names)} doing nothing costs less"
     else:
-        yield f"holds: the control alone keeps the plan's promise {where}"
+        yield f"holds: the {control} keeps the plan's promise {where}"
 
 
 def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
@@ -262,6 +282,8 @@ def _simulation(plan: Plan, replay: Replay, world: World, delay: float | None) -
     cost = cost_text(replay.cost, 3, plan.best.scales.cost)
     yield f"{name_simulator(replay, names)}: {'confirms' if confirms else 'contradicts'} the plan"
     yield f"cost {cost}{describe_difference(plan.cost, replay)}"
+    if replay.feedback is not None:
+        yield f"its feedback adds up to {replay.feedback:.2g} to the control"
     known = f" (its compliance explains {way_text(replay.compliance_error, world)})"
     known = known if replay.compliance_error else ""
     yield f"ends {miss_text(replay, plan.scenario, world)} off the goal{known}"

@@ -142,12 +142,13 @@ def _when(contact: PlannedContact) -> str:
 
 
 def name_simulator(replay: Replay, names: Sequence[str]) -> str:
-    """Returns where a control was simulated; contacts have names."""
+    """Returns where a control was simulated, and whether with feedback; contacts have names."""
+    tracked = "" if replay.feedback is None else ", with its feedback,"
     if replay.simulator == "drake":
-        return "on Drake's plant"
+        return f"on Drake's plant{tracked}"
     if replay.simulator == "integrated" or not names:
-        return "by integration"
-    return "on a rigid wall" if len(names) == 1 else "on rigid walls"
+        return f"by integration{tracked}"
+    return f"on a rigid wall{tracked}" if len(names) == 1 else f"on rigid walls{tracked}"
 
 
 def join_items(items: Iterable[str]) -> str:

@@ -85,7 +85,7 @@ class BodyMotion:
         while self.time < controller.end:
             x = np.concatenate([self.q, self.v])
             held = controller.sample(self.time, x, bounces)
-            recording.hold(self.time, held.control)
+            recording.hold(self.time, held)
             self._keep(held.control)
             self._advance(np.array(held.control), held.until)
             recording.add(self.time, self.q.copy(), self.v.copy())

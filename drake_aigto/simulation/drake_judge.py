@@ -65,8 +65,7 @@ class DrakeJudge:
                 restitutions = world.restitutions(scenario)
                 recording.error = calc_compliance_error(world, restitutions, recording)
             else:
-                times = np.append(recording.control_times, controller.end)
-                lateness = calc_lateness(world, scenario, times, np.array(recording.controls))
+                lateness = calc_lateness(world, scenario, controller)
                 recording.error, recording.cost_error = lateness
         recording.simulator = "drake"
         return recording
@@ -150,7 +149,7 @@ class StepTrace:
 
     def hold(self, time: float, held: Held) -> None:
         """Appends a control, held from now on."""
-        self._recording.hold(time, held.control)
+        self._recording.hold(time, held)
         self._held = held
 
     def is_due(self, time: float, feels_contact: bool) -> bool:

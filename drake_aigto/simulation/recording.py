@@ -25,6 +25,7 @@ class Held(NamedTuple):
 
     control: Floats  # u, shape (nu,) [N]
     until: float  # when the controller is asked again, at the latest [s]
+    feedback: float | None = None  # the size of what is not of a plan in it [N, N m]
 
 
 class Controller(ABC):
@@ -143,6 +144,7 @@ class Recording:
         phases: of contacts with friction that last, on rigid walls, in order of their starts.
         control_times: from when each control was held [s].
         controls: u of each of them, shape (nu,) [N].
+        feedback: the largest that was added to a plan's control, if it is tracked [N, N m].
         samples: of the motion between rows, where it is integrated, and the control meanwhile.
     """
 
@@ -160,6 +162,7 @@ class Recording:
     phases: list[ContactPhase] = field(default_factory=list)
     control_times: Rows = field(default_factory=list)
     controls: Rows = field(default_factory=list)
+    feedback: float | None = None
     samples: list[tuple[MotionSamples, Floats]] = field(default_factory=list)
 
     @property
@@ -181,10 +184,12 @@ class Recording:
                 return
         self.phases.append(ContactPhase(contact, mode, start, end))
 
-    def hold(self, time: float, control: Floats) -> None:
+    def hold(self, time: float, held: Held) -> None:
         """Appends a control."""
         self.control_times.append(time)
-        self.controls.append(control)
+        self.controls.append(held.control)
+        if held.feedback is not None:
+            self.feedback = max(self.feedback or 0.0, held.feedback)
 
     def add_impacts(self, log: Floats, mass_matrix: Floats) -> None:
         """Appends the impacts of a log (`make_log`), and the states before and after each."""

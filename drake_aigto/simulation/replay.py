@@ -15,12 +15,10 @@ from drake_aigto.plain import called
 from drake_aigto.simulation.drake_judge import DrakeJudge
 from drake_aigto.simulation.event_driven import EventDriven
 from drake_aigto.simulation.recording import ContactPhase, Controller, HeldControl, Recording
-from drake_aigto.simulation.verdict import calc_cost, calc_violations, explain_cost
+from drake_aigto.simulation.verdict import NOTHING, calc_cost, calc_violations, explain_cost
 from drake_aigto.trajectory import Trajectory, check_control
 from drake_aigto.world import Scales, Scenario, World
 
-# What counts as nothing in a simulation, as a part of the task's scales: 2 mm in a task of a meter.
-_NOTHING = 2e-3
 # A row is at a knot but for this part of the duration: rounding.
 _AT_KNOT = 1e-9
 
@@ -57,6 +55,8 @@ class Replay(ArrayRecord):
             each constraint that users added (`Additions.violations`), by name, in parts of the
             task's scales and apart from what compliance explains.
         contact_phases: "event-driven" only: when contacts with friction stick and slip.
+        feedback: the largest that the plan's own feedback added to its control, as a norm [N, N m];
+            None: the control alone was replayed.
         times: shape (K,): the knots, and where contacts begin and end [s]. Never decreasing; a
             rigid impact has two rows of equal time.
         positions: shape (K, nq) [m, rad].
@@ -80,6 +80,7 @@ class Replay(ArrayRecord):
     added_costs: Mapping[str, float] = field(default_factory=dict)
     violations: Mapping[str, float] = field(default_factory=dict)
     contact_phases: tuple[ContactPhase, ...] = ()
+    feedback: float | None = None
 
     def __post_init__(self) -> None:
         """Converts lists to tuples, and makes the arrays read-only."""
@@ -97,7 +98,7 @@ class Replay(ArrayRecord):
     @property
     def broken(self) -> tuple[str, ...]:
         """The constraints that it misses by more than simulations may, by name."""
-        return tuple(n for n, by in self.violations.items() if not by <= _NOTHING)
+        return tuple(n for n, by in self.violations.items() if not by <= NOTHING)
 
     def states_at(self, knots: Floats) -> tuple[Floats, Floats]:
         """Returns q and v at knots of the control (K+1,) [s], at an impact those before it."""
@@ -185,7 +186,7 @@ def confirms(
     goal_error: float | None = None,
     *,
     relative_cost: float = 0.05,
-    nothing: float = _NOTHING,
+    nothing: float = NOTHING,
 ) -> bool:
     """Returns whether a plan holds: its replay is nearly as cheap, and ends nearly as close.
 
@@ -278,6 +279,7 @@ def summarize(world: World, scenario: Scenario, recording: Recording, end: float
         velocities=recording.velocities,
         violations=calc_violations(world, scenario, recording.positions, recording.velocities),
         contact_phases=tuple(recording.phases),
+        feedback=recording.feedback,
     )
 
 

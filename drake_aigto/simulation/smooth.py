@@ -209,7 +209,7 @@ class HybridMotion(ABC):
         """
         while self.time < controller.end:
             held = controller.sample(self.time, self.x, self.recording.bounces)
-            self.recording.hold(self.time, held.control)
+            self.recording.hold(self.time, held)
             self._advance(held.control, held.until, controller.feels_contact)
             self.recording.add(self.time, *self._split())
         self.recording.max_penetration = self._find_depth()

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.contact import LEAST_RESTITUTION, ContactMotion, calc_delays, contact_delays
 from drake_aigto.simulation.event_driven import EventDriven
 from drake_aigto.simulation.recording import (
-    HeldControl,
+    Controller,
+    Held,
     Impact,
     Recording,
     Rest,
@@ -22,6 +26,14 @@ from drake_aigto.simulation.rigid import calc_slide
 from drake_aigto.world import Limits, Scales, Scenario, TaskCost, World
 
 BOUNDS, HARD_GOAL = "bounds", "hard goal"
+# What counts as nothing in a simulation, as a part of the task's scales: 2 mm in a task of a meter.
+NOTHING = 2e-3
+# Two simulators, or a robot and its model, differ by more than this part of the scales anywhere.
+_UNAVOIDABLE = 1e-8
+# Where errors grow by more, what the control does by itself is no property of the plan.
+MOST_GROWTH = NOTHING / _UNAVOIDABLE
+# Parts that a motion is divided into, at most, for the growth of errors from any one to any other.
+_MOST_PARTS = 64
 
 
 def state_scales(world: World, scenario: Scenario) -> Floats:
@@ -50,6 +62,50 @@ def narrow_bounds(bounds: Limits, states: Floats, excess: Floats) -> Limits:
     ends = np.array([np.minimum(lower, upper), np.maximum(lower, upper)])
     position, velocity = np.split(ends, 2, axis=1)
     return dataclasses.replace(bounds, position=position, velocity=velocity)
+
+
+@dataclass(frozen=True, eq=False)
+class Growth(ArrayRecord):
+    """Growth of errors along a motion.
+
+    Attributes:
+        factor: from any time to any later one, at most, in units of the scales.
+        worst: the error of q and v at the start that grows most, of size 1 in these, shape (2n,).
+    """
+
+    factor: float
+    worst: Floats
+
+    def __post_init__(self) -> None:
+        """Makes the array read-only."""
+        object.__setattr__(self, "factor", float(self.factor))
+        object.__setattr__(self, "worst", read_only(self.worst))
+
+
+def calc_growth(transitions: Floats, scales: Floats) -> Growth:
+    """Returns how much errors of a motion grow in units of scales.
+
+        max over s ≤ t of σ_max(S⁻¹ Φ(t, s) S),    Φ(t, s) = F_{t−1} ⋯ F_s,    S = diag(scales)
+
+    Args:
+        transitions: F_k, shape (K, 2n, 2n).
+        scales: of q and v, shape (2n,) (`state_scales`).
+    """
+    size, K = len(scales), len(transitions)
+    growth, most, worst = 1.0, 0.0, np.eye(size)[0]
+    products = np.empty((0, size, size))  # From the starts of all parts so far to now.
+    with np.errstate(all="ignore"):
+        scaled = transitions * scales / scales[:, np.newaxis]
+        for part in np.array_split(scaled, min(K, _MOST_PARTS)):
+            step = functools.reduce(lambda product, F: F @ product, part)
+            products = step @ np.concatenate([products, np.eye(size)[np.newaxis]])
+            if not np.isfinite(products).all():
+                return Growth(np.inf, worst * scales)
+            _, sizes, axes = np.linalg.svd(products)
+            growth = max(growth, float(sizes[:, 0].max()))
+            if sizes[0, 0] > most:
+                most, worst = float(sizes[0, 0]), axes[0, 0]
+    return Growth(growth, worst * scales)
 
 
 def calc_violations(
@@ -215,7 +271,19 @@ class Lateness(NamedTuple):
     cost: float
 
 
-def calc_lateness(world: World, scenario: Scenario, times: Floats, controls: Floats) -> Lateness:
+class _Later(Controller):
+    """A controller from some time on."""
+
+    def __init__(self, controller: Controller, start: float, bounces: Sequence[int]) -> None:
+        self._controller, self._bounces = controller, [*bounces]
+        self.start, self.end = start, controller.end
+        self.longest_hold, self.feels_contact = controller.longest_hold, controller.feels_contact
+
+    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
+        return self._controller.sample(time, x, [*self._bounces, *bounces])
+
+
+def calc_lateness(world: World, scenario: Scenario, controller: Controller) -> Lateness:
     """Returns how far the end should be at most from where rigid walls lead, and its cost.
 
     `calc_compliance_error` says by how much φ and φ̇ are off after a contact which lasts τ. Where M
@@ -232,28 +300,28 @@ def calc_lateness(world: World, scenario: Scenario, times: Floats, controls: Flo
     Args:
         world: its stiffness and its contacts.
         scenario: the task.
-        times: of the knots, shape (N+1,) [s].
-        controls: held between them, shape (N, nu) [N, N m].
+        controller: of the simulation.
     """
 
-    def run(state: Floats, start: float) -> tuple[Recording, float]:
+    def run(state: Floats, start: float, bounces: Sequence[int]) -> tuple[Recording, float]:
         """Returns what the rest of the control does from (q, v), and what that costs."""
-        first = int(np.searchsorted(times, start, side="right")) - 1
-        held = HeldControl(np.array([start, *times[first + 1 :]]), controls[first:])
-        recording = EventDriven().simulate(world, scenario, held, (state[0], state[1]))
-        return recording, calc_cost(world, scenario, held.times, held.controls, recording)[0]
+        later = _Later(controller, start, bounces)
+        recording = EventDriven().simulate(world, scenario, later, (state[0], state[1]))
+        held = np.append(recording.control_times, later.end), np.array(recording.controls)
+        return recording, calc_cost(world, scenario, *held, recording)[0]
 
     start = np.array([scenario.initial_position, scenario.initial_velocity])
-    recording, _ = run(start, float(times[0]))
+    recording, _ = run(start, controller.start, [])
     rows = np.array(recording.times), np.array(recording.velocities)
     after = 1 + find_impacts(*rows, len(recording.impacts))
     error, cost, is_asked = 0.0, 0.0, TaskCost.of(world, scenario).is_asked
-    for row, impact in zip(after, recording.impacts, strict=True):
-        if impact.time < times[-1]:
+    for count, (row, impact) in enumerate(zip(after, recording.impacts, strict=True), 1):
+        if impact.time < controller.end:
             state = np.array([recording.positions[row], recording.velocities[row]])
             change = state[1] - recording.velocities[row - 1]
             others = _displace(world, scenario, impact, state, change)
-            (rigid, price), *runs = (run(each, impact.time) for each in [state, *others])
+            bounces = recording.bounces[:count]
+            (rigid, price), *runs = (run(each, impact.time, bounces) for each in [state, *others])
             for other, paid in runs:
                 moved = other.positions[-1] - rigid.positions[-1]
                 error += float(np.linalg.norm(moved[is_asked]))

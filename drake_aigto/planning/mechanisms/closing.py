@@ -210,7 +210,7 @@ def steady(
     Where friction sticks and slips, Runge-Kutta steps are of low order, and instability amplifies
     their errors: an error of 1e-8 becomes 1e-3 for a pole that balances for 3 s. So the motion is
     simulated again by the world's own equations, each control corrected at its knot by the gains
-    of the motion (`ShootingProblem.calc_gains`); the corrected controls are returned.
+    of the motion (`ShootingProblem.linearize`); the corrected controls are returned.
 
     Args:
         world: the mechanism.
@@ -218,7 +218,7 @@ def steady(
         problem: that the motion is a result of.
         motion: near an optimum.
     """
-    gains = problem.calc_gains(motion.controls, motion.substeps)
+    gains = problem.linearize(motion.controls, motion.substeps).gains
     controller = _Correcting(motion, gains, problem.control_bounds)
     found = None
     if scenario.contact == "compliant":
@@ -246,7 +246,11 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult) -> ShootingRes
     if has_friction and motion.substeps > POLISH.substeps:  # Else it diverges.
         options = dataclasses.replace(WITH_FRICTION, substeps=motion.substeps)
     while True:
-        states, problem = motion.states if error > _STEADY else None, problem.starting_from(motion)
+        problem = problem.starting_from(motion)
+        # Under other steps or walls its controls would lead elsewhere.
+        is_unstable = problem.is_unstable(motion)
+        states = motion.states if is_unstable or error > _STEADY else None
+        options = dataclasses.replace(options, is_wary=is_unstable)
         motion = problem.solve(motion.controls, states, options, motion.prices)
         if motion.violation > HOPELESS or motion.substeps >= _MOST_SUBSTEPS:
             return motion

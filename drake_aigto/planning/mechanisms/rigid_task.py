@@ -21,6 +21,7 @@ from drake_aigto.planning.mechanisms.phases import (
     in_order,
     is_closed,
     lay_out,
+    make_trajectory,
     read_touches,
     sample,
 )
@@ -32,7 +33,7 @@ from drake_aigto.planning.mechanisms.touches import (
     read_replay,
     switch_modes,
 )
-from drake_aigto.planning.mechanisms.traces import add_impulses, replay_at_knots, trace, with_losses
+from drake_aigto.planning.mechanisms.traces import add_impulses, replay_at_knots, with_losses
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.search import scaled
 from drake_aigto.shooting import (
@@ -46,7 +47,6 @@ from drake_aigto.shooting import (
 from drake_aigto.simulation import Replay, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import (
-    INTEGRATION,
     NO_ADDITIONS,
     RESTITUTION,
     Additions,
@@ -285,12 +285,6 @@ class RigidMechanismTask(MechanismTask):
         depth = 0.0 if dip is None else dip.depth / self.measures.length
         return dataclasses.replace(motion, violation=max(motion.violation, depth))
 
-    def idle_candidate(self) -> Candidate:
-        """Returns the uncontrolled motion, with the cost of its replay, not of springs."""
-        idle = super().idle_candidate()
-        cost, goal_error = idle.replay.cost, idle.replay.goal_error
-        return dataclasses.replace(idle, start_cost=cost, cost=cost, goal_error=goal_error)
-
     def _shoot(
         self,
         touches: TouchSequence,
@@ -318,17 +312,18 @@ class RigidMechanismTask(MechanismTask):
         one is refined from its controls, by steps that never raise the cost.
         """
         problem, found = self.pose_phases(motion.times, motion.phases, clearances), motion
-        error = problem.estimate_error(found)
+        error, is_unsteady = problem.estimate_error(found), False
         while True:
             penalty = _GENTLE if self.rigid_law.has_friction else _FINE.penalty
             options = dataclasses.replace(
-                _FINE, substeps=found.substeps, penalty=penalty, is_wary=is_wary
+                _FINE, substeps=found.substeps, penalty=penalty, is_wary=is_wary or is_unsteady
             )
-            states = found.states if error > _STEADY else None
+            states = found.states if is_unsteady or error > _STEADY else None
             found = problem.starting_from(found).solve(found.controls, states, options)
             error = problem.starting_from(found).estimate_error(found)
             if error <= _EXACT or found.substeps >= _MOST_SUBSTEPS:
                 return found
+            is_unsteady = problem.is_unstable(found)
             found = dataclasses.replace(found, substeps=2 * found.substeps)
 
     def _settle(self, motion: ShootingResult, clearances: Floats) -> ShootingResult:
@@ -344,7 +339,9 @@ class RigidMechanismTask(MechanismTask):
         while error > _TRUE and substeps < _MOST_SUBSTEPS:
             error, substeps = error / 2**motion.order, 2 * substeps
         options = dataclasses.replace(_SETTLED, substeps=substeps)
-        settled = problem.solve(motion.controls, None, options, motion.prices)
+        is_other = substeps != motion.substeps
+        states = motion.states if is_other and problem.is_unstable(motion) else None
+        settled = problem.solve(motion.controls, states, options, motion.prices)
         is_better = settled.violation < motion.violation and self.price(settled) <= scaled(
             _FAR, self.price(motion)
         )
@@ -376,15 +373,28 @@ class RigidMechanismTask(MechanismTask):
             return judged
         return dataclasses.replace(judged, contacts=with_losses(judged.contacts, judged.replay))
 
-    def _simulate(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
+    def pose_again(self, found: ShootingResult) -> ShootingProblem:
+        """Returns the problem that a motion is a result of."""
+        return self.pose_phases(found.times, found.phases)
+
+    def make_trajectory(self, found: ShootingResult) -> Trajectory:
+        """Returns a motion in phases as a trajectory, with its impulses."""
+        motion = make_trajectory(self.world, found)
+        return dataclasses.replace(motion, times=self._end_exactly(found.times))
+
+    def _simulate_alone(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
         """Returns the simulation of controls, as a trajectory with knots at its bounces."""
-        world, scenario = self.world, self.scenario
         times = self._end_exactly(found.times)
-        times, controls, replay = replay_at_knots(world, scenario, times, found.controls)
-        flight, gap = trace(world, self.law, replay, times, controls)
-        trajectory, rebound = add_impulses(world, scenario, replay, flight)
-        integration = float(np.max(gap / self.state_scales))
-        return replay, trajectory, {INTEGRATION: integration, RESTITUTION: rebound}
+        times, controls, replay = replay_at_knots(self.world, self.scenario, times, found.controls)
+        return replay, *self._trace(replay, times, controls)
+
+    def _trace(
+        self, replay: Replay, times: Floats, controls: Floats
+    ) -> tuple[Trajectory, dict[str, float]]:
+        """Returns the trajectory of a replay, whose bounces are at its knots, and its defects."""
+        flight, defects = super()._trace(replay, times, controls)
+        trajectory, rebound = add_impulses(self.world, self.scenario, replay, flight)
+        return trajectory, {**defects, RESTITUTION: rebound}
 
     def _end_exactly(self, times: Floats) -> Floats:
         """Returns times that end exactly at the scenario's end: phases may be off a little."""

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, contact_law
 from drake_aigto.planning.candidate import (
     NO_CONTROL,
@@ -17,6 +18,7 @@ from drake_aigto.planning.candidate import (
     add_to_replay,
     sample,
 )
+from drake_aigto.planning.feedback import Feedback
 from drake_aigto.planning.mechanisms.closing import (
     COOLING,
     HOPELESS,
@@ -33,6 +35,15 @@ from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, sample_cubic
 from drake_aigto.planning.mechanisms.measures import Measures
 from drake_aigto.planning.mechanisms.traces import trace
 from drake_aigto.planning.options import PlanOptions
+from drake_aigto.planning.tracked import (
+    Simulated,
+    confirm_in_drake,
+    follow,
+    make_feedback,
+    needs_feedback,
+    perturb,
+    replay_alone,
+)
 from drake_aigto.shooting import (
     NO_TERMS,
     AddedTerms,
@@ -49,7 +60,6 @@ from drake_aigto.simulation import (
     find_contacts,
     max_penetration,
     narrow_bounds,
-    replay_drake,
     replay_event_driven,
     state_scales,
 )
@@ -168,21 +178,16 @@ class MechanismTask:
 
     def _pose(self, num_steps: int) -> ShootingProblem:
         """Returns the task in this number of time steps."""
-        scenario, bounds = self.scenario, self.bounds
-        T, free = scenario.duration, scenario.duration_range
-        return ShootingProblem(
-            mechanism=self.mechanism,
-            cost=self.task,
-            times=np.linspace(0.0, T, num_steps + 1),
-            start=np.concatenate([scenario.initial_position, scenario.initial_velocity]),
-            scales=np.concatenate([self.measures.position, self.measures.velocity]),
+        T, free, bounds = self.scenario.duration, self.scenario.duration_range, self.bounds
+        times, measures = np.linspace(0.0, T, num_steps + 1), self.measures
+        return dataclasses.replace(
+            ShootingProblem.of(
+                self.world, self.scenario, self.mechanism, times, self._compiled.added
+            ),
+            scales=np.concatenate([measures.position, measures.velocity]),
+            length=measures.length,
             state_bounds=np.hstack([bounds.position, bounds.velocity]),
-            control_bounds=bounds.control,
-            hard_goal=self.task.hard_goal(scenario),
-            control_norm=scenario.control_norm or np.inf,
-            length=self.measures.length,
             phases=None if free is None else Phases.free(T, free),
-            added=self._compiled.added,
         )
 
     @cached_property
@@ -316,8 +321,9 @@ class MechanismTask:
             start: the first motion.
             found: the result of shooting from it, in the scenario's time steps.
         """
-        replay, trajectory, defects = self._simulate(found)
-        cost, added = found.exact_cost, dict[str, float]()
+        simulated = self._simulate(found)
+        replay, trajectory = simulated.replay, simulated.trajectory
+        (cost, error), added = self._calc_cost(found), dict[str, float]()
         if self.additions:
             q, v = np.split(found.states, 2, axis=1)
             counted = self.additions.costs(Samples(found.times, q, v, found.controls))
@@ -331,26 +337,79 @@ class MechanismTask:
             trajectory=trajectory,
             cost=cost,
             goal_error=float(self.task.goal_error(found.states[-1, : self.world.num_positions])),
-            defects=defects,
+            defects=simulated.defects,
             max_penetration=max_penetration(self.world, trajectory),
             contacts=find_contacts(self.world, trajectory),
             replay=add_to_replay(replay, self.additions, trajectory),
             scales=self.scales,
             added_costs=added,
+            cost_error=error,
+            growth=simulated.growth,
+            gains=simulated.gains,
+            alone=simulated.alone,
+            perturbed=simulated.perturbed,
         )
 
-    def _simulate(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
+    def _calc_cost(self, found: ShootingResult) -> tuple[float, float]:
+        """Returns J of a motion in steps of half the length, and by how much that differs."""
+        return self.pose_again(found).refine_cost(found)
+
+    def pose_again(self, found: ShootingResult) -> ShootingProblem:
+        """Returns the problem that a motion is a result of."""
+        return self.shooting(len(found.controls)).starting_from(found)
+
+    def _simulate(self, found: ShootingResult) -> Simulated:
+        """Returns the simulation of a motion: its control alone, or with its feedback."""
+        world, scenario, mechanism = self.world, self.scenario, self._compiled.mechanism
+        motion, feedback = self.make_trajectory(found), None
+        if found is not self.idle_motion:
+            feedback = make_feedback(world, scenario, motion, mechanism=mechanism)
+        growth = feedback.growth if feedback else None
+        if feedback is None or not needs_feedback(growth):
+            replay, trajectory, defects = self._simulate_alone(found)
+            return Simulated(replay, trajectory, defects, growth)
+        assert growth is not None
+        followed = follow(world, scenario, feedback)
+        return Simulated(
+            followed.replay,
+            *self._trace(*followed),
+            growth,
+            tuple(feedback.phases),
+            replay_alone(world, scenario, motion),
+            perturb(world, scenario, feedback, growth),
+        )
+
+    def make_trajectory(self, found: ShootingResult) -> Trajectory:
+        """Returns a motion of shooting as a trajectory."""
+        q, v = np.split(found.states, 2, axis=1)
+        none = np.zeros((len(q), self.world.num_contacts))
+        return Trajectory(found.times, q, v, found.controls, none, none[1:])
+
+    def _simulate_alone(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
         """Returns the simulation of controls, its trajectory, and defects of the equations."""
         replay = found.replay or replay_event_driven(
             self.world, self.scenario, found.times, found.controls
         )
-        trajectory, gap = trace(self.world, self.law, replay, found.times, found.controls)
-        return replay, trajectory, {INTEGRATION: float(np.max(gap / self.state_scales))}
+        return replay, *self._trace(replay, found.times, found.controls)
+
+    def _trace(
+        self, replay: Replay, times: Floats, controls: Floats
+    ) -> tuple[Trajectory, dict[str, float]]:
+        """Returns the trajectory of a replay, and its defects of the equations."""
+        trajectory, gap = trace(self.world, self.law, replay, times, controls)
+        return trajectory, {INTEGRATION: float(np.max(gap / self.state_scales))}
 
     def idle_candidate(self) -> Candidate:
-        """Returns the uncontrolled motion, of the best duration, as a candidate."""
+        """Returns the uncontrolled motion, of the best duration, with the cost of its replay.
+
+        Nothing corrects it, however unstable it is.
+        """
         idle = self.idle_motion
-        return self.judge(Origin(NO_CONTROL), idle, idle)
+        found = self.judge(Origin(NO_CONTROL), idle, idle)
+        cost, goal_error = found.replay.cost, found.replay.goal_error
+        return dataclasses.replace(
+            found, start_cost=cost, cost=cost, goal_error=goal_error, cost_error=None
+        )
 
     @cached_property
     def idle_motion(self) -> ShootingResult:
@@ -365,10 +424,16 @@ class MechanismTask:
     def confirm(self, candidate: Candidate) -> Replays:
         """Returns the candidate's replays: its own, and Drake's if the options confirm."""
         if not self.options.confirm:
-            return Replays(candidate.replay, None)
-        motion = candidate.trajectory
-        drake = replay_drake(self.world, self.scenario, motion.times, motion.controls)
-        return Replays(candidate.replay, add_to_replay(drake, self.additions, motion))
+            return candidate.own_replays
+        motion, gains = candidate.trajectory, candidate.gains
+        feedback = Feedback(self.world, self.scenario, motion, gains) if gains else None
+        drake, *alone = confirm_in_drake(self.world, self.scenario, motion, feedback)
+        own = candidate.own_replays
+        return dataclasses.replace(
+            own,
+            drake=add_to_replay(drake, self.additions, motion),
+            alone=(*own.alone, *alone),
+        )
 
     def narrowed(self, motion: ShootingResult, replay: Replay) -> MechanismTask:
         """Returns the task with bounds narrowed by the excess of a motion's replay.

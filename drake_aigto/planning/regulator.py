@@ -16,6 +16,8 @@ _LEAST_WEIGHT = 1e-3
 _BALANCED = 1e-6
 # Steps of central differences, as a part of 1 m, 1 rad, or 1 of their rates.
 _DIFFERENCE = 1e-5
+# Errors that grow by less than this part in the duration do so by rounding.
+_SLOWLY = 1e-2
 
 
 class Regulator(NamedTuple):
@@ -44,14 +46,8 @@ class Regulator(NamedTuple):
         """
         cost, n = TaskCost.of(world, scenario), world.num_positions
         q = end[:n] - np.where(cost.is_asked, cost.goal_errors(end[:n]), 0.0)
-        is_free = world.dry_friction is None and not cost.goal_velocity.any()
-        if not is_free or np.any(world.calc_clearance(q) <= 0):
-            return None
-        load, B = world.calc_bias(q, np.zeros(n)), world.actuation
-        u = world.inverse_actuation @ load
-        low, high = world.bounds(scenario).control
-        is_balanced = np.max(np.abs(B @ u - load)) <= _BALANCED * np.max(np.abs(load), initial=1.0)
-        if not is_balanced or np.any((u < low) | (u > high)):
+        u = _find_hold(world, scenario, q)
+        if u is None:
             return None
         x = np.concatenate([q, np.zeros(n)])
         F, G = _discretize(*_linearize(world, x, u), period)
@@ -63,6 +59,33 @@ class Regulator(NamedTuple):
         K = -np.linalg.solve(R + G.T @ value @ G, G.T @ value @ F)
         is_stable = np.max(np.abs(np.linalg.eigvals(F + G @ K))) < 1.0
         return cls(x, u, K) if is_stable else None
+
+
+def calc_divergence(world: World, scenario: Scenario) -> float:
+    """Returns how fast errors grow at a goal that is an unstable equilibrium [1/s], else 0.
+
+    That is the largest real part of the eigenvalues of the motion about the goal, under the control
+    that holds it there.
+    """
+    goal = scenario.goal_position
+    u = _find_hold(world, scenario, goal)
+    if u is None:
+        return 0.0
+    A, _ = _linearize(world, np.concatenate([goal, np.zeros(world.num_velocities)]), u)
+    pace = float(np.max(np.linalg.eigvals(A).real))
+    return pace if pace * scenario.duration > _SLOWLY else 0.0
+
+
+def _find_hold(world: World, scenario: Scenario, q: Floats) -> Floats | None:
+    """Returns the control that holds positions q, shape (nu,); None: none does, or q is passed."""
+    still = not TaskCost.of(world, scenario).goal_velocity.any()
+    if world.dry_friction is not None or not still or np.any(world.calc_clearance(q) <= 0):
+        return None
+    load, B = world.calc_bias(q, np.zeros(world.num_velocities)), world.actuation
+    u = world.inverse_actuation @ load
+    low, high = world.bounds(scenario).control
+    is_balanced = np.max(np.abs(B @ u - load)) <= _BALANCED * np.max(np.abs(load), initial=1.0)
+    return u if is_balanced and np.all((u >= low) & (u <= high)) else None
 
 
 def _weigh(world: World, scenario: Scenario, cost: TaskCost) -> Floats:

@@ -1,37 +1,20 @@
-"""Feedback about a plan: one law, by phases in which contacts go on as they do."""
+"""Riccati's equation along a plan, through contacts, and the phases of feedback that it gives."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.contact import calc_saltation, calc_velocity_after
-from drake_aigto.control.regulator import Regulator
-from drake_aigto.control.stretches import (
-    Cut,
-    Stretch,
-    check_impacts,
-    check_sizes,
-    is_at_rest_on,
-    read_stretches,
-    touches_walls,
-)
-from drake_aigto.planning import MechanismTask, PlanOptions, needs_shooting
-from drake_aigto.simulation import Controller, Held
+from drake_aigto.planning.stretches import Cut, Stretch, read_stretches
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scales, Scenario, TaskCost, World
-
-# Runge-Kutta steps between knots, and how far from walls gains know of them, in parts of the task's
-# length: a state a little off its plan may meet a wall where the plan does not.
-_SOFT_SUBSTEPS, _SMOOTHING = 8, 1e-3
-# A slip has ended at this part of its largest value in the plan.
-_STOPPED = 1e-2
-
 
 # Runge-Kutta steps between knots.
 _SUBSTEPS = 4
@@ -52,155 +35,36 @@ _SLOWLY = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class FeedbackPhase:
+class FeedbackPhase(ArrayRecord):
     """A stretch of a plan, with what comes before and after it if contacts go on as they do in it.
 
     Attributes:
         times: of K + 1 knots, shape (K + 1,) [s].
-        state: q(t) and v(t), shape (2n, 1).
+        states: q and v there, shape (K + 1, 2n).
         controls: held between knots, shape (K, nu).
         gains: K_k, shape (K, nu, 2n).
     """
 
     times: Floats
-    state: PiecewisePolynomial
+    states: Floats
     controls: Floats
     gains: Floats
+
+    def __post_init__(self) -> None:
+        """Makes the arrays read-only."""
+        for name in ("times", "states", "controls", "gains"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @cached_property
+    def state(self) -> PiecewisePolynomial:
+        """q(t) and v(t), shape (2n, 1): cubics between knots."""
+        q, v = np.split(self.states, 2, axis=1)
+        none = np.zeros((len(self.times), 0))
+        return Trajectory(self.times, q, v, self.controls, none, none[1:]).to_piecewise()[0]
 
     def calc_state(self, time: float) -> Floats:
         """Returns q and v, shape (2n,); before and after all knots, those of the nearest."""
         return self.state.value(float(np.clip(time, self.times[0], self.times[-1])))[:, 0]
-
-
-class Feedback(Controller):
-    """Tracks a plan through its contacts.
-
-    On phase i, in which the same contacts last in the same modes or none does, a control that is
-    held from t_k on is
-
-        u = u_k + K_k (x − x_i(t)),    cut to the bounds of the control,
-
-    the best answer of held controls to a deviation from the phase, to second order (`Sweep`).
-
-    The next phase begins when a wall is hit, or a slip stops, not when the plan's clock says so.
-    For that each phase goes on before and after its own part of the plan, as if its contacts were
-    all there is: a bounce that comes early is followed by what the next phase was before its
-    beginning, and one that is late by the last phase, with its last gain. Impacts are counted at
-    each wall: those that the plan lacks change nothing. What a control ends, as when it lets go of
-    a wall, ends by the clock.
-
-    A plan of a mechanism between compliant walls, or one that touches nothing, is one phase. Its
-    gains are those of the descent that found the plan (`ShootingProblem.calc_gains`), the law of
-    compliant contact included.
-
-    After its end the goal is held by a `Regulator` where there is one, else the last state by the
-    last gains.
-
-    Attributes:
-        regulator: of the goal; None: there is none.
-        phases: of the plan, in order.
-        stretches: of the plan, which the phases are of; none of a plan that is one phase.
-    """
-
-    def __init__(
-        self,
-        world: World,
-        scenario: Scenario,
-        trajectory: Trajectory,
-        period: float | None = None,
-    ) -> None:
-        """Computes the gains.
-
-        Args:
-            world: of the plan.
-            scenario: its task.
-            trajectory: the plan.
-            period: between samples after its end [s]; None: as its knots are.
-
-        Raises:
-            TrajectoryError: the plan does not fit the world; or it has several impacts at once, one
-                at the start, or one that only grazes a wall: no feedback is known there.
-        """
-        check_sizes(world, trajectory)
-        self._world, times = world, trajectory.times
-        self.start, self.end = float(times[0]), float(times[-1])
-        self.longest_hold = float(np.max(np.diff(times)))
-        last = np.concatenate([trajectory.positions[-1], trajectory.velocities[-1]])
-        self.regulator = Regulator.of(world, scenario, last, period or self.longest_hold)
-        self._bounds = world.bounds(scenario).control
-        self._norm = scenario.control_norm or np.inf
-        touches = scenario.contact == "rigid" and touches_walls(world, trajectory)
-        self.feels_contact = touches or not needs_shooting(world, scenario)
-        self.phases, self.stretches = list[FeedbackPhase](), list[Stretch]()
-        if self.feels_contact:
-            check_impacts(world, trajectory)
-            sweep = Sweep(world, scenario, trajectory)
-            self.phases, self.stretches = sweep.run(), sweep.stretches
-        else:
-            task = MechanismTask(world, scenario, PlanOptions()).shooting(len(times) - 1)
-            problem = replace(task, times=times, phases=None)
-            gains = problem.calc_gains(trajectory.controls, _SOFT_SUBSTEPS, _SMOOTHING)
-            state, _ = trajectory.to_piecewise()
-            self.phases = [FeedbackPhase(times, state, trajectory.controls, gains)]
-
-    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
-        """Returns u_k + K_k (x − x_i(t)), within bounds; after the end that of the regulator."""
-        if time >= self.end and self.regulator:
-            about, planned, gains = self.regulator
-            return Held(self._limit(planned + gains @ self._calc_error(x, about)), np.inf)
-        phase = self.phases[self.find_phase(time, x, bounces)]
-        last = len(phase.controls) - 1
-        k = int(np.clip(np.searchsorted(phase.times, time, side="right") - 1, 0, last))
-        error = self._calc_error(x, phase.calc_state(time))
-        until = float(phase.times[k + 1])
-        control = self._limit(phase.controls[k] + phase.gains[k] @ error)
-        return Held(control, until if until > time else self.end)
-
-    def _calc_error(self, x: Floats, planned: Floats) -> Floats:
-        """Returns x − x_i, of hinges to the nearest turn: an estimator may wrap angles."""
-        error, n = x - planned, self._world.num_positions
-        turns = np.round(error[:n] / (2 * np.pi))
-        error[:n] -= np.where(self._world.is_hinge, 2 * np.pi * turns, 0.0)
-        return error
-
-    def _limit(self, u: Floats) -> Floats:
-        """Returns a control within its bounds."""
-        size = float(np.linalg.norm(u := np.clip(u, *self._bounds)))
-        return u * min(1.0, self._norm / size) if size else u
-
-    def find_state(self, time: float, bounces: Sequence[int]) -> Floats:
-        """Returns the state that is planned for a time after such bounces, (q, v), shape (2n,).
-
-        After the end that is the regulator's, if there is one.
-        Where the phase has ended, it is where that would lead. Whether a contact lasts, or has
-        stopped to slip, no bounce tells: that is as planned.
-        """
-        if time > self.end and self.regulator:
-            return self.regulator.state
-        return self.phases[self.find_phase(time, None, bounces)].calc_state(time)
-
-    def find_phase(self, time: float, x: Floats | None, bounces: Sequence[int]) -> int:
-        """Returns in which phase it is: all that ends those before it has happened."""
-        left = list(bounces)
-        for i, stretch in enumerate(self.stretches[:-1]):
-            if stretch.cut == Cut.HIT and stretch.contact in left:
-                left.remove(stretch.contact)
-            elif not self._is_over(stretch, time, x):
-                return i
-        return len(self.phases) - 1
-
-    def _is_over(self, stretch: Stretch, time: float, x: Floats | None) -> bool:
-        """Returns whether a phase has ended other than by an impact that was counted."""
-        if stretch.cut == Cut.CLOCK or (x is None and stretch.is_shown_by_state):
-            return time >= stretch.end
-        is_early = time < (stretch.begin + stretch.end) / 2
-        if x is None or is_early or not stretch.is_shown_by_state:
-            return False
-        contact, (q, v) = stretch.contact, np.split(x, 2)
-        if stretch.cut == Cut.HIT:
-            return bool(is_at_rest_on(self._world, q, v, stretch.speed / 2)[contact])
-        slip = float(self._world.rubbing.calc_slips(q, v)[contact])
-        return slip * stretch.find_mode(contact) <= _STOPPED * stretch.speed
 
 
 class Sweep:
@@ -225,6 +89,7 @@ class Sweep:
 
     Attributes:
         stretches: of the plan.
+        transitions: F and Ξ of all stretches in order, once they were swept.
     """
 
     def __init__(self, world: World, scenario: Scenario, trajectory: Trajectory) -> None:
@@ -236,16 +101,20 @@ class Sweep:
         low, high = world.bounds(scenario).control
         margin = _AT_BOUND * np.where(np.isfinite(high - low), high - low, 1.0)
         self._inside = low + margin, high - margin
+        self.transitions = list[Floats]()
 
     def run(self) -> list[FeedbackPhase]:
         """Returns the phases of all stretches."""
-        value, phases = self._find_final(), []
+        value, phases, transitions = self._find_final(), [], list[Floats]()
         for stretch in reversed(self.stretches):
-            phase, value = self._sweep(stretch, value)
+            phase, value, passed = self._sweep(stretch, value)
             phases.append(phase)
+            transitions += passed
             if stretch.first > 0:
                 jump = self.calc_saltation(stretch.first)
                 value = jump.T @ value @ jump
+                transitions.append(jump)
+        self.transitions = transitions[::-1]
         return phases[::-1]
 
     def _find_final(self) -> Floats:
@@ -260,26 +129,25 @@ class Sweep:
                 value[n:, n:] += _HARD * scales.cost / scales.velocity**2 * np.eye(n)
         return value
 
-    def _sweep(self, stretch: Stretch, value: Floats) -> tuple[FeedbackPhase, Floats]:
-        """Returns the phase of a stretch, and V where it begins."""
+    def _sweep(self, stretch: Stretch, value: Floats) -> tuple[FeedbackPhase, Floats, list[Floats]]:
+        """Returns the phase of a stretch, V where it begins, and its F from last to first."""
         times, states, controls = self._continue(stretch)
         begin, end = np.searchsorted(times, self._plan.times[[stretch.first, stretch.last]])
         gains = np.zeros((len(controls), controls.shape[1], states.shape[1]))
-        values = {end: value}
+        values, passed = {end: value}, list[Floats]()
         for k in reversed(range(end)):
-            gains[k], values[k] = self._step(
+            gains[k], values[k], F = self._step(
                 stretch, states[k], controls[k], times[k + 1] - times[k], values[k + 1]
             )
+            if k >= begin:
+                passed.append(F)
         gains[end:] = gains[end - 1]
-        q, v = np.split(states, 2, axis=1)
-        none = np.zeros((len(times), self._world.num_contacts))
-        state, _ = Trajectory(times, q, v, controls, none, none[1:]).to_piecewise()
-        return FeedbackPhase(times, state, controls, gains), values[begin]
+        return FeedbackPhase(times, states, controls, gains), values[begin], passed
 
     def _step(
         self, stretch: Stretch, x: Floats, u: Floats, h: float, value: Floats
-    ) -> tuple[Floats, Floats]:
-        """Returns K_k and V_k, from V_{k+1}."""
+    ) -> tuple[Floats, Floats, Floats]:
+        """Returns K_k and V_k, from V_{k+1}, and F_k of what walls leave of a deviation."""
         cost, size = self._cost, len(x)
         F, G = self.calc_slopes(stretch, x, u, h)
         stage = h * np.diag(np.concatenate([cost.Q, cost.Qv]))
@@ -290,7 +158,7 @@ class Sweep:
         value = stage + F.T @ value @ F + gain.T @ curvature @ gain
         value += gain.T @ cross + cross.T @ gain
         left = stretch.calc_projection(x)
-        return gain @ left, left.T @ ((value + value.T) / 2) @ left
+        return gain @ left, left.T @ ((value + value.T) / 2) @ left, F @ left
 
     def calc_slopes(
         self, stretch: Stretch, x: Floats, u: Floats, h: float

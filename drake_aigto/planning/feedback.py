@@ -1,0 +1,183 @@
+"""Feedback about a plan: one law, by phases in which contacts go on as they do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.contact import contact_law
+from drake_aigto.planning.options import needs_shooting
+from drake_aigto.planning.regulator import Regulator
+from drake_aigto.planning.riccati import FeedbackPhase, Sweep
+from drake_aigto.planning.stretches import (
+    Cut,
+    Stretch,
+    check_impacts,
+    check_sizes,
+    is_at_rest_on,
+    touches_walls,
+)
+from drake_aigto.shooting import Mechanism, ShootingProblem
+from drake_aigto.simulation import Controller, Growth, Held, calc_growth, state_scales
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.world import Scenario, World
+
+# Runge-Kutta steps between knots, and how far from walls gains know of them, in parts of the task's
+# length: a state a little off its plan may meet a wall where the plan does not.
+_SOFT_SUBSTEPS, _SMOOTHING = 8, 1e-3
+# A slip has ended at this part of its largest value in the plan.
+_STOPPED = 1e-2
+
+
+class Feedback(Controller):
+    """Tracks a plan through its contacts.
+
+    On phase i, in which the same contacts last in the same modes or none does, a control that is
+    held from t_k on is
+
+        u = u_k + K_k (x − x_i(t)),    cut to the bounds of the control,
+
+    the best answer of held controls to a deviation from the phase, to second order (`Sweep`).
+
+    The next phase begins when a wall is hit, or a slip stops, not when the plan's clock says so.
+    For that each phase goes on before and after its own part of the plan, as if its contacts were
+    all there is: a bounce that comes early is followed by what the next phase was before its
+    beginning, and one that is late by the last phase, with its last gain. Impacts are counted at
+    each wall: those that the plan lacks change nothing. What a control ends, as when it lets go of
+    a wall, ends by the clock.
+
+    A plan of a mechanism between compliant walls, or one that touches nothing, is one phase. Its
+    gains are those of the descent that found the plan (`ShootingProblem.linearize`), the law of
+    compliant contact included.
+
+    After its end the goal is held by a `Regulator` where there is one, else the last state by the
+    last gains.
+
+    Attributes:
+        phases: of the plan, in order.
+        stretches: of the plan, which the phases are of; none of a plan that is one phase.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        scenario: Scenario,
+        trajectory: Trajectory,
+        phases: Sequence[FeedbackPhase] = (),
+        mechanism: Mechanism | None = None,
+        period: float | None = None,
+    ) -> None:
+        """Computes the gains, or takes those that are given.
+
+        Args:
+            world: of the plan.
+            scenario: its task.
+            trajectory: the plan.
+            phases: of such a plan that has them already.
+            mechanism: of this world and the scenario's contact, if it is compiled already.
+            period: between samples after its end [s]; None: as its knots are.
+
+        Raises:
+            TrajectoryError: the plan does not fit the world; or it has several impacts at once, one
+                at the start, or one that only grazes a wall: no feedback is known there.
+        """
+        check_sizes(world, trajectory)
+        self._world, times, self._transitions = world, trajectory.times, np.empty((0, 0, 0))
+        self._scales = state_scales(world, scenario)
+        self.start, self.end = float(times[0]), float(times[-1])
+        self.longest_hold = float(np.max(np.diff(times)))
+        last = np.concatenate([trajectory.positions[-1], trajectory.velocities[-1]])
+        self._goal = world, scenario, last, period or self.longest_hold
+        self._bounds = world.bounds(scenario).control
+        self._norm = scenario.control_norm or np.inf
+        touches = scenario.contact == "rigid" and touches_walls(world, trajectory)
+        self.feels_contact = touches or not needs_shooting(world, scenario)
+        self.phases, self.stretches = list(phases), list[Stretch]()
+        if self.feels_contact:
+            check_impacts(world, trajectory)
+            sweep = Sweep(world, scenario, trajectory)
+            self.stretches = sweep.stretches
+            if not phases:
+                self.phases = sweep.run()
+                self._transitions = np.array(sweep.transitions)
+        elif not phases:
+            mechanism = mechanism or Mechanism.of(world, contact_law(world, scenario))
+            problem = ShootingProblem.of(world, scenario, mechanism, times)
+            states = np.hstack([trajectory.positions, trajectory.velocities])
+            u = trajectory.controls
+            gains = problem.linearize(u, _SOFT_SUBSTEPS, _SMOOTHING, states).gains
+            self._transitions = problem.linearize(u, _SOFT_SUBSTEPS, 0.0, states).transitions
+            self.phases = [FeedbackPhase(times, states, u, gains)]
+
+    @cached_property
+    def regulator(self) -> Regulator | None:
+        """The regulator of the goal; None: there is none."""
+        return Regulator.of(*self._goal)
+
+    @cached_property
+    def growth(self) -> Growth:
+        """Growth of errors along the plan without feedback, where the gains were computed here."""
+        return calc_growth(self._transitions, self._scales)
+
+    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
+        """Returns u_k + K_k (x − x_i(t)), within bounds; after the end that of the regulator."""
+        if time >= self.end and self.regulator:
+            about, planned, gains = self.regulator
+            return Held(self._limit(planned + gains @ self._calc_error(x, about)), np.inf)
+        phase = self.phases[self.find_phase(time, x, bounces)]
+        last = len(phase.controls) - 1
+        k = int(np.clip(np.searchsorted(phase.times, time, side="right") - 1, 0, last))
+        error = self._calc_error(x, phase.calc_state(time))
+        until, planned = float(phase.times[k + 1]), phase.controls[k]
+        control = self._limit(planned + phase.gains[k] @ error)
+        added = float(np.linalg.norm(control - planned))
+        return Held(control, until if until > time else self.end, added)
+
+    def _calc_error(self, x: Floats, planned: Floats) -> Floats:
+        """Returns x − x_i, of hinges to the nearest turn: an estimator may wrap angles."""
+        error, n = x - planned, self._world.num_positions
+        turns = np.round(error[:n] / (2 * np.pi))
+        error[:n] -= np.where(self._world.is_hinge, 2 * np.pi * turns, 0.0)
+        return error
+
+    def _limit(self, u: Floats) -> Floats:
+        """Returns a control within its bounds."""
+        size = float(np.linalg.norm(u := np.clip(u, *self._bounds)))
+        return u * min(1.0, self._norm / size) if size else u
+
+    def find_state(self, time: float, bounces: Sequence[int]) -> Floats:
+        """Returns the state that is planned for a time after such bounces, (q, v), shape (2n,).
+
+        After the end that is the regulator's, if there is one.
+        Where the phase has ended, it is where that would lead. Whether a contact lasts, or has
+        stopped to slip, no bounce tells: that is as planned.
+        """
+        if time > self.end and self.regulator:
+            return self.regulator.state
+        return self.phases[self.find_phase(time, None, bounces)].calc_state(time)
+
+    def find_phase(self, time: float, x: Floats | None, bounces: Sequence[int]) -> int:
+        """Returns in which phase it is: all that ends those before it has happened."""
+        left = list(bounces)
+        for i, stretch in enumerate(self.stretches[:-1]):
+            if stretch.cut == Cut.HIT and stretch.contact in left:
+                left.remove(stretch.contact)
+            elif not self._is_over(stretch, time, x):
+                return i
+        return len(self.phases) - 1
+
+    def _is_over(self, stretch: Stretch, time: float, x: Floats | None) -> bool:
+        """Returns whether a phase has ended other than by an impact that was counted."""
+        if stretch.cut == Cut.CLOCK or (x is None and stretch.is_shown_by_state):
+            return time >= stretch.end
+        is_early = time < (stretch.begin + stretch.end) / 2
+        if x is None or is_early or not stretch.is_shown_by_state:
+            return False
+        contact, (q, v) = stretch.contact, np.split(x, 2)
+        if stretch.cut == Cut.HIT:
+            return bool(is_at_rest_on(self._world, q, v, stretch.speed / 2)[contact])
+        slip = float(self._world.rubbing.calc_slips(q, v)[contact])
+        return slip * stretch.find_mode(contact) <= _STOPPED * stretch.speed

@@ -1,0 +1,144 @@
+"""Replays of unstable motions, which their own feedback judges, beside the control alone."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.errors import ProgramError, TrajectoryError
+from drake_aigto.planning.feedback import Feedback
+from drake_aigto.planning.riccati import FeedbackPhase
+from drake_aigto.simulation import (
+    DRAKE,
+    EVENT_DRIVEN,
+    MOST_GROWTH,
+    Growth,
+    Replay,
+    replay_drake,
+    replay_event_driven,
+    replay_with,
+    summarize,
+)
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.world import Scenario, World
+
+# Starts are off by this part of the scales.
+_OFF = 1e-3
+
+
+class Followed(NamedTuple):
+    """A motion under its feedback.
+
+    Attributes:
+        replay: of it.
+        times: from when each control was held, and the end, shape (K + 1,) [s].
+        controls: shape (K, nu) [N, N m].
+    """
+
+    replay: Replay
+    times: Floats
+    controls: Floats
+
+
+class Simulated(NamedTuple):
+    """The simulation of a motion: its control alone, or with its feedback if that judges it.
+
+    Attributes:
+        replay: what judges.
+        trajectory: of that replay.
+        defects: of the equations of motion.
+        growth: see `Candidate`, as for what follows.
+        gains: of the feedback that judges.
+        alone: the control alone.
+        perturbed: from starts that are off.
+    """
+
+    replay: Replay
+    trajectory: Trajectory
+    defects: dict[str, float]
+    growth: Growth | None
+    gains: tuple[FeedbackPhase, ...] = ()
+    alone: Replay | None = None
+    perturbed: tuple[Replay, ...] = ()
+
+
+def make_feedback(
+    world: World, scenario: Scenario, trajectory: Trajectory, **known: Any
+) -> Feedback | None:
+    """Returns the feedback about a motion, None if none is known for its contacts.
+
+    Arguments are those of `Feedback`.
+    """
+    try:
+        return Feedback(world, scenario, trajectory, **known)
+    except (TrajectoryError, ProgramError):
+        return None
+
+
+def needs_feedback(growth: Growth | None) -> bool:
+    """Returns whether a motion is judged with its feedback, as errors grow too much."""
+    return growth is not None and growth.factor > MOST_GROWTH
+
+
+def follow(world: World, scenario: Scenario, feedback: Feedback) -> Followed:
+    """Returns the motion of feedback from a scenario's start.
+
+    Raises:
+        TrajectoryError: it runs away.
+    """
+    recording = EVENT_DRIVEN.simulate(world, scenario, feedback)
+    times, controls = np.append(recording.control_times, feedback.end), np.array(recording.controls)
+    lasts = np.diff(times) > 0
+    replay = summarize(world, scenario, recording, feedback.end)
+    return Followed(replay, np.append(times[:-1][lasts], times[-1]), controls[lasts])
+
+
+def perturb(
+    world: World, scenario: Scenario, feedback: Feedback, growth: Growth
+) -> tuple[Replay, ...]:
+    """Returns replays from starts that are off by 1e-3 of the scales, where errors grow most.
+
+    They are on both sides, but for those in a rigid wall.
+
+    Raises:
+        TrajectoryError: one runs away.
+    """
+    start = np.concatenate([scenario.initial_position, scenario.initial_velocity])
+    found = []
+    for sign in (1.0, -1.0):
+        q, v = np.split(start + sign * _OFF * growth.worst, 2)
+        if scenario.contact == "rigid" and np.any(world.calc_clearance(q) < 0):
+            continue
+        off = dataclasses.replace(scenario, initial_position=q, initial_velocity=v)
+        found.append(replay_with(EVENT_DRIVEN, world, off, feedback))
+    return tuple(found)
+
+
+def replay_alone(world: World, scenario: Scenario, trajectory: Trajectory) -> Replay | None:
+    """Returns the replay of a motion's control alone, None if it runs away."""
+    try:
+        return replay_event_driven(world, scenario, trajectory.times, trajectory.controls)
+    except TrajectoryError:
+        return None
+
+
+def replay_own(
+    world: World, scenario: Scenario, trajectory: Trajectory, feedback: Feedback | None
+) -> list[Replay]:
+    """Returns our replays: with feedback, if there is any, and of the control alone."""
+    t = trajectory
+    if feedback is None:
+        return [replay_event_driven(world, scenario, t.times, t.controls)]
+    alone = replay_alone(world, scenario, t)
+    return [follow(world, scenario, feedback).replay, *filter(None, [alone])]
+
+
+def confirm_in_drake(
+    world: World, scenario: Scenario, trajectory: Trajectory, feedback: Feedback | None
+) -> list[Replay]:
+    """Returns Drake's replays: with feedback, if there is any, and of the control alone."""
+    alone = replay_drake(world, scenario, trajectory.times, trajectory.controls)
+    return [alone] if feedback is None else [replay_with(DRAKE, world, scenario, feedback), alone]
