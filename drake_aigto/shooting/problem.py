@@ -12,7 +12,7 @@ from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.mechanism import Mechanism
 from drake_aigto.shooting.optimal_control import OptimalControlProblem, StageLayout
 from drake_aigto.shooting.solve import (
-    Linearization,
+    MotionExpansion,
     ShootingOptions,
     ShootingResult,
     ShootingRun,
@@ -136,7 +136,7 @@ class ShootingProblem(OptimalControlProblem):
         smoothing: float = 0.0,
         states: Floats | None = None,
         order: int = 4,
-    ) -> Linearization:
+    ) -> MotionExpansion:
         """Returns the problem about a motion, and optimal feedback gains of held controls.
 
         ũ_k = K_k x̃_k has the least cost to go to second order, in the Gauss-Newton form. Where a

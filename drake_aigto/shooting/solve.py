@@ -100,7 +100,7 @@ class ShootingOptions:
         return replace(self, substeps=_SHORTER * self.substeps, is_wary=True)
 
 
-class Linearization(NamedTuple):
+class MotionExpansion(NamedTuple):
     """A problem about a motion: K stages, of which N are flights.
 
     Attributes:
@@ -265,7 +265,7 @@ class ShootingRun:
             stuck = stuck + 1 if outcome.violation > _STUCK * before else 0
         return self.finish(outcome)
 
-    def linearize(self) -> Linearization:
+    def linearize(self) -> MotionExpansion:
         """Returns the expansion about the motion, after one sweep, without a step."""
         outcome = self._descend(self._options.rungs[-1], self._states, False)
         if not outcome.is_converged:
@@ -273,7 +273,7 @@ class ShootingRun:
             raise ProgramError("controls", got=got, expected="a finite one")
         nx, found = len(self._problem.start), self._memory.expansion
         gains = self._memory.sweep.gains[self._layout.flights]
-        return Linearization(
+        return MotionExpansion(
             cost=outcome.cost,
             gaps=np.array(found.gaps[:, :nx]),
             transitions=np.array(found.F[:, :nx, :nx]),
