@@ -3,6 +3,7 @@
     pip install 'drake_aigto[models]'
     python -m benchmarks.model_contacts
     python -m benchmarks.model_contacts hopper     # those whose name contains a word
+    python -m benchmarks.model_contacts --rows build/legs.jsonl --markdown docs/models.md
 
 Legs on a vertical rail: of a planar MJCF the root may move up and down, and the joints of one or
 two legs move; all others are fixed. By one rule for all, fixed beforehand, they start at rest with
@@ -35,12 +36,14 @@ from benchmarks.models import find_models
 from drake_aigto import Plan, Scenario, World, plan
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import AigtoError
+from drake_aigto.output import write_text
 
 STIFFNESS = 2e4  # Of feet and floor together [N/m].
 HEIGHT = 0.1  # Of the lowest foot at start and goal [m].
 INSIDE = 0.1  # Of limits of joints at start and goal [rad].
 DURATION, TIME_STEP = 0.6, 0.02  # [s]
 IMPEDANCE = 1e-4  # MuJoCo's least.
+_TITLE = "## Plans with contact"
 _STEP = 5e-5  # Of MuJoCo's simulation [s].
 
 
@@ -189,13 +192,42 @@ def find_legs(words: Sequence[str]) -> Iterator[tuple[Leg, Path]]:
                 yield leg, path
 
 
+def format_section(rows: Sequence[dict[str, Any]]) -> str:
+    """Returns the section of a page."""
+    header = list(dict.fromkeys(key for row in rows for key in row))
+    cells = [header, ["---"] * len(header)]
+    for row in rows:
+        values = [row.get(key, "") for key in header]
+        cells.append([f"{x:.2g}" if isinstance(x, float) else str(x) for x in values])
+    text = (__doc__ or "").partition("\n\nLegs on")[2]
+    return "\n".join(
+        [_TITLE, "", f"Legs on{text.rstrip()}", "", *(f"| {' | '.join(line)} |" for line in cells)]
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Prints a line for each leg."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("words", nargs="*", help="only legs with one of these in their names")
+    parser.add_argument("--rows", metavar="FILE", help="keep rows here, and go on from there")
+    parser.add_argument("--markdown", metavar="FILE", help="end this page with the table")
     options = parser.parse_args(arguments)
+    kept = Path(options.rows) if options.rows else None
+    lines = kept.read_text(encoding="utf-8").splitlines() if kept and kept.exists() else []
+    rows = list(map(json.loads, lines))
+    known = {(row["model"], row["moving"]) for row in rows}
     for leg, path in find_legs(options.words):
-        print(json.dumps(study(leg, path), default=float), flush=True)
+        if (leg.model, ", ".join(leg.moving)) in known:
+            continue
+        rows.append(study(leg, path))
+        line = json.dumps(rows[-1], default=float)
+        print(line, flush=True)
+        if kept:
+            with kept.open("a", encoding="utf-8") as file:
+                file.write(f"{line}\n")
+    if options.markdown:
+        page = Path(options.markdown).read_text(encoding="utf-8").partition(f"\n{_TITLE}")[0]
+        write_text(options.markdown, f"{page.rstrip()}\n\n{format_section(rows)}\n")
 
 
 if __name__ == "__main__":

@@ -51,7 +51,7 @@ as it is, and, if it is refused, once more with the fields of a scenario that it
 
 - **coordinates**: how many are left, with joints fixed and links welded as the answer says.
 - **read**: as it is; with an answer; or refused, and by what.
-- **seconds**: until it was read, or until it was refused.
+- **seconds**: of one processor, until it was read, or until it was refused.
 - **MuJoCo agrees to**: the largest relative difference, at five random states, of the mass matrix,
   of bias forces with friction of joints, of limits of joints, and of least and largest efforts,
   between this reading and MuJoCo's of the same MJCF. Contact and fluid are left out.
@@ -102,12 +102,12 @@ def find_models() -> Iterator[tuple[str, Path]]:
 def read(row: Row, path: Path) -> tuple[World, Scenario] | None:
     """Reads a model, with the error's answer if it is refused."""
     ends: dict[str, Any] = {"initial_position": 0, "initial_velocity": 0, "goal_position": 0}
-    scenario, start = Scenario(model=str(path), **ends), time.perf_counter()
+    scenario, start = Scenario(model=str(path), **ends), time.process_time()
     try:
         world = World.from_model(scenario)
         row.read = "as it is"
     except AigtoError as error:
-        row.seconds = time.perf_counter() - start
+        row.seconds = time.process_time() - start
         if not isinstance(error, FixableError):
             row.read = f"refused: {error.what.replace(str(path), path.name)}"
             return None
@@ -120,7 +120,7 @@ def read(row: Row, path: Path) -> tuple[World, Scenario] | None:
         except AigtoError as again:
             row.read = f"refused: {again.what.replace(str(path), path.name)}, after `{answer}`"
             return None
-    row.seconds = row.seconds or time.perf_counter() - start
+    row.seconds = row.seconds or time.process_time() - start
     row.coordinates = f"{world.num_positions}"
     return world, scenario
 

@@ -655,9 +655,15 @@ def test_of_a_moving_brick_one_face_counts_where_limits_say_so(tmp_path: Path) -
     assert [contact.name for contact in world.contacts] == ["tip against cart"]
     q = np.array([0.3, -0.5, 0.21])
     np.testing.assert_allclose(world.calc_signed_distance(q), [0.01], atol=1e-12)
-    model = write(tmp_path / "brick.urdf", BRICK, UPPER="0.7")
+    model = write(tmp_path / "brick.urdf", BRICK, UPPER="0.7")  # Past an edge of the brick.
+    in_space = make(model, 3, **fields)
+    np.testing.assert_allclose(in_space.calc_signed_distance(q), [0.01], atol=1e-9)
+    past = np.array([-0.4, 0.7, 0.15])
+    distance = np.hypot(1.1 - 1.0, 0.15 - 0.1) - 0.1
+    np.testing.assert_allclose(in_space.calc_signed_distance(past), [distance], atol=1e-9)
+    planar = World.from_diagram(in_space.diagram)
     with pytest.raises(ModelError, match=r"several faces .*Take contact: rigid.*\[brick::brick\]"):
-        make(model, 3, **fields)
+        _ = planar.springs
     assert len(make(model, 3, **{**fields, "contact": "rigid"}).contacts) > 1
 
 

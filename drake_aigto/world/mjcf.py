@@ -9,34 +9,23 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
-from drake_aigto.errors import ModelError
-from drake_aigto.world.files import read_xml
-from drake_aigto.world.model_facts import (
-    ModelFacts,
-    Spring,
-    read_numbers,
-    read_range,
-    refuse_element,
-)
+from drake_aigto.world.mjcf_actuators import OTHER_ACTUATORS, Range, read_actuators, read_tendons
+from drake_aigto.world.mjcf_file import MOTORS, MjcfFile
+from drake_aigto.world.model_facts import ModelFacts, Spring, read_numbers, read_range
 
 # Drawing, numerics and measuring: nothing that moves depends on them.
 _HARMLESS = {
     *("visual", "statistic", "size", "custom", "sensor", "keyframe"),
     *("extension", "site", "camera", "light", "tendon", "texture", "skin"),
 }
-_MOTORS = ("motor", "general", "position", "velocity")
-_OTHER_ACTUATORS = ("intvelocity", "damper", "cylinder", "muscle", "adhesion", "plugin", "dcmotor")
 _UNREAD_BODIES = ("composite", "flexcomp", "replicate", "attach", "plugin")
 _MESHES = ("mesh", "hfield", "sdf")
 _SPRINGS = ("stiffness", "springref")
 _COMPILER = ("angle", "eulerseq", "autolimits", "inertiafromgeom")  # What Drake reads of it.
 _PLACES = ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler")
-_TENDON_FORCES = ("stiffness", "damping", "frictionloss", "armature")
-_TRANSMISSIONS = ("tendon", "site", "body", "cranksite", "slidersite", "refsite")
 _DEFAULT_DENSITY = 1000.0  # MuJoCo's [kg/m³].
 
 
@@ -51,62 +40,23 @@ def read_mjcf(root: Element, path: Path, facts: ModelFacts) -> None:
     Raises:
         ModelError: a file is missing, or something changes the physics that is not planned for.
     """
-    _include(root, path.parent, (path,))
-    _MjcfReader(root, path, facts).read()
-
-
-def _include(parent: Element, folder: Path, above: tuple[Path, ...]) -> None:
-    """Puts what files include in place of <include>, however deep."""
-    for i in reversed(range(len(parent))):
-        child = parent[i]
-        if child.tag != "include":
-            _include(child, folder, above)
-            continue
-        file = folder / child.get("file", "")
-        if file in above or not file.is_file():
-            raise ModelError(
-                f"model {above[0]}",
-                got=f"an <include> of {file}, which "
-                + ("includes itself" if file in above else "is missing"),
-                expected="a file that is there",
-                remedy="Paths of <include> are relative to the model's file.",
-            )
-        included = read_xml(file)
-        _include(included, folder, (*above, file))
-        parent[i : i + 1] = list(included)
+    _MjcfReader(MjcfFile(root, path, facts)).read()
 
 
 class _MjcfReader:
     """One pass over a model whose includes are in place."""
 
-    def __init__(self, root: Element, path: Path, facts: ModelFacts) -> None:
-        self._root, self._path, self._facts = root, path, facts
-        root.set("model", root.get("model") or path.stem)
-        self._compiler = _merge(root.findall("compiler"))
-        self._in_degrees = self._compiler.get("angle", "degree") == "degree"
-        self._option = _merge(root.findall("option"))
-        flags = _merge(root.findall("option/flag"))
-        self._off = {name for name, value in flags.items() if value == "disable"}
-        if "constraint" in self._off:
-            self._off |= {"contact", "limit", "frictionloss", "equality"}
-        if "passive" in self._off:
-            self._off |= {"spring", "damper"}
-        for number, frame in enumerate(list(root.iter("frame"))):  # A body that is welded.
-            frame.tag = "body"
-            frame.set("name", frame.get("name") or f"frame{number}")
-        self._classes: dict[str, dict[str, dict[str, str]]] = {}
-        for default in root.findall("default"):
-            self._read_class(default, "main", {})
-        self._bodies = list(self._walk())
-        self._parents = {child: body for body, _ in self._bodies for child in body.findall("body")}
+    def __init__(self, file: MjcfFile) -> None:
+        self._file, self._facts, self._root = file, file.facts, file.root
+        self._parents = {child: body for body, _ in file.bodies for child in body.findall("body")}
         self._owners = self._find_owners()
         self._fixed = set[str]()
-        folder = path.parent / self._compiler.get("meshdir", self._compiler.get("assetdir", ""))
+        folder = file.path.parent / file.compiler.get("meshdir", file.compiler.get("assetdir", ""))
         self._meshes = {
-            _mesh(mesh): folder / mesh.get("file", "") for mesh in root.findall("asset/mesh")
+            _mesh(mesh): folder / mesh.get("file", "") for mesh in file.root.findall("asset/mesh")
         }
         self._armatures: dict[str, float] = {}
-        self._efforts: dict[str, tuple[float, float]] = {}
+        self._efforts: dict[str, Range] = {}
 
     def read(self) -> None:
         """Rewrites all of the model."""
@@ -114,58 +64,33 @@ class _MjcfReader:
         self._read_compiler()
         self._read_bodies()
         self._read_geoms()
-        self._read_actuators()
-        self._read_tendons()
-        for joint, armature in self._armatures.items():
+        driven = read_actuators(self._file, self._fixed, self._efforts)
+        read_tendons(self._file)
+        idle = {name: each for name, each in self._armatures.items() if name not in driven}
+        for joint, armature in idle.items():
             what = f"the armature {armature:g} of joint {joint!r}, which no actuator drives"
             self._facts.refuse("armature", what, "kg m² or kg that are missing from its inertia")
         self._strip()
         self._chain_joints()
 
-    def _read_class(
-        self, default: Element, name: str, inherited: dict[str, dict[str, str]]
-    ) -> None:
-        """Resolves a class of defaults, and those inside of it."""
-        known = self._classes.get(name, inherited)
-        mine = {tag: dict(values) for tag, values in known.items()}
-        for child in default:
-            if child.tag != "default":
-                tag = "actuator" if child.tag in _MOTORS else child.tag
-                mine.setdefault(tag, {}).update(child.attrib)
-        self._classes[name] = mine
-        for child in default.findall("default"):
-            self._read_class(child, child.get("class", "main"), mine)
-
-    def _walk(self) -> Iterator[tuple[Element, str]]:
-        """Yields bodies, and the class of what is in them."""
-        pending = [(body, "main") for body in self._root.findall("worldbody")]
-        for body, outer in pending:  # It grows meanwhile.
-            childclass = body.get("childclass", outer)
-            yield body, childclass
-            pending += [(child, childclass) for child in body.findall("body")]
-
-    def _resolve(self, element: Element, childclass: str) -> dict[str, str]:
-        """Returns an element's attributes with those of its class."""
-        tag = "actuator" if element.tag in _MOTORS else element.tag
-        name = element.get("class", childclass)
-        if name not in self._classes and name != "main":
-            raise refuse_element(self._path, element, f"the unknown class {name!r} of defaults")
-        return {**self._classes.get(name, {}).get(tag, {}), **element.attrib}
-
     def _read_option(self) -> None:
         """Keeps gravity, and refuses fluids."""
         for name in ("density", "viscosity", "wind"):
-            if any(read_numbers(self._path, self._option.get(name, "0"))):
-                what = f"the {name} {self._option[name]} of a fluid"
+            if any(read_numbers(self._file.path, self._file.option.get(name, "0"))):
+                what = f"the {name} {self._file.option[name]} of a fluid"
                 self._facts.refuse("fluid", what, "its forces on all links")
-        if "filterparent" in self._off:
+        if "filterparent" in self._file.off:
             what = '<flag filterparent="disable"/>'
             self._facts.refuse("filterparent", what, "contacts of links that a joint connects")
         for each in self._root.findall("option"):
             self._root.remove(each)
-        gravity = "0 0 0" if "gravity" in self._off else self._option.get("gravity", "0 0 -9.81")
+        gravity = (
+            "0 0 0"
+            if "gravity" in self._file.off
+            else self._file.option.get("gravity", "0 0 -9.81")
+        )
         SubElement(self._root, "option", gravity=gravity)
-        for each in [] if "equality" in self._off else self._root.findall("equality/*"):
+        for each in [] if "equality" in self._file.off else self._root.findall("equality/*"):
             if each.get("active", "true") == "true":
                 what = f"<equality><{each.tag}>"
                 self._facts.refuse("equality", what, "a loop of links, or coupled joints")
@@ -174,10 +99,10 @@ class _MjcfReader:
 
     def _read_compiler(self) -> None:
         """Reads the total mass, refuses what changes inertias, and keeps what Drake knows."""
-        mass = read_numbers(self._path, self._compiler.get("settotalmass", "-1"))[0]
+        mass = read_numbers(self._file.path, self._file.compiler.get("settotalmass", "-1"))[0]
         self._facts.total_mass = mass if mass > 0 else None
         for name in ("boundmass", "boundinertia", "balanceinertia"):
-            if self._compiler.get(name, "0") not in ("0", "false"):
+            if self._file.compiler.get(name, "0") not in ("0", "false"):
                 what = f"{name} of <compiler>"
                 self._facts.refuse("inertias", what, "inertias that are changed to be larger")
         for each in self._root.findall("compiler"):
@@ -190,10 +115,10 @@ class _MjcfReader:
         Geoms of these do not touch each other in MuJoCo, unless the second one is the world.
         """
         found: dict[Element, tuple[Element, Element | None]] = {}
-        for body, _ in self._bodies:
+        for body, _ in self._file.bodies:
             parent = self._parents.get(body)
             if parent is None:
-                found[body] = self._bodies[0][0], None
+                found[body] = self._file.bodies[0][0], None
             elif body.find("joint") is None and body.find("freejoint") is None:
                 found[body] = found[parent]
             else:
@@ -206,7 +131,7 @@ class _MjcfReader:
 
         Drake's reader takes axes and places of such joints to be in other frames than MuJoCo's.
         """
-        for body, childclass in self._bodies:
+        for body, childclass in self._file.bodies:
             joints = body.findall("joint")
             for joint in joints[:-1]:
                 parent, name = self._parents[body], f"{body.get('name')}_{joint.get('name')}"
@@ -219,7 +144,7 @@ class _MjcfReader:
 
     def _read_bodies(self) -> None:
         """Reads springs, friction and armature of joints."""
-        for body, childclass in self._bodies:
+        for body, childclass in self._file.bodies:
             if float(body.get("gravcomp", 0)):
                 what = f"gravcomp of body {body.get('name')!r}"
                 self._facts.refuse("gravcomp", what, "gravity that is compensated")
@@ -232,30 +157,36 @@ class _MjcfReader:
                     self._fixed.add(joint.get("name", ""))
                     body.remove(joint)
                 else:
-                    self._read_joint(joint.get("name", ""), joint, self._resolve(joint, childclass))
+                    self._read_joint(
+                        joint.get("name", ""), joint, self._file.resolve(joint, childclass)
+                    )
 
     def _read_joint(self, name: str, joint: Element, values: dict[str, str]) -> None:
         """Reads one joint."""
         number = {
-            key: read_numbers(self._path, values[key])[0]
+            key: read_numbers(self._file.path, values[key])[0]
             for key in ("frictionloss", "stiffness", "springref", "armature")
             if key in values
         }
         is_hinge = values.get("type", "hinge") == "hinge"
-        if friction := number.get("frictionloss", 0.0) * ("frictionloss" not in self._off):
+        if friction := number.get("frictionloss", 0.0) * ("frictionloss" not in self._file.off):
             self._facts.friction[name] = friction
-        if stiffness := number.get("stiffness", 0.0) * ("spring" not in self._off):
+        if stiffness := number.get("stiffness", 0.0) * ("spring" not in self._file.off):
             reference = number.get("springref", 0.0)
-            reference = math.radians(reference) if is_hinge and self._in_degrees else reference
+            reference = (
+                math.radians(reference)
+                if is_hinge and self._file.compiler.get("angle", "degree") == "degree"
+                else reference
+            )
             self._facts.springs[name] = Spring(stiffness, reference)
         if values.get("springdamper", "0 0") != "0 0":
             self._facts.refuse("springdamper", f"springdamper of joint {name!r}", "its forces")
-        if "damper" in self._off:
+        if "damper" in self._file.off:
             joint.set("damping", "0")
-        is_limited = "limit" not in self._off and self._is_limited(values, "")
+        is_limited = "limit" not in self._file.off and self._file.is_limited(values, "")
         joint.set("limited", "true" if is_limited else "false")
         if is_limited:
-            read_range(self._path, values["range"], f"the range of joint {name!r}")
+            read_range(self._file.path, values["range"], f"the range of joint {name!r}")
         joint.attrib.pop("actuatorfrcrange", None)
         for key in ("damping", "stiffness"):
             if len(terms := values.get(key, "0").split()) > 1:
@@ -267,18 +198,18 @@ class _MjcfReader:
         limited = values.get("actuatorfrclimited", "auto")
         if "actuatorfrcrange" in values and limited != "false":
             what = f"actuatorfrcrange of joint {name!r}"
-            self._efforts[name] = read_range(self._path, values["actuatorfrcrange"], what)
+            self._efforts[name] = read_range(self._file.path, values["actuatorfrcrange"], what)
 
     def _read_geoms(self) -> None:
         """Reads which geoms may touch, as their masks say it."""
         kept = []
-        for body, childclass in self._bodies:
+        for body, childclass in self._file.bodies:
             for geom in body.findall("geom"):
-                values = self._resolve(geom, childclass)
+                values = self._file.resolve(geom, childclass)
                 geom.set("name", geom.get("name") or _name_after(body, geom))
                 masks = [int(values.get(mask, "1")) for mask in ("contype", "conaffinity")]
                 named = self._facts.keeps(f"{self._root.get('model')}::{geom.get('name')}")
-                if "contact" in self._off or not named:
+                if "contact" in self._file.off or not named:
                     masks = [0, 0]
                 if values.get("type") in _MESHES and not self._keeps_mesh(body, geom, any(masks)):
                     continue
@@ -296,7 +227,7 @@ class _MjcfReader:
             names = one[0].get("name", ""), other[0].get("name", "")
             if not meets and frozenset(names) not in pairs:
                 self._facts.apart.append(names)
-        touching = {name for pair in pairs for name in pair if "contact" not in self._off}
+        touching = {name for pair in pairs for name in pair if "contact" not in self._file.off}
         for geom, masks, _ in kept:
             touches = any(masks) or geom.get("name") in touching
             for mask in ("contype", "conaffinity"):
@@ -306,11 +237,13 @@ class _MjcfReader:
 
     def _keeps_mesh(self, body: Element, geom: Element, touches: bool) -> bool:
         """Returns whether a mesh stays; one that can't be read may, if no mass depends on it."""
-        values = self._resolve(geom, "main")
+        values = self._file.resolve(geom, "main")
         of_class = (each.get("mesh") for each in (geom, values))
         mesh = next((self._meshes[name] for name in of_class if name in self._meshes), None)
         is_read = mesh is not None and mesh.suffix.lower() == ".obj" and mesh.is_file()
-        weighs = body.find("inertial") is None or self._compiler.get("inertiafromgeom") == "true"
+        weighs = (
+            body.find("inertial") is None or self._file.compiler.get("inertiafromgeom") == "true"
+        )
         is_massless = "0" in (values.get("mass"), values.get("density")) or body.tag == "worldbody"
         is_needed = touches or (weighs and not is_massless)
         if is_read and (is_needed or self._facts.stub is None):
@@ -327,131 +260,25 @@ class _MjcfReader:
         if values.get("shellinertia") == "true":
             what = f"shellinertia of geom {geom.get('name')!r}"
             self._facts.refuse("inertias", what, "mass at the surface; it is spread evenly instead")
-        least, most = read_numbers(self._path, self._compiler.get("inertiagrouprange", "0 5"), 2)
+        least, most = read_numbers(
+            self._file.path, self._file.compiler.get("inertiagrouprange", "0 5"), 2
+        )
         if not least <= int(values.get("group", "0")) <= most:
             geom.set("mass", "0")
         scale = self._facts.mass_scale
         if scale == 1.0:
             return
         key = "mass" if "mass" in values else "density"
-        given = read_numbers(self._path, values.get(key, str(_DEFAULT_DENSITY)))[0]
+        given = read_numbers(self._file.path, values.get(key, str(_DEFAULT_DENSITY)))[0]
         geom.set(key, repr(scale * given))
-
-    def _read_actuators(self) -> None:
-        """Turns all that drives one joint into motors whose control is the joint's effort."""
-        joints = [joint for body, _ in self._bodies for joint in body.findall("joint")]
-        names = {joint.get("name") for joint in joints}
-        driven = dict[str, str]()
-        for group in self._root.findall("actuator"):
-            for motor in list(group):
-                if "actuation" in self._off or not self._read_motor(motor, names, driven):
-                    group.remove(motor)
-
-    def _read_motor(self, motor: Element, names: set[str | None], driven: dict[str, str]) -> bool:
-        """Rewrites one actuator; returns whether it stays."""
-        values = self._resolve(motor, "main")
-        joint, factor = self._find_joint(values)
-        label = motor.get("name") or f"{joint or 'actuator'}_{motor.tag}"
-        what = f"actuator {label!r}"
-        if joint is None:
-            through = next((each for each in _TRANSMISSIONS if each in values), "nothing")
-            of = f"{what}, which acts through a {through}, not one joint"
-            return self._facts.refuse("actuators", of, "an actuator that is missing")
-        if joint in self._fixed:
-            return False
-        if joint not in names:
-            if self._facts.refused:  # It may be in what is refused.
-                return False
-            known = ", ".join(sorted(map(str, names)))
-            got = f"{what} at the unknown joint {joint!r}"
-            raise refuse_element(self._path, motor, got, f"one of {known}")
-        if motor.tag in _OTHER_ACTUATORS or values.get("dyntype", "none") != "none":
-            of = f"{what}, which has dynamics of its own"
-            return self._facts.refuse("actuators", of, "an actuator that is missing")
-        if joint in driven:
-            got = f"{driven[joint]!r} and {label!r} at joint {joint!r}"
-            raise refuse_element(self._path, motor, got, "one actuator for each joint")
-        driven[joint] = label
-        effort = self._find_effort(motor, what, values, factor)
-        lower, upper = self._efforts.get(joint, (-math.inf, math.inf))
-        lower, upper = max(lower, effort[0]), min(upper, effort[1])
-        self._facts.efforts[label] = lower, upper
-        largest = max(-lower, upper)
-        motor.attrib.clear()
-        motor.tag = "motor"
-        motor.attrib |= {"name": label, "joint": joint, "gear": "1"}
-        bound = {"ctrllimited": "true", "ctrlrange": f"{-largest!r} {largest!r}"}
-        motor.attrib |= bound if math.isfinite(largest) else {"ctrllimited": "false"}
-        self._armatures.pop(joint, None)
-        return True
-
-    def _find_joint(self, values: dict[str, str]) -> tuple[str | None, float]:
-        """Returns the one joint that an actuator acts on, and the lever with which it does."""
-        if joint := values.get("joint") or values.get("jointinparent"):
-            return joint, 1.0
-        for tendon in self._root.findall("tendon/fixed"):
-            if tendon.get("name") == values.get("tendon"):
-                levers = {
-                    each.get("joint"): read_numbers(self._path, each.get("coef", "1"))[0]
-                    for each in tendon.findall("joint")
-                }
-                acting = {joint: lever for joint, lever in levers.items() if lever != 0.0}
-                return next(iter(acting.items())) if len(acting) == 1 else (None, 1.0)
-        return None, 1.0
-
-    def _find_effort(
-        self, motor: Element, what: str, values: dict[str, str], factor: float
-    ) -> tuple[float, float]:
-        """Returns the least and the largest effort at the joint, gear × gain × ctrlrange."""
-        gear = factor * read_numbers(self._path, values.get("gear", "1"))[0]
-        if gear == 0.0:
-            raise refuse_element(self._path, motor, f"{what} with a gear of 0", "another gear")
-        ends = [(-math.inf, math.inf)]
-        is_servo = motor.tag in ("position", "velocity") or (
-            motor.tag == "general"
-            and (values.get("biastype", "none"), values.get("gaintype", "fixed"))
-            != ("none", "fixed")
-        )
-        if is_servo:
-            text = f"{what}, a servo; a plan's control is the force itself"
-            self._facts.refuse("servos", text, "the servo's law and the range of its set point")
-        elif self._is_limited(values, "ctrl") and "clampctrl" not in self._off:
-            gain = read_numbers(self._path, values.get("gainprm", "1"))[0]
-            gain = gain if motor.tag == "general" else 1.0
-            low, high = read_range(self._path, values["ctrlrange"], f"ctrlrange of {what}")
-            ends.append((gain * low, gain * high))
-        if self._is_limited(values, "force"):
-            ends.append(read_range(self._path, values["forcerange"], f"forcerange of {what}"))
-        lower, upper = max(min(end) for end in ends), min(max(end) for end in ends)
-        return (gear * lower, gear * upper) if gear > 0 else (gear * upper, gear * lower)
-
-    def _is_limited(self, values: dict[str, str], of: str) -> bool:
-        """Returns whether a range counts: that of an actuator, or without a word a joint's."""
-        limited, has_range = values.get(f"{of}limited", "auto"), f"{of}range" in values
-        if limited == "auto":
-            return has_range and self._compiler.get("autolimits", "true") == "true"
-        return limited == "true" and has_range
-
-    def _read_tendons(self) -> None:
-        """Refuses tendons that pull."""
-        for tendon in self._root.findall("tendon/*"):
-            values = self._resolve(tendon, "main")
-            name = f"tendon {tendon.get('name')!r}"
-            limited = values.get("limited", "auto")
-            is_limited = limited == "true" or (limited == "auto" and "range" in values)
-            pulls = [each for each in _TENDON_FORCES if float(values.get(each, 0)) != 0.0]
-            if is_limited and "limit" not in self._off:
-                pulls.append("range")
-            if pulls:
-                self._facts.refuse("tendons", f"{name} with {', '.join(pulls)}", "its forces")
 
     def _strip(self) -> None:
         """Removes what is harmless, so that Drake does not warn of it, and scales inertias."""
-        used = {g.get("mesh") for body, _ in self._bodies for g in body.findall("geom")}
+        used = {g.get("mesh") for body, _ in self._file.bodies for g in body.findall("geom")}
         for parent in list(self._root.iter()):
             for child in list(parent):
                 unused = child.tag == "mesh" and parent.tag == "asset" and _mesh(child) not in used
-                in_class = parent.tag == "default" and child.tag in (*_MOTORS, *_OTHER_ACTUATORS)
+                in_class = parent.tag == "default" and child.tag in (*MOTORS, *OTHER_ACTUATORS)
                 if child.tag in _HARMLESS or unused or in_class or child.tag == "pair":
                     parent.remove(child)
             for key in ("user", "condim", "texture", "shellinertia", *_SPRINGS, "frictionloss"):
@@ -459,7 +286,7 @@ class _MjcfReader:
             if parent.tag == "inertial":
                 for key in ("mass", "diaginertia", "fullinertia"):
                     if key in parent.attrib:
-                        numbers = read_numbers(self._path, parent.attrib[key], None)
+                        numbers = read_numbers(self._file.path, parent.attrib[key], None)
                         scaled = (repr(self._facts.mass_scale * number) for number in numbers)
                         parent.set(key, " ".join(scaled))
             if parent.tag == "mesh" and "file" in parent.attrib:
@@ -475,8 +302,3 @@ def _name_after(body: Element, element: Element) -> str:
     """Returns a name for an element without one."""
     number = body.findall(element.tag).index(element)
     return f"{body.get('name', 'world')}_{element.tag}{number}"
-
-
-def _merge(elements: list[Element]) -> dict[str, str]:
-    """Returns the attributes of several sections, of which later ones count."""
-    return {key: value for element in elements for key, value in element.attrib.items()}

@@ -16,6 +16,19 @@ from drake_aigto.world.model_facts import FixableError
 
 # Ends of a capsule, after its name.
 END = "_end"
+# Shapes, and what collides in their place.
+_INSTEAD = {
+    "Capsule": "capsules by spheres along their axes",
+    "Cylinder": "cylinders across the plane of motion by spheres of their radius",
+    "Box": "boxes that stand on corners by spheres there",
+    "Mesh": "meshes by boxes or spheres",
+    "Convex": "meshes by boxes or spheres",
+    "Ellipsoid": "ellipsoids by spheres",
+}
+_SOFT = (
+    " With contact: compliant, capsules meet spheres and each other, and boxes and cylinders half "
+    "spaces."
+)
 _MOST_WORK = 30_000  # Samples of all distances, about a second's worth.
 
 _IN_PLANE = "Sphere against Box, HalfSpace or Sphere, or Capsule against HalfSpace"
@@ -54,13 +67,15 @@ def refuse_pairs(inspector: Any, pairs: list[Pair], expected: str = _IN_PLANE) -
         f"{' against '.join(kind)}: {name_pairs(inspector, each)}" for kind, each in of_kind.items()
     ]
     out = dict.fromkeys(map(inspector.GetName, _cover(inspector, pairs)))
+    names = {name for kind in of_kind for name in kind}
+    instead = [text for name, text in _INSTEAD.items() if name in names]
     return FixableError(
         f"contact of {name_pair(inspector, pairs[0])}" if len(pairs) == 1 else "contacts",
         got=" against ".join(next(iter(of_kind))) if len(pairs) == 1 else ". ".join(listed),
         expected=expected,
         remedy=f"Leave shapes out by the scenario's ignored_shapes: [{', '.join(out)}], or the "
-        "pairs by allow_ignored: [pairs]; or change the collision shapes, or exclude pairs with a "
-        "<drake:collision_filter_group>.",
+        f"pairs by allow_ignored: [pairs]; or replace {'; '.join(instead)}; or exclude pairs with "
+        f"a <drake:collision_filter_group>.{_SOFT if expected == _IN_PLANE else ''}",
         fields={"allow_ignored": ["pairs"]},
     )
 
