@@ -13,13 +13,15 @@ from pydrake.trajectories import PiecewisePolynomial
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.errors import TrajectoryError
 
+_FLOATING = 7  # Positions of a body that floats.
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory(ArrayRecord):
     """States at knots, the control held between them, and the impulses of the wall.
 
     Letters: N intervals between N + 1 knots, which need not be evenly spaced; nq positions,
-    nv = nq velocities, nu controls, m contacts. Arrays are read-only.
+    nv velocities, fewer if there are quaternions; nu controls, m contacts. Arrays are read-only.
 
     Attributes:
         times: t_k, shape (N+1,), strictly increasing [s].
@@ -51,7 +53,9 @@ class Trajectory(ArrayRecord):
         checked["forces"] = _check_rows("forces", self.forces, count, "one for each interval")
         for name, array in checked.items():
             object.__setattr__(self, name, array)
-        if self.velocities.shape != self.positions.shape:
+        nq, nv = self.positions.shape[1], self.velocities.shape[1]
+        # A body that floats has 7 positions, a quaternion among them, and 6 velocities.
+        if nq != nv and not 0 < _FLOATING * (nq - nv) <= nq:
             raise TrajectoryError(
                 "velocities",
                 got=f"shape {self.velocities.shape}",
@@ -76,8 +80,13 @@ class Trajectory(ArrayRecord):
         slope v_{k+1}: exact under a constant acceleration, which is what a held control gives a
         point mass. v(t) is the derivative of q(t); at an impulse it jumps, and its value at t_k is
         the velocity *after* the impulse. u(t) is right on every [t_k, t_{k+1}), and u_{N−1} at the
-        end.
+        end. With quaternions, q(t) and v(t) are linear between knots.
         """
+        held = np.vstack([self.controls, self.controls[-1:]])
+        control = PiecewisePolynomial.ZeroOrderHold(self.times, held.T)
+        if self.velocities.shape != self.positions.shape:
+            states = np.hstack([self.positions, self.velocities])
+            return PiecewisePolynomial.FirstOrderHold(self.times, states.T), control
         h = np.diff(self.times)[:, np.newaxis]
         mean = np.diff(self.positions, axis=0) / h
         end = self.velocities[1:]
@@ -90,9 +99,7 @@ class Trajectory(ArrayRecord):
             slopes = c[1:] * np.arange(1, 4)[:, np.newaxis]
             entries = [Polynomial(coefficients) for coefficients in (*c.T, *slopes.T)]
             polynomials.append(np.array(entries).reshape(-1, 1))
-        held = np.vstack([self.controls, self.controls[-1:]])
-        state = PiecewisePolynomial(polynomials, self.times)
-        return state, PiecewisePolynomial.ZeroOrderHold(self.times, held.T)
+        return PiecewisePolynomial(polynomials, self.times), control
 
 
 def check_control(times: ArrayLike, controls: ArrayLike) -> tuple[Floats, Floats]:

@@ -124,12 +124,32 @@ class EquationsOfMotion:
         return self.is_hinge
 
     def normalized(self, q: Floats) -> Floats:
-        """Returns positions that can be, shape (nq,): all are."""
+        """Returns positions that can be, shape (…, nq): all are."""
         return q
+
+    def split(self, states: Floats) -> tuple[Floats, Floats]:
+        """Returns positions (…, nq) and velocities (…, nv) of states, one after the other."""
+        return states[..., : self.num_positions], states[..., self.num_positions :]
+
+    def add(self, q: Floats, delta: Floats) -> Floats:
+        """Returns positions (…, nq) moved by δ, which is a velocity for 1 s, (…, nv)."""
+        return np.add(q, delta)
 
     def subtract(self, after: Floats, before: Floats) -> Floats:
         """Returns the difference of positions, shape (…, nv), a velocity for 1 s."""
         return np.subtract(after, before)
+
+    def in_tangent(self, positions: Floats, turn: Floats) -> Floats:
+        """Returns numbers of positions (…, nq) by velocities (…, nv); of turns in space `turn`."""
+        return positions
+
+    def measure(self, after: Floats, before: Floats) -> Floats:
+        """Returns the same difference for costs."""
+        return self.subtract(after, before)
+
+    def middle(self, one: Floats, other: Floats) -> Floats:
+        """Returns positions halfway between two, (…, nq)."""
+        return (other + one) / 2
 
     def calc_position_rate(self, q: Floats, v: Floats) -> Floats:
         """Returns q̇, shape (…, nq)."""

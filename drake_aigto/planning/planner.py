@@ -55,7 +55,6 @@ class Planner:
         world: World | None = None,
     ) -> None:
         """Builds the world, and checks the scenario against it; programs are compiled later."""
-        self.scenario = scenario
         if not isinstance(options, PlanOptions | None):
             raise OptionsError(
                 "options",
@@ -64,6 +63,7 @@ class Planner:
                 remedy="Literal plans are made by drake_aigto.paper.plan_literal.",
             )
         self.world = world or World.from_scenario(scenario)
+        self.scenario = scenario = self.world.place(scenario)
         self.world.check(scenario)
         _check_friction(self.world, scenario)
         self.is_of_balls = not needs_shooting(self.world, scenario)
@@ -163,6 +163,7 @@ class Planner:
         }
         changed: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
         scenario = dataclasses.replace(self.scenario, **changed) if changed else self.scenario
+        scenario = self.world.place(scenario)
         self.world.check(scenario)
         _check_reach(self.world, scenario)
         _check_friction(self.world, scenario)

@@ -1,3 +1,5 @@
+from .bodies import FINE as FINE
+from .bodies import BodyMotion as BodyMotion
 from .drake_judge import ContactTrace as ContactTrace
 from .drake_judge import StepEnd as StepEnd
 from .drake_judge import StepTrace as StepTrace

@@ -25,8 +25,7 @@ from drake_aigto.simulation.recording import (
 from drake_aigto.world import SpaceWorld
 
 # Of one step, relative to positions and velocities of 1; coarser steps show how far that leads.
-_TOLERANCE = 1e-10
-_COARSE = 1e-8
+_TOLERANCE, _COARSE, FINE = 1e-10, 1e-8, 1e-11
 # More steps between two knots are no motion any more, but numbers that run away.
 _MOST_STEPS = 1_000_000
 # Rows between two knots, at least: contacts are found, and costs summed, between them.
@@ -56,6 +55,11 @@ class BodyMotion:
     with f of all pairs of shapes (`contact.touching`). Steps of a Runge-Kutta method of order 5 are
     as short as its own estimate of their error asks for, which sees the kinks where contacts begin,
     end, stick and slip.
+
+    Attributes:
+        recording: of what happened so far.
+        forces: once it has run, normal forces at the start of each eighth of intervals between
+            knots, shape (8 N, m) [N].
     """
 
     def __init__(
@@ -69,6 +73,7 @@ class BodyMotion:
         """Starts with (q, v) at a time [s]; the tolerance is that of a step."""
         self.world, self.time, self._tolerance = world, time, tolerance
         self.q, self.v = (np.array(each, dtype=float) for each in state)
+        self._law, self.forces = law, np.zeros((0, world.num_contacts))
         self._bodies = Bodies.of(world, law, 1.0)
         self._memory, self._step = make_bodies_memory(self._bodies), np.inf
         self.recording = Recording(simulator="integrated")
@@ -116,8 +121,15 @@ class BodyMotion:
                 self._keep(control)
         self._step = step
 
+    def _calc_forces(self) -> Floats:
+        """Returns normal forces at the start of each part of intervals, shape (8 N, m) [N]."""
+        q, v = (np.array([row[k] for row in self._rows]) for k in (1, 2))
+        distances, rates = self.world.calc_signed_distance(q), self.world.calc_contact_rate(q, v)
+        return self._law.calc_forces(distances, rates)
+
     def _read(self) -> None:
         """Fills in contacts, depth, and samples between rows."""
+        self.forces = self._calc_forces()
         self._keep(self._rows[-1][3])
         times = np.array([row[0] for row in self._rows])
         q, v, u = (np.array([row[k] for row in self._rows]) for k in (1, 2, 3))

@@ -60,7 +60,7 @@ def narrow_bounds(bounds: Limits, states: Floats, excess: Floats) -> Limits:
     lower = np.where(excess[0] > 0, np.maximum(lower, states.min(axis=0)) + excess[0], lower)
     upper = np.where(excess[1] > 0, np.minimum(upper, states.max(axis=0)) - excess[1], upper)
     ends = np.array([np.minimum(lower, upper), np.maximum(lower, upper)])
-    position, velocity = np.split(ends, 2, axis=1)
+    position, velocity = np.split(ends, [bounds.position.shape[1]], axis=1)
     return dataclasses.replace(bounds, position=position, velocity=velocity)
 
 

@@ -18,6 +18,7 @@ from pydrake.systems.framework import Diagram
 from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.dynamics import (
     PRISMATIC,
+    QUATERNION,
     STICTION_SPEED,
     TRANSLATION,
     Contact,
@@ -242,9 +243,20 @@ class SpaceWorld(World):
         plant, scene_graph = find_plant(diagram)
         _choose_pairs(plant, scene_graph, scenario.ignored_shapes)
 
+    @property
+    def reaches(self) -> Floats:
+        """Zero: distances are those of surfaces, shape (m,)."""
+        return np.zeros(self.num_contacts)
+
     def normalized(self, q: Floats) -> Floats:
-        """Returns positions with quaternions of unit length, shape (nq,)."""
-        return self.tree.add(q, np.zeros(self.num_velocities))
+        """Returns positions with quaternions of unit length, shape (…, nq)."""
+        return self.add(q, np.zeros(self.num_velocities))
+
+    def add(self, q: Floats, delta: Floats) -> Floats:
+        """Returns q ⊕ δ, shape (…, nq): links turned by rotation vectors, and moved."""
+        q, delta = _broadcast(q, delta)
+        rows = [self.tree.add(*row) for row in zip(_rows(q), _rows(delta), strict=True)]
+        return np.array(rows).reshape(q.shape)
 
     def subtract(self, after: Floats, before: Floats) -> Floats:
         """Returns the shortest δ with before ⊕ δ = after, shape (…, nv), of positions (…, nq)."""
@@ -253,6 +265,36 @@ class SpaceWorld(World):
         after, before = np.broadcast_arrays(after, before)
         found = subtract_rows(self.tree, _rows(after), _rows(before))
         return found.reshape(*after.shape[:-1], self.num_velocities)
+
+    def measure(self, after: Floats, before: Floats) -> Floats:
+        """Returns the same difference for costs, smooth: turns in space by 2 sin(θ/2), not θ."""
+        found = self.subtract(after, before)
+        for first in self._turns_in_space:
+            turn = found[..., first : first + 3]
+            angle = np.linalg.norm(turn, axis=-1, keepdims=True)
+            turn *= np.sinc(angle / (2 * np.pi))
+        return found
+
+    def in_tangent(self, positions: Floats, turn: Floats) -> Floats:
+        """Returns numbers of positions (…, nq) by velocities (…, nv); of turns in space `turn`.
+
+        The latter has the shape (…, 1).
+        """
+        tree, places = self.tree, np.full(self.num_velocities, -1)
+        for i in np.flatnonzero(tree.kinds < QUATERNION):
+            dofs = tree.velocities[tree.dofs[i] : tree.dofs[i + 1]]
+            places[dofs] = tree.positions[i] + np.arange(len(dofs))
+        return np.where(places >= 0, positions[..., places], turn)
+
+    @cached_property
+    def _turns_in_space(self) -> list[int]:
+        """Where velocities of links that turn about three axes start."""
+        kinds, dofs = self.tree.kinds, self.tree.dofs[:-1]
+        return [int(self.tree.velocities[dofs[i]]) for i in np.flatnonzero(kinds >= QUATERNION)]
+
+    def middle(self, one: Floats, other: Floats) -> Floats:
+        """Returns positions halfway between two, (…, nq)."""
+        return self.add(one, self.subtract(other, one) / 2)
 
     def calc_position_rate(self, q: Floats, v: Floats) -> Floats:
         """Returns q̇ = N(q) v, shape (…, nq)."""

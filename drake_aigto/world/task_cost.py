@@ -45,7 +45,8 @@ class TaskCost(ArrayRecord):
         times: of the reference, (K,) [s]; before the first and after the last it stands still.
         positions: q_ref at these times, (K, n), piecewise linear between; the goal's if none.
         velocities: v_ref, (K, n); the goal's.
-        subtract: of positions, the difference whose squares are weighed, (…, n).
+        subtract: of positions, the difference, (…, n).
+        measure: the same, whose squares are weighed: of turns in space 2 sin(θ/2) about their axis.
     """
 
     R: Floats
@@ -61,6 +62,7 @@ class TaskCost(ArrayRecord):
     positions: Floats
     velocities: Floats
     subtract: Callable[[Any, Any], Floats] = np.subtract
+    measure: Callable[[Any, Any], Floats] = np.subtract
 
     @classmethod
     def of(cls, world: EquationsOfMotion, scenario: Scenario) -> TaskCost:
@@ -100,11 +102,12 @@ class TaskCost(ArrayRecord):
             positions=np.tile(goal, (len(times), 1)) if places is None else places,
             velocities=np.tile(speed, (len(times), 1)) if speeds is None else speeds,
             subtract=world.subtract if world.num_positions != n else np.subtract,
+            measure=world.measure if world.num_positions != n else np.subtract,
         )
 
     def __post_init__(self) -> None:
         """Makes every array read-only."""
-        for field in fields(self)[:-1]:
+        for field in fields(self)[:-2]:
             values = getattr(self, field.name)
             object.__setattr__(self, field.name, read_only(values, np.asarray(values).dtype))
 
@@ -131,7 +134,7 @@ class TaskCost(ArrayRecord):
 
     def position_error(self, q: ArrayLike, about: ArrayLike) -> Floats:
         """Returns e_q, whose square is weighed, of positions about others, (…, n)."""
-        error = _turn(self.subtract(q, about), self.is_modulo)
+        error = _turn(self.measure(q, about), self.is_modulo)
         return np.where(self.is_chordal, 2.0 * np.sin(error / 2.0), error)
 
     def hard_goal(self, scenario: Scenario) -> Floats:

@@ -189,15 +189,17 @@ class _Correcting(HeldControl):
 
     is_open_loop = False
 
-    def __init__(self, motion: ShootingResult, gains: Floats, bounds: Floats) -> None:
+    def __init__(self, world: World, motion: ShootingResult, gains: Floats, bounds: Floats) -> None:
         super().__init__(motion.times, motion.controls)
-        self._motion, self._gains, self._bounds = motion, gains, bounds
+        self._world, self._motion, self._gains, self._bounds = world, motion, gains, bounds
         self.controls = np.array(motion.controls)
 
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
         held = super().sample(time, x, bounces)
         k = int(np.searchsorted(self._motion.times, held.until)) - 1
-        answer = self._gains[k] @ (x - self._motion.states[k])
+        (q, v), (about, speed) = map(self._world.split, (x, self._motion.states[k]))
+        off = np.concatenate([self._world.subtract(q, about), v - speed])
+        answer = self._gains[k] @ off
         self.controls[k] = np.clip(self._motion.controls[k] + answer, *self._bounds)
         return Held(self.controls[k], held.until)
 
@@ -219,7 +221,7 @@ def steady(
         motion: near an optimum.
     """
     gains = problem.linearize(motion.controls, motion.substeps).gains
-    controller = _Correcting(motion, gains, problem.control_bounds)
+    controller = _Correcting(world, motion, gains, problem.control_bounds)
     found = None
     if scenario.contact == "compliant":
         found = replay_with(EVENT_DRIVEN, world, scenario, controller)

@@ -57,8 +57,13 @@ class Guess:
         return controls, None if states is None else interpolate(times, self.times, states)
 
 
-def sample_cubic(knots: Floats, positions: Floats, velocities: Floats, times: Floats) -> Floats:
-    """Returns states at times, cubic between knots that have these q and v, shape (K, 2n)."""
+def sample_cubic(
+    world: World, knots: Floats, positions: Floats, velocities: Floats, times: Floats
+) -> Floats:
+    """Returns states at times, cubic between knots that have these q and v, shape (K, nq + nv)."""
+    if world.num_positions != world.num_velocities:
+        q = world.normalized(interpolate(times, knots, positions))
+        return np.hstack([q, interpolate(times, knots, velocities)])
     motion = PiecewisePolynomial.CubicHermite(knots, positions.T, velocities.T)
     each = motion.vector_values(times), motion.MakeDerivative().vector_values(times)
     return np.vstack(each).T
@@ -98,8 +103,8 @@ class Guesses:
         """Keeps all of these."""
         self._world, self._law, self._problem = world, law, problem
         self._measures, self._coast, self._total = measures, coast, total
-        cost, n = problem.cost, world.num_positions
-        self._start, self._velocity = problem.start[:n], problem.start[n:]
+        cost = problem.cost
+        self._start, self._velocity = world.split(problem.start)
         self._turns = cost.is_modulo | cost.is_chordal
         self._way = -cost.goal_errors(self._start)
 
@@ -129,7 +134,8 @@ class Guesses:
         width = 10 ** rng.uniform(*_WIDTHS)
         if start == "controls":
             return Guess(times, self._draw_controls(rng, times, begin, end), None, width)
-        path = self._find_path(start, times, begin, end) + self._draw_waves(rng, times)
+        path = self._find_path(start, times, begin, end)
+        path = self._world.add(path, self._draw_waves(rng, times))
         return self._follow(times, path, width)
 
     def renew(self, motion: ShootingResult, rng: np.random.Generator) -> Guess:
@@ -137,7 +143,7 @@ class Guesses:
         T, N = float(motion.times[-1]), len(self._problem.times) - 1
         times, width = np.linspace(0.0, T, N + 1), 10 ** rng.uniform(*_WIDTHS)
         begin, end = self._draw_stretch(rng, T)
-        kind, n = int(rng.integers(4)), self._world.num_positions
+        kind, n = int(rng.integers(4)), self._world.num_velocities
         size = 10 ** rng.uniform(*_PERTURBED)
         as_is = Guess(motion.times, motion.controls, motion.states, width)
         if kind == 0:  # Sooner or later.
@@ -148,11 +154,15 @@ class Guesses:
         assert states is not None
         s = np.clip((times - begin) / (end - begin), 0.0, 1.0)[:, np.newaxis]
         wave = np.sin(np.pi * s) * size * self._measures.position * rng.uniform(-1.0, 1.0, n)
-        before, after = (self._follow(times, q) for q in (states[:, :n], states[:, :n] + wave))
+        path, speeds = self._world.split(states)
+        moved = self._world.add(path, wave)
+        before, after = (self._follow(times, q) for q in (path, moved))
         assert before.states is not None and after.states is not None
-        change = after.states - before.states
+        change = self._world.split(after.states)[1] - self._world.split(before.states)[1]
         controls = controls + after.controls - before.controls
-        return Guess(times, self._bounded(controls), states + change, width)
+        positions = self._world.add(path, self._world.subtract(moved, path))
+        states = np.hstack([positions, speeds + change])
+        return Guess(times, self._bounded(controls), states, width)
 
     def follow(self, trajectory: Trajectory) -> Guess:
         """Returns the guess of a trajectory."""
@@ -188,21 +198,20 @@ class Guesses:
 
     def _find_path(self, start: StartName, times: Floats, begin: float, end: float) -> Floats:
         """Returns the positions of a start's path, shape (N + 1, n)."""
-        n = self._world.num_positions
         if start in ("line", "turn"):
             s = np.clip((times - begin) / (end - begin), 0.0, 1.0)[:, np.newaxis]
             way = self._way
             if start == "turn":
                 way = way - np.where(self._turns, 2 * np.pi * np.copysign(1.0, way), 0.0)
-            return self._start + s * s * (3 - 2 * s) * way
-        coast = self._coast.states[:, :n]
+            return self._world.add(self._start, s * s * (3 - 2 * s) * way)
+        coast, _ = self._world.split(self._coast.states)
         if start == "coast" and np.isfinite(coast).all():
-            return interpolate(times, self._coast.times, coast)
+            return self._world.normalized(interpolate(times, self._coast.times, coast))
         return np.tile(self._start, (len(times), 1))
 
     def _draw_waves(self, rng: np.random.Generator, times: Floats) -> Floats:
         """Returns a random sum of waves that vanishes at the start, shape (N + 1, n)."""
-        far = np.where(self._world.is_hinge, _ROUND, _FAR) * self._measures.position
+        far = np.where(self._world.turns, _ROUND, _FAR) * self._measures.position
         s, total = times / times[-1], np.zeros((len(times), len(far)))
         for number in range(1, 1 + int(rng.integers(1, 1 + _MOST_WAVES))):
             size = 10 ** rng.uniform(-1.0, 0.0) / number * rng.uniform(-1.0, 1.0, len(far))
@@ -223,9 +232,9 @@ class Guesses:
     def _follow(self, times: Floats, q: Floats, width: float = 1.0) -> Guess:
         """Returns the guess of positions at even times, shape (N + 1, n)."""
         world, h = self._world, times[1] - times[0]
-        v = np.gradient(q, h, axis=0)
-        v[0] = self._velocity
-        middle, mean = (q[1:] + q[:-1]) / 2, (v[1:] + v[:-1]) / 2
+        inner, last = world.subtract(q[2:], q[:-2]), world.subtract(q[-1:], q[-2:-1])
+        v = np.vstack([self._velocity, inner / (2 * h), last / h])
+        middle, mean = world.middle(q[:-1], q[1:]), (v[1:] + v[:-1]) / 2
         a = np.diff(v, axis=0) / h
         force = np.einsum("kij,kj->ki", world.calc_mass_matrix(middle), a)
         force += world.calc_bias(middle, mean)

@@ -46,7 +46,7 @@ class Measures:
     def of(cls, world: World, scenario: Scenario) -> Measures:
         """Returns the units of a scenario in its world."""
         T = scenario.duration
-        position = np.where(world.is_hinge, 1.0, _measure_sliders(world, scenario))
+        position = np.where(world.turns, 1.0, _measure_sliders(world, scenario))
         ends = np.array([scenario.initial_position, scenario.goal_position])
         levers = calc_levers(world.reaches, world.calc_signed_distance(ends))
         ways = np.linalg.norm(world.calc_contact_jacobian(ends) * position, axis=-1) * levers
@@ -57,9 +57,9 @@ class Measures:
 
 def _measure_sliders(world: World, scenario: Scenario) -> float:
     """Returns the unit of all sliders [m]."""
-    q, v, is_slider = scenario.initial_position, scenario.initial_velocity, ~world.is_hinge
+    q, v, is_slider = scenario.initial_position, scenario.initial_velocity, ~world.turns
     ends = np.array([q, scenario.goal_position])
-    ways = np.abs(ends[1] - ends[0])[is_slider]
+    ways = np.abs(world.subtract(ends[1], ends[0]))[is_slider]
     distances = world.calc_signed_distance(ends)
     R = world.reaches
     distances = np.where(R > 0, R / calc_levers(R, distances) - R, distances)
@@ -77,8 +77,8 @@ def _measure_sliders(world: World, scenario: Scenario) -> float:
 def _find_period(world: World, ends: Floats, position: Floats, duration: float) -> float:
     """Returns π √(unit / acceleration) of the fastest coordinate near the ends [s]."""
     steps = np.vstack([np.zeros(len(position)), np.diag(position) / 2, -np.diag(position) / 2])
-    q = (ends[:, np.newaxis] + steps).reshape(-1, len(position))
-    bias = world.calc_bias(q, np.zeros_like(q))[..., np.newaxis]
+    q = world.add(ends[:, np.newaxis], steps).reshape(-1, world.num_positions)
+    bias = world.calc_bias(q, np.zeros((len(q), len(position))))[..., np.newaxis]
     falls = np.abs(np.linalg.solve(world.calc_mass_matrix(q), bias))[..., 0]
     fastest = float(np.max(falls / position, initial=0.0))
     period = np.pi / np.sqrt(fastest) if fastest > 0 else duration

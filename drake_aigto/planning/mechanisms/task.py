@@ -10,6 +10,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, contact_law
+from drake_aigto.errors import ModelError
 from drake_aigto.planning.candidate import (
     NO_CONTROL,
     Candidate,
@@ -70,7 +71,7 @@ from drake_aigto.transcription import (
     Additions,
     Samples,
 )
-from drake_aigto.world import Scales, Scenario, TaskCost, World
+from drake_aigto.world import Scales, Scenario, SpaceWorld, TaskCost, World
 
 # Price of violating bounds (relative to the state's scales) in the task's scale. As a violation may
 # save more than that, motions with a larger one than `_MUCH` rank after all others.
@@ -108,6 +109,13 @@ class Compiled:
             ProgramError, UnsupportedTermError: see `AddedTerms.of`.
         """
         added = AddedTerms.of(world, additions) if additions else NO_TERMS
+        if isinstance(world, SpaceWorld):
+            raise ModelError(
+                "a plan in space",
+                got=f"a model that is read as a tree ({world.num_positions} coordinates)",
+                expected="one that is read as sums of products",
+                remedy="Simulate it (replay_event_driven, replay_drake).",
+            )
         return cls(Mechanism.of(world, law), additions, added)
 
 
@@ -277,8 +285,8 @@ class MechanismTask:
         problem = self.shooting(self.scenario.num_steps).starting_from(motion)
         times = problem.knot_times
         controls = motion.controls[np.searchsorted(motion.times, (times[1:] + times[:-1]) / 2) - 1]
-        q, v = np.split(motion.states, 2, axis=1)
-        states = sample_cubic(motion.times, q, v, times)
+        q, v = self.world.split(motion.states)
+        states = sample_cubic(self.world, motion.times, q, v, times)
         return problem.solve(controls, states, find_tight(self.world))
 
     def polish(self, motion: ShootingResult, most: float = np.inf) -> ShootingResult:
@@ -325,7 +333,7 @@ class MechanismTask:
         replay, trajectory = simulated.replay, simulated.trajectory
         (cost, error), added = self._calc_cost(found), dict[str, float]()
         if self.additions:
-            q, v = np.split(found.states, 2, axis=1)
+            q, v = self.world.split(found.states)
             counted = self.additions.costs(Samples(found.times, q, v, found.controls))
             added = self.additions.costs(sample(trajectory))
             # At an impact, shooting takes the state after it, and trajectories the one before.

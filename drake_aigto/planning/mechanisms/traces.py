@@ -10,10 +10,26 @@ import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
 from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.contact import Closed, ContactLaw, Mode, RigidLaw, calc_drag, calc_pushes
-from drake_aigto.simulation import PlannedContact, Replay, find_impacts, replay_event_driven
+from drake_aigto.contact import (
+    Closed,
+    CompliantLaw,
+    ContactLaw,
+    Mode,
+    RigidLaw,
+    calc_drag,
+    calc_pushes,
+)
+from drake_aigto.simulation import (
+    FINE,
+    BodyMotion,
+    HeldControl,
+    PlannedContact,
+    Replay,
+    find_impacts,
+    replay_event_driven,
+)
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, SpaceWorld, World
 
 # Runge-Kutta steps between two rows of a replay, where contacts neither begin nor end; more while
 # gaps are above this part of the states, until steps do not cause them.
@@ -48,6 +64,8 @@ def trace(
         The trajectory at the knots, with the mean forces between them; and the largest difference
         of (q, v) to the integration from the row before, shape (2n,).
     """
+    if isinstance(world, SpaceWorld):
+        return _trace_bodies(world, law, replay, times, controls)
     is_step = np.diff(replay.times) > 0
     starts, h = replay.times[:-1][is_step], np.diff(replay.times)[is_step]
     knots = np.clip(np.searchsorted(times, starts + h / 2) - 1, 0, len(controls) - 1)
@@ -70,6 +88,22 @@ def trace(
     forces = impulses / np.diff(times)[:, np.newaxis]
     none = np.zeros((len(times), world.num_contacts))
     return Trajectory(times, q, v, controls, none, forces), gaps
+
+
+def _trace_bodies(
+    world: SpaceWorld, law: ContactLaw, replay: Replay, times: Floats, controls: Floats
+) -> tuple[Trajectory, Floats]:
+    """Returns the same of bodies in space, integrated again in finer steps from the start."""
+    assert isinstance(law, CompliantLaw)
+    start = replay.positions[0], replay.velocities[0]
+    motion = BodyMotion(world, law, start, float(times[0]), FINE)
+    recording = motion.run(HeldControl(times, controls))
+    q, v = replay.states_at(times)
+    finer = (np.array(getattr(recording, name)) for name in ("positions", "velocities"))
+    off = [np.abs(a - b).max(axis=0) for a, b in zip((q, v), finer, strict=True)]
+    none = np.zeros((len(times), world.num_contacts))
+    forces = motion.forces.reshape(len(controls), -1, world.num_contacts).mean(axis=1)
+    return Trajectory(times, q, v, controls, none, forces), np.concatenate(off)
 
 
 def _read_modes(world: World, replay: Replay, times: Floats) -> Ints:
