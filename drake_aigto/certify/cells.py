@@ -185,14 +185,14 @@ class CellSearch:
         lowest, enough = np.inf, self._enough
         for c in np.flatnonzero(bounds < enough):
             self._turn += 1
-            if self._gains < _LEAST_SHARE * self._tries and self._turn % _SELDOM:
+            is_seldom = self._is_bent and self._gains < _LEAST_SHARE * self._tries
+            if is_seldom and self._turn % _SELDOM:
                 continue
             found = relaxation.bound(low[c], high[c], self.least)
             self.num_cells += relaxation.effort
             self._tries += 1
-            more = found.bound - bounds[c]
-            is_gain = found.bound > enough or more > _LEAST_SHARE * (enough - bounds[c])
-            self._gains += is_gain or more == np.inf
+            most = _LEAST_SHARE * (enough - bounds[c]) if np.isfinite(enough - bounds[c]) else 0.0
+            self._gains += found.bound > min(enough, bounds[c] + most)
             bounds[c] = max(bounds[c], found.bound)
             if bounds[c] < lowest:
                 lowest, self._start = bounds[c], found.x

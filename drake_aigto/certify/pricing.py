@@ -97,11 +97,10 @@ def priced_rows(tape: Tape, rows: Rows, outer: Floats, x: Floats) -> Rows:
             break
         active &= ~wrong
         slopes[~active] = 0.0
-    sizes = np.sum(gradients[1:] ** 2, axis=1)
     largest = max(1.0, float(np.max(np.abs(gradients[0]), initial=0.0)))
-    bends = np.zeros(count - 1)
-    bent = active & (sizes > 0.0)
-    bends[bent] = np.where(low == high, _BEND, -_BEND)[bent] * largest / sizes[bent]
+    with np.errstate(over="ignore", divide="ignore"):
+        bends = np.where(low == high, _BEND, -_BEND) * largest / np.sum(gradients[1:] ** 2, axis=1)
+    bends = np.where(active & np.isfinite(bends), bends, 0.0)
     targets = np.where(at_high, high, np.where(at_low, low, 0.0))
     return Rows(low, high, targets, np.where(active, slopes, 0.0), bends)
 
