@@ -183,6 +183,11 @@ def test_planned_contacts_say_where_they_are() -> None:
     assert first.velocity_change == pytest.approx(4.0) and first.energy_ratio == pytest.approx(1.0)
     assert second.energy_ratio == pytest.approx(0.25)
     assert max_penetration(world, trajectory) == pytest.approx(0.2)
+    # A force of rounding in the step before a touch does not make it begin there.
+    forces = np.zeros((10, 2))
+    forces[1, 1] = 1e-14
+    rounded = Trajectory(times, positions, velocities, np.zeros((10, 1)), impulses, forces)
+    assert [each.time for each in find_contacts(world, rounded)] == pytest.approx([0.2, 0.7])
 
 
 def test_a_corner_is_two_planned_contacts_at_once_and_between_faces_is_outside() -> None:

@@ -364,9 +364,11 @@ def _find_runs(trajectory: Trajectory, impulses: Floats, held: Floats, sizes: Fl
         hit = np.flatnonzero(sizes > _SHARE * largest)
         apart = np.diff(trajectory.times[hit]) >= _GAP * np.ptp(trajectory.times)
     else:
-        touching = np.append(held != 0, False) | np.append(False, held != 0)
+        # Forces of rounding before a touch are none of its own.
+        pressed = np.abs(held) > _ROUNDING * max(np.max(np.abs(held)), np.max(np.abs(impulses)))
+        touching = np.append(pressed, False) | np.append(False, pressed)
         hit = np.flatnonzero((sizes > _ROUNDING * largest) | touching)
-        apart = held[hit[:-1]] == 0
+        apart = ~pressed[hit[:-1]]
     return np.split(hit, np.flatnonzero(apart) + 1) if hit.size else []
 
 
