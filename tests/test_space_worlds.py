@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from space_models import SPHERE, ball_and_finger, collision, make_scenario
 
-from drake_aigto import Scenario, World
+from drake_aigto import Planner, Scenario, World
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.simulation import replay_drake, replay_event_driven
 from drake_aigto.world import SpaceWorld, TaskCost
@@ -114,6 +114,19 @@ def test_what_does_not_fit_is_refused_by_name(
 ) -> None:
     with pytest.raises(ScenarioError, match=match):
         World.from_scenario(make_scenario(tmp_path, **changes))
+
+
+def test_a_plan_in_space_is_refused_by_name(tmp_path: Path) -> None:
+    planner = Planner(make_scenario(tmp_path))
+    with pytest.raises(ModelError, match=r"a plan in space: got a model that is read as a tree"):
+        _ = planner.task
+
+
+def test_rigid_contact_in_space_is_refused_by_name(tmp_path: Path) -> None:
+    world, scenario = build(make_scenario(tmp_path))
+    rigid = Scenario(**(scenario.to_plain() | {"contact": "rigid"}))
+    with pytest.raises(ScenarioError, match="contact: got 'rigid', of bodies in space"):
+        world.check(rigid)
 
 
 def test_pairs_without_a_distance_are_listed_at_once(tmp_path: Path) -> None:
