@@ -69,6 +69,7 @@ class PlantReader:
 
     def read_mass_matrix(self) -> NDArray[Any]:
         """Returns M(q) as it is interpolated, its terms not yet gathered."""
+        M = self.read(MultibodyPlant.CalcMassMatrix, degree=2, what="the mass matrix")
         self._plant.SetPositions(self._context, self._plant.GetDefaultPositions())
         values = self._plant.CalcMassMatrix(self._context)
         if np.linalg.matrix_rank(values) < len(values):
@@ -77,7 +78,7 @@ class PlantReader:
                 got=values.tolist(),
                 remedy="Give every link that moves a mass.",
             )
-        return self.read(MultibodyPlant.CalcMassMatrix, degree=2, what="the mass matrix")
+        return M
 
     def calc_bias(self, mass_matrix: NDArray[Any]) -> NDArray[Any]:
         """Returns h(q, v), shape (nv,) [N, N m]: all that B u and contact must balance at v̇ = 0.
