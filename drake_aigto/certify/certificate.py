@@ -201,7 +201,7 @@ class Certifier:
             self._method, self._search = Method.CLIQUES, CliqueSearch(formulas, self._order)
         elif formulas.lower.size:
             self._method, self._search = Method.CELLS, CellSearch(formulas, _MARGIN * gap)
-        self._is_priced, self._floor = False, -math.inf
+        self._priced_cost, self._floor = math.inf, -math.inf
         self._cost = _sum_of(formulas) if self._search is None else self._search.cost
         least, most = self._cost.range(formulas.lower, formulas.upper)
         self.least_sum = least if is_feasible else math.inf
@@ -285,13 +285,13 @@ class Certifier:
             self.offer(better)
 
     def _price_rows(self, cells: int, improve: Improve) -> None:
-        """Pays for rows, once a point is known that says at what prices, and bounds cliques."""
+        """Pays for rows at the prices that each better point says, and bounds cliques."""
         formulas, old = self._formulas, self._search
-        if self._is_priced or not formulas.rows or self._order is None or old is None:
+        if not formulas.rows or self._order is None or old is None:
             return
-        if not math.isfinite(self._best_cost):
+        if not self._best_cost < self._priced_cost:
             return
-        self._is_priced = True
+        self._priced_cost = self._best_cost
         self._search = priced = CliqueSearch(with_prices(formulas, self._best), self._order)
         priced.offer(self._best, self._best_cost)
         if isinstance(old, CellSearch):
