@@ -18,7 +18,7 @@ from numba.core.compiler_machinery import register_pass
 from numba.core.environment import lookup_environment
 from numba.core.event import Event, Listener, install_listener
 from numba.core.typed_passes import NativeLowering
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
 
 from drake_aigto.code_cache import CodeCache, find_reason
 from drake_aigto.progress import Notice
@@ -199,6 +199,26 @@ inner = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, _nrt=True
 # arguments nor to views of them, which whoever calls holds meanwhile. Recursions over short arrays
 # are three times as fast as with `inner` and `borrow`.
 borrowing = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, _nrt=False)
+
+
+def chosen(choose: Callable[..., Callable[..., Any]]) -> Callable[[_Function], _Function]:
+    """Returns a decorator: compiled code calls in a function's place what is chosen by its types.
+
+    Args:
+        choose: takes Numba's types of the arguments, returns a Python function of the same
+            parameters, which is compiled as with `borrowing`.
+    """
+    options: Any = {
+        **{"nogil": True, "error_model": "numpy", "pipeline_class": _InnerPipeline, "_nrt": False},
+        **{"no_cpython_wrapper": True, "no_cfunc_wrapper": True},
+    }
+
+    def register(function: _Function) -> _Function:
+        overload(function, strict=False, jit_options=options)(choose)
+        return function
+
+    return register
+
 
 # For functions that one place in compiled code calls, and that call many: Numba pastes them there.
 # On their own, LLVM would optimize them once more. Short functions gain nothing by it, and many in

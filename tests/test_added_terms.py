@@ -88,7 +88,7 @@ class Peer:
         prog.AddBoundingBoxConstraint(*total, self.T)
         prog.SetInitialGuess(self.T, T)
         q, v, u, self.h = self.q, self.v, self.u, self.T / N
-        force = problem.mechanism.mechanics.actuation
+        force = problem.mechanism.actuation
         prog.AddBoundingBoxConstraint([0.1, 0.2], [0.1, 0.2], q[0])
         prog.AddBoundingBoxConstraint(0.0, 0.0, v[0])
         gains, fall = np.linalg.solve(mass, force), np.linalg.solve(mass, bias)

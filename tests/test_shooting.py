@@ -299,8 +299,10 @@ def test_finer_steps_than_friction_asks_for_leave_it_as_it_is() -> None:
     scenario = Scenario.named("pushed_block/slide")
     world = World.from_scenario(scenario)
     problem = MechanismTask(world, scenario, PlanOptions()).shooting(40)
-    frictions = problem.mechanism.mechanics.frictions
+    frictions = problem.mechanism.frictions
     count = problem.friction_substeps
     assert count > 1
-    np.testing.assert_array_equal(problem.fit_friction(count)[:, STICTION], frictions[:, STICTION])
-    assert np.all(problem.fit_friction(count - 1)[:, STICTION] > frictions[:, STICTION])
+    np.testing.assert_array_equal(
+        problem.fit_mechanism(count).frictions[:, STICTION], frictions[:, STICTION]
+    )
+    assert np.all(problem.fit_mechanism(count - 1).frictions[:, STICTION] > frictions[:, STICTION])

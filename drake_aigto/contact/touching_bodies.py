@@ -12,15 +12,9 @@ from drake_aigto.contact.touching import TouchRoom, TouchTable, make_touch_room,
 from drake_aigto.dynamics import (
     TreeMemory,
     TreeTables,
-    differentiate,
-    factor,
-    gather,
     make_tree_memory,
-    prepare_slopes,
-    push_joints,
-    solve,
-    solve_rows,
-    spread,
+    move_tree,
+    push_tree,
 )
 from drake_aigto.kernels import inner
 from drake_aigto.world import SpaceWorld
@@ -92,18 +86,7 @@ def accelerate_bodies(
     Both are by degrees of freedom, whose place in v is `velocities` of the tree.
     """
     tree, room = bodies.tree, memory.tree
-    spread(tree, q, v, room)
-    if has_slopes:
-        prepare_slopes(tree, room)
-    push_joints(tree, q, u, eps, room)
-    gather(tree, has_slopes, room)
-    pushed, table = memory.touch, bodies.table
-    push(table, room.poses, room.motions, room.v, eps, bodies.pace, False, pushed, room.force,
-         room.slopes)  # fmt: skip
-    factor(tree.up, room.mass)
-    solve(tree.up, room.mass, room.force)
-    if has_slopes:
-        differentiate(tree, eps, room)
-        push(table, room.poses, room.motions, room.v, eps, bodies.pace, True, pushed, pushed.spare,
-             room.slopes)  # fmt: skip
-        solve_rows(tree.up, room.mass, room.slopes)
+    push_tree(tree, q, v, u, eps, has_slopes, room)
+    push(bodies.table, room.poses, room.motions, room.v, eps, bodies.pace, has_slopes,
+         memory.touch, room.force, room.slopes)  # fmt: skip
+    move_tree(tree, has_slopes, room)

@@ -6,6 +6,7 @@ from .equations import EquationsOfMotion as EquationsOfMotion
 from .equations import calc_friction_share as calc_friction_share
 from .equations import smooth_sign as smooth_sign
 from .manifold import add_tangent as add_tangent
+from .manifold import read_turn as read_turn
 from .manifold import subtract_positions as subtract_positions
 from .recursions import factor as factor
 from .recursions import gather as gather
@@ -14,6 +15,7 @@ from .recursions import push_joints as push_joints
 from .recursions import solve as solve
 from .recursions import solve_rows as solve_rows
 from .recursions import spread as spread
+from .spatial import multiply_quaternions as multiply_quaternions
 from .sum_kernels import divide_by_masses as divide_by_masses
 from .sum_kernels import evaluate_sums as evaluate_sums
 from .sums import SumMap as SumMap
@@ -24,10 +26,14 @@ from .sums import tidy as tidy
 from .tree import Tree as Tree
 from .tree_kernels import turn_positions as turn_positions
 from .tree_slopes import differentiate as differentiate
+from .tree_slopes import move_tree as move_tree
 from .tree_slopes import prepare_slopes as prepare_slopes
+from .tree_slopes import push_tree as push_tree
 from .tree_tables import PRISMATIC as PRISMATIC
 from .tree_tables import QUATERNION as QUATERNION
 from .tree_tables import TRANSLATION as TRANSLATION
 from .tree_tables import TreeMemory as TreeMemory
 from .tree_tables import TreeTables as TreeTables
 from .tree_tables import make_tree_memory as make_tree_memory
+from .turns import find_rate as find_rate
+from .turns import find_turning as find_turning

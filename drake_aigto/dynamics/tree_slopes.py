@@ -43,15 +43,39 @@ def accelerate(
     memory: TreeMemory,
 ) -> None:
     """Computes v̇ in `force`, and ∂v̇/∂(δ, v, u) in `slopes` if asked, by degrees of freedom."""
+    push_tree(tree, q, v, u, eps, has_slopes, memory)
+    move_tree(tree, has_slopes, memory)
+
+
+@pasted
+def push_tree(
+    tree: TreeTables,
+    q: Floats,
+    v: Floats,
+    u: Floats,
+    eps: float,
+    has_slopes: bool,
+    memory: TreeMemory,
+) -> None:
+    """Computes motions of links, and forces of joints in `force`, with `slopes` if asked.
+
+    Other generalized forces may be added to both before `move_tree`.
+    """
     spread(tree, q, v, memory)
+    push_joints(tree, q, u, eps, memory)
     if has_slopes:
         prepare_slopes(tree, memory)
-    push_joints(tree, q, u, eps, memory)
+        differentiate_joints(tree, eps, memory)
+
+
+@pasted
+def move_tree(tree: TreeTables, has_slopes: bool, memory: TreeMemory) -> None:
+    """Replaces forces, and their derivatives, by v̇ and its own."""
     gather(tree, has_slopes, memory)
     factor(tree.up, memory.mass)
     solve(tree.up, memory.mass, memory.force)
     if has_slopes:
-        differentiate(tree, eps, memory)
+        differentiate(tree, memory)
         solve_rows(tree.up, memory.mass, memory.slopes)
 
 
@@ -79,15 +103,28 @@ def prepare_slopes(tree: TreeTables, memory: TreeMemory) -> None:
 
 
 @pasted
-def differentiate(tree: TreeTables, eps: float, memory: TreeMemory) -> None:
-    """Computes the derivatives of B u − h − M v̇ at the v̇ that is in `force`."""
+def differentiate_joints(tree: TreeTables, eps: float, memory: TreeMemory) -> None:
+    """Computes the derivatives of what `push_joints` computes."""
     n, slopes = tree.up.size, memory.slopes
-    _spread_accelerations(tree, memory)
     for s in range(n):
         for c in range(2 * n):
             slopes[s, c] = 0.0
         for j in range(tree.actuation.shape[1]):
             slopes[s, 2 * n + j] = tree.actuation[s, j]
+        slopes[s, n + s] = -tree.damping[s]
+        if tree.friction[s] > 0.0:
+            speed = find_stiction(tree, s, eps)
+            _, slope = share_friction(memory.v[s] / speed)
+            slopes[s, n + s] -= tree.friction[s] * slope / speed
+    for i in range(tree.parents.size):
+        if tree.stiffnesses[i] != 0.0:
+            slopes[tree.dofs[i], tree.dofs[i]] = -tree.stiffnesses[i]
+
+
+@pasted
+def differentiate(tree: TreeTables, memory: TreeMemory) -> None:
+    """Takes off the derivatives of h + M v̇ at the v̇ that is in `force`."""
+    _spread_accelerations(tree, memory)
     for i in range(tree.parents.size - 1, -1, -1):
         for s in range(tree.dofs[i], tree.dofs[i + 1]):
             _differentiate_motion(tree, i, s, memory)
@@ -95,14 +132,6 @@ def differentiate(tree: TreeTables, eps: float, memory: TreeMemory) -> None:
         if parent >= 0:
             for k in range(6):
                 memory.forces[parent, k] += memory.forces[i, k]
-        if tree.stiffnesses[i] != 0.0:
-            slopes[tree.dofs[i], tree.dofs[i]] -= tree.stiffnesses[i]
-    for s in range(n):
-        slopes[s, n + s] -= tree.damping[s]
-        if tree.friction[s] > 0.0:
-            speed = find_stiction(tree, s, eps)
-            _, slope = share_friction(memory.v[s] / speed)
-            slopes[s, n + s] -= tree.friction[s] * slope / speed
 
 
 @pasted

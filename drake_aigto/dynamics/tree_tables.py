@@ -85,7 +85,7 @@ class TreeMemory(NamedTuple):
     # The same of links and all beyond them; then T (9) and momentum (3), see `tree_slopes`; (L, 22)
     composites: Floats
     momenta: Floats  # S_i times the composite inertia, shape (n, 6)
-    # Generalized forces; then v̇. `force` may be added to between `gather` and `accelerate`.
+    # Generalized forces; then v̇. `force` and `slopes` may be added to before `move_tree`.
     force: Floats  # shape (n,)
     mass: Floats  # M; then its factor, lower triangle; shape (n, n)
     slopes: Floats  # of forces less M v̇, then of v̇, by (δ, v, u), shape (n, 2n + nu)

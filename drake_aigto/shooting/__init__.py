@@ -12,6 +12,7 @@ from drake_aigto.shooting.optimal_control import Phases
 from drake_aigto.shooting.problem import ShootingProblem
 from drake_aigto.shooting.solve import ShootingOptions, ShootingResult, Smoothing
 from drake_aigto.shooting.tables import make_memory
+from drake_aigto.shooting.tree_mechanism import TreeMechanism
 
 __all__ = [
     "NO_TERMS",
@@ -22,6 +23,7 @@ __all__ = [
     "ShootingProblem",
     "ShootingResult",
     "Smoothing",
+    "TreeMechanism",
     "expand_motion",
     "make_memory",
 ]

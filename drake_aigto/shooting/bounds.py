@@ -15,12 +15,57 @@ from drake_aigto.shooting.acceleration import (
 )
 from drake_aigto.shooting.flow import clear
 from drake_aigto.shooting.hold import measure_modes
-from drake_aigto.shooting.tables import FLOW, Added, Bounds, Memory, Program
+from drake_aigto.shooting.stages import of_tree, read_coordinate
+from drake_aigto.shooting.tables import (
+    FLOW,
+    Added,
+    Bounds,
+    Mechanics,
+    Memory,
+    Program,
+    TreeMechanics,
+)
 
 # Returns the penalties, adds their derivatives to the expansion, or returns the largest violation
 # √w dist(s, [a, b]) and has multipliers become ρw (s + y/ρw − its projection on [a, b]), Hestenes'
 # and Powell's rule.
 PENALIZE, EXPAND, MEASURE, UPDATE = range(4)
+
+
+def _visit_no_contacts(
+    mechanics: TreeMechanics,
+    program: Program,
+    k: int,
+    z: Floats,
+    u: Floats,
+    penalty: float,
+    job: int,
+    memory: Memory,
+) -> float:
+    """Returns 0: distances of a tree's shapes have no bounds."""
+    return 0.0
+
+
+@of_tree(_visit_no_contacts)
+def _visit_contacts(
+    mechanics: Mechanics,
+    program: Program,
+    k: int,
+    z: Floats,
+    u: Floats,
+    penalty: float,
+    job: int,
+    memory: Memory,
+) -> float:
+    """Does a job for the bounds of contacts at knot k."""
+    total = 0.0
+    if program.bounds.is_bounded[k, 1]:
+        total = _join(job, total, _visit_distances(program, k, z, penalty, job, memory))
+    if k < program.kinds.size and program.kinds[k] >= 0:
+        total = _join(job, total, _visit_approach(program, k, z, penalty, job, memory))
+    if measure_modes(program, k, z, u, job == EXPAND, memory):
+        total = _join(job, total, _visit_modes(program, k, penalty, job, memory))
+    return total
 
 
 @borrowing
@@ -29,10 +74,12 @@ def visit_bounds(
 ) -> float:
     """Does a job for all bounds at knots: returns penalties, or the largest violation."""
     bounds, l1, l2, total = program.bounds, memory.expansion.l1, memory.expansion.l2, 0.0
+    mechanics, room = program.mechanics, memory.flow.mechanics
     for k in range(states.shape[0]):
         if bounds.is_bounded[k, 0]:
-            for i in range(states.shape[1]):
-                value, low, high = states[k, i], bounds.lower[k, i], bounds.upper[k, i]
+            for i in range(bounds.does_turn.size):
+                low, high = bounds.lower[k, i], bounds.upper[k, i]
+                value = read_coordinate(mechanics, program.task.goal, states[k], i, room)
                 if bounds.does_turn[i] and k == states.shape[0] - 1:
                     value -= 2 * np.pi * np.round((value - low) / (2 * np.pi))
                 weight = bounds.weights[i]
@@ -41,16 +88,11 @@ def visit_bounds(
                 if push != 0.0:
                     l1[k, i] += push
                     l2[k, i, i] += penalty * weight
-        if bounds.is_bounded[k, 1]:
-            found = _visit_distances(program, k, states[k], penalty, job, memory)
-            total = _join(job, total, found)
-        if k < program.kinds.size and program.kinds[k] >= 0:
-            total = _join(job, total, _visit_approach(program, k, states[k], penalty, job, memory))
         u = controls[min(k, controls.shape[0] - 1)]
         if bounds.is_bounded[k, 2]:
             total = _join(job, total, _visit_added(program, k, states[k], u, penalty, job, memory))
-        if measure_modes(program, k, states[k], u, job == EXPAND, memory):
-            total = _join(job, total, _visit_modes(program, k, penalty, job, memory))
+        found = _visit_contacts(mechanics, program, k, states[k], u, penalty, job, memory)
+        total = _join(job, total, found)
     return total
 
 
@@ -96,7 +138,7 @@ def _add_slopes(
 ) -> None:
     """Adds a row's derivatives by the first columns of (q, v, u) to those of the cost."""
     l1, l2 = memory.expansion.l1[k], memory.expansion.l2[k]
-    nx, nz = memory.flow.points.shape[1], memory.states.shape[1]
+    nx, nz = memory.flow.points.shape[1], memory.sweep.V1.size
     for c in range(columns):
         i = c if c < nx else nz + c - nx
         l1[i] += push * slope[c]
@@ -179,7 +221,8 @@ def _visit_added(
 ) -> float:
     """Does a job for the constraints of users at knot k."""
     bounds, sums, total = program.bounds, memory.added.sums, 0.0
-    R, C, first = program.added.is_running.size, memory.added.x.size, z.size + program.held.shape[1]
+    R, C, nz = program.added.is_running.size, memory.added.x.size, bounds.does_turn.size
+    first = nz + program.held.shape[1]
     _evaluate_added(program.added, z, u, memory)
     for r in range(R):
         low, high, weight = bounds.lower[k, first + r], bounds.upper[k, first + r], 0.0
@@ -212,12 +255,13 @@ def add_costs(
     added, sums = program.added, memory.added.sums
     gradient, A = memory.added.gradient, memory.added.hessian
     R, C, nx, cost = added.is_running.size, memory.added.x.size, memory.flow.points.shape[1], 0.0
-    has_phases, l1, l2 = z.size > nx, memory.expansion.l1[k], memory.expansion.l2[k]
+    nz, l1, l2 = memory.sweep.V1.size, memory.expansion.l1[k], memory.expansion.l2[k]
+    has_phases = nz > nx
     _evaluate_added(added, z, u, memory)
     clear(gradient, A)
     for r in range(R):
         factor, stretches = added.factors[k, r], has_phases and added.is_running[r]
-        length = factor * z[nx] if stretches else factor
+        length = factor * z[z.size - 2] if stretches else factor
         cost += length * sums[r] if factor != 0.0 else 0.0
         at = R + R * C + r * (C * (C + 1) // 2)
         for c in range(C if has_slopes and factor != 0.0 else 0):
@@ -236,10 +280,10 @@ def add_costs(
             return np.inf
         squares, V = np.linalg.eigh(A)  # Of which it reads the lower triangle.
         for c in range(size):
-            i = nx if c == C else c if c < nx else z.size + c - nx
+            i = nx if c == C else c if c < nx else nz + c - nx
             l1[i] += gradient[c]
             for d in range(c, size):
-                j = nx if d == C else d if d < nx else z.size + d - nx
+                j = nx if d == C else d if d < nx else nz + d - nx
                 for e in range(size):
                     l2[min(i, j), max(i, j)] += max(squares[e], 0.0) * V[c, e] * V[d, e]
     return cost

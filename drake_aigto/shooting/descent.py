@@ -8,6 +8,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.kernels import borrow, borrowing, kernel, pasted
 from drake_aigto.shooting.bounds import EXPAND, MEASURE, PENALIZE, UPDATE, add_costs, visit_bounds
 from drake_aigto.shooting.flow import flow, jump, measure_end
+from drake_aigto.shooting.stages import align, shift, subtract
 from drake_aigto.shooting.sweep import clip_control, sweep_back
 from drake_aigto.shooting.tables import FLOW, Memory, Outcome, Pass, Program
 
@@ -55,18 +56,20 @@ def travel(
     feedforward, gains, gaps = memory.sweep.feedforward, memory.sweep.gains, memory.expansion.gaps
     lower, upper = program.bounds.lower_control, program.bounds.upper_control
     trial_states, trial_controls, kinds = memory.states, memory.controls, program.kinds
-    K, nz, cost, has_added = controls.shape[0], states.shape[1], 0.0, program.added.factors.any()
-    for i in range(nz):
+    K, nz, cost, has_added = controls.shape[0], gaps.shape[1], 0.0, program.added.factors.any()
+    mechanics, room, off = program.mechanics, memory.flow.mechanics, memory.sweep.v1
+    for i in range(states.shape[1]):
         trial_states[0, i] = states[0, i]
     for k in range(K):
         z, u, after = states[k], controls[k], states[k + 1]
         size = program.task.control.size if kinds[k] == FLOW else 1
         if mode == FOLLOW:
             z, u, after = trial_states[k], trial_controls[k], trial_states[k + 1]
+            subtract(mechanics, z, states[k], off)
             for i in range(size):
                 u[i] = controls[k, i] + length * feedforward[k, i]
                 for j in range(nz):
-                    u[i] += gains[k, i, j] * (z[j] - states[k, j])
+                    u[i] += gains[k, i, j] * off[j]
             norm = program.bounds.norm if kinds[k] == FLOW else np.inf
             clip_control(size, u, lower[k], upper[k], norm)
         elif mode == LINEARIZE:
@@ -77,15 +80,15 @@ def travel(
             cost += flow(program, k, z, u, eps, mode == LINEARIZE, after, memory)
             if has_added:
                 cost += add_costs(program, k, z, u, mode == LINEARIZE, memory)
-        for i in range(nz):
-            if mode == FOLLOW:
-                after[i] -= (1 - length) * gaps[k, i]
-            elif mode == LINEARIZE:
-                gaps[k, i] = after[i] - states[k + 1, i]
+        if mode == FOLLOW:
+            shift(mechanics, after, length - 1, gaps[k], room)
+        elif mode == LINEARIZE:
+            subtract(mechanics, after, states[k + 1], gaps[k])
+            align(mechanics, gaps[k], memory.expansion.F[k], room)
         if not cost <= most:
             return np.inf
     z = trial_states[K] if mode == FOLLOW else states[K]
-    cost += measure_end(program.task, z, mode == LINEARIZE, memory)
+    cost += measure_end(program, z, mode == LINEARIZE, memory)
     if has_added:
         cost += add_costs(program, K, z, controls[K - 1], mode == LINEARIZE, memory)
     return cost

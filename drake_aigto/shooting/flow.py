@@ -6,9 +6,17 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.kernels import borrowing, pasted
-from drake_aigto.shooting.acceleration import accelerate, factor_mass, run_tape
-from drake_aigto.shooting.hold import hold, strike
-from drake_aigto.shooting.tables import CHORDAL, MODULO, CostTable, FlowMemory, Memory, Program
+from drake_aigto.shooting.hold import hold_stage, strike_stage
+from drake_aigto.shooting.stages import (
+    accelerate_stage,
+    bend,
+    compare,
+    enter,
+    leave,
+    turn_end,
+    turn_error_rows,
+)
+from drake_aigto.shooting.tables import CHORDAL, MODULO, FlowMemory, Memory, Program
 
 
 @borrowing
@@ -32,8 +40,9 @@ def _find_error(kind: int, error: float) -> tuple[float, float]:
 
 
 @pasted
-def _measure(task: CostTable, time: float, y: Floats, errors: Floats) -> float:
+def _measure(program: Program, time: float, z: Floats, y: Floats, room: FlowMemory) -> float:
     """Returns Σ w e² about the reference, and computes the gradient and the reference's motion."""
+    task, errors = program.task, room.points[4:]
     weights, times, reference = task.running, task.times, task.reference
     last, row, share, pace, rate = times.size - 1, 0, 0.0, 0.0, 0.0
     if last > 0:
@@ -42,14 +51,14 @@ def _measure(task: CostTable, time: float, y: Floats, errors: Floats) -> float:
         length = times[row + 1] - times[row]
         share = min(max((time - times[row]) / length, 0.0), 1.0)
         pace = 1 / length if times[0] <= time < times[last] else 0.0
+    before, after = reference[row], reference[min(row + 1, last)]
+    compare(program.mechanics, before, after, share, z, y, errors[0], room.mechanics)
     for i in range(y.size):
         errors[1, i] = 0.0
         if weights[i] != 0.0:
-            step = reference[min(row + 1, last), i] - reference[row, i]
-            off = y[i] - reference[row, i] - share * step
-            error, square = _find_error(task.errors[i], off)
+            error, square = _find_error(task.errors[i], errors[0, i])
             rate += weights[i] * square
-            errors[1, i], errors[2, i] = 2 * weights[i] * error, pace * step
+            errors[1, i], errors[2, i] = 2 * weights[i] * error, pace * (after[i] - before[i])
     return rate
 
 
@@ -80,17 +89,16 @@ def flow(
     F, l1, l2 = memory.expansion.F[k], memory.expansion.l1[k], memory.expansion.l2[k]
     closed, leans, substeps = program.closed[k], program.leans[k], program.substeps
     points, by_column = room.points, room.by_column
-    x, y, slope, total, errors = points[0], points[1], points[2], points[3], points[4:]
-    X, K, sum_K = room.slopes[0], room.slopes[2], room.slopes[3]
+    x, y, slope, total = points[0], points[1], points[2], points[3]
+    X, Y, K, sum_K = room.slopes[0], room.slopes[1], room.slopes[2], room.slopes[3]
     acceleration = room.mechanics.acceleration
-    nx, nz, n, columns = x.size, z.size, x.size // 2, by_column.size
+    nx, nz, n, columns = x.size, memory.sweep.V1.size, x.size // 2, by_column.size
     start, share = program.times[k], program.steps[k]
     duration, has_phases, holds = share, nz > nx, bool(closed.any())
     if has_phases:
-        duration, start = share * float(z[nx]), float(z[nx + 1])
+        duration, start = share * float(z[z.size - 2]), float(z[z.size - 1])
     delta, unit, cost = duration / substeps, share / substeps, 0.0
-    for i in range(nx):
-        x[i] = z[i]
+    enter(mechanics, z, x)
     if has_slopes:
         clear(l1, l2)
         clear(by_column, X)
@@ -104,24 +112,29 @@ def flow(
             for i in range(n):
                 for c in range(columns):
                     K[i, c], K[n + i, c] = X[n + i, c], 0.0
+        bend(mechanics, x, has_slopes, slope, X, K, room.mechanics)
         for r in range(method.shape[0]):
             ahead, part = method[r, 0], method[r, 1]
             for i in range(nx):
                 y[i] = x[i] + ahead * delta * slope[i]
-            accelerate(mechanics, y, u, eps, has_slopes or holds, room.mechanics)
+            accelerate_stage(mechanics, z, y, u, eps, has_slopes or holds, room.mechanics)
             if holds:
-                hold(closed, leans, y, has_slopes, mechanics, room.mechanics)
+                hold_stage(mechanics, closed, leans, y, has_slopes, room.mechanics)
             if has_slopes:
-                _chain(ahead * delta, part, ahead * unit, nz, room)
+                _chain(ahead * delta, ahead * unit, nz, room)
             for i in range(n):
                 slope[i], slope[n + i] = y[n + i], acceleration[0, i]
+            bend(mechanics, y, has_slopes, slope, Y, K, room.mechanics)
             for i in range(nx):
                 total[i] += part * slope[i]
+                for c in range(columns if has_slopes else 0):
+                    sum_K[i, c] += part * K[i, c]
             if part == 0.0:
                 continue
-            rate = _measure(task, start + (s + ahead) * delta, y, errors)
+            rate = _measure(program, start + (s + ahead) * delta, z, y, room)
             cost += part * delta * rate
             if has_slopes:
+                turn_error_rows(mechanics, y, Y, room.mechanics)
                 lag = (s + ahead) * unit if has_phases else 0.0
                 _add_rate(task.running, part * delta, nz, lag, room, l1, l2)
                 if has_phases:
@@ -133,17 +146,16 @@ def flow(
                     X[i, c] += delta * sum_K[i, c]
                 if has_phases:
                     X[i, nx] += unit * total[i]
-    for i in range(nx):
-        after[i] = x[i]
+    for i in range(nx if has_slopes else 0):
+        for c in range(columns):
+            F[i, c] = X[i, c]
+    leave(mechanics, z, x, has_slopes, F, after, room.mechanics)
     if has_phases:
-        after[nx], after[nx + 1] = z[nx], start + duration
+        after[z.size - 2], after[z.size - 1] = z[z.size - 2], start + duration
     squares = 0.0
     for j in range(task.control.size):
         squares += task.control[j] * u[j] * u[j]
     if has_slopes:
-        for i in range(nx):
-            for c in range(columns):
-                F[i, c] = X[i, c]
         for c in range(columns):
             by_column[c] = 0.0
         for j in range(task.control.size):
@@ -160,9 +172,9 @@ def flow(
 
 
 @pasted
-def _chain(ahead: float, part: float, unit: float, nz: int, room: FlowMemory) -> None:
-    """Computes ∂y/∂(z, u) and ∂ẏ/∂(z, u), and adds the latter to the sum."""
-    X, Y, K, sum_K = room.slopes[0], room.slopes[1], room.slopes[2], room.slopes[3]
+def _chain(ahead: float, unit: float, nz: int, room: FlowMemory) -> None:
+    """Computes ∂y/∂(z, u), and ∂ẏ/∂(z, u) but for turns (`bend`)."""
+    X, Y, K = room.slopes[0], room.slopes[1], room.slopes[2]
     slopes, slope, (nx, columns) = room.mechanics.slopes, room.points[2], X.shape
     n, nu = nx // 2, columns - nz
     for i in range(nx):
@@ -180,9 +192,6 @@ def _chain(ahead: float, part: float, unit: float, nz: int, room: FlowMemory) ->
                 K[n + i, c] += slope_ij * Y[j, c]
         for j in range(nu):
             K[n + i, nz + j] += slopes[nx + j, i]
-    for i in range(nx):
-        for c in range(columns):
-            sum_K[i, c] += part * K[i, c]
 
 
 @pasted
@@ -233,38 +242,34 @@ def jump(
     that are held from then on. The duration, a control, becomes τ.
     """
     F, l1, l2 = memory.expansion.F[k], memory.expansion.l1[k], memory.expansion.l2[k]
-    mechanics, room, closed = program.mechanics, memory.flow.mechanics, program.closed[k]
-    nx, nz = memory.flow.points.shape[1], z.size
-    for i in range(nz):
+    nx, nz = memory.flow.points.shape[1], memory.sweep.V1.size
+    for i in range(z.size):
         after[i] = z[i]
-    after[nx] = u[0]
+    after[z.size - 2] = u[0]
     if has_slopes:
         clear(l1, l2)
         clear(l1, F)
         for i in range(nz):
             F[i, i] = 1.0
         F[nx, nx], F[nx, nz] = 0.0, 1.0
-    if closed.any():
-        n = nx // 2
-        run_tape(mechanics.code, mechanics.numbers, z[:nx], has_slopes, room.values, room.sums)
-        factor_mass(n, room.sums, room.factor)
-        leans, e = program.leans[k], program.restitutions[k]
-        strike(closed, leans, e, z, has_slopes, mechanics, room, after)
-        for i in range(n if has_slopes else 0):
-            for c in range(2 * n):
-                F[n + i, c] += room.slopes[c, i]
+    if program.closed[k].any():
+        strike_stage(program.mechanics, program, k, z, has_slopes, F, after, memory.flow.mechanics)
 
 
 @borrowing
-def measure_end(task: CostTable, z: Floats, has_slopes: bool, memory: Memory) -> float:
+def measure_end(program: Program, z: Floats, has_slopes: bool, memory: Memory) -> float:
     """Returns eᵀ W e of the last state, with its derivatives if asked."""
-    K, nx, cost = memory.controls.shape[0], task.goal.size, 0.0
-    weights, errors, squares = task.final, memory.flow.points[4], memory.flow.points[5]
+    mechanics, task = program.mechanics, program.task
+    K, room, cost = memory.controls.shape[0], memory.flow, 0.0
+    weights, x, errors, squares = task.final, room.points[0], room.points[4], room.points[5]
+    nx = x.size
     l1, l2 = memory.expansion.l1[K], memory.expansion.l2[K]
     if has_slopes:
         clear(l1, l2)
+    enter(mechanics, z, x)
+    compare(mechanics, task.goal, task.goal, 0.0, z, x, errors, room.mechanics)
     for i in range(nx):
-        errors[i], squares[i] = _find_error(task.errors[i], z[i] - task.goal[i])
+        errors[i], squares[i] = _find_error(task.errors[i], errors[i])
     for i in range(nx):
         total = 0.0
         for j in range(nx):
@@ -276,4 +281,6 @@ def measure_end(task: CostTable, z: Floats, has_slopes: bool, memory: Memory) ->
             cost += weights[i, i] * (squares[i] - errors[i] * errors[i])
         if has_slopes:
             l1[i] = 2 * total
+    if has_slopes:
+        turn_end(mechanics, l1, l2, room.mechanics)
     return cost

@@ -20,6 +20,7 @@ from drake_aigto.shooting.acceleration import (
     find_slope,
     run_tape,
 )
+from drake_aigto.shooting.stages import of_tree
 from drake_aigto.shooting.tables import (
     COEFFICIENT,
     FLOW,
@@ -27,6 +28,8 @@ from drake_aigto.shooting.tables import (
     MechanicsMemory,
     Memory,
     Program,
+    TreeMechanics,
+    TreeMechanicsMemory,
 )
 
 # Pivots of C M⁻¹ Dᵀ are at least this part of its diagonal: contacts may be redundant.
@@ -245,6 +248,65 @@ def _differentiate_strike(
         for k in range(w):
             for i in range(n):
                 slopes[c, i] += support[k, i] * by_force[c, k]
+
+
+def _hold_nothing(
+    mechanics: TreeMechanics,
+    closed: Bools,
+    leans: Floats,
+    y: Floats,
+    has_slopes: bool,
+    memory: TreeMechanicsMemory,
+) -> None:
+    """Does nothing: contacts of a tree are compliant."""
+
+
+@of_tree(_hold_nothing)
+def hold_stage(
+    mechanics: Mechanics,
+    closed: Bools,
+    leans: Floats,
+    y: Floats,
+    has_slopes: bool,
+    memory: MechanicsMemory,
+) -> None:
+    """Adds the effect of held contacts to the acceleration (`hold`)."""
+    hold(closed, leans, y, has_slopes, mechanics, memory)
+
+
+def _strike_nothing(
+    mechanics: TreeMechanics,
+    program: Program,
+    k: int,
+    z: Floats,
+    has_slopes: bool,
+    F: Floats,
+    after: Floats,
+    memory: TreeMechanicsMemory,
+) -> None:
+    """Does nothing: contacts of a tree are compliant."""
+
+
+@of_tree(_strike_nothing)
+def strike_stage(
+    mechanics: Mechanics,
+    program: Program,
+    k: int,
+    z: Floats,
+    has_slopes: bool,
+    F: Floats,
+    after: Floats,
+    memory: MechanicsMemory,
+) -> None:
+    """Computes the velocity after a stage's impacts (`strike`), and adds its derivatives."""
+    n = memory.slopes.shape[1]
+    run_tape(mechanics.code, mechanics.numbers, z[: 2 * n], has_slopes, memory.values, memory.sums)
+    factor_mass(n, memory.sums, memory.factor)
+    leans, e = program.leans[k], program.restitutions[k]
+    strike(program.closed[k], leans, e, z, has_slopes, mechanics, memory, after)
+    for i in range(n if has_slopes else 0):
+        for c in range(2 * n):
+            F[n + i, c] += memory.slopes[c, i]
 
 
 @borrowing

@@ -13,12 +13,19 @@ from drake_aigto.contact import ContactLaw, RigidLaw
 from drake_aigto.dynamics import EquationsOfMotion
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.kernels import kernel
-from drake_aigto.shooting.acceleration import Row, accelerate, evaluate_tape, list_friction
+from drake_aigto.shooting.acceleration import (
+    Row,
+    accelerate,
+    evaluate_tape,
+    fit_to_steps,
+    list_friction,
+)
 from drake_aigto.shooting.hold import hold
 from drake_aigto.shooting.tables import (
     COEFFICIENT,
     SOURCE,
     SPIN,
+    STICTION,
     Mechanics,
     MechanicsMemory,
     copy_writable,
@@ -212,6 +219,46 @@ class Mechanism:
     def num_positions(self) -> int:
         """The number of coordinates, n."""
         return self.mechanics.actuation.shape[0]
+
+    @property
+    def num_velocities(self) -> int:
+        """The number of velocities, n."""
+        return self.num_positions
+
+    @property
+    def actuation(self) -> Floats:
+        """B, shape (n, nu)."""
+        return self.mechanics.actuation
+
+    @property
+    def contacts(self) -> Floats:
+        """Laws of contacts, see `Mechanics`, shape (m, 4)."""
+        return self.mechanics.contacts
+
+    @property
+    def frictions(self) -> Floats:
+        """Numbers of friction, see `FrictionTerm`, one row each."""
+        return self.mechanics.frictions
+
+    @property
+    def is_smoothed(self) -> bool:
+        """Whether a smoothing ε changes anything: without compliance and friction, it does not."""
+        return bool(np.any(self.contacts[:, 0] > 0) or len(self.frictions))
+
+    def fit(self, step: float, duration: float, speed: float) -> Mechanics:
+        """Returns the tables for Runge-Kutta steps of a length [s], see `fit_to_steps`."""
+        fitted = fit_to_steps(self.frictions, step, duration, speed)
+        return self.mechanics._replace(frictions=fitted)
+
+    def count_substeps(self, step: float, duration: float, speed: float) -> int:
+        """Returns the number of Runge-Kutta steps in one of this length that resolves friction."""
+        fitted = self.fit(step, duration, speed).frictions
+        ratios = fitted[:, STICTION] / self.frictions[:, STICTION]
+        return int(np.ceil(np.max(ratios, initial=1.0)))
+
+    def subtract(self, state: Floats, before: Floats) -> Floats:
+        """Returns the difference of two states, shape (2n,)."""
+        return state - before
 
     @property
     def num_controls(self) -> int:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from drake_aigto.arrays import ArrayRecord, Bools, Floats, Ints, read_only
 from drake_aigto.errors import ProgramError
-from drake_aigto.shooting.acceleration import fit_to_steps
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.mechanism import Mechanism
-from drake_aigto.shooting.tables import FLOW, START, STICTION
+from drake_aigto.shooting.tables import FLOW, START
+from drake_aigto.shooting.tree_mechanism import TreeMechanism
 from drake_aigto.world import TaskCost
 
 _FIELDS = {
@@ -155,12 +156,13 @@ class OptimalControlProblem:
         mechanism: its dynamics.
         cost: the task's weights.
         times: of the knots, shape (N + 1,) [s].
-        start: q and v at the first knot, shape (2n,).
+        start: q and v at the first knot, shape (nq + n,); nq = n but for quaternions.
         scales: of q and v, shape (2n,): units of bounds and violations.
         state_bounds: lower and upper ones of q and v after the first knot, shape (2, 2n).
         control_bounds: the same of u, shape (2, nu).
         hard_goal: prescribed q and v at the end, shape (2n,); NaN: free. Coordinates that count
-            modulo 2π in the cost do so here.
+            modulo 2π in the cost do so here; of turns about three axes, it is the rotation vector
+            from the cost's goal.
         control_norm: ‖u‖ at most.
         length: unit of smoothing and φ [m].
         phases: with impacts at rigid walls; None: no impacts. With phases, `times` divide each of
@@ -175,7 +177,7 @@ class OptimalControlProblem:
         ProgramError: a shape or a number does not fit; says which.
     """
 
-    mechanism: Mechanism
+    mechanism: Mechanism | TreeMechanism
     cost: TaskCost
     times: Floats
     start: Floats
@@ -193,9 +195,10 @@ class OptimalControlProblem:
 
     def __post_init__(self) -> None:
         """Checks shapes and numbers, and makes arrays read-only."""
-        n, nu = self.mechanism.num_positions, self.mechanism.num_controls
+        n, nu = self.mechanism.num_velocities, self.mechanism.num_controls
         shapes: dict[str, tuple[int, ...]] = {"times": (len(self.times),)}
-        shapes |= dict.fromkeys(("start", "scales", "hard_goal"), (2 * n,))
+        shapes |= {"start": (self.mechanism.num_positions + n,)}
+        shapes |= dict.fromkeys(("scales", "hard_goal"), (2 * n,))
         shapes |= {"state_bounds": (2, 2 * n), "control_bounds": (2, nu)}
         for name, shape in shapes.items():
             array = read_only(getattr(self, name))
@@ -234,7 +237,7 @@ class OptimalControlProblem:
     @cached_property
     def cost_scale(self) -> float:
         """Cost with all errors and controls at their scales; 1 if that is 0."""
-        n, cost, T = self.mechanism.num_positions, self.cost, np.ptp(self.times)
+        n, cost, T = self.mechanism.num_velocities, self.cost, np.ptp(self.times)
         q, v = self.scales[:n], self.scales[n:]
         running = T * (cost.Q @ q**2 + cost.Qv @ v**2 + cost.R @ self.control_scales**2)
         return float(running + cost.QT.diagonal() @ q**2 + cost.QTv.diagonal() @ v**2) or 1.0
@@ -245,11 +248,12 @@ class OptimalControlProblem:
 
         Its shape is (nu,).
         """
-        n, T = self.mechanism.num_positions, np.ptp(self.times)
-        mass, bias = self.mechanism.calc_inertia(self.start[:n])
-        inverse = np.abs(np.linalg.pinv(self.mechanism.mechanics.actuation))
+        n, T = self.mechanism.num_velocities, np.ptp(self.times)
+        q = self.start[: self.mechanism.num_positions]
+        mass, bias = self.mechanism.calc_inertia(q)
+        inverse = np.abs(np.linalg.pinv(self.mechanism.actuation))
         force = np.abs(mass) @ self.scales[:n] / T**2 + np.abs(bias)
-        force += self.mechanism.calc_drag(self.start[:n])
+        force += self.mechanism.calc_drag(q)
         return inverse @ force + np.finfo(float).tiny
 
     @cached_property
@@ -257,17 +261,20 @@ class OptimalControlProblem:
         """Its stages."""
         return StageLayout.of(self.times, self.phases, self.mechanism.num_contacts)
 
-    def fit_friction(self, substeps: int) -> Floats:
-        """Returns the numbers of friction for these Runge-Kutta steps, see `fit_to_steps`."""
-        duration = self.duration or float(np.ptp(self.times))
-        step, frictions = np.max(np.diff(self.times)) / substeps, self.mechanism.mechanics.frictions
-        return fit_to_steps(frictions, step, duration, self.length / duration)
+    def fit_mechanism(self, substeps: int) -> Any:
+        """Returns the mechanism's tables for compiled code and this number of steps of a stage."""
+        return self.mechanism.fit(*self._measure_steps(substeps))
 
     @property
     def friction_substeps(self) -> int:
         """Number of Runge-Kutta steps between knots that resolves the world's friction."""
-        ratios = self.fit_friction(1)[:, STICTION] / self.mechanism.mechanics.frictions[:, STICTION]
-        return int(np.ceil(np.max(ratios, initial=1.0)))
+        return self.mechanism.count_substeps(*self._measure_steps(1))
+
+    def _measure_steps(self, substeps: int) -> tuple[float, float, float]:
+        """Returns the longest step [s], the duration [s], and a speed of contacts [m/s]."""
+        duration = self.duration or float(np.ptp(self.times))
+        step = float(np.max(np.diff(self.times))) / substeps
+        return step, duration, self.length / duration
 
     @property
     def knot_times(self) -> Floats:

@@ -27,10 +27,10 @@ from drake_aigto.shooting.tables import (
     SOURCE,
     Bounds,
     CostTable,
-    Mechanics,
     Program,
     copy_writable,
 )
+from drake_aigto.shooting.tree_mechanism import TreeMechanism
 from drake_aigto.simulation import MOST_GROWTH, calc_growth, state_scales
 from drake_aigto.world import Scales, Scenario, TaskCost, World
 
@@ -176,7 +176,7 @@ class ShootingProblem(OptimalControlProblem):
         finer = question.simulate(result.controls, 2 * result.substeps)
         same = question.simulate(result.controls, result.substeps, order=result.order)
         unit = max(abs(finer.exact_cost), self.cost_scale)
-        off = np.abs(finer.states[-1] - same.states[-1]) / self.scales
+        off = np.abs(self.mechanism.subtract(finer.states[-1], same.states[-1])) / self.scales
         error = max(abs(finer.exact_cost - same.exact_cost) / unit, float(off.max()))
         return error if np.isfinite(error) else np.inf
 
@@ -250,13 +250,12 @@ def _make_program(problem: OptimalControlProblem, substeps: int, order: int) -> 
         substeps: Runge-Kutta steps of a stage.
         order: of their error, 2 or 4.
     """
-    layout, mechanics = problem.layout, problem.mechanism.mechanics
-    frictions = problem.fit_friction(substeps)
-    closed, leans, restitutions = _find_closed(layout, mechanics)
+    layout = problem.layout
+    closed, leans, restitutions = _find_closed(layout, problem.mechanism)
     times = problem.times if problem.phases is None else None
     added, limits = problem.added.lay_out(layout.kinds, layout.shares, times)
     program = Program(
-        mechanics=mechanics._replace(frictions=frictions),
+        mechanics=problem.fit_mechanism(substeps),
         task=_make_task(problem.cost),
         bounds=_make_bounds(problem, layout, limits),
         added=added,
@@ -274,16 +273,18 @@ def _make_program(problem: OptimalControlProblem, substeps: int, order: int) -> 
     return copy_writable(program)
 
 
-def _find_closed(layout: StageLayout, mechanics: Mechanics) -> tuple[Bools, Floats, Floats]:
+def _find_closed(
+    layout: StageLayout, mechanism: Mechanism | TreeMechanism
+) -> tuple[Bools, Floats, Floats]:
     """Returns which rows vanish in each stage, (K, m + R), how contacts lean, (K, m), and e, (K,).
 
     Contacts are held during flights, and struck at impacts.
     """
     hits, e = np.flatnonzero(layout.kinds >= 0), np.zeros(len(layout.kinds))
-    contacts, frictions = layout.kinds[hits], mechanics.frictions
+    contacts, frictions = layout.kinds[hits], mechanism.frictions
     touching = layout.held & ((layout.kinds == FLOW) | (layout.kinds >= 0))[:, np.newaxis]
     touching[hits, contacts] = True
-    e[hits] = np.where(layout.held[hits, contacts], 0.0, mechanics.contacts[contacts, 2])
+    e[hits] = np.where(layout.held[hits, contacts], 0.0, mechanism.contacts[contacts, 2])
     sticks, leans = np.zeros((len(touching), len(frictions)), dtype=bool), np.zeros(touching.shape)
     for r in np.flatnonzero(frictions[:, SOURCE] >= 0).tolist():
         contact, friction = int(frictions[r, SOURCE]), frictions[r, COEFFICIENT]
@@ -294,7 +295,7 @@ def _find_closed(layout: StageLayout, mechanics: Mechanics) -> tuple[Bools, Floa
 
 
 def _make_task(cost: TaskCost) -> CostTable:
-    n = len(cost.goal)
+    n = len(cost.Q)
     final = np.zeros((2 * n, 2 * n))
     final[:n, :n], final[n:, n:] = cost.QT, cost.QTv
     errors = np.where(cost.is_modulo, MODULO, np.where(cost.is_chordal, CHORDAL, EXACT))
@@ -315,10 +316,11 @@ def _make_bounds(problem: OptimalControlProblem, layout: StageLayout, of_users: 
     lower, upper = _bound_states(problem, len(layout.kinds))
     low, high = _bound_distances(problem, layout)
     low_control, high_control = _bound_controls(problem, layout)
-    T, nx, nz, m = np.ptp(problem.times), len(problem.start), lower.shape[1], low.shape[1]
+    T, nx, nz, m = np.ptp(problem.times), len(problem.scales), lower.shape[1], low.shape[1]
     scales = np.concatenate([problem.scales, np.full(nz - nx, T)])
     units = problem.added.measure_units(np.concatenate([problem.scales, problem.control_scales]))
     weights = np.concatenate([scales**-2, np.full(m, float(problem.length) ** -2), units**-2])
+    start = problem.start[: problem.mechanism.num_positions]
     # A hard goal of a hinge is modulo 2π.
     n, does_turn = nx // 2, np.zeros(nz, dtype=bool)
     turns = problem.cost.is_modulo | problem.cost.is_chordal
@@ -338,7 +340,7 @@ def _make_bounds(problem: OptimalControlProblem, layout: StageLayout, of_users: 
         slowest=float(problem.slowest),
         approach_weight=float(T / problem.length) ** 2,
         force_weight=float(T * np.max(problem.cost.R)) / problem.cost_scale,
-        mobilities=problem.mechanism.calc_mobilities(problem.start[:n]),
+        mobilities=problem.mechanism.calc_mobilities(start),
         lower_control=low_control,
         upper_control=high_control,
         norm=float(problem.control_norm),
@@ -366,7 +368,7 @@ def _bound_distances(problem: OptimalControlProblem, layout: StageLayout) -> Flo
     free = np.full((num_stages + 1, m), np.inf)
     bounds = np.stack([-free, free])
     if problem.phases is not None:
-        is_rigid = problem.mechanism.mechanics.contacts[:, 0] == 0
+        is_rigid = problem.mechanism.contacts[:, 0] == 0
         bounds[0][:, is_rigid] = 0.0
         if problem.clearances is not None:
             knots = np.concatenate([[0], np.cumsum(layout.kinds == FLOW)])

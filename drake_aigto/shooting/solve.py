@@ -271,7 +271,7 @@ class ShootingRun:
         if not outcome.is_converged:
             got = f"a motion that costs {outcome.cost}"
             raise ProgramError("controls", got=got, expected="a finite one")
-        nx, found = len(self._problem.start), self._memory.expansion
+        nx, found = len(self._problem.scales), self._memory.expansion
         gains = self._memory.sweep.gains[self._layout.flights]
         return MotionExpansion(
             cost=outcome.cost,
@@ -283,8 +283,7 @@ class ShootingRun:
     def _choose_rungs(self) -> tuple[Smoothing, ...]:
         """Returns the rungs; without springs and friction, one."""
         rungs = self._options.rungs
-        mechanics = self._program.mechanics
-        if np.any(mechanics.contacts[:, 0] > 0) or len(mechanics.frictions):
+        if self._problem.mechanism.is_smoothed:
             return rungs
         return (rungs[-1]._replace(iterations=sum(rung.iterations for rung in rungs)),)
 

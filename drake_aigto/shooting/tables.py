@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.contact import TouchRoom, TouchTable, make_touch_room
+from drake_aigto.dynamics import Tree, TreeMemory, make_tree_memory
 
 # Kinds of stages; others are impacts, given by their contact.
 FLOW, START = -1, -2
@@ -58,6 +60,31 @@ class MechanicsMemory(NamedTuple):
     by_force: Floats  # the derivative of λ by (q, v, u), transposed, shape (2n + nu, w)
 
 
+class TreeMechanics(NamedTuple):
+    """Tables of a tree whose shapes may touch, for compiled code."""
+
+    tree: Tree
+    touch: TouchTable
+    pace: float  # 1/T: contact is smoothed over a speed ε/T [1/s]
+    places: Ints  # of velocities: where their positions are, −1 of links that turn, shape (n,)
+    num_positions: int  # nq
+
+
+class TreeMechanicsMemory(NamedTuple):
+    """Room for one evaluation, with results as `MechanicsMemory` has them."""
+
+    tree: TreeMemory
+    touch: TouchRoom
+    position: Floats  # q, shape (nq,)
+    reference: Floats  # another state, shape (nq + n,)
+    acceleration: Floats  # v̇, shape (1, n)
+    slopes: Floats  # ∂v̇/∂(δ, v, u), transposed, shape (2n + nu, n)
+    turning: Floats  # D of a link that turns, by rows, shape (9,)
+    by_delta: Floats  # derivatives of D⁻¹ v, shape (9,)
+    by_turn: Floats  # the same, shape (9,)
+    errors: Floats  # of links that turn, derivatives of errors by δ, by rows, shape (L, 9)
+
+
 class CostTable(NamedTuple):
     """The cost, see `TaskCost`; L times of the reference."""
 
@@ -106,7 +133,7 @@ class Added(NamedTuple):
 class Program(NamedTuple):
     """A shooting problem of K stages, whose state z is (q, v), or (q, v, τ, t) of phases."""
 
-    mechanics: Mechanics
+    mechanics: Any  # Mechanics or TreeMechanics, for each of which the kernels are compiled
     task: CostTable
     bounds: Bounds
     added: Added
@@ -125,7 +152,7 @@ class Program(NamedTuple):
 class FlowMemory(NamedTuple):
     """Room for one stage; nx = 2n, and nc = nz + nu columns."""
 
-    mechanics: MechanicsMemory
+    mechanics: Any  # MechanicsMemory or TreeMechanicsMemory
     # x at the start of a Runge-Kutta step, y within it, ẏ, their weighted sum; e, the gradient of
     # the cost's rate by it, and velocities of the reference; shape (7, nx).
     points: Floats
@@ -241,19 +268,42 @@ def make_mechanics_memory(mechanics: Mechanics) -> MechanicsMemory:
     )
 
 
+def _make_tree_memory(mechanics: TreeMechanics) -> TreeMechanicsMemory:
+    """Returns room for evaluations of a tree."""
+    (n, nu), nq = mechanics.tree.actuation.shape, mechanics.num_positions
+    return TreeMechanicsMemory(
+        tree=make_tree_memory(mechanics.tree),
+        touch=make_touch_room(mechanics.touch),
+        position=np.zeros(nq),
+        reference=np.zeros(nq + n),
+        acceleration=np.zeros((1, n)),
+        slopes=np.zeros((2 * n + nu, n)),
+        turning=np.zeros(9),
+        by_delta=np.zeros(9),
+        by_turn=np.zeros(9),
+        errors=np.zeros((len(mechanics.tree.parents), 9)),
+    )
+
+
 def make_memory(program: Program) -> Memory:
     """Returns room for a problem."""
-    (n, nu), K, m = program.mechanics.actuation.shape, len(program.kinds), program.held.shape[1]
-    nx, nz = 2 * n, program.bounds.does_turn.size
+    K, m, mechanics = len(program.kinds), program.held.shape[1], program.mechanics
+    zeros: Any = np.zeros
+    if isinstance(mechanics, TreeMechanics):
+        room: Any = _make_tree_memory(mechanics)
+        width = mechanics.num_positions - len(mechanics.places)  # Of states beyond tangents.
+    else:
+        room, width = make_mechanics_memory(mechanics), 0
+    nu, nx, nz = program.task.control.size, program.task.running.size, program.bounds.does_turn.size
     nc, C, code = nz + nu, nx + nu, program.added.code
     return Memory(
         FlowMemory(
-            make_mechanics_memory(program.mechanics),
+            room,
             points=np.zeros((7, nx)),
             by_column=np.zeros(nc),
             slopes=np.zeros((4, nx, nc)),
         ),
-        ModeMemory(*map(np.zeros, ((m, 3), (m, 3, nx + nu), (m, 3), nx))),
+        ModeMemory(*map(zeros, ((m, 3), (m, 3, nx + nu), (m, 3), nx))),
         AddedMemory(
             x=np.zeros(C),
             values=np.zeros(1 + C + 2 * code[0] + code[1]),
@@ -261,12 +311,12 @@ def make_memory(program: Program) -> Memory:
             gradient=np.zeros(C + (nz > nx)),
             hessian=np.zeros((C + (nz > nx), C + (nz > nx))),
         ),
-        Expansion(*map(np.zeros, ((K, nz, nc), (K + 1, nc), (K + 1, nc, nc), (K, nz)))),
+        Expansion(*map(zeros, ((K, nz, nc), (K + 1, nc), (K + 1, nc, nc), (K, nz)))),
         SweepMemory(
             np.zeros(nu, dtype=np.int64),
-            *map(np.zeros, ((K, nu), (K, nu, nz), nz, (nz, nz), nz, (nz, nc), nc, (nc, nc))),
-            *map(np.zeros, ((nu, nu), (nu, nu), (6, nu))),
+            *map(zeros, ((K, nu), (K, nu, nz), nz, (nz, nz), nz, (nz, nc), nc, (nc, nc))),
+            *map(zeros, ((nu, nu), (nu, nu), (6, nu))),
         ),
-        states=np.zeros((K + 1, nz)),
+        states=np.zeros((K + 1, nz + width)),
         controls=np.zeros((K, nu)),
     )

@@ -1,0 +1,147 @@
+"""Dynamics of a tree of joints, as shooting takes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.contact import TouchTable
+from drake_aigto.dynamics import QUATERNION, Tree
+from drake_aigto.geometry import Shapes
+from drake_aigto.shooting.tables import TreeMechanics
+
+
+def make_no_touch(num_velocities: int) -> TouchTable:
+    """Returns the table of a tree without contact."""
+    counts, none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+    shapes = Shapes(counts, counts, np.zeros((0, 3, 3)), none, none.copy(), np.zeros(0))
+    carries = np.zeros((num_velocities, num_velocities), dtype=np.bool_)
+    pairs, starts = np.zeros((0, 2), dtype=np.int64), np.zeros(1, dtype=np.int64)
+    return TouchTable(shapes, pairs, np.zeros((0, 4)), starts, counts, np.zeros(0), carries)
+
+
+@dataclass(frozen=True, eq=False)
+class TreeMechanism:
+    """Dynamics of any tree of joints, whose shapes may touch (`contact.push`).
+
+        M(q) v̇ + h(q, v) = B u + Σ J(q)ᵀ f,    q̇ = N(q) v
+
+    It is for `ShootingProblem` what `Mechanism` is for sums of products. Contact is compliant, so
+    no phases with impacts; states have unit quaternions, derivatives by them are those along q ⊕ δ.
+
+    Attributes:
+        tree: the equations of motion.
+        touch: pairs of shapes.
+    """
+
+    tree: Tree
+    touch: TouchTable
+
+    @classmethod
+    def of(cls, tree: Tree, touch: TouchTable | None = None) -> TreeMechanism:
+        """Returns the dynamics of a tree; without pairs, nothing touches."""
+        return cls(tree, make_no_touch(tree.num_velocities) if touch is None else touch)
+
+    @property
+    def num_positions(self) -> int:
+        """The number of positions, nq."""
+        return self.tree.num_positions
+
+    @property
+    def num_velocities(self) -> int:
+        """The number of velocities, n."""
+        return self.tree.num_velocities
+
+    @property
+    def num_controls(self) -> int:
+        """The number of controls, nu."""
+        return self.tree.actuation.shape[1]
+
+    @property
+    def num_contacts(self) -> int:
+        """The number of contacts with bounds of distances: none."""
+        return 0
+
+    @property
+    def actuation(self) -> Floats:
+        """B, shape (n, nu)."""
+        found = np.empty_like(self.tree.actuation)
+        found[self.tree.velocities] = self.tree.actuation
+        return found
+
+    @property
+    def frictions(self) -> Floats:
+        """Friction of held contacts: none."""
+        return np.zeros((0, 1))
+
+    @property
+    def edges(self) -> Floats:
+        """Limits of distances beside edges: none."""
+        return np.zeros((0, 0))
+
+    @property
+    def contacts(self) -> Floats:
+        """Rigid contacts: none."""
+        return np.zeros((0, 4))
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether there is friction, of joints or where shapes touch."""
+        return bool(np.any(self.touch.law[:, 2] > 0) or np.any(self.tree.friction > 0))
+
+    @property
+    def is_smoothed(self) -> bool:
+        """Whether a smoothing ε changes anything."""
+        return bool(len(self.touch.pairs) or np.any(self.tree.friction > 0))
+
+    def fit(self, step: float, duration: float, speed: float) -> TreeMechanics:
+        """Returns the tables for Runge-Kutta steps of a length [s], see `fit_to_steps`.
+
+        Args:
+            step: of time [s].
+            duration: of the whole task, T [s].
+            speed: of contacts [m/s], which those of a tree do not need.
+        """
+        tree = self.tree
+        mobility = np.diag(np.linalg.inv(tree.calc_mass_matrix(self._rest)))[tree.velocities]
+        slow = np.maximum(tree.stiction, tree.friction * mobility * step)
+        places = np.full(self.num_velocities, -1)
+        for i, kind in enumerate(tree.kinds):
+            if kind < QUATERNION:
+                of_link = tree.velocities[tree.dofs[i] : tree.dofs[i + 1]]
+                places[of_link] = tree.positions[i] + np.arange(len(of_link))
+        fitted = tree._replace(stiction=slow, pace=np.full(len(slow), 1 / duration))
+        return TreeMechanics(fitted, self.touch, 1 / duration, places, self.num_positions)
+
+    @property
+    def _rest(self) -> Floats:
+        """Positions with no turn, shape (nq,)."""
+        q = np.zeros(self.num_positions)
+        q[self.tree.positions[self.tree.kinds == QUATERNION]] = 1.0
+        return q
+
+    def count_substeps(self, step: float, duration: float, speed: float) -> int:
+        """Returns the number of Runge-Kutta steps in one of this length that resolves friction."""
+        ratios = self.fit(step, duration, speed).tree.stiction / self.tree.stiction
+        return int(np.ceil(np.max(ratios, initial=1.0)))
+
+    def calc_inertia(self, q: Floats) -> tuple[Floats, Floats]:
+        """Returns M(q), shape (n, n), and h(q, 0), shape (n,)."""
+        rest = np.zeros(self.num_velocities)
+        return self.tree.calc_mass_matrix(q), self.tree.calc_bias(q, rest)
+
+    def calc_mobilities(self, q: Floats) -> Floats:
+        """Returns mobilities along held contacts: none."""
+        return np.zeros(0)
+
+    def calc_drag(self, q: Floats) -> Floats:
+        """Returns the friction of rigid contacts, which there are none of, shape (n,)."""
+        return np.zeros(self.num_velocities)
+
+    def subtract(self, state: Floats, before: Floats) -> Floats:
+        """Returns the tangent vector from one state to another, shape (2n,)."""
+        nq = self.num_positions
+        moved = self.tree.subtract(state[:nq], before[:nq])
+        return np.concatenate([moved, state[nq:] - before[nq:]])

@@ -1,0 +1,182 @@
+"""Shooting on the manifold of a tree's states: derivatives, steps, plans that hold in Drake."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Joint, RevoluteJoint
+from pydrake.systems.analysis import Simulator
+from trees import AXIS, add_body, attach, sample_state
+
+from drake_aigto.arrays import Floats
+from drake_aigto.dynamics import Tree
+from drake_aigto.shooting import (
+    ShootingOptions,
+    ShootingProblem,
+    Smoothing,
+    TreeMechanism,
+    expand_motion,
+    make_memory,
+)
+from drake_aigto.world import TaskCost
+
+Rng = np.random.Generator
+
+
+def make_hinge(name: str, F: object, M: object) -> Joint:
+    """Returns a hinge with damping."""
+    return RevoluteJoint(name, F, M, AXIS, damping=0.1)
+
+
+def make_floating(rng: Rng) -> MultibodyPlant:
+    """Returns a body that floats, with two driven arms."""
+    plant = MultibodyPlant(0.0)
+    base = add_body(plant, "base", rng)
+    for k in range(2):
+        arm = add_body(plant, f"arm_{k}", rng)
+        plant.AddJointActuator(f"motor_{k}", attach(plant, base, arm, make_hinge, rng))
+    plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -1.0])
+    plant.Finalize()
+    return plant
+
+
+def make_stiff_hinge(name: str, F: object, M: object) -> Joint:
+    """Returns a hinge with much damping."""
+    return RevoluteJoint(name, F, M, AXIS, damping=5.0)
+
+
+def make_arm(rng: Rng, count: int = 7) -> MultibodyPlant:
+    """Returns an arm of driven hinges about skew axes."""
+    plant = MultibodyPlant(0.0)
+    last = plant.world_body()
+    for k in range(count):
+        body = add_body(plant, f"link_{k}", rng)
+        plant.AddJointActuator(f"motor_{k}", attach(plant, last, body, make_stiff_hinge, rng))
+        last = body
+    plant.Finalize()
+    return plant
+
+
+def make_problem(
+    plant: MultibodyPlant, start: Floats, goal: Floats, N: int, T: float, weights: Floats
+) -> ShootingProblem:
+    """Returns the problem of a pose from rest; weights are of final (δ, v), and 1e-3 of u."""
+    n, nu = plant.num_velocities(), plant.num_actuators()
+    free, limits = np.full(2 * n, np.inf), np.full(nu, 100.0)
+    cost = TaskCost(
+        R=np.full(nu, 1e-3),
+        Q=np.zeros(n),
+        Qv=np.full(n, 1e-3),
+        QT=np.diag(weights[:n]),
+        QTv=np.diag(weights[n:]),
+        goal=goal,
+        goal_velocity=np.zeros(n),
+        is_modulo=np.zeros(n, dtype=bool),
+        is_chordal=np.zeros(n, dtype=bool),
+        times=np.zeros(1),
+        positions=goal[np.newaxis],
+        velocities=np.zeros((1, n)),
+    )
+    return ShootingProblem(
+        mechanism=TreeMechanism.of(Tree.of(plant)),
+        cost=cost,
+        times=np.linspace(0.0, T, N + 1),
+        start=np.concatenate([start, np.zeros(n)]),
+        scales=np.ones(2 * n),
+        state_bounds=np.stack([-free, free]),
+        control_bounds=np.stack([-limits, limits]),
+        hard_goal=np.full(2 * n, np.nan),
+    )
+
+
+def replay(plant: MultibodyPlant, start: Floats, times: Floats, controls: Floats) -> Floats:
+    """Returns Drake's q at the end of held controls, from rest."""
+    simulator = Simulator(plant)
+    context, integrator = simulator.get_mutable_context(), simulator.get_mutable_integrator()
+    plant.SetPositions(context, start)
+    integrator.set_target_accuracy(1e-9)
+    for u, end in zip(controls, times[1:], strict=True):
+        plant.get_actuation_input_port().FixValue(context, u)
+        simulator.AdvanceTo(end)
+    return plant.GetPositions(context)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_expansions_of_a_floating_body_are_differences_along_the_manifold(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    plant = make_floating(rng)
+    (q, _, _), (goal, _, _), (about, _, _) = (sample_state(plant, rng) for _ in range(3))
+    problem = make_problem(plant, q, goal, 3, 0.2, rng.uniform(1.0, 2.0, 16))
+    A = rng.normal(size=(8, 8))
+    cost = replace(problem.cost, QT=A @ A.T, Q=np.arange(1.0, 9.0), positions=about[np.newaxis])
+    problem, n, nq = replace(problem, cost=cost), 8, 9
+    program = problem.make_program(ShootingOptions((Smoothing(0.0, 1, 1.0),), 2))
+    memory, tree = make_memory(program), Tree.of(plant)
+    states, controls = np.zeros((4, nq + n)), rng.normal(size=(3, 2))
+    for state in states:  # With gaps of some 0.3 rad and m.
+        state[:nq] = tree.add(q, 0.3 * rng.normal(size=n))
+        state[nq:] = rng.normal(size=n)
+    expand_motion(program, states, controls, 0.0, memory)
+    F, gradient = memory.expansion.F.copy(), memory.expansion.l1.copy()
+
+    def expand(k: int, column: int, step: float) -> tuple[float, Floats]:
+        moved, forced, delta = states.copy(), controls.copy(), step * np.eye(2 * n + 2)[column]
+        moved[k, :nq], moved[k, nq:] = tree.add(states[k, :nq], delta[:n]), states[k, nq:]
+        moved[k, nq:] += delta[n : 2 * n]
+        if k < 3:
+            forced[k] += delta[2 * n :]
+        total = expand_motion(program, moved, forced, 0.0, memory)
+        return total, memory.expansion.gaps[min(k, 2)].copy()
+
+    for k, column in np.ndindex(4, 2 * n + 2):
+        (high, after), (low, before) = expand(k, column, 1e-6), expand(k, column, -1e-6)
+        if k < 3:
+            np.testing.assert_allclose((after - before) / 2e-6, F[k, :, column], atol=2e-5)
+        if k < 3 or column < 2 * n:
+            slope = float(gradient[k, column])
+            np.testing.assert_allclose((high - low) / 2e-6, slope, atol=1e-5 * max(1.0, abs(slope)))
+
+
+def test_steps_of_a_turning_body_are_of_fourth_order() -> None:
+    rng = np.random.default_rng(2)
+    plant = make_floating(rng)
+    q, _, _ = sample_state(plant, rng)
+    problem = make_problem(plant, q, q, 4, 0.4, np.ones(16))
+    problem = replace(problem, start=np.concatenate([q, rng.normal(size=8)]))
+    controls = rng.normal(size=(4, 2))
+    ends = [problem.simulate(controls, count).states[-1] for count in (1, 2, 16)]
+    first, second = (np.abs(end - ends[-1]).max() for end in ends[:2])
+    assert 10 < first / second < 24
+    assert np.isclose(np.linalg.norm(ends[0][:4]), 1.0, atol=1e-14)
+
+
+def test_an_arm_of_seven_joints_goes_to_a_pose_and_drake_agrees() -> None:
+    rng = np.random.default_rng(3)
+    plant = make_arm(rng)
+    start, goal = np.zeros(7), rng.uniform(-0.5, 0.5, 7)
+    problem = make_problem(plant, start, goal, 40, 1.0, np.full(14, 1e4))
+    weight = Tree.of(plant).calc_bias(start, np.zeros(7))  # Of all links, which each motor bears.
+    result = problem.solve(np.tile(weight, (40, 1)), options=ShootingOptions(substeps=8))
+    assert np.abs(result.states[-1, :7] - goal).max() < 0.02
+    assert problem.estimate_error(result) < 1e-3
+    end = replay(plant, start, result.times, result.controls)
+    np.testing.assert_allclose(end, result.states[-1, :7], atol=1e-4)
+
+
+def test_a_body_without_a_foothold_turns_by_its_arms_and_drake_agrees() -> None:
+    rng = np.random.default_rng(4)
+    plant = make_floating(rng)
+    start, _, _ = sample_state(plant, rng)
+    tree = Tree.of(plant)
+    goal = tree.add(start, np.array([0.1, -0.05, 0.1, 0, 0, 0, 0, 0]))
+    weights = np.concatenate([np.full(3, 1e2), np.zeros(5), np.full(8, 1e-2)])
+    problem = make_problem(plant, start, goal, 40, 1.0, weights)
+    controls = 0.1 * rng.normal(size=(40, 2))
+    result = problem.solve(controls, options=ShootingOptions(substeps=8))
+    before = problem.simulate(controls, 4)
+    assert result.cost < 0.5 * before.cost
+    end = replay(plant, start, result.times, result.controls)
+    assert np.abs(tree.subtract(end, result.states[-1, :9])).max() < 1e-4
