@@ -24,6 +24,7 @@ from .sums import evaluate as evaluate
 from .sums import is_constant as is_constant
 from .sums import tidy as tidy
 from .tree import Tree as Tree
+from .tree_kernels import repeat_accelerations as repeat_accelerations
 from .tree_kernels import turn_positions as turn_positions
 from .tree_slopes import differentiate as differentiate
 from .tree_slopes import move_tree as move_tree
