@@ -207,10 +207,10 @@ def test_verbose_tells_what_the_planner_does_and_once(
         r"\n  converged after \d+ inner steps; contact sequences: \d\n",
         r"\n  free flight: cost \d\.\d{3}e.*, replayed .*, largest defect .*, in 50 steps\n",
         r"\n\d candidates; improving number 1\n",
-        r"\n\d+ inner steps of AIGO; seconds: build .*, aigo .*, polish .*, replay \d+\.\d\d\n$",
+        r"\n\d+ iterations of AIGO; seconds: build .*, aigo .*, polish .*, replay \d+\.\d\d\n$",
     ):
         assert re.search(told, log), f"{told} in\n{log}"
-    assert log.count("inner steps of AIGO; seconds: ") == 1
+    assert log.count("iterations of AIGO; seconds: ") == 1
     assert main(FLIGHT) == FINE
     quiet = capsys.readouterr()
     assert not quiet.err

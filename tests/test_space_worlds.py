@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from space_models import SPHERE, ball_and_finger, collision, make_scenario
 
-from drake_aigto import Planner, Scenario, World
-from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
+from drake_aigto.errors import ModelError, ProgramError, ScenarioError
 from drake_aigto.simulation import replay_drake, replay_event_driven
 from drake_aigto.world import SpaceWorld, TaskCost
 
@@ -116,10 +116,38 @@ def test_what_does_not_fit_is_refused_by_name(
         World.from_scenario(make_scenario(tmp_path, **changes))
 
 
-def test_a_plan_in_space_is_refused_by_name(tmp_path: Path) -> None:
+@pytest.mark.slow  # Shooting over trees is compiled.
+def test_a_ball_is_pushed_to_its_goal_by_a_plan_that_both_replays_confirm(tmp_path: Path) -> None:
+    scenario = make_scenario(tmp_path)
+    plan = Planner(scenario, PlanOptions(renewals=16, finalists=1)).plan()
+    idle = plan.idle
+    assert plan.holds and idle is not None and plan.cost < 1e-2 * idle.cost
+    start, end = plan.trajectory.positions[[0, -1]]
+    world, placed = build(scenario)
+    first = world.plant.GetJointByName("thing").position_start()
+    assert np.linalg.norm((end - placed.goal_position)[first + 4 : first + 7]) < 0.01
+    assert end[first + 4] - start[first + 4] > 0.25
+    np.testing.assert_allclose(
+        np.linalg.norm(plan.trajectory.positions[:, first : first + 4], axis=1), 1
+    )
+    replays = list(plan.replay)
+    assert len(replays) == 2
+    for replay in replays:
+        assert replay.cost == pytest.approx(plan.cost, rel=1e-3)
+    path = tmp_path / "plan.json"
+    plan.save(path)
+    assert Plan.load(path) == plan
+
+
+def test_what_is_not_planned_for_in_space_is_refused_by_name(tmp_path: Path) -> None:
+    timed = make_scenario(tmp_path, duration_range=[0.5, 2.0])
+    with pytest.raises(ScenarioError, match=r"duration_range: got .* in space, expected none"):
+        _ = Planner(timed).task
     planner = Planner(make_scenario(tmp_path))
-    with pytest.raises(ModelError, match=r"a plan in space: got a model that is read as a tree"):
-        _ = planner.task
+    u = planner.transcription.input()
+    planner.transcription.AddRunningCost(u[0] * u[0])
+    with pytest.raises(ProgramError, match="costs and constraints of users: got some, in space"):
+        planner.plan()
 
 
 def test_rigid_contact_in_space_is_refused_by_name(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from drake_aigto.planning.stretches import (
     touches_walls,
 )
 from drake_aigto.shooting import Mechanism, ShootingProblem
-from drake_aigto.simulation import Controller, Growth, Held, calc_growth, state_scales
+from drake_aigto.simulation import Controller, Growth, Held, calc_growth, tangent_scales
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World
 
@@ -86,7 +86,7 @@ class Feedback(Controller):
         """
         check_sizes(world, trajectory)
         self._world, times, self._transitions = world, trajectory.times, np.empty((0, 0, 0))
-        self._scales = state_scales(world, scenario)
+        self._scales = tangent_scales(world, scenario)
         self.start, self.end = float(times[0]), float(times[-1])
         self.longest_hold = float(np.max(np.diff(times)))
         last = np.concatenate([trajectory.positions[-1], trajectory.velocities[-1]])
@@ -138,10 +138,10 @@ class Feedback(Controller):
 
     def _calc_error(self, x: Floats, planned: Floats) -> Floats:
         """Returns x − x_i, of hinges to the nearest turn: an estimator may wrap angles."""
-        error, n = x - planned, self._world.num_positions
-        turns = np.round(error[:n] / (2 * np.pi))
-        error[:n] -= np.where(self._world.is_hinge, 2 * np.pi * turns, 0.0)
-        return error
+        (q, v), (about, speed) = self._world.split(x), self._world.split(planned)
+        error = self._world.subtract(q, about)
+        turns = 2 * np.pi * np.round(error / (2 * np.pi))
+        return np.concatenate([error - np.where(self._world.turns, turns, 0.0), v - speed])
 
     def _limit(self, u: Floats) -> Floats:
         """Returns a control within its bounds."""

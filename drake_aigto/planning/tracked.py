@@ -106,10 +106,10 @@ def perturb(
     Raises:
         TrajectoryError: one runs away.
     """
-    start = np.concatenate([scenario.initial_position, scenario.initial_velocity])
     found = []
     for sign in (1.0, -1.0):
-        q, v = np.split(start + sign * _OFF * growth.worst, 2)
+        moved, change = np.split(sign * _OFF * growth.worst, 2)
+        q, v = world.add(scenario.initial_position, moved), scenario.initial_velocity + change
         if scenario.contact == "rigid" and np.any(world.calc_clearance(q) < 0):
             continue
         off = dataclasses.replace(scenario, initial_position=q, initial_velocity=v)

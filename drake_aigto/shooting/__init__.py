@@ -9,7 +9,7 @@ from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.descent import expand_motion
 from drake_aigto.shooting.mechanism import Mechanism
 from drake_aigto.shooting.optimal_control import Phases
-from drake_aigto.shooting.problem import ShootingProblem
+from drake_aigto.shooting.problem import ShootingProblem, limit_states
 from drake_aigto.shooting.solve import ShootingOptions, ShootingResult, Smoothing
 from drake_aigto.shooting.tables import make_memory
 from drake_aigto.shooting.tree_mechanism import TreeMechanism
@@ -25,5 +25,6 @@ __all__ = [
     "Smoothing",
     "TreeMechanism",
     "expand_motion",
+    "limit_states",
     "make_memory",
 ]

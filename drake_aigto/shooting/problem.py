@@ -31,8 +31,8 @@ from drake_aigto.shooting.tables import (
     copy_writable,
 )
 from drake_aigto.shooting.tree_mechanism import TreeMechanism
-from drake_aigto.simulation import MOST_GROWTH, calc_growth, state_scales
-from drake_aigto.world import Scales, Scenario, TaskCost, World
+from drake_aigto.simulation import MOST_GROWTH, calc_growth, tangent_scales
+from drake_aigto.world import Limits, Scales, Scenario, TaskCost, World
 
 # Time of each evaluation of a Runge-Kutta step, as a part of the step, and its weight. Its state is
 # ahead of the start by that part of the slope before it; before the first one only positions move.
@@ -59,7 +59,7 @@ class ShootingProblem(OptimalControlProblem):
         cls,
         world: World,
         scenario: Scenario,
-        mechanism: Mechanism,
+        mechanism: Mechanism | TreeMechanism,
         times: Floats,
         added: AddedTerms = NO_TERMS,
     ) -> ShootingProblem:
@@ -73,15 +73,17 @@ class ShootingProblem(OptimalControlProblem):
             added: terms of users.
         """
         bounds, cost = world.bounds(scenario), TaskCost.of(world, scenario)
+        goal, speed = np.split(cost.hard_goal(scenario), [world.num_positions])
+        turn = np.array([0.0 if scenario.hard_goal else np.nan])
         return cls(
             mechanism=mechanism,
             cost=cost,
             times=times,
             start=np.concatenate([scenario.initial_position, scenario.initial_velocity]),
-            scales=state_scales(world, scenario),
-            state_bounds=np.hstack([bounds.position, bounds.velocity]),
+            scales=tangent_scales(world, scenario),
+            state_bounds=limit_states(world, bounds),
             control_bounds=bounds.control,
-            hard_goal=cost.hard_goal(scenario),
+            hard_goal=np.concatenate([world.in_tangent(goal, turn), speed]),
             control_norm=scenario.control_norm or np.inf,
             length=Scales.of(world, scenario).length,
             added=added,
@@ -240,6 +242,12 @@ class ShootingProblem(OptimalControlProblem):
     def _with_durations(self, durations: Floats) -> ShootingProblem:
         assert self.phases is not None
         return replace(self, phases=replace(self.phases, durations=durations))
+
+
+def limit_states(world: World, bounds: Limits) -> Floats:
+    """Returns bounds of q and v in the tangent space, (2, 2n); turns in space have none."""
+    free = np.array([[-np.inf], [np.inf]])
+    return np.hstack([world.in_tangent(bounds.position, free), bounds.velocity])
 
 
 def _make_program(problem: OptimalControlProblem, substeps: int, order: int) -> Program:

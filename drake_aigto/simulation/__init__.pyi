@@ -40,3 +40,4 @@ from .verdict import calc_excess as calc_excess
 from .verdict import calc_growth as calc_growth
 from .verdict import narrow_bounds as narrow_bounds
 from .verdict import state_scales as state_scales
+from .verdict import tangent_scales as tangent_scales

@@ -43,6 +43,13 @@ def state_scales(world: World, scenario: Scenario) -> Floats:
     return np.concatenate([q, v / scales.time])
 
 
+def tangent_scales(world: World, scenario: Scenario) -> Floats:
+    """Returns the same along changes of q and v, shape (2 nv,)."""
+    scales = Scales.of(world, scenario)
+    q = np.where(world.turns, 1.0, scales.length)
+    return np.concatenate([q, q / scales.time])
+
+
 def calc_excess(world: World, scenario: Scenario, positions: Floats, velocities: Floats) -> Floats:
     """Returns how far a motion is below and above its bounds of q and v at most, (2, 2n), ≥ 0."""
     bounds = world.bounds(scenario)

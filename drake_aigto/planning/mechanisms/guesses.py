@@ -113,7 +113,8 @@ class Guesses:
         """The starts that differ from each other."""
         same = {} if self._turns.any() else {"turn"}
         path = self._coast.states[:, : self._world.num_positions]
-        is_still = np.allclose(path, self._start, rtol=0.0, atol=_STILL * self._measures.position)
+        moved = np.abs(self._world.subtract(path, self._start))
+        is_still = bool(np.all(moved <= _STILL * self._measures.position))
         return tuple(each for each in STARTS if each not in {*same, *(["coast"] * is_still)})
 
     def plain(self, start: StartName) -> Guess:
@@ -183,9 +184,11 @@ class Guesses:
         shifted = times - late
         controls, states = Guess(motion.times, motion.controls, motion.states).sample(shifted)
         assert states is not None
+        states[:, :n] = world.normalized(states[:, :n])
         states[shifted > motion.times[-1], n:] = 0.0
         middles, end = (shifted[1:] + shifted[:-1]) / 2, motion.states[-1, :n]
-        hold = world.inverse_actuation @ world.calc_bias(end, np.zeros(n))
+        still = np.zeros(world.num_velocities)
+        hold = world.inverse_actuation @ world.calc_bias(end, still)
         controls[middles < 0.0], controls[middles > motion.times[-1]] = 0.0, hold
         return Guess(times, self._bounded(controls), states, width)
 

@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, contact_law
-from drake_aigto.errors import ModelError
+from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, contact_law, make_touch_table
+from drake_aigto.errors import ProgramError, ScenarioError
 from drake_aigto.planning.candidate import (
     NO_CONTROL,
     Candidate,
@@ -53,6 +53,8 @@ from drake_aigto.shooting import (
     ShootingOptions,
     ShootingProblem,
     ShootingResult,
+    TreeMechanism,
+    limit_states,
 )
 from drake_aigto.simulation import (
     BOUNDS,
@@ -97,7 +99,7 @@ class Compiled:
         added: these, compiled for shooting.
     """
 
-    mechanism: Mechanism
+    mechanism: Mechanism | TreeMechanism
     additions: Additions = NO_ADDITIONS
     added: AddedTerms = NO_TERMS
 
@@ -108,14 +110,14 @@ class Compiled:
         Raises:
             ProgramError, UnsupportedTermError: see `AddedTerms.of`.
         """
+        if additions and isinstance(world, SpaceWorld):
+            remedy = "Weigh coordinates in the scenario."
+            raise ProgramError("costs and constraints of users", "some, in space", "none", remedy)
         added = AddedTerms.of(world, additions) if additions else NO_TERMS
         if isinstance(world, SpaceWorld):
-            raise ModelError(
-                "a plan in space",
-                got=f"a model that is read as a tree ({world.num_positions} coordinates)",
-                expected="one that is read as sums of products",
-                remedy="Simulate it (replay_event_driven, replay_drake).",
-            )
+            assert isinstance(law, CompliantLaw)  # As the world has checked.
+            mechanism = TreeMechanism.of(world.tree, make_touch_table(world, law))
+            return cls(mechanism, additions, added)
         return cls(Mechanism.of(world, law), additions, added)
 
 
@@ -165,8 +167,12 @@ class MechanismTask:
             OptionsError: an option does not count for mechanisms.
             ProgramError: a cost or constraint of the user can't be planned here; says why.
             UnsupportedTermError: it has a factor that is no power, sin or cos.
+            ScenarioError: the duration is free, in space.
         """
         options.check(is_of_balls=False)
+        if isinstance(world, SpaceWorld) and scenario.duration_range is not None:
+            got = f"{list(scenario.duration_range)}, in space"
+            raise ScenarioError("duration_range", got, "none, as its time is given there")
         self.world, self.scenario, self.options = world, scenario, options
         self.task, self.bounds = TaskCost.of(world, scenario), world.bounds(scenario)
         self.law = contact_law(world, scenario)
@@ -180,7 +186,7 @@ class MechanismTask:
         self.shooting = cache(self._pose)
 
     @property
-    def mechanism(self) -> Mechanism:
+    def mechanism(self) -> Mechanism | TreeMechanism:
         """The mechanism of motions during the search."""
         return self._compiled.mechanism
 
@@ -194,7 +200,7 @@ class MechanismTask:
             ),
             scales=np.concatenate([measures.position, measures.velocity]),
             length=measures.length,
-            state_bounds=np.hstack([bounds.position, bounds.velocity]),
+            state_bounds=limit_states(self.world, bounds),
             phases=None if free is None else Phases.free(T, free),
         )
 
@@ -389,7 +395,7 @@ class MechanismTask:
 
     def make_trajectory(self, found: ShootingResult) -> Trajectory:
         """Returns a motion of shooting as a trajectory."""
-        q, v = np.split(found.states, 2, axis=1)
+        q, v = self.world.split(found.states)
         none = np.zeros((len(q), self.world.num_contacts))
         return Trajectory(found.times, q, v, found.controls, none, none[1:])
 
