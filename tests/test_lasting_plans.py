@@ -16,8 +16,7 @@ MODELS = Path(__file__).parents[1] / "models"
 
 @pytest.mark.slow
 def test_carts_are_pushed_apart_one_after_the_other() -> None:
-    options = PlanOptions(renewals=0, confirm=False)
-    plan = Planner(Scenario.named("three_carts/apart"), options).plan()
+    plan = Planner(Scenario.named("three_carts/apart"), PlanOptions(confirm=False)).plan()
     assert plan.holds
     assert plan.cost < 147.0
     assert sorted(contact.index for contact in plan.best.contacts) == [0, 1]

@@ -236,7 +236,7 @@ def test_a_block_is_pushed_up_to_a_stop_and_slides_on_to_its_goal() -> None:
 
 @pytest.mark.slow
 def test_a_hopper_hops_to_its_goal() -> None:
-    plan = Planner(Scenario.named("hopper/hop"), PlanOptions(renewals=8, finalists=1)).plan()
+    plan = Planner(Scenario.named("hopper/hop"), PlanOptions(finalists=1)).plan()
     assert plan.holds
     for replay in plan.replay:
         np.testing.assert_allclose(replay.positions[-1, :2], [0.7, 0.5], atol=0.05)

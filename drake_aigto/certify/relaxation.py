@@ -269,7 +269,7 @@ class Relaxation:
             high: its upper ends.
             cutoff: a known value of the cost, above which a bound is of no interest.
         """
-        structure, nothing = self.structure, Relaxed(np.inf, 0.5 * low + 0.5 * high)
+        structure, nothing = self.structure, Relaxed(np.inf, np.clip(0.0, low, high))
         if not self._fill(low, high, cutoff):
             return nothing
         bound, w, y = self._solve(structure.cost, structure.constant)

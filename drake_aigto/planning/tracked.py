@@ -101,15 +101,17 @@ def perturb(
 ) -> tuple[Replay, ...]:
     """Returns replays from starts that are off by 1e-3 of the scales, where errors grow most.
 
-    They are on both sides, but for those in a rigid wall.
+    They are on both sides, within bounds of positions and velocities, but for those in a rigid
+    wall.
 
     Raises:
         TrajectoryError: one runs away.
     """
-    found = []
+    found, bounds = [], world.bounds(scenario)
     for sign in (1.0, -1.0):
         moved, change = np.split(sign * _OFF * growth.worst, 2)
-        q, v = world.add(scenario.initial_position, moved), scenario.initial_velocity + change
+        q = np.clip(world.add(scenario.initial_position, moved), *bounds.position)
+        v = np.clip(scenario.initial_velocity + change, *bounds.velocity)
         if scenario.contact == "rigid" and np.any(world.calc_clearance(q) < 0):
             continue
         off = dataclasses.replace(scenario, initial_position=q, initial_velocity=v)
