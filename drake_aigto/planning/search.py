@@ -213,7 +213,7 @@ class Search(ABC):
 
     @property
     def box_contacts(self) -> tuple[int | None, ...]:
-        """Numbers of contacts of the last box of each start; None: left out."""
+        """Numbers of contacts of the last box of each start, None if it was left out."""
         return ()
 
     def tell(self, line: str) -> None:

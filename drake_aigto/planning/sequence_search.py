@@ -88,7 +88,7 @@ class SequenceSearch(Search):
 
     @property
     def box_contacts(self) -> tuple[int | None, ...]:
-        """Numbers of contacts of the last box of each rung of the ladder; None: left out."""
+        """Numbers of contacts of the last box of each rung, None if that was left out."""
         counts: list[int | None] = []
         for rung in self.task.ladder:
             found = [sequences for each, sequences in self.shown if each == rung]
