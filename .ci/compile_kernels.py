@@ -15,7 +15,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-# Little of all that a plan is made of. Rungs of each start, renewals, neighbors, polish, replay.
+# Little of all that a plan is made of: starts, renewals, neighbors, polish, replay.
 PROGRAM = """
 import sys
 from pydrake.solvers import MathematicalProgram
@@ -25,9 +25,10 @@ from drake_aigto.planning import PlanningError
 for name in sys.argv[1:] or scenario_names():
     scenario = Scenario.named(name)
     planner = Planner(scenario)
-    options = PlanOptions() if planner.is_of_balls else PlanOptions(renewals=8, finalists=1)
+    if not planner.is_of_balls:
+        planner = Planner(scenario, PlanOptions(renewals=8, finalists=1))
     try:
-        Planner(scenario, options).plan()
+        planner.plan()
     except PlanningError:  # So little search may find nothing; its code is compiled.
         pass
     print(name, flush=True)

@@ -25,7 +25,7 @@ LEVELS = {
     "x86-64-v3": ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", "popcnt", "xsave"),
     "x86-64": (),
 }
-# Names the folder that code is put into while a package is built (`.ci/machine_code.py`).
+# Names the folder that code is put into while a package is built (`.ci/build_hook.py`).
 BUILT_INTO = "DRAKE_AIGTO_BUILD_MACHINE_CODE"
 
 _PACKAGE = __name__.partition(".")[0]

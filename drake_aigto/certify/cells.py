@@ -17,7 +17,7 @@ from drake_aigto.certify.relaxation import Relaxation
 
 _MOST_OPEN = 400_000  # cells
 _BATCH = 4  # this part of the open cells is cut at once, and at least this number
-_MOST_AT_ONCE = 4000  # so that progress is told, and the clock is looked at
+_MOST_AT_ONCE = 4000  # between two reports of progress and looks at the clock
 _MOST_BENT = 10  # variables of cells that are bounded by Hessians, too
 _FEW = 4  # variables of programs without rows that need no linear relaxations
 _PLAIN = 200  # cells that are bounded by Hessians alone, before relaxations

@@ -16,10 +16,11 @@ from drake_aigto.arrays import Floats
 from drake_aigto.control.horizon import Horizon
 from drake_aigto.control.mechanism_horizon import make_horizon
 from drake_aigto.control.touches import PlannedMotion, SeenBounces
-from drake_aigto.control.tracking import NUMBERS, check_period, read_start
+from drake_aigto.control.tracking import NUMBERS, check_period, may_be_unsampled, read_start
 from drake_aigto.errors import ControlError
 from drake_aigto.planning import Plan, Planner
 from drake_aigto.trajectory import Trajectory
+from drake_aigto.world import take_nearest_turn
 
 # A plan that costs more than the one before met no surprise if that is less than this part of the
 # task's scale.
@@ -267,10 +268,9 @@ class ModelPredictiveController(LeafSystem):
 
     def _is_empty(self, x: Floats) -> bool:
         """Returns whether a state may be what a hold has before its first sample."""
-        start = self._horizon.scenario
-        return not np.any(x) and bool(
-            np.any(start.initial_position) or start.initial_velocity.any()
-        )
+        asked = self._horizon.scenario
+        start = np.concatenate([asked.initial_position, asked.initial_velocity])
+        return may_be_unsampled(x, start)
 
     def _choose_first(self, question: _Question) -> _Choice:
         """Returns the plan of a search.
@@ -311,10 +311,9 @@ class ModelPredictiveController(LeafSystem):
 
     def _unwrap(self, x: Floats, planned: Floats) -> Floats:
         """Returns a state with hinges as many turns on as bring them nearest to the plan."""
-        n, unwrapped = self._world.num_positions, np.array(x)
-        turns = np.round((planned[:n] - x[:n]) / (2 * np.pi))
-        unwrapped[:n] += np.where(self._world.is_hinge, 2 * np.pi * turns, 0.0)
-        return unwrapped
+        (q, v), (about, _) = np.split(x, 2), np.split(planned, 2)
+        turns = q - about - take_nearest_turn(q - about, self._world.is_hinge)
+        return np.concatenate([q - turns, v])
 
     def _keep(
         self,

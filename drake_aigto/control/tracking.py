@@ -137,7 +137,7 @@ class TrackingController(LeafSystem):
         elapsed = context.get_time() - last
         if 0 < elapsed <= (1 + _SAME) * self.period or (elapsed == 0 and np.array_equal(x, before)):
             return self._sample(context, values)
-        if not np.any(x) and np.any(self.feedback.find_state(context.get_time(), ())):
+        if self._is_empty(context, x):
             none = np.zeros(self._world.num_contacts)
             for group, known in zip(self._groups[1:], (none, none, self._never), strict=True):
                 values.set_value(group, known)
@@ -164,12 +164,13 @@ class TrackingController(LeafSystem):
 
     def _is_known(self, context: Context, x: Floats) -> bool:
         """Returns whether an estimate is one: finite, and not what a hold has before its sample."""
-        is_first = np.isinf(self._read(context, self._groups.last)[0])
-        is_empty = is_first and not np.any(x)
-        bounces = _list_bounces(self._read(context, self._groups.bounces))
-        if is_empty and np.any(self.feedback.find_state(context.get_time(), bounces)):
+        if np.isinf(self._read(context, self._groups.last)[0]) and self._is_empty(context, x):
             return False
         return bool(np.all(np.isfinite(x)))
+
+    def _is_empty(self, context: Context, x: Floats) -> bool:
+        """Returns whether a state may be what a hold has before its first sample."""
+        return may_be_unsampled(x, self.feedback.find_state(context.get_time(), ()))
 
     def _play(self, context: Context, values: DiscreteValues) -> EventStatus:
         """Holds the plan's own control from now on."""
@@ -301,6 +302,11 @@ def _name_body(plant: Any, index: Any) -> str:
     body = plant.get_body(index)
     is_alone = plant.NumBodiesWithName(body.name()) == 1
     return str(body.name() if is_alone else body.scoped_name())
+
+
+def may_be_unsampled(x: Floats, expected: Floats) -> bool:
+    """Returns whether all of a state is zero where another one is expected."""
+    return bool(np.any(expected) and not np.any(x))
 
 
 def check_period(period: float) -> float:

@@ -23,7 +23,7 @@ from drake_aigto.planning.stretches import (
 from drake_aigto.shooting import Mechanism, ShootingProblem
 from drake_aigto.simulation import Controller, Growth, Held, calc_growth, tangent_scales
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, World, take_nearest_turn
 
 # Runge-Kutta steps between knots, and how far from walls gains know of them, in parts of the task's
 # length: a state a little off its plan may meet a wall where the plan does not.
@@ -139,9 +139,8 @@ class Feedback(Controller):
     def _calc_error(self, x: Floats, planned: Floats) -> Floats:
         """Returns x − x_i, of hinges to the nearest turn: an estimator may wrap angles."""
         (q, v), (about, speed) = self._world.split(x), self._world.split(planned)
-        error = self._world.subtract(q, about)
-        turns = 2 * np.pi * np.round(error / (2 * np.pi))
-        return np.concatenate([error - np.where(self._world.turns, turns, 0.0), v - speed])
+        error = take_nearest_turn(self._world.subtract(q, about), self._world.turns)
+        return np.concatenate([error, v - speed])
 
     def _limit(self, u: Floats) -> Floats:
         """Returns a control within its bounds."""

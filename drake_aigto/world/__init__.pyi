@@ -21,6 +21,7 @@ from .space import SpaceWorld as SpaceWorld
 from .task_cost import Scales as Scales
 from .task_cost import TaskCost as TaskCost
 from .task_cost import calc_inertia as calc_inertia
+from .task_cost import take_nearest_turn as take_nearest_turn
 from .world import World as World
 
 __all__: list[str]

@@ -27,12 +27,12 @@ from drake_aigto.dynamics import (
 )
 from drake_aigto.errors import ScenarioError
 from drake_aigto.geometry import make_closest
-from drake_aigto.world.diagram import check_friction_acts, check_plant, copy_diagram, find_plant
+from drake_aigto.world.diagram import find_plant
 from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.limits import Limits, check_sizes
 from drake_aigto.world.material import SpringMaterial, combine_springs, read_materials
-from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
-from drake_aigto.world.model_reader import name_shapes, pick_shapes, read_model, set_materials
+from drake_aigto.world.model_fields import Limited, as_globs
+from drake_aigto.world.model_reader import name_shapes, pick_shapes, read_model
 from drake_aigto.world.pair_errors import explain_no_contact
 from drake_aigto.world.pairs import list_pairs
 from drake_aigto.world.scenario import Scenario
@@ -44,7 +44,7 @@ from drake_aigto.world.space_pairs import (
     read_shapes,
 )
 from drake_aigto.world.task_cost import TaskCost
-from drake_aigto.world.world import World
+from drake_aigto.world.world import World, open_diagram
 
 # Bodies that are deeper in each other than this part of the smaller one overlap at the start.
 _OVERLAP = 0.1
@@ -88,17 +88,12 @@ class SpaceWorld(World):
                 not planned for, or has pairs of shapes whose distance is not known.
             ScenarioError: a mass is given.
         """
-        given: Any = material
-        fields = ModelFields(limits=limits, material=given)
-        diagram = copy_diagram(diagram) if fields.material else diagram
-        plant, scene_graph = find_plant(diagram)
-        set_materials(plant, scene_graph, fields.material)
-        check_plant(plant, in_space=True)
+        fields, diagram, plant, scene_graph = open_diagram(
+            diagram, limits, material, dry_friction, in_space=True
+        )
         if mass is not None:
             remedy = "Edit the masses in the model instead."
             raise ScenarioError("mass", f"{mass:g} kg, in space", "None, the model's", remedy)
-        if dry_friction is not None:
-            check_friction_acts(plant, diagram)
         globs = as_globs("ignored_shapes", ignored_shapes)
         pairs = _choose_pairs(plant, scene_graph, globs)
         tree = Tree.of(plant, dry_friction=dry_friction)

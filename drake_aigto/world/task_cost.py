@@ -134,7 +134,7 @@ class TaskCost(ArrayRecord):
 
     def position_error(self, q: ArrayLike, about: ArrayLike) -> Floats:
         """Returns e_q, whose square is weighed, of positions about others, (…, n)."""
-        error = _turn(self.measure(q, about), self.is_modulo)
+        error = take_nearest_turn(self.measure(q, about), self.is_modulo)
         return np.where(self.is_chordal, 2.0 * np.sin(error / 2.0), error)
 
     def hard_goal(self, scenario: Scenario) -> Floats:
@@ -148,7 +148,7 @@ class TaskCost(ArrayRecord):
 
         Turns count where the scenario's angles are exact; chords are measured along the arc.
         """
-        return _turn(self.subtract(q, self.goal), self.is_modulo | self.is_chordal)
+        return take_nearest_turn(self.subtract(q, self.goal), self.is_modulo | self.is_chordal)
 
     @property
     def is_asked(self) -> Bools:
@@ -164,7 +164,7 @@ class TaskCost(ArrayRecord):
         return np.linalg.norm(self.goal_errors(q)[..., self.is_asked], axis=-1)
 
 
-def _turn(error: Floats, does_turn: Bools) -> Floats:
+def take_nearest_turn(error: Floats, does_turn: Bools) -> Floats:
     """Returns errors, those that turn to the nearest to zero of e + 2πk."""
     return np.where(does_turn, error - _TURN * np.round(error / _TURN), error)
 

@@ -141,7 +141,7 @@ class World(EquationsOfMotion):
 
         Raises:
             ModelError: a sphere can slide in two directions with friction, or touch several faces
-                of a box; or sums of so many coordinates take longer than recursions.
+                of a box; or there are more coordinates than sums are quick for.
         """
         self.friction_coefficients(scenario)
         if scenario.contact == "compliant":
@@ -227,14 +227,7 @@ class World(EquationsOfMotion):
                 mass is that of several bodies, or of one that does not move. Says which.
             ScenarioError: the mass is not above zero.
         """
-        given: Any = material
-        fields = ModelFields(limits=limits, material=given)
-        diagram = copy_diagram(diagram) if fields.material else diagram
-        plant, scene_graph = find_plant(diagram)
-        set_materials(plant, scene_graph, fields.material)
-        check_plant(plant)
-        if dry_friction is not None:
-            check_friction_acts(plant, diagram)
+        fields, diagram, plant, scene_graph = open_diagram(diagram, limits, material, dry_friction)
         reader = PlantReader(plant)
         ignored_shapes = as_globs("ignored_shapes", ignored_shapes)
         ignored = pick_shapes("ignored_shapes", ignored_shapes, name_shapes(plant, scene_graph))
@@ -542,3 +535,27 @@ class World(EquationsOfMotion):
     @cached_property
     def _half_extents(self) -> Floats:
         return np.array([each.face.half_extents for each in self._reachable]).reshape(-1, 2)
+
+
+def open_diagram(
+    diagram: Diagram,
+    limits: Limited,
+    material: Mapping[str, Any],
+    dry_friction: Floats | None,
+    in_space: bool = False,
+) -> tuple[ModelFields, Diagram, MultibodyPlant, SceneGraph]:
+    """Returns how a diagram is read, it or a copy with other materials, its plant and scene graph.
+
+    Raises:
+        ModelError: the plant is not one that is planned for (`check_plant`), or no system of the
+            diagram makes friction act.
+    """
+    given: Any = material
+    fields = ModelFields(limits=limits, material=given)
+    diagram = copy_diagram(diagram) if fields.material else diagram
+    plant, scene_graph = find_plant(diagram)
+    set_materials(plant, scene_graph, fields.material)
+    check_plant(plant, in_space)
+    if dry_friction is not None:
+        check_friction_acts(plant, diagram)
+    return fields, diagram, plant, scene_graph
