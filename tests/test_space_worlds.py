@@ -10,8 +10,18 @@ import numpy as np
 import pytest
 from space_models import SPHERE, ball_and_finger, collision, make_scenario
 
-from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
-from drake_aigto.errors import ModelError, ProgramError, ScenarioError
+from drake_aigto import (
+    ModelPredictiveController,
+    Plan,
+    Planner,
+    PlanOptions,
+    Scenario,
+    TrackingController,
+    World,
+)
+from drake_aigto.cli import FINE, main
+from drake_aigto.errors import ControlError, ModelError, ProgramError, ScenarioError
+from drake_aigto.show import motions_of_plan
 from drake_aigto.simulation import replay_drake, replay_event_driven
 from drake_aigto.world import SpaceWorld, TaskCost
 
@@ -137,6 +147,12 @@ def test_a_ball_is_pushed_to_its_goal_by_a_plan_that_both_replays_confirm(tmp_pa
     path = tmp_path / "plan.json"
     plan.save(path)
     assert Plan.load(path) == plan
+    assert main(["replay", str(path), "--quiet"]) == FINE
+    with pytest.raises(ModelError, match=r"the motion to show: got one of bodies that float"):
+        motions_of_plan(plan)
+    for make in (TrackingController, lambda _: ModelPredictiveController(Planner(scenario), 0.02)):
+        with pytest.raises(ControlError, match=r"the world to control: got one in space"):
+            make(plan)
 
 
 def test_what_is_not_planned_for_in_space_is_refused_by_name(tmp_path: Path) -> None:

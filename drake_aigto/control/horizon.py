@@ -16,6 +16,7 @@ from drake_aigto.control.touches import (
     choose,
     find_left,
 )
+from drake_aigto.control.tracking import check_plane
 from drake_aigto.errors import ControlError, OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.planning import (
     BallSearch,
@@ -292,6 +293,7 @@ def _check(planner: Planner) -> None:
     Raises:
         ControlError: says what it is.
     """
+    check_plane(planner.world)
     if planner.scenario.duration_range is not None:
         raise ControlError(
             _ASKED,

@@ -22,7 +22,7 @@ from drake_aigto.arrays import Bools, Floats
 from drake_aigto.control.touches import WALL_DOUBT, find_bounce
 from drake_aigto.errors import ControlError
 from drake_aigto.planning import Cut, Feedback, Plan, is_at_rest_on
-from drake_aigto.world import Scales, World
+from drake_aigto.world import Scales, SpaceWorld, World
 
 # A period of what happens once [s]; and how near to a sample is the same, as a part of the period.
 _ONCE, _SAME = 1e12, 1e-6
@@ -92,10 +92,11 @@ class TrackingController(LeafSystem):
         Raises:
             ModelError: from `Plan.find_world`.
             TrajectoryError: no feedback is known for its contacts (`Feedback`).
-            ControlError: the period is not a number above zero.
+            ControlError: the period is not a number above zero, or the plan is in space.
         """
         super().__init__()
         world = plan.find_world(world)
+        check_plane(world)
         self.plan = plan
         usual = plan.scenario.time_step / _SAMPLES
         self.period = usual if period is None else check_period(period)
@@ -307,6 +308,21 @@ def _name_body(plant: Any, index: Any) -> str:
 def may_be_unsampled(x: Floats, expected: Floats) -> bool:
     """Returns whether all of a state is zero where another one is expected."""
     return bool(np.any(expected) and not np.any(x))
+
+
+def check_plane(world: World) -> None:
+    """Refuses worlds in space, for which no controller is made.
+
+    Raises:
+        ControlError: it is one.
+    """
+    if isinstance(world, SpaceWorld):
+        raise ControlError(
+            "the world to control",
+            got="one in space, whose positions and velocities differ in number or kind",
+            expected="one in a plane, of hinges and sliders",
+            remedy="Play the plan's control: TrajectorySource(plan.trajectory.to_piecewise()[1]).",
+        )
 
 
 def check_period(period: float) -> float:

@@ -339,7 +339,8 @@ def _find_delay(plan: Plan, world: World) -> float | None:
 def _search_facts(plan: Plan) -> Iterator[Fact]:
     """Yields how a plan was found."""
     options = plan.options
-    boxes = [f"boxes of {plan.scenario.num_steps} steps"] if options else []
+    steps = f"{plan.scenario.num_steps} steps"
+    boxes = [steps if plan.transcription == "shooting" else f"boxes of {steps}"] if options else []
     if isinstance(options, PlanOptions) and plan.transcription == "rigid":
         boxes = [f"boxes of {options.aigo_steps} steps", f"relaxation {options.relaxation:g}"]
     parts = [part.split(", ") for part in str(plan.best.origin).split("; ")]

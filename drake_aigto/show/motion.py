@@ -19,6 +19,7 @@ from drake_aigto.contact import (
     stack_rows,
 )
 from drake_aigto.dynamics import calc_friction_share
+from drake_aigto.errors import ModelError
 from drake_aigto.planning import Plan
 from drake_aigto.simulation import Replay, find_contacts
 from drake_aigto.trajectory import Trajectory
@@ -164,7 +165,19 @@ def time_span(motions: Sequence[Motion]) -> tuple[float, float]:
 
 
 def _fill_in(times: Floats, positions: Floats, velocities: Floats) -> tuple[Floats, Floats, Floats]:
-    """Returns the rows with more between those far apart, on cubics that have both ends' slopes."""
+    """Returns the rows with more between those far apart, on cubics that have both ends' slopes.
+
+    Raises:
+        ModelError: a body floats.
+    """
+    nq, nv = positions.shape[1], velocities.shape[1]
+    if nq != nv:
+        raise ModelError(
+            "the motion to show",
+            got=f"one of bodies that float ({nq} positions, {nv} velocities)",
+            expected="as many positions as velocities",
+            remedy="Set the positions of plan.trajectory in a MeshcatVisualizer of your own.",
+        )
     h = np.diff(times)
     counts = np.maximum(np.ceil(h / _LONGEST_STEP), 1).astype(int)
     i = np.repeat(np.arange(len(h)), counts)

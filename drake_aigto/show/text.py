@@ -33,14 +33,16 @@ def task_items(scenario: Scenario, world: World | None = None) -> list[str]:
 
     Without a world, all coordinates are lengths.
     """
-    is_hinge = np.zeros(scenario.initial_position.shape, bool) if world is None else world.is_hinge
+    is_hinge = turns = np.zeros(scenario.initial_position.shape, bool)
+    if world is not None:
+        is_hinge, turns = world.is_hinge, world.turns
     items = [
         f"q(0) = {_numbers(scenario.initial_position, is_hinge)}",
-        f"v(0) = {_numbers(scenario.initial_velocity, is_hinge, '/s')}",
+        f"v(0) = {_numbers(scenario.initial_velocity, turns, '/s')}",
         f"goal {_numbers(scenario.goal_position, is_hinge)}",
     ]
     if scenario.goal_velocity is not None:
-        items.append(f"goal velocity {_numbers(scenario.goal_velocity, is_hinge, '/s')}")
+        items.append(f"goal velocity {_numbers(scenario.goal_velocity, turns, '/s')}")
     for name in (name for name in scenario.extras if name in _SHOWN):
         value, words = getattr(scenario, name), name.replace("_", " ")
         if name == "reference_times":
@@ -76,7 +78,7 @@ def miss_texts(run: Candidate | Replay, scenario: Scenario, world: World) -> lis
     return [
         f"{as_text(float(np.linalg.norm(error[which & counts])))}{per}"
         for per, (error, counts) in errors.items()
-        for which, as_text in ((~world.is_hinge, length_text), (world.is_hinge, angle_text))
+        for which, as_text in ((~world.turns, length_text), (world.turns, angle_text))
         if np.any(which & counts)
     ]
 
