@@ -4,28 +4,16 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from pydrake.geometry import (
-    Capsule,
-    CollisionFilterDeclaration,
-    GeometryId,
-    GeometrySet,
-    HalfSpace,
-    ProximityProperties,
-    Role,
-    RoleAssign,
-    SceneGraph,
-    Sphere,
-)
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import PackageMap, Parser
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Joint, PrismaticSpring, RevoluteSpring, RigidBody
 from pydrake.symbolic import Expression, MakeVectorVariable
 from pydrake.symbolic import max as largest
@@ -39,13 +27,17 @@ from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import check_plant, refuse_loop
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
-from drake_aigto.world.material import FRICTION
-from drake_aigto.world.model_facts import FixableError, ModelFacts, fits, pick
-from drake_aigto.world.model_fields import Material, ModelFields
+from drake_aigto.world.model_facts import FixableError, ModelFacts, pick
+from drake_aigto.world.model_fields import ModelFields
+from drake_aigto.world.model_shapes import (
+    add_ends,
+    choose_ends,
+    keep_apart,
+    leave_pairs_out,
+    note_unlike_friction,
+    set_materials,
+)
 from drake_aigto.world.model_text import read_model_text
-from drake_aigto.world.pair_errors import END, name_pair
-from drake_aigto.world.pairs import list_pairs, order_pair
-from drake_aigto.world.space_pairs import order_shapes
 
 _TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 # What Drake says of joints that form a loop.
@@ -154,7 +146,7 @@ def _read_model(
     for name, spring in facts.springs.items():
         _add_spring(plant, plant.GetJointByName(name), *spring)
     set_materials(plant, scene_graph, fields.material)
-    ends = {} if in_space else _add_ends(plant, scene_graph)
+    ends = {} if in_space else add_ends(plant, scene_graph)
     try:
         plant.Finalize()
     except RuntimeError as error:
@@ -163,13 +155,13 @@ def _read_model(
         raise ModelError(f"Drake can't parse the model {path}", got=error) from error
     check_plant(plant, in_space)
     plant.set_stiction_tolerance(stiction_speed)
-    _keep_apart(plant, scene_graph, facts)
+    keep_apart(plant, scene_graph, facts)
     if in_space:
-        _leave_pairs_out(scene_graph, facts)
+        leave_pairs_out(scene_graph, facts)
     else:
-        _choose_ends(scene_graph, ends, facts)
+        choose_ends(scene_graph, ends, facts)
     if kind == "xml":
-        _note_unlike_friction(scene_graph, facts)
+        note_unlike_friction(scene_graph, facts)
     friction = _find_friction(plant, facts) if dry_friction is None else dry_friction
     if friction is not None:
         check_size("dry_friction", friction, plant.num_velocities())
@@ -298,179 +290,9 @@ def _add_spring(plant: MultibodyPlant, joint: Joint, stiffness: float, reference
         plant.AddForceElement(kind(joint, reference, stiffness))
 
 
-def set_materials(
-    plant: MultibodyPlant, scene_graph: SceneGraph, materials: Mapping[str, Material]
-) -> None:
-    """Replaces materials of collision shapes, by names or globs."""
-    shapes = name_shapes(plant, scene_graph)
-    for glob, material in materials.items():
-        for shape in pick_shapes("material", [glob], shapes):
-            inspector: Any = scene_graph.model_inspector()
-            properties = ProximityProperties(inspector.GetProximityProperties(shape))
-            given = {
-                "point_contact_stiffness": material.stiffness,
-                "hunt_crossley_dissipation": material.dissipation,
-                "restitution": material.restitution,
-                "coulomb_friction": None
-                if material.friction is None
-                else CoulombFriction(material.friction, material.friction),
-            }
-            for name, value in given.items():
-                if value is not None:
-                    properties.UpdateProperty("material", name, value)
-            source = plant.get_source_id()
-            scene_graph.AssignRole(source, shape, properties, RoleAssign.kReplace)
-
-
-def name_shapes(
-    plant: MultibodyPlant, scene_graph: SceneGraph
-) -> dict[GeometryId, tuple[str, str]]:
-    """Returns the names of collision shapes: model::shape and model::link::shape."""
-    inspector: Any = scene_graph.model_inspector()
-    found = {}
-    for shape in inspector.GetAllGeometryIds(Role.kProximity):
-        full = inspector.GetName(shape).partition(END)[0]
-        model, _, name = full.rpartition("::")
-        body = plant.GetBodyFromFrameId(inspector.GetFrameId(shape))
-        found[shape] = full, f"{model}::{body.name()}::{name}"
-    return found
-
-
-def pick_shapes(
-    what: str, globs: tuple[str, ...] | list[str], shapes: dict[GeometryId, tuple[str, str]]
-) -> list[GeometryId]:
-    """Returns the collision shapes that names or globs choose.
-
-    Raises:
-        ModelError: one fits no shape; or a name, which is no glob, fits several.
-    """
-    found: dict[GeometryId, None] = {}
-    known = ", ".join(sorted(full for full, _ in shapes.values())) or "(none)"
-    for glob in globs:
-        fitting = [each for each, names in shapes.items() if any(fits(n, glob) for n in names)]
-        if not fitting and glob != "*":
-            raise ModelError(what, got=repr(glob), expected=f"of the collision shapes {known}")
-        if len({shapes[each] for each in fitting}) > 1 and not set(glob) & set("*?["):
-            raise ModelError(
-                what,
-                got=f"{glob!r}, which fits {', '.join(shapes[each][1] for each in fitting)}",
-                expected="a name of one shape, or a glob",
-                remedy=f"Name it with its link, or all of them by {glob + '*'!r}.",
-            )
-        found.update(dict.fromkeys(fitting))
-    return list(found)
-
-
 def _list_bodies(plant: MultibodyPlant) -> list[RigidBody]:
     """Returns all links, the world first."""
     return [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
-
-
-def _keep_apart(plant: MultibodyPlant, scene_graph: SceneGraph, facts: ModelFacts) -> None:
-    """Keeps pairs of shapes from colliding, by their names."""
-    shapes = {
-        full.split("::")[-1]: each for each, (full, _) in name_shapes(plant, scene_graph).items()
-    }
-    apart = [pair for pair in facts.apart if not set(pair) - set(shapes)]
-    _exclude(scene_graph, [(shapes[one], shapes[other]) for one, other in apart])
-
-
-def _exclude(scene_graph: SceneGraph, pairs: list[tuple[GeometryId, GeometryId]]) -> None:
-    """Keeps pairs of shapes from colliding."""
-    apart: dict[GeometryId, list[GeometryId]] = {}
-    for shape, other in pairs:
-        apart.setdefault(shape, []).append(other)
-    for shape, others in apart.items():
-        filtered = CollisionFilterDeclaration().ExcludeBetween(
-            GeometrySet([shape]), GeometrySet(others)
-        )
-        scene_graph.collision_filter_manager().Apply(filtered)
-
-
-def _add_ends(plant: MultibodyPlant, scene_graph: SceneGraph) -> dict[GeometryId, list[GeometryId]]:
-    """Adds a sphere at both ends of each capsule, as far as it may touch; returns them by capsule.
-
-    A capsule touches a half space with its ends alone, whatever its pose.
-    """
-    inspector: Any = scene_graph.model_inspector()
-    found = {}
-    for shape in inspector.GetAllGeometryIds(Role.kProximity):
-        capsule = inspector.GetShape(shape)
-        if not isinstance(capsule, Capsule):
-            continue
-        # What the inspector returns lives until the next shape is registered.
-        half, radius = capsule.length() / 2, capsule.radius()
-        X_BG = RigidTransform(inspector.GetPoseInFrame(shape))
-        properties = ProximityProperties(inspector.GetProximityProperties(shape))
-        name = inspector.GetName(shape).rpartition("::")[2]
-        found[shape] = [
-            plant.RegisterCollisionGeometry(
-                plant.GetBodyFromFrameId(inspector.GetFrameId(shape)),
-                X_BG @ RigidTransform([0.0, 0.0, z]),
-                Sphere(radius),
-                f"{name}{END}{number}",
-                properties,
-            )
-            for number, z in ((1, -half), (2, half))
-        ]
-    return found
-
-
-def _choose_ends(
-    scene_graph: SceneGraph, ends: dict[GeometryId, list[GeometryId]], facts: ModelFacts
-) -> None:
-    """Lets the ends of a capsule touch half spaces, and the capsule all else.
-
-    Pairs that can't be planned for are kept apart if that is allowed.
-    """
-    inspector: Any = scene_graph.model_inspector()
-    capsule_of = {end: capsule for capsule, pair in ends.items() for end in pair}
-    shapes = inspector.GetAllGeometryIds(Role.kProximity)
-    kind_of = {shape: type(inspector.GetShape(shape)) for shape in shapes}
-    apart = []
-    for pair in list_pairs(inspector):
-        kinds = [kind_of[shape] for shape in pair]
-        is_end = any(shape in capsule_of for shape in pair)
-        if HalfSpace in kinds and (is_end or Capsule in kinds):
-            is_kept = is_end
-        elif is_end:
-            is_kept = False
-        else:
-            is_kept = order_pair(inspector, *pair) is not None
-            if not is_kept:
-                if "pairs" not in facts.fields.allow_ignored:
-                    continue
-                names = " and ".join(map(inspector.GetName, pair))
-                facts.refuse("pairs", f"contact of {names}", "they pass through each other")
-        if not is_kept:
-            apart.append(pair)
-    _exclude(scene_graph, apart)
-
-
-def _leave_pairs_out(scene_graph: SceneGraph, facts: ModelFacts) -> None:
-    """Keeps pairs apart whose distance is not known in space, if that is allowed."""
-    inspector: Any = scene_graph.model_inspector()
-    for pair in list_pairs(inspector) if "pairs" in facts.fields.allow_ignored else []:
-        if order_shapes(inspector, pair) is None:
-            names = " and ".join(map(inspector.GetName, pair))
-            facts.refuse("pairs", f"contact of {names}", "they pass through each other")
-            _exclude(scene_graph, [pair])
-
-
-def _note_unlike_friction(scene_graph: SceneGraph, facts: ModelFacts) -> None:
-    """Notes pairs of an MJCF for which MuJoCo would combine friction otherwise than Drake does."""
-    inspector: Any = scene_graph.model_inspector()
-    found = []
-    for pair in list_pairs(inspector):
-        materials = map(inspector.GetProximityProperties, pair)
-        frictions = {each.GetProperty(*FRICTION).dynamic_friction() for each in materials}
-        if len(frictions) > 1 and order_pair(inspector, *pair) is not None:
-            found.append(name_pair(inspector, pair))
-    if found:
-        facts.notes.append(
-            "2 μ₁ μ₂ / (μ₁ + μ₂) counts where two shapes' friction differs, not the larger μ or "
-            f"that of the higher priority, as in MuJoCo: {'; '.join(dict.fromkeys(found))}"
-        )
 
 
 def _find_friction(plant: MultibodyPlant, facts: ModelFacts) -> Floats | None:

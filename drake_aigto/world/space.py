@@ -32,7 +32,8 @@ from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.limits import Limits, check_sizes
 from drake_aigto.world.material import SpringMaterial, combine_springs, read_materials
 from drake_aigto.world.model_fields import Limited, as_globs
-from drake_aigto.world.model_reader import name_shapes, pick_shapes, read_model
+from drake_aigto.world.model_reader import read_model
+from drake_aigto.world.model_shapes import name_shapes, pick_shapes
 from drake_aigto.world.pair_errors import explain_no_contact
 from drake_aigto.world.pairs import list_pairs
 from drake_aigto.world.scenario import Scenario

@@ -36,12 +36,8 @@ from drake_aigto.world.limits import Limits, check_sizes
 from drake_aigto.world.material import SpringMaterial, read_materials, read_springs, read_stiffness
 from drake_aigto.world.model_facts import FixableError
 from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
-from drake_aigto.world.model_reader import (
-    name_shapes,
-    pick_shapes,
-    read_model,
-    set_materials,
-)
+from drake_aigto.world.model_reader import read_model
+from drake_aigto.world.model_shapes import name_shapes, pick_shapes, set_materials
 from drake_aigto.world.pair_errors import explain_no_contact
 from drake_aigto.world.pairs import (
     ReachableFace,
