@@ -58,7 +58,7 @@ def test_a_bounce_is_told_with_all_that_it_rests_on(capsys: pytest.CaptureFixtur
     assert printed.startswith("verdict     holds: ")
     assert max(map(len, printed.splitlines())) <= 100
     for told in (
-        r"cost 2\.18.e-04, on a rigid wall 2\.18.e-04, on Drake's plant 2\.1..e-04\n",
+        r"cost        2\.18.e-04, on a rigid wall 2\.18.e-04, on Drake's plant 2\.1..e-04\n",
         r"plan        rigid transcription, cost 2\.18.e-04, ends 0\.8 mm off the goal, ",
         r"defects     flight .* m/s, contact 0 m, restitution 0 m/s, nonpenetration 0 m\n",
         r"contacts    0\.55. s \(Δv 3\.36 m/s\), kinetic energy after / before 1\n",

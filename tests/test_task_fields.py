@@ -20,6 +20,7 @@ from drake_aigto.planning import Candidate, Origin, PlanStats, Replays
 from drake_aigto.show import (
     Page,
     add_question,
+    add_verdict,
     angle_text,
     format_plan,
     miss_text,
@@ -288,6 +289,37 @@ def test_a_plan_of_a_mechanism_is_written() -> None:
     assert max(map(len, text.splitlines())) <= 100
     again = dataclasses.replace(plan, scenario=dataclasses.replace(scenario, contact="rigid"))
     assert "restitution 1" in format_plan(again, cart_pole())
+
+
+@pytest.mark.parametrize(
+    ("more", "reached", "told"),
+    [
+        ({"angles": "modulo"}, True, "reached: it ends 1.0 mm and 2.0 mrad off"),
+        ({}, False, "the weights trade it for cost, of which control takes 0 %"),
+        (
+            {"velocity_upper": [0.0, np.inf]},
+            False,
+            "6.29 rad off, held back by velocity of cart_pole_soft_06_rail_v at most 0 (sc",
+        ),
+        (
+            {"angles": "modulo", "goal_velocity": [0.0, 3.0], "goal_velocity_weight": [0.0, 1.0]},
+            False,
+            "not reached: it ends 1.0 mm, 2.0 mrad and 3.00 rad/s off",
+        ),
+    ],
+)
+def test_a_plan_that_keeps_its_promise_may_miss_its_goal_and_says_what_for(
+    more: dict[str, Any], reached: bool, told: str
+) -> None:
+    plan = dataclasses.replace(make_plan(Scenario(**{**SWING, **more})), world=cart_pole())
+    assert plan.reached is reached and f"reached={reached}" in repr(plan)
+    lines = " ".join(format_plan(plan).split())
+    assert told in lines, lines
+    page = Page("")
+    add_verdict(page, plan, cart_pole())
+    assert f'{"holds" if reached else "fails"}">{"✓" if reached else "✗"} Goal ' in page.to_html()
+    loaded = dataclasses.replace(plan, world=None)
+    assert "reached" not in repr(loaded)  # Its world would have to be built.
 
 
 def test_a_report_of_a_mechanism_is_written() -> None:

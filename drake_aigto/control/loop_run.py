@@ -17,7 +17,7 @@ from drake_aigto.control.predictive import TickStatus
 from drake_aigto.errors import AigtoError, ControlError, ResultsFileError
 from drake_aigto.output import write_text
 from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
-from drake_aigto.simulation import Replay
+from drake_aigto.simulation import Arrival, Replay
 from drake_aigto.world import Scenario, World
 
 FORMAT, FORMAT_VERSION = "drake_aigto closed loop", 1
@@ -255,6 +255,7 @@ class ClosedLoopRun:
             self.method,
             f"cost={self.cost:.4g}",
             f"promised={self.promised:.4g}",
+            f"reached={self.arrival.is_reached}",
             f"{self.duration:.4g} s in {replay.simulator}",
             f"bounces: {len(replay.bounce_times)}",
             f"deepest penetration {replay.max_penetration + 0.0:.2g} m",
@@ -268,6 +269,12 @@ class ClosedLoopRun:
     def world(self) -> World:
         """The world that the controller knows."""
         return self.known_world or World.from_scenario(self.scenario)
+
+    @property
+    def arrival(self) -> Arrival:
+        """How near its goal the plant ended."""
+        ends = self.replay.positions, self.replay.velocities, self.controls
+        return Arrival.of(self.world, self.scenario, *ends)
 
     @property
     def cost(self) -> float:

@@ -20,6 +20,7 @@ from drake_aigto.planning.tracked import confirm_in_drake, perturb, replay_own
 from drake_aigto.simulation import (
     BOUNDS,
     HARD_GOAL,
+    Arrival,
     Replay,
     confirms,
 )
@@ -120,6 +121,8 @@ class Plan:
             f"cost={self.cost:.4g}",
             *(f"{replay.simulator}={replay.cost:.4g}" for replay in self.replay),
             f"holds={self.holds}",
+            # A file's plan has no world yet, and building one takes a while.
+            *([] if self.world is None else [f"reached={self.reached}"]),
             best.describe_contacts(),
             f"largest defect {largest_defect(self.defects, best.scales):.1e}",
             f"deepest penetration {best.max_penetration + 0.0:.2g} m",
@@ -183,6 +186,21 @@ class Plan:
     def keeps_promise(self) -> bool:
         """Whether every replay that was run confirms the chosen trajectory (`replay.confirms`)."""
         return self.best.holds(self.replay)
+
+    def find_arrival(self, world: World | None = None) -> Arrival:
+        """Returns how near its goal the chosen trajectory ends.
+
+        Raises:
+            ModelError: from `find_world`.
+        """
+        t = self.trajectory
+        ends = t.positions, t.velocities, t.controls
+        return Arrival.of(self.find_world(world), self.scenario, *ends)
+
+    @property
+    def reached(self) -> bool:
+        """Whether the chosen trajectory ends at its goal, of which `holds` says nothing."""
+        return self.find_arrival().is_reached
 
     @property
     def is_beaten(self) -> bool:

@@ -21,6 +21,7 @@ from drake_aigto.show.text import (
     cost_text,
     describe_difference,
     energy_text,
+    goal_items,
     join_items,
     length_text,
     letter,
@@ -120,8 +121,13 @@ def verdict_facts(plan: Plan, world: World) -> Iterator[Fact]:
     """Yields whether simulations confirm a plan, and what a reader has to know beside that."""
     best, names, scale = plan.best, contact_names(world), plan.best.scales.cost
     yield "verdict", join_items(verdict_items(plan, world))
+    effort = TaskCost.of(world, plan.scenario).effort(
+        plan.trajectory.times, plan.trajectory.controls
+    )
+    share = effort / plan.cost if plan.cost > 0 else None
+    yield "goal", join_items(goal_items(plan.find_arrival(world), share))
     costs = (f"{name_simulator(r, names)} {cost_text(r.cost, 3, scale)}" for r in plan.replay)
-    yield "", join_items([f"cost {cost_text(plan.cost, 3, scale)}", *costs])
+    yield "cost", join_items([cost_text(plan.cost, 3, scale), *costs])
     if plan.is_interrupted:
         yield "interrupted", INTERRUPTED
     if best.growth is not None:
@@ -376,6 +382,7 @@ def run_facts(run: ClosedLoopRun) -> Iterator[Fact]:
     replay, world = run.replay, run.world
     walls = "soft walls" if run.scenario.contact == "compliant" else "stiff walls"
     where = f"with {walls}" if world.contacts else "without walls"
+    yield "goal", join_items(goal_items(run.arrival))
     yield "simulation", f"in Drake's Simulator, {where}; {_METHODS[run.method]}"
     if run.is_interrupted:
         yield "interrupted", CUT_SHORT
@@ -392,8 +399,7 @@ def run_facts(run: ClosedLoopRun) -> Iterator[Fact]:
     yield "disturbed", "; ".join(text for text, is_so in disturbed.items() if is_so) or "by nothing"
     first = cost_text(run.promised, 3)
     yield "cost", f"{cost_text(run.cost, 3)} along what happened; the first plan promises {first}"
-    miss = miss_text(replay, run.scenario, world)
-    yield "ends", f"at {run.duration:g} s, {miss} off the goal"
+    yield "ends", f"at {run.duration:g} s"
     pairs = zip(replay.bounce_times, replay.bounce_contacts, strict=True)
     touches = list_some(name_touch(pair, touch_names(world)) for pair in pairs)
     touched = f"touches {touches}" if touches else "nothing is touched"

@@ -40,7 +40,8 @@ class Page:
     def verdict(self, text: str, holds: bool) -> None:
         """Adds the sentence that a reader must not miss."""
         kind, sign = ("holds", "✓") if holds else ("fails", "✗")
-        self._parts.append(f'<p class="verdict {kind}">{sign} {html.escape(text)}</p>')
+        words = html.escape(f"{text[0].upper()}{text[1:]}.".replace("\u00a0", " "))
+        self._parts.append(f'<p class="verdict {kind}">{sign} {words}</p>')
 
     def code(self, text: str) -> None:
         """Adds lines that keep their form."""

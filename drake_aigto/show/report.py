@@ -31,7 +31,6 @@ from drake_aigto.show.facts import (
     describe_ticks,
     run_facts,
     verdict_facts,
-    verdict_items,
 )
 from drake_aigto.show.film import open_meshcat
 from drake_aigto.show.motion import simulation_label
@@ -138,9 +137,9 @@ def report_plan(
 
 def add_verdict(page: Page, plan: Plan, world: World) -> None:
     """Adds whether simulations confirm a plan, and what a reader has to know beside that."""
-    _, *others = verdict_facts(plan, world)
-    verdict = ", ".join(verdict_items(plan, world))
-    page.verdict(f"{verdict[0].upper()}{verdict[1:]}.", plan.holds)
+    (_, verdict), (_, goal), *others = verdict_facts(plan, world)
+    page.verdict(verdict, plan.holds)
+    page.verdict(f"goal {goal}", plan.find_arrival(world).is_reached)
     _add_facts(page, others)
 
 
@@ -275,7 +274,9 @@ def report_run(run: ClosedLoopRun, progress: Callable[[str], None] | None = None
         "What moves here is a simulation: a plant and its controller in Drake's Simulator, with "
         "Drake's own contact. Plans are shown as what they are, and labeled."
     )
-    _add_facts(page, run_facts(run))
+    (_, goal), *others = run_facts(run)
+    page.verdict(f"goal {goal}", run.arrival.is_reached)
+    _add_facts(page, others)
     add_question(page, run.scenario, run.world)
     say("recording the simulation")
     page.heading("In motion")

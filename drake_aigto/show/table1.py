@@ -180,7 +180,7 @@ def report_table1(table: Table1, progress: Callable[[str], None] | None = None) 
     for name, cells in (("rigid", table.rigid), ("literal", table.literal)):
         if entries := entries_of(cells):
             held = sum(entry.holds for entry in entries)
-            text = f"{held} of {len(entries)} plans of the {name} transcription hold in simulation."
+            text = f"{held} of {len(entries)} plans of the {name} transcription hold in simulation"
             page.verdict(text, held == len(entries))
     if table.num_missing:
         missing = f"{table.num_missing} of {3 * len(table.rows)} cells"

@@ -11,8 +11,8 @@ import numpy as np
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.contact import RigidLaw, contact_law
 from drake_aigto.planning import Candidate
-from drake_aigto.simulation import PlannedContact, Replay
-from drake_aigto.world import Scenario, TaskCost, World
+from drake_aigto.simulation import Arrival, PlannedContact, Replay
+from drake_aigto.world import Scenario, World
 
 WIDTH = 100
 # Below it, in the task's scale, a cost is 0 but for rounding; no percentage of it says anything.
@@ -68,25 +68,40 @@ def miss_texts(run: Candidate | Replay, scenario: Scenario, world: World) -> lis
     """
     if not world.is_hinge.any() and scenario.is_plain:
         return [length_text(run.goal_error)]
-    cost = TaskCost.of(world, scenario)
     motion = run.trajectory if isinstance(run, Candidate) else run
-    errors = {"": (cost.goal_errors(motion.positions[-1]), cost.is_asked)}
-    is_weighed = np.any(cost.QTv, axis=0)
-    if scenario.hard_goal and scenario.goal_velocity is not None:
-        is_weighed = np.ones_like(is_weighed)
-    errors["/s"] = (motion.velocities[-1] - cost.goal_velocity, is_weighed)
-    return [
-        f"{as_text(float(np.linalg.norm(error[which & counts])))}{per}"
-        for per, (error, counts) in errors.items()
-        for which, as_text in ((~world.turns, length_text), (world.turns, angle_text))
-        if np.any(which & counts)
-    ]
+    return _arrival_texts(Arrival.of(world, scenario, motion.positions, motion.velocities))
+
+
+def _arrival_texts(arrival: Arrival) -> list[str]:
+    """Returns by how much a motion misses its goal, in the units of what misses."""
+    sizes = (arrival.distance, arrival.angle, arrival.speed, arrival.turn_rate)
+    words = zip(sizes, (length_text, angle_text) * 2, ("", "", "/s", "/s"), strict=True)
+    return [f"{as_text(size)}{per}" for size, as_text, per in words if size is not None]
+
+
+def goal_items(arrival: Arrival, effort: float | None = None) -> list[str]:
+    """Returns whether a motion reaches its goal, and if not, what holds it back.
+
+    `effort` is the share of the cost that its control takes, if known.
+    """
+    off = f"it ends {join_words(_arrival_texts(arrival))} off"
+    if arrival.is_reached:
+        return [f"reached: {off}"]
+    if arrival.active_bounds:
+        return [f"not reached: {off}", *(f"held back by {b}" for b in arrival.active_bounds)]
+    share = "" if effort is None else f", of which control takes {100 * effort:.0f} %"
+    return [f"not reached: {off}", f"no bound is active: the weights trade it for cost{share}"]
 
 
 def miss_text(run: Candidate | Replay, scenario: Scenario, world: World) -> str:
     """Returns the same as words."""
-    *texts, last = miss_texts(run, scenario, world)
-    return f"{', '.join(texts)} and {last}" if texts else last
+    return join_words(miss_texts(run, scenario, world))
+
+
+def join_words(texts: Sequence[str]) -> str:
+    """Returns "a, b and c"."""
+    *others, last = texts
+    return f"{', '.join(others)} and {last}" if others else last
 
 
 def contact_names(world: World) -> list[str]:

@@ -1,3 +1,4 @@
+from .arrival import Arrival as Arrival
 from .bodies import FINE as FINE
 from .bodies import BodyMotion as BodyMotion
 from .drake_judge import ContactTrace as ContactTrace
