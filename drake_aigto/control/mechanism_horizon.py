@@ -28,8 +28,9 @@ from drake_aigto.world import Scenario
 # Where nothing promises more than this part of the cost, a descent ends before its iterations do.
 _TOLERANCE = 1e-4
 # A tick descends on compliant walls that are smoothed by this part of the task's length: about how
-# far off an estimate is that can still be planned from.
-_SMOOTHING, _SUBSTEPS = 1e-3, 4
+# far off an estimate is that can still be planned from. With 3e-3 cart_pole/soft_06 stood within
+# 0.02 m and rad of upright after 3 s from each of 8 seeds, with 1e-3 and 2e-3 from 5 and 2.
+_SMOOTHING, _SUBSTEPS = 3e-3, 4
 # Friction is resolved by Runge-Kutta steps that are no longer than these parts of a time step.
 _FEWEST, _MOST = 8, 64
 # What a search finds is led this near to its optimum, before it is compared.
