@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -139,8 +140,12 @@ def test_a_plan_is_that_of_any_number_of_threads(cart_pole: Planner, plan: Plan)
     np.testing.assert_array_equal(other.trajectory.controls, plan.trajectory.controls)
 
 
-def test_planning_again_is_planning_anew(cart_pole: Planner) -> None:
-    again = cart_pole.plan(initial_position=[0.2, 0.1])
+def test_plans_on_the_way_hold_and_the_last_one_is_that_of_planning_anew(
+    cart_pole: Planner,
+) -> None:
+    *before, again = cart_pole.plans(initial_position=[0.2, 0.1])
+    assert before and all(each.holds for each in before)
+    assert all(later.cost < 0.99 * each.cost for each, later in pairwise(before))
     scenario = dataclasses.replace(cart_pole.scenario, initial_position=[0.2, 0.1])
     anew = Planner(scenario, QUICK).plan()
     np.testing.assert_array_equal(again.trajectory.controls, anew.trajectory.controls)

@@ -14,7 +14,7 @@ from replay_worlds import make_diagram, shipped_world
 from benchmarks.study import ScenarioQuestion
 from benchmarks.worlds import WORLDS
 from drake_aigto import Scenario, World
-from drake_aigto.errors import ScenarioError
+from drake_aigto.errors import OptionsError, ScenarioError
 from drake_aigto.planning import Plan, Planner, PlanOptions, make_ball_task
 from drake_aigto.terms import TermBlock, parse_costs
 from drake_aigto.transcription import OpenProgram, RigidTranscription
@@ -57,7 +57,9 @@ def test_a_changed_scenario_is_planned_as_by_a_new_planner_to_the_last_bit(world
     planner = Planner(first, UNCONFIRMED)
     for scenario in others:
         assert_same(planner.plan(**changes(scenario)), Planner(scenario, UNCONFIRMED).plan())
-    assert_same(planner.plan(), Planner(first, UNCONFIRMED).plan())
+    *before, last = planner.plans()
+    assert before and all(plan.holds and plan.cost >= last.cost for plan in before)
+    assert_same(last, Planner(first, UNCONFIRMED).plan())
 
 
 @pytest.mark.parametrize(
@@ -171,3 +173,5 @@ def test_what_does_not_fit_is_refused_by_name() -> None:
     for changed, message in refused:
         with pytest.raises(ScenarioError, match=message):
             planner.plan(**changed)
+    with pytest.raises(OptionsError, match="got model, expected one of initial_position"):
+        next(planner.plans(model="other.sdf"))

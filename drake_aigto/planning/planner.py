@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Iterator
+from contextlib import suppress
 from functools import cached_property
 from typing import Any
 
@@ -21,9 +24,17 @@ from drake_aigto.planning.mechanisms.search import MechanismSearch
 from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.options import PlanOptions, needs_shooting
 from drake_aigto.planning.plan import Plan, PlanningError
-from drake_aigto.planning.search import Progress, Search, Stopwatch, name_active
+from drake_aigto.planning.search import Progress, Search, Stopwatch, name_active, scaled
 from drake_aigto.transcription import MotionProgram, OpenProgram, RigidTranscription
 from drake_aigto.world import Scenario, World
+
+# Values that `Planner.plan` may be given in place of the scenario's.
+_CHANGEABLE = (
+    *("initial_position", "initial_velocity", "goal_position"),
+    *("control_weight", "goal_weight", "duration"),
+)
+# A plan found on the way is shown if this times its cost is still less than the last one's.
+_WORTH_SHOWING = 1.01
 
 
 def plan(
@@ -153,22 +164,59 @@ class Planner:
             PlanningError: it is proven that no motion meets the hard goal (`is_proven`), no
                 candidate meets the transcription's rows, or none that does holds in simulation.
         """
-        given = {
-            "initial_position": initial_position,
-            "initial_velocity": initial_velocity,
-            "goal_position": goal_position,
-            "control_weight": control_weight,
-            "goal_weight": goal_weight,
-            "duration": duration,
-        }
-        changed: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+        search, scenario = self._begin(
+            initial_position=initial_position,
+            initial_velocity=initial_velocity,
+            goal_position=goal_position,
+            control_weight=control_weight,
+            goal_weight=goal_weight,
+            duration=duration,
+        )
+        return run_search(search, scenario, progress)
+
+    def plans(self, progress: Progress | None = None, **changed: Any) -> Iterator[Plan]:
+        """Yields plans as the search finds better ones, and at last the plan of `plan`.
+
+        Those before the last were judged alone, as they were found: each of them passed its
+        simulations, and costs at least 1 % less than the one before. Whoever leaves the loop ends
+        the search. Judging them takes time: the last plan, the same to the last bit, comes later
+        than from `plan`.
+
+        Args:
+            progress: see `plan`.
+            changed: instead of the scenario's values, as `plan` takes them.
+
+        Raises:
+            Exceptions of `plan`; PlanningError only after all that was found.
+        """
+        if unknown := changed.keys() - _CHANGEABLE:
+            got, known = ", ".join(sorted(unknown)), ", ".join(_CHANGEABLE)
+            raise OptionsError("a changed value", got=got, expected=f"one of {known}")
+        search, scenario = self._begin(**changed)
+        promise = cost = math.inf
+        for _ in search.explore_in_waves(progress):
+            if not scaled(_WORTH_SHOWING, search.promise) < min(promise, cost):
+                continue
+            promise, tried = search.promise, search.so_far()
+            tried.finish()
+            with suppress(PlanningError):
+                found = _conclude(tried, scenario)
+                if scaled(_WORTH_SHOWING, found.cost) < cost:
+                    cost = found.cost
+                    yield found
+        search.finish()
+        yield _conclude(search, scenario)
+
+    def _begin(self, **given: Any) -> tuple[Search, Scenario]:
+        """Returns the search for the plan of a changed scenario, and that."""
+        changed = {key: value for key, value in given.items() if value is not None}
         scenario = dataclasses.replace(self.scenario, **changed) if changed else self.scenario
         scenario = self.world.place(scenario)
         self.world.check(scenario)
         _check_reach(self.world, scenario)
         _check_friction(self.world, scenario)
         self._transcription.check_frozen()
-        return run_search(self._start_search(scenario), scenario, progress)
+        return self._start_search(scenario), scenario
 
     def _start_search(self, scenario: Scenario) -> Search:
         clock, task = Stopwatch(), self.task
@@ -215,6 +263,11 @@ def run_search(search: Search, scenario: Scenario, progress: Progress | None = N
             simulation.
     """
     search.run(progress)
+    return _conclude(search, scenario)
+
+
+def _conclude(search: Search, scenario: Scenario) -> Plan:
+    """Returns the plan of a search that was judged; raises as `run_search`."""
     search.add_idle()
     found = search.make_plan(scenario, _choose(search))
     options = search.task.options

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import logging
 import math
@@ -12,7 +13,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import chain
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 from drake_aigto.kernels import tell_compilation
 from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Origin, Replays
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 
 Progress = Callable[[str], None]
+
+_Self = TypeVar("_Self", bound="Search")
 
 
 class Stopwatch:
@@ -150,15 +153,38 @@ class Search(ABC):
             KeyboardInterrupt: before anything was found; later, it only ends the current part.
         """
         self.explore(progress)
+        self.finish()
+
+    def finish(self) -> None:
+        """Judges the motions found; Ctrl-C ends it once there is a candidate."""
         with self.ended_by_ctrl_c(lambda: list(self.candidates)):
             self.judge()
 
     def explore(self, progress: Progress | None = None) -> None:
         """Proposes, closes and varies."""
+        for _ in self.explore_in_waves(progress):
+            pass
+
+    def explore_in_waves(self, progress: Progress | None = None) -> Iterator[None]:
+        """Does what `explore` does, and yields after each wave."""
         self._progress = progress
         with self.ended_by_ctrl_c(self.list_found), tell_compilation(self.tell):
             for wave in chain(self.propose(), self.vary()):
                 self.close(wave)
+                yield
+
+    def so_far(self: _Self) -> _Self:
+        """Returns the search as it stands, to be judged while this one goes on."""
+        other = copy.copy(self)
+        state = {name: copy.copy(value) for name, value in vars(self).items() if _grows(value)}
+        vars(other).update(state, clock=Stopwatch())
+        other.clock.seconds.update(self.clock.seconds)
+        return other
+
+    @property
+    @abstractmethod
+    def promise(self) -> float:
+        """Cost of the best motion so far, before it is judged; infinite if there is none."""
 
     @abstractmethod
     def propose(self) -> Iterator[Sequence[Proposal]]:
@@ -334,6 +360,11 @@ class Search(ABC):
     @abstractmethod
     def rank(self, candidate: Candidate) -> tuple[float, ...]:
         """Returns the sorting key of candidates, the best first."""
+
+
+def _grows(value: Any) -> bool:
+    """Returns whether a search may change this part of its state in place."""
+    return isinstance(value, list | dict | set)
 
 
 def scaled(factor: float, cost: float) -> float:

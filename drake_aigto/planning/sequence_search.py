@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -49,6 +50,12 @@ class SequenceSearch(Search):
     def candidates(self) -> Iterable[Candidate]:
         """Candidates of the search, in the order that they were found."""
         return self.by_sequence.values()
+
+    @property
+    def promise(self) -> float:
+        """The least replayed cost of candidates that hold so far."""
+        costs = (e.replay.cost for e in self.candidates if e.is_feasible and e.is_confirmed)
+        return min(costs, default=math.inf)
 
     def propose(self) -> Iterator[Sequence[Proposal]]:
         """Yields boxes of the ladder's rungs, grouped if they may run in parallel."""

@@ -124,6 +124,18 @@ class MechanismSearch(Search):
         """The finalists, as they were judged."""
         return self._candidates
 
+    @property
+    def promise(self) -> float:
+        """Cost of the best motion so far that violates nothing by much."""
+        misses, cost = self.motions[0].rank if self.motions else (True, np.inf)
+        return np.inf if misses else cost
+
+    def so_far(self) -> MechanismSearch:
+        """Returns the search as it stands, with its best motion alone to be judged."""
+        other = super().so_far()
+        del other.motions[1:]
+        return other
+
     def list_found(self) -> Sequence[KeptMotion]:
         """Returns the best motions so far."""
         return self.motions
