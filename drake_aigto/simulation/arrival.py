@@ -70,11 +70,11 @@ class Arrival:
             np.all(np.abs(errors[kind & asked]) <= size)
             for kind, size in zip(kinds, most, strict=True)
         )
-        active = ()
+        active: tuple[str, ...] = ()
         if u is not None and not is_reached and world.bounds(scenario).are_any:
             active = tuple(world.limits.active_items(world.plant, scenario, q, v, u))
-        norms = (
+        distance, angle, speed, turn_rate = (
             float(np.linalg.norm(errors[kind & asked])) if np.any(kind & asked) else None
             for kind in kinds
         )
-        return cls(is_reached, *norms, active)
+        return cls(is_reached, distance, angle, speed, turn_rate, active)
