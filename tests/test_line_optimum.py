@@ -41,11 +41,19 @@ def make_floor(
     return Line(position, velocity, goal, w, gravity, (Wall(0.0, 1, e),))
 
 
+def make_wall(
+    position: float = 0.6, velocity: float = -1.5, goal: float = 0.4, e: float = 0.8, w: float = 1e3
+) -> Line:
+    return make_floor(position, velocity, goal, e, w, gravity=0.0)
+
+
 inside = st.floats(0.05, 0.95)
 restitutions = st.one_of(st.sampled_from([0.0, 0.5, 0.8, 1.0]), st.floats(0, 1))
 weights = st.sampled_from([1e-2, 1.0, 3e3, 1e6])
 corridors = st.builds(make_corridor, inside, st.floats(-6, 6), inside, restitutions, weights)
 floors = st.builds(make_floor, inside, st.floats(-3, 3), inside, restitutions, weights)
+walls = st.builds(make_wall, inside, st.floats(-4, 1), inside, restitutions, weights)
+lines = corridors | floors | walls
 
 
 def solve_line(line: Line) -> LineMotion:
@@ -67,7 +75,7 @@ def test_elastic_walls_are_mirrors_and_coasting_tells_the_touches(line: Line) ->
 
 
 @settings(max_examples=15)
-@given(corridors | floors)
+@given(lines)
 def test_the_optimum_is_a_motion_that_costs_as_much(line: Line) -> None:
     motion = solve_line(line)
     if motion.rest is None:
@@ -75,7 +83,7 @@ def test_the_optimum_is_a_motion_that_costs_as_much(line: Line) -> None:
 
 
 @settings(max_examples=15)
-@given(corridors | floors)
+@given(lines)
 @example(make_corridor(0.9453125, 0.9375, 0.5, 0.0, 0.01))
 def test_forces_and_energy_follow_the_maximum_principle(line: Line) -> None:
     # The costate of the velocity, 2u, is divided by −e at a bounce; H = 2u̇v − u² + 2ug is kept.
@@ -98,7 +106,7 @@ def test_forces_and_energy_follow_the_maximum_principle(line: Line) -> None:
 
 @pytest.mark.slow
 @settings(max_examples=15)
-@given(corridors | floors, st.integers(0, 2**32 - 1))
+@given(lines, st.integers(0, 2**32 - 1))
 def test_no_motion_by_chance_is_cheaper(line: Line, seed: int) -> None:
     rng, motion = np.random.default_rng(seed), solve_line(line)
     costs = [cost_of(line, bounces_by_chance(line, 1 + i % 3, rng)) for i in range(200)]
@@ -205,7 +213,7 @@ def transcribed_cost(line: Line, motion: LineMotion, rng: np.random.Generator) -
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quiet_drake")
-@pytest.mark.parametrize("make", [make_corridor, make_floor])
+@pytest.mark.parametrize("make", [make_corridor, make_floor, make_wall])
 def test_snopt_finds_the_optimum_and_nothing_below(make: Callable[..., Line]) -> None:
     rng = np.random.default_rng(1)
     for number in range(6):

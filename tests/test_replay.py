@@ -111,42 +111,6 @@ def test_a_replay_replaces_the_diagrams_own_controller() -> None:
     assert replays[0] == replays[1]
 
 
-# Of Table I's problems: row, restitution, and the optimum's cost, time and speed of impact.
-OPTIMA = [
-    (1, 1.0, 2.180459e-04, 0.549853, 1.678032),
-    (2, 0.8, 5.058810e-04, 0.295909, 1.485600),
-    (3, 1.0, 2.991027e-05, 0.386994, 1.593354),
-    (4, 0.5, 1.894365e-03, 0.423090, 2.655217),
-]
-
-
-@pytest.mark.parametrize(("row", "e", "cost", "bounce", "speed"), OPTIMA)
-def test_the_exact_optimum_costs_what_it_is_known_to(
-    row: int, e: float, cost: float, bounce: float, speed: float
-) -> None:
-    scenario = dataclasses.replace(Scenario.named(f"table1/{row}"), restitution=e)
-    world = World.from_scenario(scenario)
-    q, v = scenario.initial_position[0], scenario.initial_velocity[0]
-    n, rest = 200, 1.0 - bounce
-    # Least squares: to the wall with this speed, then as near to the goal as is worth it. A unit of
-    # force over an interval adds `dt` to the speed and `reach` to the way.
-    dt, reach = bounce / n, (bounce / n) ** 2 * (n - np.arange(n) - 0.5)
-    to_wall = np.vstack([np.full(n, dt), reach])
-    approach = np.linalg.pinv(to_wall) @ [-speed - v, -q - v * bounce]
-    dt, reach = rest / n, (rest / n) ** 2 * (n - np.arange(n) - 0.5)
-    missing = scenario.goal_position[0] - e * speed * rest
-    departure = reach * missing / (reach @ reach + scenario.control_weight * dt)
-    times = np.concatenate([np.linspace(0.0, bounce, n + 1), np.linspace(bounce, 1.0, n + 1)[1:]])
-    control = times, np.concatenate([approach, departure])[:, np.newaxis]
-    rigid = replay_event_driven(world, scenario, *control)
-    drake = replay_drake(world, scenario, *control)
-    assert rigid.cost == pytest.approx(cost, rel=1e-5)
-    assert rigid.bounce_times == pytest.approx([bounce], abs=1e-12)
-    assert drake.cost == pytest.approx(cost, rel=5e-3)
-    for replay in (rigid, drake):
-        assert confirms(cost, replay, METRE, rigid.goal_error)
-
-
 # What a replay says.
 
 
