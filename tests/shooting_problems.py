@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from drake_aigto.arrays import Floats
+from drake_aigto.contact import Closed
 from drake_aigto.shooting import Mechanism, ShootingProblem
 from drake_aigto.world import TaskCost
 
@@ -43,6 +44,36 @@ def pose(
         "hard_goal": np.full(2 * n, np.nan),
     }
     return ShootingProblem(mechanism, cost, **(values | more))
+
+
+def check_held(
+    press: Callable[[Floats, Floats], tuple[Floats, Floats, Floats, Floats]],
+    closed: Closed,
+    x: Floats,
+    u: Floats,
+    tolerances: tuple[float, float, float],
+) -> None:
+    """Checks forces of closed contacts, v̇, and their derivatives by (q, v, u).
+
+    Args:
+        press: returns forces, normal ones first, v̇, derivatives of normal forces, those of v̇.
+        closed: the contacts, for what is to be expected.
+        x: the state.
+        u: the control.
+        tolerances: relative of values; relative and absolute of derivatives.
+    """
+    exact, relative, absolute = tolerances
+    forces, acceleration, by_force, slopes = press(x, u)
+    wanted = closed.calc_push(x, u)
+    expected = np.concatenate([wanted.normal, wanted.tangent])[: len(forces)]
+    np.testing.assert_allclose(acceleration, wanted.acceleration, rtol=exact, atol=1e-9)
+    np.testing.assert_allclose(forces, expected, rtol=exact, atol=1e-9)
+    differences = differ(
+        lambda y: np.concatenate(press(y[: len(x)], y[len(x) :])[:2]), np.concatenate([x, u])
+    )
+    m = len(wanted.normal)
+    for found, rows in ((by_force[:m], differences[:m]), (slopes, differences[len(forces) :])):
+        np.testing.assert_allclose(found, rows, rtol=relative, atol=absolute)
 
 
 def differ(calc: Callable[[Floats], Floats], x: Floats, step: float = 1e-6) -> Floats:

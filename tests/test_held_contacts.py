@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mechanisms import build
-from shooting_problems import differ
+from shooting_problems import check_held
 from shooting_problems import pose as pose_shooting
 
 from drake_aigto import Scenario, World
@@ -66,16 +66,8 @@ def test_what_is_held_moves_as_gauss_says_and_its_derivatives_are_those_of_diffe
     world, rng = build(name), np.random.default_rng(3)
     n, k = world.num_positions, len(contacts)
     x, u = rng.uniform(0.2, 0.9, 2 * n), rng.normal(size=world.num_actuators)
-    forces, acceleration, by_force, slopes = run(world, contacts, x, u)
     closed = Closed(world, np.array(contacts), (Mode.FORWARD,) * k, np.zeros(k))
-    push = closed.calc_push(x, u)
-    np.testing.assert_allclose(acceleration, push.acceleration, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(forces, push.normal, rtol=1e-9, atol=1e-9)
-    differences = differ(
-        lambda y: np.concatenate(run(world, contacts, y[: 2 * n], y[2 * n :])[:2]),
-        np.concatenate([x, u]),
-    )
-    np.testing.assert_allclose(np.vstack([by_force, slopes]), differences, rtol=1e-5, atol=1e-6)
+    check_held(lambda x, u: run(world, contacts, x, u), closed, x, u, (1e-9, 1e-5, 1e-6))
 
 
 N = 50

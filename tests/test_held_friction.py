@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from rubbing_worlds import RADIUS, make_discs
-from shooting_problems import differ, weigh
+from shooting_problems import check_held, weigh
 from shooting_problems import pose as pose_shooting
 
 from drake_aigto import PlanOptions, Scenario, World, plan
@@ -74,18 +74,9 @@ def test_what_sticks_or_slips_moves_as_coulomb_says_and_its_derivatives_are_thos
     world, rng = build(tilts=True, has_feet=len(modes) == 2), np.random.default_rng(5)
     mechanism, n = mechanize(world), world.num_positions
     x, u = rng.uniform(0.2, 0.9, 2 * n), rng.normal(size=world.num_actuators)
-    forces, acceleration, by_force, slopes = press(mechanism, modes, x, u)
     kinds, held = tuple(map(Mode, modes)), np.arange(len(modes))
-    wanted = Closed(world, held, kinds, np.full(len(modes), MU)).calc_push(x, u)
-    np.testing.assert_allclose(acceleration, wanted.acceleration, rtol=1e-8, atol=1e-9)
-    np.testing.assert_allclose(forces, [*wanted.normal, *wanted.tangent], rtol=1e-8, atol=1e-9)
-    differences = differ(
-        lambda y: np.concatenate(press(mechanism, modes, y[: 2 * n], y[2 * n :])[:2]),
-        np.concatenate([x, u]),
-    )
-    np.testing.assert_allclose(slopes, differences[2 * len(modes) :], rtol=1e-4, atol=1e-5)
-    by, m = differences[: len(modes)], len(modes)
-    np.testing.assert_allclose(by_force[:m], by, rtol=1e-4, atol=1e-5)
+    closed = Closed(world, held, kinds, np.full(len(modes), MU))
+    check_held(lambda x, u: press(mechanism, modes, x, u), closed, x, u, (1e-8, 1e-4, 1e-5))
 
 
 def pose(world: World, state: list[float], phases: Phases, N: int) -> ShootingProblem:

@@ -228,15 +228,6 @@ def test_contacts_are_read_off_impulses() -> None:
     assert second.energy_ratio == pytest.approx(0.49 / 0.25)
 
 
-def test_a_flight_has_no_contact() -> None:
-    world = World.from_scenario(BOUNCE)
-    still, zeros = np.ones((11, 1)), np.zeros((10, 1))
-    trajectory = Trajectory(
-        np.linspace(0, 1, 11), still, still, zeros, np.full((11, 1), 1e-3), zeros
-    )
-    assert find_contacts(world, trajectory) == ()
-
-
 def test_options_of_another_transcription_are_refused_before_any_work() -> None:
     options: Any = LiteralOptions()
     with pytest.raises(OptionsError, match=r"got LiteralOptions, expected PlanOptions.*plan_lit"):

@@ -145,15 +145,6 @@ def test_a_bounce_that_knots_step_over_is_found_in_the_replay() -> None:
     assert found.cost == pytest.approx(exact.cost, rel=1e-2)
 
 
-@pytest.mark.parametrize("steps", [1, 2, 3, 5])
-def test_a_handful_of_steps_is_enough_for_some_plan(steps: int) -> None:
-    scenario = table1(4, time_step=1 / steps)
-    found = plan(scenario, UNCONFIRMED, shipped_world())
-    # One phase before the bounce, and one after it.
-    assert len(found.trajectory.controls) == max(steps, 2)
-    assert found.cost < 1e-9
-
-
 def test_touches_at_the_very_start_or_end_are_left_out() -> None:
     problem = make_ball_task(shipped_world(), table1(1, time_step=0.25), UNCONFIRMED)
     assert problem.fits(()) and problem.fits((Touch.bounce(0.2), Touch(0.6, 0.8)))
@@ -235,19 +226,6 @@ def test_the_polish_is_a_program_for_any_solver() -> None:
 
 
 # Candidates.
-
-
-def test_the_same_question_gives_the_same_bits() -> None:
-    again = plan(table1(1, **COARSE))
-    assert again.trajectory == bounce_plan().trajectory
-    assert [c.cost for c in again.candidates] == [c.cost for c in bounce_plan().candidates]
-
-
-def test_a_planner_plans_again_with_changed_ends() -> None:
-    changed = table1(2, **COARSE)
-    ends = ("initial_position", "initial_velocity", "goal_position")
-    again = Planner(table1(1, **COARSE)).plan(**{name: getattr(changed, name) for name in ends})
-    assert again.trajectory == plan(changed).trajectory
 
 
 def test_a_plan_with_a_contact_that_lasts_reads_back(tmp_path: Path) -> None:

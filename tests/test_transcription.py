@@ -213,28 +213,6 @@ def test_bounds_on_control_and_state_hold_and_cut_the_first_box() -> None:
     assert high_u.max() <= 1.5
 
 
-def test_the_first_box_holds_the_start_and_contains_start_and_goal() -> None:
-    transcription = transcribe()
-    center, half_width = transcription.initial_box()
-    q, v, _ = transcription.split(center)
-    wq, wv, _ = transcription.split(half_width)
-    assert (q[0], v[0], wq[0], wv[0]) == (1.0, -2.0, 0.0, 0.0)
-    assert np.all(half_width[1 : len(q)] > 0)
-    assert np.all(q[1:] - wq[1:] <= 0.73)
-    assert np.all(q[1:] + wq[1:] >= 1.0)
-
-
-@settings(max_examples=25, deadline=None)
-@given(controls=CONTROLS)
-def test_vector_and_trajectory_are_inverse(controls: np.ndarray) -> None:
-    transcription = transcribe()
-    x = euler(SCENARIO, controls, mass=1.0)
-    trajectory = transcription.trajectory(x)
-    np.testing.assert_array_equal(transcription.vector(trajectory), x)
-    kicks = np.diff(trajectory.velocities[:, 0]) - SCENARIO.time_step * controls
-    np.testing.assert_allclose(kicks, trajectory.impulses[:-1, 0], atol=1e-9)
-
-
 def test_results_are_reconstructed_as_drake_trajectories() -> None:
     transcription = transcribe()
     result = SnoptSolver().Solve(transcription.prog())
