@@ -6,6 +6,8 @@ They come from the primitives, (G(b) − G(a))/(b − a) over the interval [a, b
 or y = scale·x + offset, with the floats taken as the numbers that they are.
 
 Random polynomials and boxes, for the tests of their means.
+
+Programs and matrices whose bands are wide: arrows and grids.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Expression
 
 from drake_aigto.box import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE, BoxPolynomial, factor_mean
+from drake_aigto.linear import Pattern
 from drake_aigto.terms import WAVES, Factor, FunctionKind, Term, TermBlock, parse_costs
 
 ExpressionOf = Callable[[np.ndarray], Expression]
@@ -320,3 +323,27 @@ def dense(band: Floats) -> Floats:
         assert not diagonal[n - offset :].any(), "entries beyond the matrix"
         matrix += np.diag(diagonal[: n - offset], -offset)
     return np.asarray(matrix + np.tril(matrix, -1).T)
+
+
+Ints = np.ndarray
+
+
+def arrow(size: int, beside: int = 2) -> Ints:
+    """Returns the edges (2, P) of a chain of unknowns, the first of which is coupled to all."""
+    i = np.arange(size)
+    chain = [np.vstack([i[1:-k], i[1 + k :]]) for k in range(1, beside + 1)]
+    return np.hstack([*chain, np.vstack([np.zeros(size - 1, dtype=np.int64), i[1:]])])
+
+
+def grid(side: int) -> Ints:
+    """Returns the edges (2, P) of a square grid of side² unknowns."""
+    i = np.arange(side * side).reshape(side, side)
+    along = np.vstack([i[:, :-1].ravel(), i[:, 1:].ravel()])
+    return np.hstack([along, np.vstack([i[:-1].ravel(), i[1:].ravel()])])
+
+
+def whole(pattern: Pattern, values: np.ndarray) -> np.ndarray:
+    """Returns the dense matrix of a pattern's entries (E,)."""
+    matrix = np.zeros((pattern.size, pattern.size))
+    matrix[pattern.rows, pattern.columns] = matrix[pattern.columns, pattern.rows] = values
+    return matrix

@@ -1,10 +1,13 @@
 """Worlds and controls that the tests of replay share.
 
 Worlds with several walls that tests of replay share: made in code, or shipped.
+
+Plans of Table I's rows, of few time steps, that several tests look at.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from functools import cache
@@ -18,7 +21,9 @@ from pydrake.multibody.tree import PrismaticJoint, PrismaticSpring, SpatialInert
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from drake_aigto.world import Scenario, World
+from drake_aigto import PlanOptions, Scenario
+from drake_aigto.planning import Plan, plan
+from drake_aigto.world import World
 
 
 def make_scenario(q: Any = 1.0, v: Any = -2.0, **fields: Any) -> Scenario:
@@ -208,3 +213,16 @@ def _add_wall(plant: Any, name: str, facing: float, restitution: float | None = 
     plant.RegisterCollisionGeometry(
         plant.world_body(), pose, HalfSpace(), name, _material(restitution)
     )
+
+
+COARSE: dict[str, Any] = {"time_step": 0.02}
+UNCONFIRMED = PlanOptions(confirm=False)
+
+
+def table1(row: int, **fields: Any) -> Scenario:
+    return dataclasses.replace(Scenario.named(f"table1/{row}"), **fields)
+
+
+@cache
+def bounce_plan() -> Plan:
+    return plan(table1(1, **COARSE))

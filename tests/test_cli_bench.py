@@ -1,16 +1,24 @@
 """`python -m benchmarks scenarios`: what it prints, keeps, and refuses.
 
 `python -m benchmarks robustness`: what it prints, keeps, and refuses.
+
+The results page says what the files of results say, and shows what it draws.
 """
 
 from __future__ import annotations
 
+import math
+import re
+import shlex
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from refusals import check_refused
-from scenario_studies import TOYS, Inline, make_result
+from scenario_studies import TOYS, Inline, made_up_study, make_result
 
 from benchmarks import __main__ as command
 from benchmarks.__main__ import main
@@ -20,8 +28,16 @@ from benchmarks.robustness.page import format_robustness
 from benchmarks.robustness.question import RobustnessQuestion
 from benchmarks.robustness.study import RobustnessStudy
 from benchmarks.study import scenario_question
-from benchmarks.study.scenario_question import Spread
+from benchmarks.study.scenario_page import (
+    COST_CLASSES,
+    plot_costs,
+    plot_map,
+    plot_success_over_time,
+)
+from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion, Spread
 from benchmarks.study.scenario_study import ScenarioStudy
+from benchmarks.study.scenario_tables import ratio_text
+from benchmarks.study.study import command_of
 from drake_aigto import jobs
 from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, NOTHING_HOLDS
 from drake_aigto.errors import PlanFileError
@@ -183,3 +199,183 @@ def test_unknown_rows_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
         main(["robustness", "--rows", "5"])
     assert ended.value.code == BAD_INPUT
     assert "invalid choice: 5 (choose from" in capsys.readouterr().err
+
+
+PNG = b"\x89PNG\r\n"
+
+
+def make_study() -> ScenarioStudy:
+    """Returns a study of four scenarios: all are planned; one is found by the rival, late."""
+    question = ScenarioQuestion(
+        count=4, methods=("aigto", "coast"), budgets=(1.0, 10.0), restitution=Spread((1.0, 0.5))
+    )
+    rivals = (
+        MethodRun(((0.2, 5.0), (1.5, 1.0)), 1.5),  # optimal after 3 units
+        MethodRun(((0.2, 5.0), (4.0, 1.5)), 5.0),
+        MethodRun(((0.2, 1.05),), 5.0),
+        MethodRun((), 5.0, error="ValueError: no"),
+    )
+    planned = MethodRun(((0.5, 1.001),), 0.5, 3)
+    return made_up_study(question, [{"aigto": planned, "coast": rival} for rival in rivals])
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of one study, whose results lie beside it."""
+    folder = tmp_path_factory.mktemp("page")
+    make_study().save(folder / "rivals.json")
+    page = folder / "results.md"
+    assert main(["page", str(folder / "rivals.json"), "--out", str(page)]) == FINE
+    return page
+
+
+def test_every_picture_of_the_page_is_there(page: Path) -> None:
+    links = re.findall(r"!\[(.+)\]\((.+)\)", page.read_text(encoding="utf-8"))
+    assert [link for _, link in links] == [
+        f"images/results_rivals_{name}.png" for name in ("success", "costs", "map")
+    ]
+    assert {path.name for path in (page.parent / "images").iterdir()} == {
+        Path(link).name for _, link in links
+    }
+    for _, link in links:
+        assert (page.parent / link).read_bytes().startswith(PNG)
+
+
+def test_the_table_says_what_the_study_says(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    cells = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in text.splitlines()
+        if line.startswith("|")
+    ]
+    assert cells[0][:5] == ["e", "method", "scenarios", "optimal at 1×", "optimal at 10×"]
+    table = {(row[0], row[1]): row[2:] for row in cells[2:]}
+    assert table["1", "aigto"] == ["2", "100.0 %", "", "1.001000", "1.001000", "0.50", ""]
+    assert table["1", "coast"] == ["2", "0.0 %", "50.0 %", "1.000000", "1.050000", "3.25", ""]
+    assert table["0.5", "coast"] == ["2", "0.0 %", "0.0 %", "1.50", "none", "5.00", "1"]
+    assert "v₀ ∈ [−3, 0.5] m/s, p_f ∈ [0.2, 1.5] m, e ∈ {1, 0.5}, mass = 1 kg" in text
+    assert "Not all of these" not in text
+
+
+def test_the_page_is_the_same_again(page: Path, tmp_path: Path) -> None:
+    again = tmp_path / page.name
+    assert main(["page", str(page.with_name("rivals.json")), "--out", str(again)]) == FINE
+    assert again.read_bytes() == page.read_bytes()
+    for image in (tmp_path / "images").iterdir():
+        assert image.read_bytes() == (page.parent / "images" / image.name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    "question",
+    [
+        ScenarioQuestion(),
+        ScenarioQuestion(
+            count=7,
+            seed=3,
+            velocity=Spread((-2.5, -1.0), is_range=True),
+            mass=Spread((0.5, 2.0)),
+            num_steps=50,
+            methods=("aigto", "coast", "two words"),
+            budgets=(1.0, 30.0),
+            seconds_per_unit=0.25,
+            reads_boxes=True,
+        ),
+    ],
+)
+def test_the_command_on_the_page_asks_the_studys_question(
+    question: ScenarioQuestion, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[ScenarioQuestion] = []
+
+    def ask(study: ScenarioStudy, *arguments: object, **keywords: object) -> ScenarioStudy:
+        asked.append(study.question)
+        return study
+
+    monkeypatch.setattr(registry, "BASELINES", TOYS)
+    monkeypatch.setattr(ScenarioStudy, "run", ask)
+    assert main(shlex.split(command_of(question))[3:]) == FINE
+    assert asked == [question]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"kind": "weather"}', "got kind 'weather', expected one of 'scenarios', "),
+        ('{"kind": "scenarios"}', "is damaged: got no 'question'"),
+        (
+            '{"kind": "scenarios", "question": []}',
+            "is damaged: got ScenarioQuestion: got 'list'",
+        ),
+        ("[]", 'expected an object with a field "kind"'),
+    ],
+)
+def test_what_is_no_result_is_one_line_and_status_2(
+    text: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "x.json"
+    path.write_text(text, encoding="utf-8")
+    page = tmp_path / "results.md"
+    check_refused(["page", str(path), "--out", str(page)], message, capsys, main)
+    assert not page.exists()
+
+
+def test_success_over_time_steps_up_when_a_method_has_the_optimum() -> None:
+    study = make_study()
+    axes = Figure().subplots()
+    plot_success_over_time(axes, study, study.results)
+    ours, rival = axes.get_lines()[:2]
+    xs, ys = (np.ravel(np.asarray(data)) for data in (ours.get_xdata(), ours.get_ydata()))
+    np.testing.assert_allclose(xs, [0.1, 1, 1, 1, 1, 10])
+    np.testing.assert_allclose(ys, [0, 0.25, 0.5, 0.75, 1, 1])
+    xs, ys = (np.ravel(np.asarray(data)) for data in (rival.get_xdata(), rival.get_ydata()))
+    np.testing.assert_allclose(xs, [0.1, 3, 10])
+    np.testing.assert_allclose(ys, [0, 0.25, 0.25])
+    assert ours.get_linewidth() > rival.get_linewidth()
+
+
+@pytest.mark.parametrize(
+    ("budget", "shares"),
+    [(1.0, [0, 0.25, 0, 0.5, 0, 0.25]), (10.0, [0.25, 0.25, 0.25, 0, 0, 0.25])],
+)
+def test_bars_are_shares_of_costs_after_a_budget(budget: float, shares: list[float]) -> None:
+    study = make_study()
+    axes = Figure().subplots()
+    plot_costs(axes, study, study.results, budget)
+    _, labels = axes.get_legend_handles_labels()
+    assert tuple(labels) == COST_CLASSES
+    bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
+    widths = np.reshape([bar.get_width() for bar in bars], (len(COST_CLASSES), 2))
+    np.testing.assert_allclose(widths[:, 0], [1, 0, 0, 0, 0, 0])
+    np.testing.assert_allclose(widths[:, 1], shares)
+
+
+def test_the_map_marks_what_is_missed_where_it_is() -> None:
+    study = make_study()
+    axes = Figure().subplots()
+    plot_map(axes, study, study.results, "coast")
+    places = {each.get_label(): each.get_offsets() for each in axes.collections}
+    expected = {
+        "flight is optimal": (0, 2),
+        "flight is missed": (2,),
+        "bounce is optimal": (1, 3),
+        "bounce is missed": (1, 3),
+    }
+    assert set(places) == set(expected)
+    for label, numbers in expected.items():
+        results = [study.results[number] for number in numbers]
+        np.testing.assert_array_equal(places[label], [(r.velocity, r.goal) for r in results])
+    assert axes.get_title() == "coast: 1 of 4"
+
+
+@pytest.mark.parametrize(
+    ("ratio", "text"),
+    [
+        (1.0000123, "1.000012"),
+        (1.5, "1.50"),
+        (12345.0, "1e+04"),
+        (math.inf, "none"),
+        (math.nan, "-"),
+    ],
+)
+def test_ratios_are_as_exact_as_they_matter(ratio: float, text: str) -> None:
+    assert ratio_text(ratio) == text

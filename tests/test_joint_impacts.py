@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from phase_solutions import MET, optimise
+from phase_solutions import MET, least_rest, optimise
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
-from rest_solutions import least_rest
 from unfolded_flights import MODELS, Flight
 
 from drake_aigto import Scenario, World

@@ -14,8 +14,17 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from line_rivals import bounces_by_chance, cost_of, legs_of, transcribe
-from optimum_worlds import draw, ends, seeds, solve, world_of
+from optimum_worlds import (
+    bounces_by_chance,
+    cost_of,
+    draw,
+    ends,
+    legs_of,
+    seeds,
+    solve,
+    transcribe,
+    world_of,
+)
 
 from benchmarks.optima import masses_optimum
 from benchmarks.optima.line_optimum import Line, LineBounce, LineMotion, LineSequence, Wall

@@ -11,12 +11,11 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from box_programs import dense
+from box_programs import arrow, dense, grid, whole
 from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.solvers import ExpressionConstraint, ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Variable
-from sparse_matrices import arrow, grid, whole
 
 from drake_aigto import AigoOptions, AigoSolver
 from drake_aigto.aigo import Annealing, BoundedAnnealing, Box, CenterObjective, Status, minimize

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from line_rivals import cost_of
+from optimum_worlds import cost_of
 from replay_worlds import make_diagram, make_scenario, shipped_world
 from rigid_worlds import AXIS, write_model
 

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from replay_worlds import make_diagram, shipped_world
-from table1_plans import COARSE, UNCONFIRMED, bounce_plan, table1
+from replay_worlds import COARSE, UNCONFIRMED, bounce_plan, make_diagram, shipped_world, table1
 
 from drake_aigto import Scenario, World
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal, rigid_optimum

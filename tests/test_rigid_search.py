@@ -13,8 +13,7 @@ from functools import cache
 from typing import Any
 
 import pytest
-from replay_worlds import make_diagram, shipped_world
-from table1_plans import COARSE, UNCONFIRMED, bounce_plan, table1
+from replay_worlds import COARSE, UNCONFIRMED, bounce_plan, make_diagram, shipped_world, table1
 
 from benchmarks.study import ScenarioQuestion
 from drake_aigto import World

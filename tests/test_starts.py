@@ -1,16 +1,42 @@
-"""Where AIGO starts: boxes around the straight line, and around the coasting motion."""
+"""Where AIGO starts: boxes around the straight line, and around the coasting motion.
+
+Starts so near to a wall that the first bounce comes at once, whatever the control.
+
+Bounces that a motion might have once more, and the plans that need them.
+
+Balls that settle on a floor, rest there and jump: phases, plans, and what they are judged by.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
+from phase_solutions import Solved, solve
+from replay_worlds import make_task, make_wedge, shipped
 
-from drake_aigto import PlanOptions, Scenario, World
+from benchmarks.floors import draw, floor_optimum, make_world
+from benchmarks.optima import masses_optimum, walls_optimum
+from benchmarks.worlds import WORLDS
+from drake_aigto import PlanOptions, Scenario, World, plan, replay_drake, replay_event_driven
 from drake_aigto.errors import OptionsError
-from drake_aigto.planning import BALL_LADDER, BallTask, Rung, make_ball_task, read_sequences
-from drake_aigto.simulation import replay_event_driven
+from drake_aigto.planning import (
+    BALL_LADDER,
+    BallSearch,
+    BallTask,
+    PhaseMotion,
+    PhaseProblem,
+    Planner,
+    Rung,
+    find_insertions,
+    kinds,
+    make_ball_task,
+    read_sequences,
+)
+from drake_aigto.transcription import Touch, TouchSequence, touches_at_once
 
 COASTING = [rung for rung in BALL_LADDER if rung.start == "coast"]
 
@@ -107,3 +133,223 @@ def test_bounces_of_two_walls_at_one_knot_come_one_after_the_other() -> None:
     assert first.start == pytest.approx(20 * dt)
     assert 0 < second.start - first.start < dt / 10
     assert first.contact != second.contact
+
+
+CORRIDOR = "package://drake_aigto_models/corridor.sdf"
+
+
+def make_scenario(distance: float, **fields: Any) -> Scenario:
+    ends: dict[str, Any] = {"initial_velocity": -2.0, "goal_position": 0.73}
+    return Scenario(initial_position=distance, **ends, restitution=0.8, **fields)
+
+
+@pytest.mark.parametrize("distance", [1e-12, 1e-8, 1e-5])
+@pytest.mark.parametrize("fields", [{}, {"model": CORRIDOR}], ids=["wall", "corridor"])
+def test_a_plan_is_the_optimum_however_near_to_a_wall_it_starts(
+    distance: float, fields: dict[str, str]
+) -> None:
+    scenario = make_scenario(distance, **fields)
+    world = World.from_scenario(scenario)
+    found = plan(scenario, PlanOptions(confirm=False), world)
+    assert found.cost == pytest.approx(walls_optimum(world, scenario).cost, rel=1e-3)
+    assert found.best.contacts[0].time == pytest.approx(distance / 2, rel=0.01)
+
+
+def test_what_is_touched_at_once_is_found_in_the_order_of_time() -> None:
+    world = make_wedge(1.5)
+    start = np.linalg.solve(world.calc_contact_jacobian(np.zeros(2)), [3e-9, 2e-9])
+    toward = -start / np.linalg.norm(start)
+
+    def bounces(position: Any, velocity: Any) -> list[tuple[float, int]]:
+        scenario = Scenario(
+            initial_position=position, initial_velocity=velocity, goal_position=[0.5, 0.5]
+        )
+        return [(touch.start, touch.contact) for touch in touches_at_once(world, scenario)]
+
+    times = np.linalg.norm(start)  # Both walls at once, but for rounding.
+    assert [time for time, _ in bounces(start, toward)] == pytest.approx([times, times])
+    assert next(contact for _, contact in bounces(start, [0.0, -1.0])) == 0
+    assert not bounces(start, -toward)
+    assert not bounces([0.5, 0.4], toward)
+
+
+@pytest.mark.parametrize("control", [0.0, -1.0])
+def test_drake_sees_no_wall_any_more_once_it_is_left(control: float) -> None:
+    # As its integrator's Jacobian is of differences, it did: the end was 4 to 33 cm off.
+    ends: dict[str, Any] = {"initial_velocity": 0.05, "goal_position": 0.5}
+    scenario = Scenario(model=CORRIDOR, initial_position=1 - 1e-11, **ends)
+    world = World.from_scenario(scenario)
+    times = np.concatenate([[0.0, 1e-10], np.linspace(2e-10, 1.0, 150)])
+    controls = np.full((len(times) - 1, 1), control)
+    rigid, drake = (
+        replay(world, scenario, times, controls) for replay in (replay_event_driven, replay_drake)
+    )
+    assert drake.positions[-1] == pytest.approx(rigid.positions[-1], abs=2e-4)
+
+
+QUICK = PlanOptions(confirm=False)
+
+
+def insertions(model: str, q: Sequence[float], touches: Sequence[Touch]) -> list[tuple[float, int]]:
+    """Returns time and contact of what is proposed for a guess, which is a motion for this."""
+    scenario = dataclasses.replace(make_task(model, q, np.zeros(len(q))), time_step=0.02)
+    phases = PhaseProblem(shipped(model), scenario, touches)
+    found = find_insertions(PhaseMotion(phases, phases.guess()))
+    return [(touch.start, touch.contact) for touch in found]
+
+
+def test_a_free_flight_may_touch_every_wall_where_it_is_nearest() -> None:
+    found = insertions("corridor", [0.8], ())  # down to 0.3
+    assert [contact for _, contact in found] == [0, 1]
+    (to_lower, _), (to_upper, _) = found
+    assert 0.75 < to_lower < 0.8
+    assert 0.2 < to_upper < 0.25
+
+
+def test_no_wall_is_touched_twice_in_a_row_where_nothing_pulls() -> None:
+    found = insertions("corridor", [0.8], [Touch.bounce(0.5, 0)])
+    assert [(time > 0.5, contact) for time, contact in found] == [(False, 1), (True, 1)]
+
+
+def test_gravity_pulls_back_to_the_floor() -> None:
+    found = insertions("floor", [0.8], [Touch.bounce(0.5, 0)])
+    assert [contact for _, contact in found] == [0] * 4  # At the nearest, and soon before the next.
+    times = [time for time, _ in found]
+    assert times[0] < 0.45 < times[1] < 0.5 < times[2] < 0.9 < times[3] < 1.0
+
+
+def test_contacts_that_do_not_feel_each_other_share_no_gaps() -> None:
+    names = [contact.name for contact in shipped("two_masses").contacts]
+    (between,) = (i for i, name in enumerate(names) if "wall" not in name)
+    walls = [i for i in range(3) if i != between]
+    touches = list(map(Touch.bounce, (0.3, 0.6), walls))
+    # A wall does not feel the other one, and is next to itself; the masses touch in three gaps.
+    found = insertions("two_masses", [0.3, 0.7], touches)
+    assert [contact for _, contact in found] == [between] * 3
+
+
+def test_a_bounce_that_no_box_shows_is_inserted() -> None:
+    (*_, scenario) = WORLDS["two_masses"].draw(9, seed=21)
+    world = World.from_scenario(scenario)
+    found = plan(scenario, QUICK, world)
+    optimum = masses_optimum(world, scenario)
+    assert [contact.index for contact in found.best.contacts] == [2]
+    assert found.replay.event_driven.cost <= 1.01 * optimum.cost
+
+
+def test_a_polish_passes_the_block_on_the_way_to_the_goal_where_the_box_center_misses_it() -> None:
+    (*_, scenario) = WORLDS["room_with_block"].draw(5, seed=21)
+    problem = make_ball_task(World.from_scenario(scenario), scenario, QUICK)
+    rung = next(rung for rung in QUICK.ball_ladder if rung.start == "coast")
+    result = problem.run_aigo(rung)
+    sequence = problem.find_sequences(result, rung)[0]
+    center = problem.transcription.split(result.box.center)[0]
+    assert np.linalg.norm(center[-1] - scenario.goal_position) > 0.3
+    found = problem.polish(result.box.center, sequence)
+    # The best known (`optima.block_optimum`).
+    assert found.cost == pytest.approx(3.9686e-4, rel=0.01)
+
+
+def test_no_neighbor_is_tried_whose_contacts_a_plan_has_that_holds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scenario = Scenario.named("corridor/three_bounces")
+    problem = make_ball_task(World.from_scenario(scenario), scenario, QUICK)
+    search = BallSearch(problem)
+    search.close([search.propose_boxes(rung) for rung in QUICK.ball_ladder])
+    held = [kinds(each) for each, it in search.by_sequence.items() if it.is_confirmed]
+    tried: list[list[tuple[int, bool]]] = []
+
+    def refuse(self: BallSearch, other: TouchSequence, path: object) -> None:
+        tried.append(kinds(other))
+
+    monkeypatch.setattr(BallSearch, "_try", refuse)
+    for wave in search.vary():
+        search.close(wave)
+    assert tried
+    assert not [each for each in tried if each in held]
+
+
+OPTIONS = PlanOptions(confirm=False)
+
+
+def on_floor(q: float, v: float, goal: float, duration: float, e: float) -> Scenario:
+    return Scenario(
+        model="package://drake_aigto_models/floor.sdf",
+        initial_position=q,
+        initial_velocity=v,
+        goal_position=goal,
+        duration=duration,
+        restitution=e,
+    )
+
+
+@pytest.fixture(scope="module")
+def moon() -> World:
+    return make_world(gravity=3.0, mass=1.5)
+
+
+def rest(world: World, scenario: Scenario, land: float, leave: float) -> Solved:
+    return solve(PhaseProblem(world, scenario, [Touch(land, leave)]))
+
+
+@pytest.mark.parametrize("duration", [2.4, 2.0, 1.8])
+@pytest.mark.parametrize("e", [0.1, 0.5, 0.7])
+def test_hops_end_before_the_jump_however_short_the_time_is(
+    moon: World, e: float, duration: float
+) -> None:
+    scenario = dataclasses.replace(
+        on_floor(0.3, 0.0, 0.3, duration, e), time_step=duration / 40, goal_weight=100.0
+    )
+    found = rest(moon, scenario, 0.3 * duration, 0.65 * duration)
+    (touch,), replay = found.sequence, found.replay()
+    motion = found.trajectory
+    (k,) = np.flatnonzero(motion.times == touch.start)
+    pushed = float(np.diff(motion.times) @ motion.forces[:, 0])
+    assert (1 - e) * pushed >= -2 * e * 1.5 * motion.velocities[k, 0] - 1e-9
+    assert replay.cost == pytest.approx(found.cost, rel=1e-5)
+    assert len(replay.bounce_times) > 2
+    assert max(replay.bounce_times) < touch.end
+
+
+@pytest.mark.parametrize(
+    ("scenario", "gravity", "mass"),
+    [
+        (on_floor(0.290604, -0.07273, 0.303735, 0.9, 0.3), 20.0, 3.0),  # Stays where it fell.
+        (on_floor(0.758673, 0.66295, 0.537131, 1.9, 0.3), 13.30707, 1.53598),
+        (on_floor(0.595983, -1.02674, 0.903772, 1.5, 0.1), 19.1117, 0.83202),
+        (on_floor(0.518778, 1.97036, 0.243520, 1.1, 0.1), 16.23448, 0.42458),
+    ],
+)
+def test_a_ball_that_settles_rests_until_it_is_time_to_jump(
+    scenario: Scenario, gravity: float, mass: float
+) -> None:
+    made = Planner(scenario, OPTIONS, make_world(gravity, mass)).plan()
+    known = floor_optimum(scenario, gravity, mass)
+    assert made.replay.event_driven.cost <= 1.01 * known.cost
+    # The hops are in the plan, as they are simulated.
+    times = [contact.time for contact in made.best.contacts]
+    assert len(times) > 1
+    assert times == pytest.approx(made.replay.event_driven.bounce_times[: len(times)], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "gravity", "mass"),
+    [
+        (on_floor(0.92168282, -1.50178118, 0.30328249, 1.5, 1.0), 9.81, 1.0),  # High and late.
+        (on_floor(0.36634367, -0.70831679, 0.10440947, 1.5, 1.0), 9.81, 1.0),  # Once more, late.
+        (on_floor(0.373032, -0.35086, 0.014089, 1.0, 1.0), 8.62315, 1.73192),  # Just at the end.
+    ],
+)
+def test_of_high_and_late_and_low_and_early_it_is_the_better_one(
+    scenario: Scenario, gravity: float, mass: float
+) -> None:
+    made = Planner(scenario, OPTIONS, make_world(gravity, mass)).plan()
+    assert made.replay.event_driven.cost <= 1.01 * floor_optimum(scenario, gravity, mass).cost
+
+
+def test_the_reference_of_floors_is_no_worse_than_all_listed_sequences() -> None:
+    for scenario, gravity, mass in list(draw(12, seed=7))[::3]:
+        world = make_world(gravity, mass)
+        listed = walls_optimum(world, scenario, most_touches=4)
+        assert floor_optimum(scenario, gravity, mass).cost <= listed.cost * (1 + 1e-6) + 1e-9

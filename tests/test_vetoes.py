@@ -10,8 +10,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from replay_worlds import make_diagram, make_wedge, shipped_world
-from table1_plans import COARSE, UNCONFIRMED, bounce_plan, table1
+from replay_worlds import (
+    COARSE,
+    UNCONFIRMED,
+    bounce_plan,
+    make_diagram,
+    make_wedge,
+    shipped_world,
+    table1,
+)
 
 from drake_aigto import Scenario, World, plan
 from drake_aigto.cli import INTERRUPTED, main

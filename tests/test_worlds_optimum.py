@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from line_rivals import SAMPLES, Leg, legs_of
-from optimum_worlds import draw, ends, restitutions, seeds, solve, world_of
+from optimum_worlds import SAMPLES, Leg, draw, ends, legs_of, restitutions, seeds, solve, world_of
 from replay_worlds import make_diagram, make_scenario, shipped_world
 
 from benchmarks.optima import ContactOptimum, block_optimum, masses_optimum, walls_optimum
