@@ -263,6 +263,21 @@ def test_masks_and_flags_keep_shapes_apart(tmp_path: Path) -> None:
     assert list_pairs("", 'contype="1" conaffinity="0"') == []
 
 
+def test_masks_keep_capsules_apart_and_their_ends_from_floors(tmp_path: Path) -> None:
+    text = """<mujoco model="pills"><option gravity="0 0 0"/>
+      <default><geom type="capsule" size="0.1 0.2"/></default>
+      <worldbody><geom name="floor" type="plane" size="1 1 1"/>
+      <body pos="0 0 1"><joint name="x" type="slide" axis="0 0 1"/><geom/></body>
+      <body pos="0 0 2"><joint type="slide" axis="0 0 1"/><geom contype="2" conaffinity="2"/></body>
+      <body pos="0 0 3"><joint type="slide" axis="0 0 1"/><geom contype="4" conaffinity="4"/></body>
+      </worldbody><actuator><motor joint="x"/></actuator></mujoco>"""
+    model = tmp_path / "pills.xml"
+    model.write_text(text, encoding="utf-8")
+    world = make(str(model), 3, ignored_shapes=())
+    names = [contact.name for contact in world.contacts]
+    assert names == ["body0_geom0_end1 against floor", "body0_geom0_end2 against floor"]
+
+
 def test_includes_are_read_and_missing_ones_refused(tmp_path: Path) -> None:
     part = tmp_path / "motors.xml"
     part.write_text(f"<mujocoinclude>{MOTOR}</mujocoinclude>", encoding="utf-8")
@@ -551,6 +566,30 @@ def test_contact_across_too_many_joints_is_refused_at_once_with_shapes_to_leave_
     answer = getattr(caught.value, "fields", {})
     assert len(answer["ignored_shapes"]) == 1
     assert not make(str(model), size=8, **answer).contacts
+
+
+def test_joints_of_all_arms_are_fixed_by_one_answer_and_floors_stay(tmp_path: Path) -> None:
+    axes = "1 0 0", "0 1 0", "0 0 1"
+    text = '<mujoco model="m"><worldbody><geom name="floor" type="plane" size="1 1 1"/>'
+    text += '<body name="base" pos="0 0 9"><freejoint/><geom size="0.1" conaffinity="0"/>'
+    for arm in "ab":
+        for i in range(6):
+            text += f'<body pos="0.1 0.2 0.3"><joint name="{arm}{i}" axis="{axes[i % 3]}"/>'
+            text += '<geom size="0.1" pos="0.3 0.2 0.1" conaffinity="0"/>'
+        text += "</body>" * 6
+    text += '</body></worldbody><actuator><motor joint="a0"/></actuator></mujoco>'
+    model = tmp_path / "m.xml"
+    model.write_text(text, encoding="utf-8")
+    with pytest.raises(ModelError, match="With contact: compliant, links may float") as caught:
+        make(str(model), size=12, ignored_shapes=(), allow_ignored=["pairs"])
+    answer = getattr(caught.value, "fields", {})
+    assert set(answer) == {"weld", "fixed_joints"}
+    assert sorted(answer["fixed_joints"]) == ["a5", "b5"]
+
+
+def test_links_without_mass_are_refused_by_their_joints(gantry: Any) -> None:
+    with pytest.raises(ModelError, match=r"singular: got no inertia along x, y. Give every link"):
+        gantry(MASS="0")
 
 
 def test_a_pair_of_unlike_friction_is_noted_where_mujoco_combines_it_otherwise(

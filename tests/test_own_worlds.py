@@ -121,7 +121,7 @@ def test_a_users_own_urdf_is_read_by_a_relative_path(
 def test_a_massless_link_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "massless.urdf"
     path.write_text(URDF.replace('<mass value="2"/>', '<mass value="0"/>'), encoding="utf-8")
-    with pytest.raises(ModelError, match=r"mass matrix is singular: got \[\[0\.0\]\]\. Give every"):
+    with pytest.raises(ModelError, match=r"mass matrix is singular: got no inertia along slider"):
         World.from_scenario(make_scenario(str(path)))
 
 

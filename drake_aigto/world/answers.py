@@ -8,42 +8,55 @@ from typing import Any
 
 import yaml
 
-from drake_aigto.errors import AigtoError, ModelError
+from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.model_facts import FixableError
 from drake_aigto.world.scenario import Scenario
 
 _MOST = 8  # Answers; there are fewer kinds of errors that have one.
 
 
+def find_errors(*checks: Callable[[], object]) -> list[ModelError]:
+    """Returns what checks raise that do not depend on each other."""
+    found = []
+    for check in checks:
+        try:
+            check()
+        except ModelError as error:
+            found.append(error)
+    return found
+
+
 def gather(
-    read: Callable[[Scenario], object], scenario: Scenario, first: FixableError
+    find: Callable[[Scenario], list[ModelError]], scenario: Scenario, first: FixableError
 ) -> FixableError:
     """Returns an error of all that is wrong, with one remedy: answers are tried one after another.
 
     Args:
-        read: reads the model as a scenario says, or raises.
+        find: returns what is wrong with the model as a scenario says it.
         scenario: as it was given.
         first: what was raised for it.
     """
-    found: list[AigtoError] = [first]
+    found: list[ModelError] = [first]
+    errors: list[ModelError] = [first]
     answers: dict[str, Any] = {}
     for _ in range(_MOST):
-        if not isinstance(last := found[-1], FixableError):
-            break
-        answers = _add(scenario, answers, last.fields)
+        for error in errors:
+            answers = _add(scenario, answers, getattr(error, "fields", {}))
         try:
-            read(dataclasses.replace(scenario, **answers))
-        except AigtoError as error:
-            if isinstance(error, ModelError):
-                found.append(error)
-                continue
-        break
+            errors = find(dataclasses.replace(scenario, **answers))
+        except ScenarioError:
+            break
+        found += errors
+        if not errors or not all(isinstance(error, FixableError) for error in errors):
+            break
     if len(found) == 1:
         return first
     name = f"model {scenario.model}"
     text = yaml.safe_dump(answers, default_flow_style=True, width=10_000).strip()
     rest = found[-1]
     left = "" if isinstance(rest, FixableError) else f" What is left: {rest.remedy or 'the last'}"
+    if scenario.contact == "rigid" and answers.keys() & {"weld", "fixed_joints"}:
+        left += " With contact: compliant, links may float, and joints may be many."
     return FixableError(
         name,
         got="; ".join(f"{error.what}: {error.got}".removeprefix(f"{name}: ") for error in found),

@@ -231,7 +231,9 @@ def _check_velocities(plant: MultibodyPlant) -> None:
     context = plant.CreateDefaultContext()
     # Away from zero, where roll-pitch-yaw rates happen to be the angular velocity.
     plant.SetPositions(context, np.full(plant.num_positions(), 0.5))
-    N = plant.MakeVelocityToQDotMap(context).toarray()
+    # Columns of N, which Drake has as a SciPy matrix: to import that takes half a second.
+    units = np.eye(plant.num_velocities())
+    N = np.array([plant.MapVelocityToQDot(context, unit) for unit in units]).T
     for index in plant.GetJointIndices():
         joint = plant.get_joint(index)
         nq, nv = joint.num_positions(), joint.num_velocities()
@@ -243,7 +245,8 @@ def _check_velocities(plant: MultibodyPlant) -> None:
         remedy = "Attach the link by prismatic, revolute or planar joints"
         if joint.is_ephemeral():
             what, answer = f"no joint attaches link {link!r}, so it floats", {link: [0.0] * 3}
-            remedy += f", or hold it by the scenario's weld: {{{link}: [0, 0, 0]}}"
+            remedy += f", or hold it by the scenario's weld: {{{link}: [0, 0, 0]}}, or let it "
+            remedy += "float with contact: compliant"
         raise FixableError(
             what,
             got="velocities v that are not q̇",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -46,6 +47,10 @@ class MjcfFile:
         for number, frame in enumerate(list(root.iter("frame"))):  # A body that is welded.
             frame.tag = "body"
             frame.set("name", frame.get("name") or f"frame{number}")
+        named = {body.get("name") for body in root.iter("body")}
+        free = (name for i in itertools.count() if (name := f"body{i}") not in named)
+        for body in root.iter("body"):  # As parts without a name are named after their body.
+            body.set("name", body.get("name") or next(free))
         self._classes: dict[str, dict[str, dict[str, str]]] = {}
         for default in root.findall("default"):
             self._read_class(default, "main", {})

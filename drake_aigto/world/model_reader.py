@@ -38,6 +38,8 @@ from drake_aigto.world.model_shapes import (
     set_materials,
 )
 from drake_aigto.world.model_text import read_model_text
+from drake_aigto.world.pairs import order_pair
+from drake_aigto.world.space_pairs import order_shapes
 
 _TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 # What Drake says of joints that form a loop.
@@ -146,6 +148,7 @@ def _read_model(
     for name, spring in facts.springs.items():
         _add_spring(plant, plant.GetJointByName(name), *spring)
     set_materials(plant, scene_graph, fields.material)
+    keep_apart(plant, scene_graph, facts)
     ends = {} if in_space else add_ends(plant, scene_graph)
     try:
         plant.Finalize()
@@ -155,11 +158,8 @@ def _read_model(
         raise ModelError(f"Drake can't parse the model {path}", got=error) from error
     check_plant(plant, in_space)
     plant.set_stiction_tolerance(stiction_speed)
-    keep_apart(plant, scene_graph, facts)
-    if in_space:
-        leave_pairs_out(scene_graph, facts)
-    else:
-        choose_ends(scene_graph, ends, facts)
+    choose_ends(scene_graph, ends)
+    leave_pairs_out(scene_graph, order_shapes if in_space else order_pair, facts)
     if kind == "xml":
         note_unlike_friction(scene_graph, facts)
     friction = _find_friction(plant, facts) if dry_friction is None else dry_friction

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from pydrake.geometry import (
@@ -26,7 +26,9 @@ from drake_aigto.world.model_facts import ModelFacts, fits
 from drake_aigto.world.model_fields import Material
 from drake_aigto.world.pair_errors import END, name_pair
 from drake_aigto.world.pairs import list_pairs, order_pair
-from drake_aigto.world.space_pairs import order_shapes
+
+# From an inspector and a pair of shapes to the same in order, or None if they can't be planned for.
+Order = Callable[[Any, tuple[GeometryId, GeometryId]], tuple[GeometryId, GeometryId] | None]
 
 
 def set_materials(
@@ -93,24 +95,28 @@ def pick_shapes(
 
 
 def keep_apart(plant: MultibodyPlant, scene_graph: SceneGraph, facts: ModelFacts) -> None:
-    """Keeps pairs of shapes from colliding, by their names."""
-    shapes = {
-        full.split("::")[-1]: each for each, (full, _) in name_shapes(plant, scene_graph).items()
-    }
+    """Keeps pairs of shapes from colliding, by their names; before capsules have ends."""
+    named = name_shapes(plant, scene_graph)
+    shapes = {full.rpartition("::")[2]: each for each, (full, _) in named.items()}
     apart = [pair for pair in facts.apart if not set(pair) - set(shapes)]
-    _exclude(scene_graph, [(shapes[one], shapes[other]) for one, other in apart])
+    _exclude_pairs(scene_graph, [(shapes[one], shapes[other]) for one, other in apart])
 
 
-def _exclude(scene_graph: SceneGraph, pairs: list[tuple[GeometryId, GeometryId]]) -> None:
+def _exclude_pairs(scene_graph: SceneGraph, pairs: list[tuple[GeometryId, GeometryId]]) -> None:
     """Keeps pairs of shapes from colliding."""
-    apart: dict[GeometryId, list[GeometryId]] = {}
+    others: dict[GeometryId, list[GeometryId]] = {}
     for shape, other in pairs:
-        apart.setdefault(shape, []).append(other)
-    for shape, others in apart.items():
-        filtered = CollisionFilterDeclaration().ExcludeBetween(
-            GeometrySet([shape]), GeometrySet(others)
-        )
-        scene_graph.collision_filter_manager().Apply(filtered)
+        others.setdefault(shape, []).append(other)
+    for shape, apart in others.items():
+        _exclude(scene_graph, [shape], apart)
+
+
+def _exclude(
+    scene_graph: SceneGraph, shapes: Sequence[GeometryId], others: Sequence[GeometryId]
+) -> None:
+    """Keeps shapes from colliding with others."""
+    sets = GeometrySet(list(shapes)), GeometrySet(list(others))
+    scene_graph.collision_filter_manager().Apply(CollisionFilterDeclaration().ExcludeBetween(*sets))
 
 
 def add_ends(plant: MultibodyPlant, scene_graph: SceneGraph) -> dict[GeometryId, list[GeometryId]]:
@@ -142,49 +148,34 @@ def add_ends(plant: MultibodyPlant, scene_graph: SceneGraph) -> dict[GeometryId,
     return found
 
 
-def choose_ends(
-    scene_graph: SceneGraph, ends: dict[GeometryId, list[GeometryId]], facts: ModelFacts
-) -> None:
-    """Lets the ends of a capsule touch half spaces, and the capsule all else.
+def choose_ends(scene_graph: SceneGraph, ends: dict[GeometryId, list[GeometryId]]) -> None:
+    """Lets the ends of a capsule touch the half spaces that it may touch, and the capsule all else.
 
-    Pairs that can't be planned for are kept apart if that is allowed.
+    Args:
+        scene_graph: whose plant is finalized.
+        ends: of each capsule.
     """
     inspector: Any = scene_graph.model_inspector()
-    capsule_of = {end: capsule for capsule, pair in ends.items() for end in pair}
     shapes = inspector.GetAllGeometryIds(Role.kProximity)
-    kind_of = {shape: type(inspector.GetShape(shape)) for shape in shapes}
-    apart = []
-    for pair in list_pairs(inspector):
-        kinds = [kind_of[shape] for shape in pair]
-        is_end = any(shape in capsule_of for shape in pair)
-        if HalfSpace in kinds and (is_end or Capsule in kinds):
-            is_kept = is_end
-        elif is_end:
-            is_kept = False
-        else:
-            is_kept = order_pair(inspector, *pair) is not None
-            if not is_kept:
-                if "pairs" not in facts.fields.allow_ignored:
-                    continue
-                _refuse(inspector, pair, facts)
-        if not is_kept:
-            apart.append(pair)
-    _exclude(scene_graph, apart)
+    walls = [each for each in shapes if isinstance(inspector.GetShape(each), HalfSpace)]
+    every_end = [end for pair in ends.values() for end in pair]
+    _exclude(scene_graph, every_end, [each for each in shapes if each not in walls])
+    meets = set(map(frozenset, inspector.GetCollisionCandidates()))
+    for capsule, pair in ends.items():
+        _exclude(scene_graph, pair, [w for w in walls if frozenset((capsule, w)) not in meets])
+    _exclude(scene_graph, list(ends), walls)
 
 
-def leave_pairs_out(scene_graph: SceneGraph, facts: ModelFacts) -> None:
-    """Keeps pairs apart whose distance is not known in space, if that is allowed."""
+def leave_pairs_out(scene_graph: SceneGraph, order: Order, facts: ModelFacts) -> None:
+    """Keeps pairs apart that can't be planned for, which have no order, if that is allowed."""
+    if "pairs" not in facts.fields.allow_ignored:
+        return
     inspector: Any = scene_graph.model_inspector()
-    for pair in list_pairs(inspector) if "pairs" in facts.fields.allow_ignored else []:
-        if order_shapes(inspector, pair) is None:
-            _refuse(inspector, pair, facts)
-            _exclude(scene_graph, [pair])
-
-
-def _refuse(inspector: Any, pair: tuple[GeometryId, GeometryId], facts: ModelFacts) -> None:
-    """Refuses the contact of a pair, or counts it as left out."""
-    names = " and ".join(map(inspector.GetName, pair))
-    facts.refuse("pairs", f"contact of {names}", "they pass through each other")
+    apart = [pair for pair in list_pairs(inspector) if order(inspector, pair) is None]
+    for pair in apart:
+        names = " and ".join(map(inspector.GetName, pair))
+        facts.refuse("pairs", f"contact of {names}", "they pass through each other")
+    _exclude_pairs(scene_graph, apart)
 
 
 def note_unlike_friction(scene_graph: SceneGraph, facts: ModelFacts) -> None:
@@ -194,7 +185,7 @@ def note_unlike_friction(scene_graph: SceneGraph, facts: ModelFacts) -> None:
     for pair in list_pairs(inspector):
         materials = map(inspector.GetProximityProperties, pair)
         frictions = {each.GetProperty(*FRICTION).dynamic_friction() for each in materials}
-        if len(frictions) > 1 and order_pair(inspector, *pair) is not None:
+        if len(frictions) > 1 and order_pair(inspector, pair) is not None:
             found.append(name_pair(inspector, pair))
     if found:
         facts.notes.append(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any
 
 from pydrake.geometry import Box, GeometryId, HalfSpace, Role, SceneGraph, Sphere
@@ -80,7 +81,7 @@ def refuse_pairs(inspector: Any, pairs: list[Pair], expected: str = _IN_PLANE) -
     )
 
 
-def check_work(plant: MultibodyPlant, inspector: Any, pairs: list[Pair]) -> None:
+def check_work(plant: MultibodyPlant, scene_graph: SceneGraph, pairs: Sequence[Pair]) -> None:
     """Refuses pairs whose distances would take too long to read, before any is read.
 
     A distance is sampled at all combinations of two positions of each slider and three of each
@@ -90,6 +91,7 @@ def check_work(plant: MultibodyPlant, inspector: Any, pairs: list[Pair]) -> None
     Raises:
         FixableError: that is too much; lists the pairs, and the shapes to leave out.
     """
+    inspector: Any = scene_graph.model_inspector()
     work = {pair: _count_samples(plant, inspector, pair) for pair in pairs}
     total, refused = 0, list[Pair]()
     for pair in sorted(pairs, key=work.__getitem__):
@@ -137,13 +139,15 @@ def _count_samples(plant: MultibodyPlant, inspector: Any, pair: Pair) -> int:
 
 def _cover(inspector: Any, pairs: list[Pair]) -> list[GeometryId]:
     """Returns few shapes of which each pair has one; walls stay where they can."""
-    left, out = list(pairs), list[GeometryId]()
-    is_wall = {shape: _is_wall(inspector, shape) for pair in pairs for shape in pair}
-    while left:
-        counts = Counter(shape for pair in left for shape in pair)
-        worst = max(counts, key=lambda shape: (counts[shape], not is_wall[shape]))
-        out.append(worst)
-        left = [pair for pair in left if worst not in pair]
+    partners: dict[GeometryId, set[GeometryId]] = {}
+    for one, other in pairs:
+        partners.setdefault(one, set()).add(other)
+        partners.setdefault(other, set()).add(one)
+    is_wall, out = {shape: _is_wall(inspector, shape) for shape in partners}, list[GeometryId]()
+    while any(partners.values()):
+        out.append(max(partners, key=lambda each: (len(partners[each]), not is_wall[each])))
+        for other in partners.pop(out[-1]):
+            partners[other].discard(out[-1])
     return out
 
 

@@ -104,18 +104,17 @@ class ReachableFace(NamedTuple):
 
 
 def choose_pairs(
-    plant: MultibodyPlant, scene_graph: SceneGraph, ignored: Collection[GeometryId] = ()
+    scene_graph: SceneGraph, ignored: Collection[GeometryId] = ()
 ) -> list[tuple[GeometryId, GeometryId]]:
     """Returns pairs of shapes that may collide (Drake's filters applied), but for ignored shapes.
 
     Raises:
-        ModelError: pairs are not supported, or too many across too many joints; lists all of them.
+        ModelError: pairs are not supported; lists all of them.
     """
     inspector: Any = scene_graph.model_inspector()
     pairs = [pair for pair in list_pairs(inspector) if not set(pair) & set(ignored)]
-    if unread := [pair for pair in pairs if order_pair(inspector, *pair) is None]:
+    if unread := [pair for pair in pairs if order_pair(inspector, pair) is None]:
         raise refuse_pairs(inspector, unread)
-    check_work(plant, inspector, pairs)
     return pairs
 
 
@@ -138,14 +137,16 @@ def find_reach(
         without friction only push that way.
 
     Raises:
-        ModelError: spheres coincide at the default positions, or a restitution is not in [0, 1].
+        ModelError: there are too many pairs across too many joints, spheres coincide at the default
+            positions, or a restitution is not in [0, 1].
     """
+    check_work(plant, scene_graph, candidates)
     found, stuck = list[ReachableFace](), list[SphereAndFace]()
     solid, default = 0, plant.GetDefaultPositions()
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, default)  # A clone's context forgets them.
     inspector: Any = scene_graph.model_inspector()
-    ordered = (order_pair(inspector, *pair) for pair in candidates)
+    ordered = (order_pair(inspector, pair) for pair in candidates)
     pairs = [_read_pair(plant, inspector, *pair, context) for pair in ordered if pair]
     for pair in pairs:
         places = [_read_place(reader, face) for face in pair]
@@ -235,10 +236,10 @@ def list_pairs(inspector: Any) -> list[tuple[GeometryId, GeometryId]]:
 
 
 def order_pair(
-    inspector: Any, first: GeometryId, second: GeometryId
+    inspector: Any, pair: tuple[GeometryId, GeometryId]
 ) -> tuple[GeometryId, GeometryId] | None:
     """Returns the sphere first, or None of a pair that is not supported."""
-    for sphere, wall in ((first, second), (second, first)):
+    for sphere, wall in (pair, pair[::-1]):
         shapes = inspector.GetShape(sphere), inspector.GetShape(wall)
         if isinstance(shapes[0], Sphere) and isinstance(shapes[1], Box | HalfSpace | Sphere):
             return sphere, wall

@@ -14,7 +14,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import MultibodyForces, RigidBody
 from pydrake.symbolic import Expression, MakeVectorVariable, cos, sin
 
-from drake_aigto.arrays import Bools, Floats
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.dynamics import SumMap, tidy
 from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import find_hinges, find_joint
@@ -28,7 +28,7 @@ _TOLERANCE = 1e-9
 # Largest difference of equal entries by rounding, relative to the largest.
 _ROUNDING = 1e-12
 _NUM_PROBES = 3  # Positions, or states, at which functions are compared: one might agree by chance.
-MAX_SAMPLES = 100_000  # Of one function, some second's worth.
+MAX_SAMPLES = 20_000  # Of one function, half a second's worth.
 # Of M, whose derivatives h is made of: with 3,700 that takes half a minute, and what plans with it
 # has hundreds of millions.
 MAX_TERMS = 2_500
@@ -72,10 +72,13 @@ class PlantReader:
         M = self.read(MultibodyPlant.CalcMassMatrix, degree=2, what="the mass matrix")
         self._plant.SetPositions(self._context, self._plant.GetDefaultPositions())
         values = self._plant.CalcMassMatrix(self._context)
-        if np.linalg.matrix_rank(values) < len(values):
+        rank, (_, _, rows) = np.linalg.matrix_rank(values), np.linalg.svd(values)
+        if rank < len(values):
+            still = np.flatnonzero(np.abs(rows[rank:]).max(axis=0) > _TOLERANCE)
+            joints = dict.fromkeys(find_joint(self._plant, int(i)).name() for i in still)
             raise ModelError(
                 "the mass matrix is singular",
-                got=values.tolist(),
+                got=f"no inertia along {', '.join(joints)}",
                 remedy="Give every link that moves a mass.",
             )
         return M
@@ -159,14 +162,17 @@ class PlantReader:
         try:
             return interpolate(calc, self.q, self._is_hinge, degree)
         except TooManySamples as error:
-            joints = [find_joint(self._plant, i).name() for i in error.coordinates]
-            fixed = list(dict.fromkeys(joints[_MANY:] or joints[-1:]))
+            joints, fixed = (
+                list(dict.fromkeys(find_joint(self._plant, i).name() for i in found))
+                for found in (error.coordinates, error.to_fix)
+            )
             raise FixableError(
                 what,
-                got=f"a function of {len(joints)} coordinates at once: of {', '.join(joints)}",
+                got=f"a function of {len(error.coordinates)} coordinates at once: of "
+                f"{', '.join(joints)}",
                 expected="four or five, or six about parallel axes",
                 remedy="Fix joints that a plan can do without, by the scenario's fixed_joints: "
-                f"[{', '.join(fixed)}], or others.",
+                f"[{', '.join(fixed)}], or others, or take contact: compliant, with any number.",
                 fields={"fixed_joints": fixed},
             ) from None
 
@@ -177,9 +183,11 @@ class TooManySamples(Exception):
 
     Attributes:
         coordinates: the positions that one of its values depends on, or all of them do.
+        to_fix: those without which it is one of few.
     """
 
     coordinates: tuple[int, ...]
+    to_fix: tuple[int, ...]
 
 
 def interpolate(
@@ -194,7 +202,8 @@ def interpolate(
 
         f(q) = Σ_k a_k ∏_i b_{k_i}(q_i),    b ∈ {1, q, q², …} or {1, cos q, sin q, cos 2q, …}.
 
-    Whether it is one, the caller has to check.
+    Fewer do in coordinates in which its degree is lower: about parallel axes M has degree 1.
+    Whether it is such a function, the caller has to check.
 
     Args:
         function: takes q of shape (nq,), returns numbers of any shape.
@@ -207,25 +216,29 @@ def interpolate(
     """
     example = function(np.zeros(len(q)))
     result = np.empty(example.size, dtype=object)
-    bases = [_Basis.of(hinge, degree) for hinge in is_hinge]
-    depends = _find_dependence(function, len(q))
+    degrees = _find_degrees(function, [_Basis.of(hinge, degree) for hinge in is_hinge])
+    bases = [_Basis.of(*each) for each in zip(is_hinge, degrees.max(axis=0), strict=True)]
+    depends = degrees > 0
     patterns = np.unique(depends, axis=0)
     sampled: list[tuple[list[int], Floats]] = []
-    num_terms = 0
+    num_samples = num_terms = 0
     for pattern in sorted(patterns, key=np.sum, reverse=True):
         entries = np.flatnonzero((depends == pattern).all(axis=1))
         coordinates = np.flatnonzero(pattern).tolist()
         grid = _find_samples(sampled, coordinates)
         if grid is None:
-            grid = _sample(function, [bases[i].nodes for i in coordinates], coordinates, len(q))
+            nodes = [bases[i].nodes for i in coordinates]
+            num_samples += math.prod(each.size for each in nodes)
+            if num_samples > MAX_SAMPLES:
+                raise _refuse_many(patterns, sampled, coordinates)
+            grid = _sample(function, nodes, coordinates, len(q), example.size)
             sampled.append((coordinates, grid))
         grid = grid[..., entries]
         for axis, i in enumerate(coordinates):
             grid = np.moveaxis(np.tensordot(bases[i].weights, grid, (1, axis)), 0, axis)
         num_terms += int(np.count_nonzero(np.abs(grid) > _ROUNDING * np.abs(grid).max(initial=0)))
         if num_terms > MAX_TERMS:
-            before = (i for known, _ in sampled for i in known)
-            raise TooManySamples(tuple(sorted({*before, *coordinates})))
+            raise _refuse_many(patterns, sampled, coordinates)
         functions = [bases[i].express(q[i]) for i in coordinates]
         for entry, coefficients in zip(entries, np.moveaxis(grid, -1, 0), strict=True):
             result[entry] = _sum_up(coefficients, functions)
@@ -233,20 +246,28 @@ def interpolate(
 
 
 def _sample(
-    function: Function, nodes: list[NDArray[Any]], coordinates: list[int], num_positions: int
+    function: Function,
+    nodes: list[NDArray[Any]],
+    coordinates: list[int],
+    num_positions: int,
+    size: int,
 ) -> Floats:
-    """Returns all values of a function on a grid, (nodes of each coordinate, values).
-
-    Raises:
-        TooManySamples: the grid is too large.
-    """
-    if math.prod(each.size for each in nodes) > MAX_SAMPLES:
-        raise TooManySamples(tuple(coordinates))
-    point, values = np.zeros(num_positions), []
-    for place in itertools.product(*nodes):
+    """Returns all values of a function on a grid, (nodes of each coordinate, values)."""
+    point, values = np.zeros(num_positions), np.empty((math.prod(n.size for n in nodes), size))
+    for row, place in zip(values, itertools.product(*nodes), strict=True):
         point[coordinates] = place
-        values.append(function(point).ravel())
-    return np.array(values).reshape(*(each.size for each in nodes), -1)
+        row[:] = function(point).ravel()
+    return values.reshape(*(each.size for each in nodes), -1)
+
+
+def _refuse_many(
+    depends: Bools, sampled: list[tuple[list[int], Floats]], more: list[int]
+) -> TooManySamples:
+    """Returns the error of a function whose values depend on coordinates, some of them sampled."""
+    coordinates = sorted({*(i for known, _ in sampled for i in known), *more})
+    beyond = sorted({int(i) for pattern in depends for i in np.flatnonzero(pattern)[_MANY:]})
+    to_fix = beyond or coordinates[_MANY:] or coordinates[-1:]
+    return TooManySamples(tuple(coordinates), tuple(to_fix))
 
 
 def _find_samples(sampled: list[tuple[list[int], Floats]], coordinates: list[int]) -> Floats | None:
@@ -265,24 +286,27 @@ class _Basis:
         is_hinge: whether they are waves, or powers.
         nodes: as many as functions (b,).
         weights: W of shape (b, b): coefficients are W times the values at the nodes.
+        degrees: of the functions, (b,).
     """
 
     is_hinge: bool
     nodes: NDArray[Any]
     weights: NDArray[Any]
+    degrees: Ints
 
     @classmethod
     def of(cls, is_hinge: bool, degree: int) -> _Basis:
         """Returns powers or waves up to a degree."""
         if not is_hinge:
             nodes = np.linspace(-1.0, 1.0, degree + 1)
-            return cls(is_hinge, nodes, np.linalg.inv(np.vander(nodes, increasing=True)))
+            inverse = np.linalg.inv(np.vander(nodes, increasing=True))
+            return cls(is_hinge, nodes, inverse, np.arange(degree + 1))
         count = 2 * degree + 1
         nodes = np.array([2.0 * np.pi * j / count for j in range(count)])
         waves = [np.full(count, 0.5)]
         for k in range(1, degree + 1):
             waves += [np.cos(k * nodes), np.sin(k * nodes)]
-        return cls(is_hinge, nodes, 2.0 / count * np.array(waves))
+        return cls(is_hinge, nodes, 2.0 / count * np.array(waves), (np.arange(count) + 1) // 2)
 
     def express(self, x: Any) -> list[Expression]:
         """Returns the functions of a variable."""
@@ -293,17 +317,20 @@ class _Basis:
         return [Expression(1.0), *itertools.chain(*waves)]
 
 
-def _find_dependence(function: Function, num_positions: int) -> Bools:
-    """Returns whether each value changes with each coordinate alone, (values, nq)."""
-    rng = np.random.default_rng(0)
+def _find_degrees(function: Function, bases: Sequence[_Basis]) -> Ints:
+    """Returns the degree of each value in each coordinate alone, (values, nq)."""
+    rng, size = np.random.default_rng(0), len(bases)
     found = []
-    for _ in range(_NUM_PROBES):
-        q, other = rng.uniform(-1.0, 1.0, (2, num_positions))
-        here = function(q).ravel()
-        moved = [np.where(np.arange(num_positions) == i, other, q) for i in range(num_positions)]
-        changes = np.array([function(each).ravel() - here for each in moved])
-        found.append(np.abs(changes.T) > _ROUNDING * np.abs(here).max(initial=0.0))
-    return np.logical_or.reduce(found)
+    for q in rng.uniform(-1.0, 1.0, (_NUM_PROBES, size)):
+        least = _ROUNDING * np.abs(function(q)).max(initial=0.0)
+        columns = []
+        for i, basis in enumerate(bases):
+            moved = [np.where(np.arange(size) == i, node, q) for node in basis.nodes]
+            values = np.array([function(each).ravel() for each in moved])
+            terms = np.abs(basis.weights @ values) > least
+            columns.append(np.max(terms * basis.degrees[:, np.newaxis], axis=0))
+        found.append(np.array(columns).T)
+    return np.maximum.reduce(found)
 
 
 def _sum_up(coefficients: Floats, functions: list[list[Expression]]) -> Expression:

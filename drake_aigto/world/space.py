@@ -25,14 +25,14 @@ from drake_aigto.dynamics import (
     Tree,
     make_tree_memory,
 )
-from drake_aigto.errors import ScenarioError
+from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.geometry import make_closest
+from drake_aigto.world.answers import find_errors
 from drake_aigto.world.diagram import find_plant
 from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.limits import Limits, check_sizes
 from drake_aigto.world.material import SpringMaterial, combine_springs, read_materials
 from drake_aigto.world.model_fields import Limited, as_globs
-from drake_aigto.world.model_reader import read_model
 from drake_aigto.world.model_shapes import name_shapes, pick_shapes
 from drake_aigto.world.pair_errors import explain_no_contact
 from drake_aigto.world.pairs import list_pairs
@@ -226,18 +226,10 @@ class SpaceWorld(World):
             )
 
     @staticmethod
-    def _check_answer(scenario: Scenario) -> None:
-        """Reads of a model what can be refused at once."""
-        found = read_model(
-            scenario.model, fields=scenario.model_fields, is_bare=True, in_space=True
-        )
-        SpaceWorld._check_plant(scenario, found.diagram)
-
-    @staticmethod
-    def _check_plant(scenario: Scenario, diagram: Diagram) -> None:
-        """Checks what does not depend on a start: pairs of shapes."""
+    def _check_plant(scenario: Scenario, diagram: Diagram) -> list[ModelError]:
+        """Returns what is wrong with pairs of shapes."""
         plant, scene_graph = find_plant(diagram)
-        _choose_pairs(plant, scene_graph, scenario.ignored_shapes)
+        return find_errors(lambda: _choose_pairs(plant, scene_graph, scenario.ignored_shapes))
 
     @property
     def reaches(self) -> Floats:

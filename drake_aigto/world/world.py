@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pkgutil import resolve_name
 from types import MappingProxyType
 from typing import Any
@@ -19,7 +19,7 @@ from pydrake.systems.framework import Context, Diagram
 from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.dynamics import STICTION_SPEED, EquationsOfMotion, SumMap
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world.answers import gather
+from drake_aigto.world.answers import find_errors, gather
 from drake_aigto.world.diagram import (
     check_friction_acts,
     check_plant,
@@ -38,7 +38,7 @@ from drake_aigto.world.model_facts import FixableError
 from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
 from drake_aigto.world.model_reader import read_model
 from drake_aigto.world.model_shapes import name_shapes, pick_shapes, set_materials
-from drake_aigto.world.pair_errors import explain_no_contact
+from drake_aigto.world.pair_errors import check_work, explain_no_contact
 from drake_aigto.world.pairs import (
     ReachableFace,
     SphereAndFace,
@@ -129,7 +129,7 @@ class World(EquationsOfMotion):
                 return in_space.from_model(scenario, start)
             if not isinstance(error, FixableError):
                 raise
-            raise gather(cls._check_answer, scenario, error) from error
+            raise gather(cls._find_errors, scenario, error) from error
         return world
 
     def _check_plane(self, scenario: Scenario) -> None:
@@ -153,7 +153,8 @@ class World(EquationsOfMotion):
         in_space = cls is not World
         found = read_model(*asked, is_bare=True, in_space=in_space)
         if found.is_bare:
-            cls._check_plant(scenario, found.diagram)
+            if errors := cls._check_plant(scenario, found.diagram):
+                raise errors[0]
             found = read_model(*asked, in_space=in_space)
         plant, _ = find_plant(found.diagram)
         if start is not None:
@@ -172,20 +173,28 @@ class World(EquationsOfMotion):
             notes=(*found.notes, *world.notes),
         )
 
-    @staticmethod
-    def _check_answer(scenario: Scenario) -> None:
-        """Reads of a model what is refused at once."""
-        found = read_model(scenario.model, fields=scenario.model_fields, is_bare=True)
-        World._check_plant(scenario, found.diagram)
+    @classmethod
+    def _find_errors(cls, scenario: Scenario) -> list[ModelError]:
+        """Returns what is refused of a model at once, whatever its start is."""
+        is_in_space, found = cls is not World, list[ModelError]()
+
+        def check() -> None:
+            fields = scenario.model_fields
+            model = read_model(scenario.model, fields=fields, is_bare=True, in_space=is_in_space)
+            found.extend(cls._check_plant(scenario, model.diagram))
+
+        return [*find_errors(check), *found]
 
     @staticmethod
-    def _check_plant(scenario: Scenario, diagram: Diagram) -> None:
-        """Checks what does not depend on a start: contacts, and the joints that M depends on."""
+    def _check_plant(scenario: Scenario, diagram: Diagram) -> list[ModelError]:
+        """Returns what is wrong with contacts, and with the joints that M depends on."""
         plant, scene_graph = find_plant(diagram)
         names = name_shapes(plant, scene_graph)
         ignored = pick_shapes("ignored_shapes", scenario.ignored_shapes, names)
-        choose_pairs(plant, scene_graph, ignored)
-        PlantReader(plant).read_mass_matrix()
+        pairs = partial(choose_pairs, scene_graph, ignored)
+        return find_errors(pairs, PlantReader(plant).read_mass_matrix) or find_errors(
+            lambda: check_work(plant, scene_graph, pairs())
+        )
 
     @classmethod
     def from_diagram(
@@ -227,7 +236,7 @@ class World(EquationsOfMotion):
         reader = PlantReader(plant)
         ignored_shapes = as_globs("ignored_shapes", ignored_shapes)
         ignored = pick_shapes("ignored_shapes", ignored_shapes, name_shapes(plant, scene_graph))
-        pairs = choose_pairs(plant, scene_graph, ignored)  # What refuses at once comes first.
+        pairs = choose_pairs(scene_graph, ignored)  # What refuses at once comes first.
         mass_matrix = reader.calc_mass_matrix()
         reachable, stuck = find_reach(plant, scene_graph, reader, pairs)
         if mass is not None:
