@@ -61,7 +61,7 @@ def draw_row(
     for axes, (title, run) in zip(grid.T, runs, strict=True):
         motions = [
             Motion.from_trajectory(run.trajectory, world),
-            Motion.from_replay(run.replay, "simulation of its control on a rigid wall"),
+            Motion.from_replay(run.replay, world, "simulation of its control on a rigid wall"),
         ]
         plot_motions(axes, motions, world, scenario)
         axes[0].get_legend().remove()  # One for all.
@@ -81,7 +81,7 @@ def animate(
     lanes = []
     for name, run in (("drake_aigto", ours), ("SNOPT", snopt)):
         planned = Motion.from_trajectory(run.trajectory, world)
-        simulated = Motion.from_replay(run.replay)
+        simulated = Motion.from_replay(run.replay, world)
         lanes.append((f"{name}: {PLAN_LABEL}, cost {run.cost:.1e}", planned))
         lanes.append((f"its control, simulated on a rigid wall: {run.replay.cost:.1e}", simulated))
     figure, axes = plt.subplots(figsize=(6.4, 3.0), layout="constrained")
@@ -116,7 +116,7 @@ def draw_ways(path: Path) -> None:
         run = Planner(scenario, world=world).plan().best
         motions = [
             Motion.from_trajectory(run.trajectory, world),
-            Motion.from_replay(run.replay, "simulation of its control on rigid walls"),
+            Motion.from_replay(run.replay, world, "simulation of its control on rigid walls"),
         ]
         plot_path(axes, motions, world, scenario)
         axes.get_legend().remove()  # One for all.

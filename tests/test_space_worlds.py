@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from meshcat_pages import clips
+from pydrake.geometry import Meshcat
+from pydrake.multibody.tree import JacobianWrtVariable
 from space_models import SPHERE, ball_and_finger, collision, make_scenario
 
 from drake_aigto import (
@@ -21,7 +24,7 @@ from drake_aigto import (
 )
 from drake_aigto.cli import FINE, main
 from drake_aigto.errors import ControlError, ModelError, ProgramError, ScenarioError
-from drake_aigto.show import motions_of_plan
+from drake_aigto.show import ROOT, Motion, Stage, draw_mechanism, motions_of_plan, publish
 from drake_aigto.simulation import replay_drake, replay_event_driven
 from drake_aigto.world import SpaceWorld, TaskCost
 
@@ -126,6 +129,87 @@ def test_what_does_not_fit_is_refused_by_name(
         World.from_scenario(make_scenario(tmp_path, **changes))
 
 
+def test_bodies_slide_by_the_velocities_of_their_material(tmp_path: Path) -> None:
+    world, scenario = build(make_scenario(tmp_path))
+    rng, plant = np.random.default_rng(1), world.plant
+    q, v = world.add(scenario.initial_position, 0.1 * rng.normal(size=9)), rng.normal(size=9)
+    context, frame = plant.CreateDefaultContext(), plant.world_frame()
+    plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
+    inspector = world.scene_graph.model_inspector()
+    for contact, slide in enumerate(world.calc_slides(q, v)):
+        place, normal = world.find_touch(contact, q)
+        rates = []
+        for shape in world.shapes[contact]:
+            body = plant.GetBodyFromFrameId(inspector.GetFrameId(shape))
+            at = body.EvalPoseInWorld(context).inverse().multiply(place)
+            J = plant.CalcJacobianTranslationalVelocity(
+                context, JacobianWrtVariable.kV, body.body_frame(), at, frame, frame
+            )
+            rates.append(J @ v)
+        rate = rates[0] - rates[1]
+        np.testing.assert_allclose(slide, rate - normal * (normal @ rate), atol=1e-12)
+        assert normal @ rate == pytest.approx(world.calc_contact_rate(q, v)[contact], abs=1e-12)
+
+
+def test_a_body_that_turns_is_shown_between_knots_and_across_its_way(tmp_path: Path) -> None:
+    world, scenario = build(make_scenario(tmp_path))
+    first = world.plant.GetJointByName("thing").velocity_start()
+    start, v, times = scenario.initial_position, np.zeros(9), np.array([0.0, 0.1, 0.2])
+    v[first + 2], v[first + 4] = 3.0, 1.0  # [rad/s] around z, [m/s] along y
+    path = world.add(start, np.outer(times, v))
+    states = np.hstack([path, np.tile(v, (3, 1))])
+    motion = Motion.from_path("plan", world, times, states)
+    assert len(motion.times) == 21
+    expected = world.add(start, np.outer(motion.times, v))
+    np.testing.assert_allclose(motion.positions, expected, atol=1e-12)
+    np.testing.assert_allclose(motion.velocities, np.tile(v, (21, 1)), atol=1e-12)
+    stage = Stage(world, motion.positions)
+    x, _, towards = stage.X_WT.rotation().matrix().T
+    np.testing.assert_allclose(x, [0, 1, 0], atol=1e-3)
+    assert not stage.is_flat and 0.3 < towards[2] < 0.6
+    assert sorted(stage.tracer_names) == ["finger", "thing"]
+    publish([motion], meshcat := Meshcat(), world, scenario)
+    _, turns = clips(meshcat, "quaternion")[f"{ROOT}/motions/1/m/thing/ball"]
+    np.testing.assert_allclose(np.abs(turns[-1]), [0, 0, np.sin(0.3), np.cos(0.3)], atol=1e-6)
+    captions = [caption for _, caption in draw_mechanism([motion], world, scenario)]
+    assert captions[0].startswith("Links at evenly spaced times")
+
+
+_NO_EFFORT = "<limit><effort>0</effort></limit>"
+_ACROSS = "<axis><xyz>0 1 0</xyz>"
+_CONSTRAINT = """<drake:ball_constraint>
+  <drake:ball_constraint_body_A>finger</drake:ball_constraint_body_A>
+  <drake:ball_constraint_body_B>thing</drake:ball_constraint_body_B>
+  <drake:ball_constraint_p_AP>0 0 0</drake:ball_constraint_p_AP>
+  <drake:ball_constraint_p_BQ>0 0 0</drake:ball_constraint_p_BQ></drake:ball_constraint>"""
+_LOOP = "".join(
+    f'<joint name="{parent}s" type="revolute"><parent>{parent}</parent><child>thing</child>'
+    "<axis><xyz>0 0 1</xyz></axis></joint>"
+    for parent in ("finger", "along")
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        (
+            ball_and_finger().replace(_ACROSS, f'{_ACROSS}<mimic joint="x"/>'),
+            r"<mimic> of joint 'y' \(a joint that follows another one\)",
+        ),
+        (ball_and_finger(more=_CONSTRAINT), "got 1 constraint beside joints, expected a tree"),
+        (ball_and_finger(more=_LOOP), "got a loop of joints in .*, expected a tree"),
+        (
+            ball_and_finger().replace("</dynamics>", f"</dynamics>{_NO_EFFORT}"),
+            "the model lacks an actuator: got limits of effort of 0 at x, y, z",
+        ),
+    ],
+    ids=["mimic", "constraint", "loop", "no actuator"],
+)
+def test_what_is_no_driven_tree_is_refused_by_name(tmp_path: Path, text: str, match: str) -> None:
+    with pytest.raises(ModelError, match=match):
+        World.from_scenario(make_scenario(tmp_path, text))
+
+
 @pytest.mark.slow  # Shooting over trees is compiled.
 def test_a_ball_is_pushed_to_its_goal_by_a_plan_that_both_replays_confirm(tmp_path: Path) -> None:
     scenario = make_scenario(tmp_path)
@@ -148,8 +232,7 @@ def test_a_ball_is_pushed_to_its_goal_by_a_plan_that_both_replays_confirm(tmp_pa
     plan.save(path)
     assert Plan.load(path) == plan
     assert main(["replay", str(path), "--quiet"]) == FINE
-    with pytest.raises(ModelError, match=r"the motion to show: got one of bodies that float"):
-        motions_of_plan(plan)
+    assert len(motions_of_plan(plan)) == 3
     for make in (TrackingController, lambda _: ModelPredictiveController(Planner(scenario), 0.02)):
         with pytest.raises(ControlError, match=r"the world to control: got one in space"):
             make(plan)

@@ -207,12 +207,14 @@ knots = st.lists(st.floats(1e-4, 0.3), min_size=1, max_size=4)
 
 
 @given(coefficients, knots)
-def test_gaps_are_filled_on_the_cubic_of_both_ends(cubic: list[float], steps: list[float]) -> None:
+def test_gaps_are_filled_on_the_cubic_of_both_ends(
+    world: World, cubic: list[float], steps: list[float]
+) -> None:
     times = np.cumsum([0.0, *steps])
     position = np.polynomial.Polynomial(cubic)
     velocity = position.deriv()
     replay = replay_of(times, position(times)[:, None], velocity(times)[:, None])
-    motion = Motion.from_replay(replay)
+    motion = Motion.from_replay(replay, world)
     assert np.max(np.diff(motion.times)) < 0.0101
     assert set(times) <= set(motion.times)
     # A rise over the shortest step loses four digits of sixteen.
@@ -243,7 +245,9 @@ def test_phases_are_drawn_as_a_rigid_wall_plays_them(world: World) -> None:
     plan = arcs.trajectory(arcs.vector(phases.guess([[0.0]])))
     assert np.ptp(np.diff(plan.times)) > 0.03  # Knots are not even.
     drawn = Motion.from_trajectory(plan, world)
-    played = Motion.from_replay(replay_event_driven(world, scenario, plan.times, plan.controls))
+    played = Motion.from_replay(
+        replay_event_driven(world, scenario, plan.times, plan.controls), world
+    )
     for motion in (drawn, played):
         t, v = motion.times, motion.velocities[:, 0]
         path = np.maximum(0.6 - 2 * t, t - 0.3)

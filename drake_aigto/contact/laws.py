@@ -12,7 +12,7 @@ import scipy  # Not scipy.optimize, which takes a tenth of a second and few need
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.dynamics import calc_friction_share, smooth_sign
 from drake_aigto.kernels import borrowing
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, SpaceWorld, World
 
 # Centers of spheres closer than a micron, by rounding, count as that far apart [m²].
 NO_ROOM = 1e-12
@@ -166,7 +166,12 @@ def _calc_deeper(curvature: Any, radius: Any, gap: Any) -> Any:
 
 
 def calc_slips(world: World, law: ContactLaw, q: Floats, v: Floats) -> Floats:
-    """Returns s, shape (…, m) [m/s]: T v of rigid contacts, see `CompliantLaw` for others."""
+    """Returns s, shape (…, m) [m/s]: T v of rigid contacts, see `CompliantLaw` for others.
+
+    In space, where it has a direction (`SpaceWorld.calc_slides`), its size.
+    """
+    if isinstance(world, SpaceWorld):
+        return np.asarray(np.linalg.norm(world.calc_slides(q, v), axis=-1))
     if isinstance(law, RigidLaw):
         return world.rubbing.calc_slips(q, v)
     T, levers = calc_tangents(world, law, q)

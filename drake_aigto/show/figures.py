@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Polygon, Rectangle
 
 from drake_aigto.aigo import Iterate
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.planning import Plan
 from drake_aigto.show.motion import (
@@ -25,6 +26,7 @@ from drake_aigto.show.shapes import (
     find_goal,
     has_goal,
     moves_straight,
+    read_coordinates,
     solid_regions,
     wall_places,
 )
@@ -106,7 +108,7 @@ def plot_motions(
     Raises:
         ModelError: the axes are of another shape.
     """
-    columns = list(range(world.num_positions) if coordinates is None else coordinates)
+    columns = list(range(world.num_velocities) if coordinates is None else coordinates)
     grid = np.array(axes, dtype=object)
     grid = grid[:, np.newaxis] if grid.ndim == 1 else grid
     if grid.shape != (3, len(columns)):
@@ -125,13 +127,14 @@ def plot_positions(
     axes: Axes, motions: Sequence[Motion], world: World, scenario: Scenario, coordinate: int = 0
 ) -> None:
     """Draws one coordinate of q(t), the goal as a star at T, and the walls across it."""
-    _plot_rows(axes, motions, "positions", coordinate)
+    rows = [read_coordinates(world, scenario, motion.positions) for motion in motions]
+    _plot_rows(axes, motions, rows, coordinate)
     _mark_touches(axes, motions, world, coordinate, named=True)
     if has_goal(world, scenario)[coordinate]:
         goal = find_goal(world, scenario, motions[0].positions[-1])
         is_free = scenario.duration_range is not None
         T = motions[0].times[-1] if is_free else scenario.duration
-        axes.plot(T, goal[coordinate], "*", **_GOAL)
+        axes.plot(T, read_coordinates(world, scenario, goal)[coordinate], "*", **_GOAL)
         axes.plot([], [], "*", color="black", markersize=9, label="goal")
     _shade_walls(axes, world, coordinate)
     axes.set_ylabel(_label("position", world, coordinate))
@@ -142,7 +145,7 @@ def plot_velocities(
     axes: Axes, motions: Sequence[Motion], world: World, coordinate: int = 0
 ) -> None:
     """Draws one coordinate of v(t); impacts are jumps."""
-    _plot_rows(axes, motions, "velocities", coordinate)
+    _plot_rows(axes, motions, [motion.velocities for motion in motions], coordinate)
     _mark_touches(axes, motions, world, coordinate)
     axes.axhline(0, color="black", linewidth=0.5)
     axes.set_ylabel(_label("velocity", world, coordinate))
@@ -251,11 +254,12 @@ def plot_boxes(
     axes.legend(**ABOVE)
 
 
-def _plot_rows(axes: Axes, motions: Sequence[Motion], name: str, coordinate: int) -> None:
-    """Draws one coordinate of each motion's positions or velocities over its times, labeled."""
-    for index, motion in enumerate(motions):
-        values = getattr(motion, name)[:, coordinate]
-        axes.plot(motion.times, values, label=motion.label, **line_of(index))
+def _plot_rows(
+    axes: Axes, motions: Sequence[Motion], rows: Sequence[Floats], coordinate: int
+) -> None:
+    """Draws one coordinate of each motion's rows (K, nv) over its times, labeled."""
+    for index, (motion, values) in enumerate(zip(motions, rows, strict=True)):
+        axes.plot(motion.times, values[:, coordinate], label=motion.label, **line_of(index))
     axes.set_xlabel("time t [s]")
 
 
@@ -295,14 +299,14 @@ def line_of(motion: int) -> dict[str, Any]:
 def _label(quantity: Quantity, world: World, coordinate: int) -> str:
     """Returns a name for an axis, with the coordinate where there are several."""
     unit = _unit(quantity, world, coordinate)
-    if world.num_positions == 1:
+    if world.num_velocities == 1:
         return f"{quantity} {_QUANTITIES[quantity][0]} [{unit}]"
     return f"{coordinate_names(world)[coordinate]} {quantity} [{unit}]"
 
 
 def _unit(quantity: Quantity, world: World, coordinate: int) -> str:
     """Returns the unit of a quantity of one coordinate."""
-    return _QUANTITIES[quantity][2 if world.is_hinge[coordinate] else 1]
+    return _QUANTITIES[quantity][2 if world.turns[coordinate] else 1]
 
 
 def _shade_walls(axes: Axes, world: World, coordinate: int) -> None:
@@ -348,25 +352,29 @@ def plot_phase_portrait(
 
     A bounce is a vertical line at a wall's edge. Start and the goal's position are marked.
     """
+
+    def read(q: Floats) -> Floats:
+        return read_coordinates(world, scenario, q)[..., coordinate]
+
+    seen = [read(motion.positions) for motion in motions]
     for index, motion in enumerate(motions):
-        q, v = motion.positions[:, coordinate], motion.velocities[:, coordinate]
-        axes.plot(q, v, label=motion.label, **line_of(index))
+        v = motion.velocities[:, coordinate]
+        axes.plot(seen[index], v, label=motion.label, **line_of(index))
     first, look = motions[0], {"arrowstyle": "-|>", "color": color_of(0), "mutation_scale": 22}
-    path = np.column_stack([first.positions[:, coordinate], first.velocities[:, coordinate]])
+    path = np.column_stack([seen[0], first.velocities[:, coordinate]])
     for part in _ARROWS:
         row = int(part * (len(path) - 1))
         axes.annotate("", xy=path[row + 1], xytext=path[row], arrowprops=look)
-    start = scenario.initial_position[coordinate], scenario.initial_velocity[coordinate]
+    start = read(scenario.initial_position), scenario.initial_velocity[coordinate]
     axes.plot(*start, "s", color="black", markersize=7, zorder=5, label="start")
-    goal = [find_goal(world, scenario, motions[0].positions[-1])[coordinate]]
+    goal = [float(read(find_goal(world, scenario, motions[0].positions[-1])))]
     goal = goal if has_goal(world, scenario)[coordinate] else []
     for place in goal:
         axes.axvline(place, color="black", linestyle=(0, (4, 3)), linewidth=1.2, label="goal")
     axes.axhline(0, color="black", linewidth=0.5)
     walls = wall_places(world, coordinate)
-    seen = [motion.positions[:, coordinate] for motion in motions]
     places = np.concatenate([*seen, goal, [place for _, place, _ in walls]])
-    size = np.ptp(places)
+    size = np.ptp(places) or 1.0  # It may stand still.
     for i, (_, place, side) in enumerate(walls):
         edges = sorted((place, place - side * 2 * size))
         axes.axvspan(*edges, **SOLID_LOOK, label="" if i else "wall")

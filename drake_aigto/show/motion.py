@@ -19,7 +19,6 @@ from drake_aigto.contact import (
     stack_rows,
 )
 from drake_aigto.dynamics import calc_friction_share
-from drake_aigto.errors import ModelError
 from drake_aigto.planning import Plan
 from drake_aigto.simulation import Replay, find_contacts
 from drake_aigto.trajectory import Trajectory
@@ -104,6 +103,7 @@ class Motion:
         return cls(
             label,
             *_fill_in(
+                world,
                 np.repeat(trajectory.times, 2),
                 np.repeat(trajectory.positions, 2, axis=0),
                 before_and_after.reshape(-1, world.num_velocities),
@@ -116,17 +116,17 @@ class Motion:
         )
 
     @classmethod
-    def from_replay(cls, replay: Replay, label: str | None = None) -> Motion:
+    def from_replay(cls, replay: Replay, world: World, label: str | None = None) -> Motion:
         """Returns a simulated motion; without a label, it names the simulator."""
         label = SIMULATION_LABELS[replay.simulator] if label is None else label
-        rows = _fill_in(replay.times, replay.positions, replay.velocities)
+        rows = _fill_in(world, replay.times, replay.positions, replay.velocities)
         bounces = zip(replay.bounce_times, replay.bounce_contacts, strict=True)
         return cls(label, *rows, impacts=tuple(Touch.bounce(*bounce) for bounce in bounces))
 
     @classmethod
-    def from_path(cls, label: str, times: Floats, states: Floats) -> Motion:
-        """Returns a planned motion through states (K, 2n) at times (K,) [s]."""
-        return cls(label, *_fill_in(times, *np.split(states, 2, axis=1)))
+    def from_path(cls, label: str, world: World, times: Floats, states: Floats) -> Motion:
+        """Returns a planned motion through states (K, nq + nv) at times (K,) [s]."""
+        return cls(label, *_fill_in(world, times, *world.split(states)))
 
     def since(self, time: float) -> Motion:
         """Returns where it goes from a time on [s]."""
@@ -143,8 +143,8 @@ def motions_of_plan(plan: Plan, world: World | None = None) -> list[Motion]:
     """Returns a plan's trajectory and what simulations made of its control, each labeled."""
     world = plan.find_world(world)
     planned = Motion.from_trajectory(plan.trajectory, world)
-    labels = (simulation_label(replay, world) for replay in plan.replay)
-    return [planned, *map(Motion.from_replay, plan.replay, labels)]
+    replays = [Motion.from_replay(r, world, simulation_label(r, world)) for r in plan.replay]
+    return [planned, *replays]
 
 
 def simulation_label(replay: Replay, world: World) -> str:
@@ -164,29 +164,23 @@ def time_span(motions: Sequence[Motion]) -> tuple[float, float]:
     return min(m.times[0] for m in motions), max(m.times[-1] for m in motions)
 
 
-def _fill_in(times: Floats, positions: Floats, velocities: Floats) -> tuple[Floats, Floats, Floats]:
+def _fill_in(
+    world: World, times: Floats, positions: Floats, velocities: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Returns the rows with more between those far apart, on cubics that have both ends' slopes.
 
-    Raises:
-        ModelError: a body floats.
+    Bodies that float are on cubics in the tangent space of the row before.
     """
-    nq, nv = positions.shape[1], velocities.shape[1]
-    if nq != nv:
-        raise ModelError(
-            "the motion to show",
-            got=f"one of bodies that float ({nq} positions, {nv} velocities)",
-            expected="as many positions as velocities",
-            remedy="Set the positions of plan.trajectory in a MeshcatVisualizer of your own.",
-        )
     h = np.diff(times)
     counts = np.maximum(np.ceil(h / _LONGEST_STEP), 1).astype(int)
     i = np.repeat(np.arange(len(h)), counts)
     part = np.arange(len(i)) - np.repeat(np.cumsum(counts) - counts, counts)
     s, h = (part / counts[i])[:, np.newaxis], h[i][:, np.newaxis]
     # Where h = 0 there is one row, s = 0.
-    rise = (positions[i + 1] - positions[i]) / np.where(h > 0, h, 1.0)
+    rise = world.subtract(positions[i + 1], positions[i]) / np.where(h > 0, h, 1.0)
     v0, v1 = velocities[i], velocities[i + 1]
-    q = positions[i] + h * s * ((1 - s) ** 2 * v0 + s * (3 - 2 * s) * rise - s * (1 - s) * v1)
+    way = h * s * ((1 - s) ** 2 * v0 + s * (3 - 2 * s) * rise - s * (1 - s) * v1)
+    q = world.add(positions[i], way)
     v = (1 - s) * (1 - 3 * s) * v0 + 6 * s * (1 - s) * rise + s * (3 * s - 2) * v1
     return (
         np.append(times[i] + (s * h)[:, 0], times[-1]),

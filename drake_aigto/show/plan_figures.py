@@ -15,7 +15,6 @@ from pydrake.math import RigidTransform
 from scipy.spatial import ConvexHull
 
 from drake_aigto.arrays import Floats
-from drake_aigto.errors import ModelError
 from drake_aigto.paper import (
     LiteralOptions,
     bounce_costs,
@@ -76,6 +75,8 @@ def plot_strobe(
 ) -> None:
     """Draws links and walls as they are seen in the plane of motion, the links at several times.
 
+    Motions that keep to no plane are drawn as `Stage` sees them, from a little above.
+
     Times are evenly spaced from the first to the last; early links are pale. The way of what can
     touch, or else of the ends of links, is a line, contacts are hollow circles, and the goal is a
     dashed outline. Both axes have one scale, and places are those of the world.
@@ -87,20 +88,10 @@ def plot_strobe(
         scenario: has the goal.
         count: of the times.
         index: of the motion, in pictures of several: it has the same color in all.
-
-    Raises:
-        ModelError: the motion keeps to no plane.
     """
     is_asked = has_goal(world, scenario)
     goal = find_goal(world, scenario, motion.positions[-1])
     stage = Stage(world, np.vstack([motion.positions, goal]))
-    if not stage.is_flat:
-        raise ModelError(
-            "the picture of a motion",
-            got="links that keep to no plane",
-            expected="one plane in which all links move",
-            remedy="Watch the motion in Meshcat.",
-        )
     q = motion.positions[0]
     # From the back to the front: in a plane, none comes nearer as it moves.
     moving = [actor for actor in stage.actors if actor.moves]
@@ -127,6 +118,7 @@ def plot_strobe(
         axes.plot(*touches.T, "o", markeredgecolor=color_of(index), label="contact", **HOLLOW)
     axes.plot([], [], color=_GOAL["edgecolor"], linestyle=_GOAL["linestyle"], label="goal")
     xlabel, ylabel = (_name_axis(axis) for axis in stage.X_WT.rotation().matrix().T[:2])
+    ylabel = ylabel if stage.is_flat else "up, seen from above [m]"
     (left, bottom), (right, top) = stage.low, stage.high
     axes.set(xlim=(left, right), ylim=(bottom, top), xlabel=xlabel, ylabel=ylabel, aspect="equal")
     axes.legend(ncols=3, **ABOVE)
@@ -332,7 +324,7 @@ def gradient_motions(world: World, scenario: Scenario, seed: int = 0) -> list[Mo
         options = LiteralOptions(nonpenetration=False, local_solver="snopt")
         run = gradient_from_zero(make_literal_task(world, scenario, options))
         planned = Motion.from_trajectory(run.trajectory, world, f"{_ONE_WALL}: {PLAN_LABEL}")
-        simulated = Motion.from_replay(run.replay, f"{_ONE_WALL}: {_RIGID}")
+        simulated = Motion.from_replay(run.replay, world, f"{_ONE_WALL}: {_RIGID}")
         return [planned, simulated.under(run.trajectory.times, run.trajectory.controls)]
     world.check_plain(scenario)
     problem = make_ball_task(world, scenario, PlanOptions(relaxation=0.0, local_solver="snopt"))
@@ -340,5 +332,5 @@ def gradient_motions(world: World, scenario: Scenario, seed: int = 0) -> list[Mo
     found = problem.solve_locally(random_guess(transcription, np.random.default_rng(seed)))
     times, controls = transcription.GetSampleTimes(), transcription.split(found)[2]
     replay = replay_event_driven(world, scenario, times, controls)
-    simulated = Motion.from_replay(replay, f"{_SEVERAL}: {_RIGID}")
+    simulated = Motion.from_replay(replay, world, f"{_SEVERAL}: {_RIGID}")
     return [simulated.under(times, controls)]

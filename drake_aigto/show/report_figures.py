@@ -37,7 +37,7 @@ from drake_aigto.show.plan_figures import (
     plot_friction,
     plot_strobe,
 )
-from drake_aigto.show.shapes import moves_straight
+from drake_aigto.show.shapes import moves_straight, read_coordinates
 from drake_aigto.world import Scenario, World
 
 _COLUMNS = 2  # of a figure that has one for each coordinate: more could not be read
@@ -54,7 +54,7 @@ _MOST_NAMED = 3  # plans that have a name of their own in a legend
 
 def figures_of_plan(plan: Plan, world: World, run: BoxRun | None) -> Iterator[tuple[Figure, str]]:
     """Yields the figures of a report, each with its caption; of boxes, if there are any."""
-    n, motions = world.num_positions, motions_of_plan(plan, world)
+    n, motions = world.num_velocities, motions_of_plan(plan, world)
     for first in range(0, n, _COLUMNS):
         columns = range(first, min(first + _COLUMNS, n))
         figure = Figure(figsize=(4.5 * max(len(columns), 2), 7), layout="constrained")
@@ -118,24 +118,20 @@ def draw_mechanism(
 ) -> Iterator[tuple[Figure, str]]:
     """Yields the figures of a mechanism's motions for a report, each with its caption.
 
-    A still picture of the first two if they keep to a plane, velocities against positions, and what
-    contacts push with if anything is known of it.
+    A still picture of the first two, velocities against positions, and what contacts push with if
+    anything is known of it.
     """
-    figure = Figure(figsize=(9, 5), layout="constrained")
-    try:
-        shown = motions[:2]
-        panels = figure.subplots(1, len(shown), squeeze=False)[0]
-        for index, motion in enumerate(shown):
-            plot_strobe(panels[index], motion, world, scenario, index=index)
-        # Two panels side by side have one scale.
-        width, height = np.ptp(panels[0].get_xlim()), np.ptp(panels[0].get_ylim())
-        figure.set_size_inches(9, float(np.clip(1.0 + 4.0 * height / width, 2.5, 7.0)))
-        yield figure, "Links at evenly spaced times, the early ones pale; the goal is dashed."
-    except ModelError:  # They keep to no plane.
-        pass
-    rows = -(-world.num_positions // 2)
+    figure, shown = Figure(figsize=(9, 5), layout="constrained"), motions[:2]
+    panels = figure.subplots(1, len(shown), squeeze=False)[0]
+    for index, motion in enumerate(shown):
+        plot_strobe(panels[index], motion, world, scenario, index=index)
+    # Two panels side by side have one scale.
+    width, height = np.ptp(panels[0].get_xlim()), np.ptp(panels[0].get_ylim())
+    figure.set_size_inches(9, float(np.clip(1.0 + 4.0 * height / width, 2.5, 7.0)))
+    yield figure, "Links at evenly spaced times, the early ones pale; the goal is dashed."
+    rows = -(-world.num_velocities // 2)
     figure = Figure(figsize=(9, 4.2 * rows), layout="constrained")
-    for coordinate in range(world.num_positions):
+    for coordinate in range(world.num_velocities):
         axes = figure.add_subplot(rows, 2, coordinate + 1)
         plot_phase_portrait(axes, motions, world, scenario, coordinate)
     yield figure, "Velocity against position, of each coordinate."
@@ -158,7 +154,7 @@ def _draw_friction(
 
 def motion_of_run(run: ClosedLoopRun) -> Motion:
     """Returns the motion that was simulated, with the control that was held."""
-    motion = Motion.from_replay(run.replay, SIMULATED)
+    motion = Motion.from_replay(run.replay, run.true_world, SIMULATED)
     return motion.under(run.control_times, run.controls)
 
 
@@ -167,8 +163,8 @@ def motions_of_switches(run: ClosedLoopRun) -> list[Motion]:
     paths = [run.plan, *(switch.after for switch in run.switches)]
     times = [0.0, *(switch.time for switch in run.switches)]
     return [
-        Motion.from_path(f"plan at {time:.2f} s (not a simulation)", path.times, path.states)
-        for time, path in zip(times, paths, strict=True)
+        Motion.from_path(f"plan at {time:.2f} s (not a simulation)", run.world, p.times, p.states)
+        for time, p in zip(times, paths, strict=True)
     ]
 
 
@@ -183,15 +179,17 @@ def plot_run(axes: Axes, run: ClosedLoopRun, coordinate: int = 0) -> None:
     plot_positions(axes, [motion], world, run.scenario, coordinate)
     axes.lines[0].set(alpha=_PALE)
     limits = axes.get_ylim()
-    _draw_path(axes, run.plan, coordinate, label="first plan", color=color_of(1), **_PLANNED)
+    first: dict[str, Any] = {"label": "first plan", "color": color_of(1), **_PLANNED}
+    _draw_path(axes, run, run.plan, coordinate, **first)
     for index, switch in enumerate(run.switches):
         color = color_of(2 + index % 4)
-        q = np.interp(switch.time, motion.times, motion.positions[:, coordinate])
+        rows = read_coordinates(world, run.scenario, motion.positions)
+        q = np.interp(switch.time, motion.times, rows[:, coordinate])
         label = "plan given up" if index == 0 else ""
-        _draw_path(axes, switch.before, coordinate, switch.time, label=label, **_GIVEN_UP)
+        _draw_path(axes, run, switch.before, coordinate, switch.time, label=label, **_GIVEN_UP)
         label = f"plan taken at {switch.time:.2f} s" if index < _MOST_NAMED else ""
         look = {"label": label, "color": color, **_PLANNED}
-        _draw_path(axes, switch.after, coordinate, switch.time, **look)
+        _draw_path(axes, run, switch.after, coordinate, switch.time, **look)
         axes.plot(switch.time, q, markeredgecolor=color, markerfacecolor="white", **_MOMENT)
     _mark_kick(axes, run)
     axes.set(xlim=_find_span(run))
@@ -205,11 +203,17 @@ def plot_run(axes: Axes, run: ClosedLoopRun, coordinate: int = 0) -> None:
 
 
 def _draw_path(
-    axes: Axes, path: PlannedPath, coordinate: int, since: float = 0.0, **look: Any
+    axes: Axes,
+    run: ClosedLoopRun,
+    path: PlannedPath,
+    coordinate: int,
+    since: float = 0.0,
+    **look: Any,
 ) -> None:
     """Draws a coordinate of a plan from a time on."""
-    motion = Motion.from_path("", path.times, path.states).since(since)
-    axes.plot(motion.times, motion.positions[:, coordinate], **look)
+    motion = Motion.from_path("", run.world, path.times, path.states).since(since)
+    rows = read_coordinates(run.world, run.scenario, motion.positions)
+    axes.plot(motion.times, rows[:, coordinate], **look)
 
 
 def _find_span(run: ClosedLoopRun) -> tuple[float, float]:
@@ -237,18 +241,17 @@ def plot_promises(axes: Axes, run: ClosedLoopRun) -> None:
 
 
 def plot_mind(row: Sequence[Axes], run: ClosedLoopRun, index: int = 0) -> None:
-    """Draws a moment at which a plan changed, for a mechanism in a plane, in three axes.
+    """Draws a moment at which a plan changed, for a mechanism, in three axes.
 
     What the plan would have gone on to do, what the one does that was taken, and what the plant did
     from there on.
 
     Raises:
         ControlError: there was no such moment.
-        ModelError: the links keep to no plane.
     """
     switch, world = run.switches[index], run.true_world
     paths = {"plan that was given up": switch.before, "plan that was taken": switch.after}
-    motions = [Motion.from_path(label, p.times, p.states) for label, p in paths.items()]
+    motions = [Motion.from_path(label, world, p.times, p.states) for label, p in paths.items()]
     for axes, color, motion in zip(row, (3, 2, 0), [*motions, motion_of_run(run)], strict=True):
         plot_strobe(axes, motion.since(switch.time), world, run.scenario, index=color)
 
@@ -269,10 +272,7 @@ def figures_of_run(run: ClosedLoopRun) -> Iterator[tuple[Figure, str]]:
     moments = [] if moves_straight(run.world) else run.switches[:_MOST_NAMED]
     for index, switch in enumerate(moments):
         figure = Figure(figsize=(12, 3.9), layout="constrained")
-        try:
-            plot_mind(figure.subplots(1, 3), run, index)
-        except ModelError:  # The links keep to no plane.
-            break
+        plot_mind(figure.subplots(1, 3), run, index)
         text = f"The moment at {switch.time:.2f} s, and what came after it; early links pale."
         yield figure, text
     if run.ticks:
@@ -285,7 +285,7 @@ def _draw_rows(run: ClosedLoopRun) -> Figure:
     """Returns a figure of all coordinates over time, and of the controls below them."""
     world = run.true_world
     driven = [int(i) for i in np.flatnonzero(world.actuation.any(axis=1))]
-    n = world.num_positions
+    n = world.num_velocities
     heights = [2.0] * n + [1.0] * len(driven)
     figure = Figure(figsize=(9, 1.2 + 1.3 * sum(heights)), layout="constrained")
     rows = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]

@@ -321,7 +321,8 @@ class _Scene:
         vectors = normals * friction.normals[rows, contact, np.newaxis]
         slides = (friction.largest[rows, contact] > 0) & shown
         for row in np.flatnonzero(slides).tolist():
-            along = self._stage.find_tangent(contact, motion.positions[rows[row]])
+            at = motion.positions[rows[row]], motion.velocities[rows[row]]
+            along = self._stage.find_tangent(contact, *at)
             vectors[row] += friction.tangents[rows[row], contact] * along
         arrow, cones = paths
         shape_arrow(arrow, self._stage.size, self.film.meshcat, color)

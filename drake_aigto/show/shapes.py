@@ -180,8 +180,16 @@ def _make_sticks(world: World) -> Iterator[Actor]:
             )
 
 
+def read_coordinates(world: World, scenario: Scenario, q: Floats) -> Floats:
+    """Returns a number for each velocity, shape (…, nv), of positions q, shape (…, nq).
+
+    These are q, but of bodies that turn in space the rotation vector from the goal [rad].
+    """
+    return world.in_tangent(q, world.subtract(q, scenario.goal_position))
+
+
 def coordinate_names(world: World) -> list[str]:
-    """Returns a name for each coordinate: its axis where axes tell them apart, or its joint's."""
+    """Returns a name for each velocity: its axis where axes tell them apart, or its joint's."""
     plant, moving = world.plant, moving_joints(world)
     context = plant.CreateDefaultContext()
     axes = [
@@ -192,7 +200,9 @@ def coordinate_names(world: World) -> list[str]:
     letters = ["xyz"[int(np.argmax(axis))] for axis in axes if np.max(axis) > 1 - 1e-9]
     if len(set(letters)) == len(moving):
         return letters
-    names = plant.GetPositionNames(add_model_instance_prefix=False, always_add_suffix=False)
+    look = {"add_model_instance_prefix": False, "always_add_suffix": False}
+    turns = [name.replace("_w", "_turn_") for name in plant.GetVelocityNames(**look)]
+    names = world.in_tangent(np.array(plant.GetPositionNames(**look)), np.array(turns))
     return [name.replace("_", " ") for name in names]
 
 
@@ -202,7 +212,7 @@ def moves_straight(world: World) -> bool:
 
 
 def has_goal(world: World, scenario: Scenario) -> Bools:
-    """Returns which coordinates a scenario wants at their goal, at the end or always, (nq,)."""
+    """Returns which coordinates a scenario wants at their goal, at the end or always, (nv,)."""
     cost = TaskCost.of(world, scenario)
     is_weighted = np.diag(cost.QT) > 0
     if scenario.reference_positions is None:
@@ -215,9 +225,8 @@ def find_goal(world: World, scenario: Scenario, end: Floats) -> Floats:
 
     Of an angle whose turns do not count, it is the one nearest to q; without a weight, q itself.
     """
-    nearest = end - TaskCost.of(world, scenario).goal_errors(end)
-    goal = scenario.goal_position if scenario.angles == "exact" else nearest
-    return np.where(has_goal(world, scenario), goal, end)
+    way = -TaskCost.of(world, scenario).goal_errors(end)
+    return world.add(end, np.where(has_goal(world, scenario), way, 0.0))
 
 
 def solid_regions(world: World, coordinates: tuple[int, int], window: Floats) -> list[Floats]:

@@ -24,7 +24,7 @@ from drake_aigto.show.shapes import (
     read_actors,
 )
 from drake_aigto.transcription import Touch
-from drake_aigto.world import World
+from drake_aigto.world import SpaceWorld, World
 
 # A direction in which points move by less than this part of the largest way is none of motion:
 # of motions in a plane, and along a line. Beyond this cosine with the vertical it is upright.
@@ -32,10 +32,12 @@ _FLAT, _STRAIGHT, _LEVEL = 1e-6, 1e-3, 1 - 1e-3
 # As parts of the motion's size: how far off walls are looked at, what is seen around all, and the
 # thickness of half spaces.
 _REACH, _EDGE, _SLAB = 1.0, 0.04, 0.03
+# Of motions in space: how far from above they are seen [rad]; ways along a line are this much
+# longer than across it.
+_ABOVE, _ALONG = np.deg2rad(25.0), 1.5
 # Seen above and below what moves along a level line, in its height; and below, in its depth.
 _LANE, _LEAN = 0.5, 0.25
 _SMALL = 0.02  # the radius of what touches where no sphere does, in sizes of the window
-_FROM_FRONT = RotationMatrix.MakeXRotation(np.pi / 2)  # x to the right, z up
 _MOST_ROWS = 40  # of a motion, at which its directions are looked at
 _UP, _FORWARDS, _SIDE = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), np.array([1.0, 0, 0])
 
@@ -44,9 +46,9 @@ class Stage:
     """The shapes of a world, and a frame T to watch their motion in.
 
     T's x is to the right and y up in the plane of motion, as seen from above or from the front; of
-    a motion that keeps to no plane, as seen from the front. Places in T's x and y are those of the
-    world. Half spaces are slabs as wide as the motion, and boxes that stand still end where they
-    are out of sight.
+    a motion that keeps to no plane, as seen across its way from a little above. Places in T's x and
+    y are those of the world. Half spaces are slabs as wide as the motion, and boxes that stand
+    still end where they are out of sight.
 
     Attributes:
         actors: all shapes.
@@ -59,7 +61,8 @@ class Stage:
             as anything moves [m].
         height: of what moves, in T's y [m].
         tracers: points whose way tells the motion, each of them its body and its place there, shape
-            (3,) [m]: the spheres that touch, or else the ends of links that carry no other link.
+            (3,) [m]: the middles of spheres that touch, or else the ends of links that carry no
+            other link.
     """
 
     def __init__(self, world: World, positions: Floats) -> None:
@@ -76,7 +79,7 @@ class Stage:
         normal = directions[2]
         if is_straight:
             normal = -_FORWARDS if is_upright else np.cross(directions[0], _UP)
-        R_WT = _face(normal) if self.is_flat else _FROM_FRONT
+        R_WT = _face(normal) if self.is_flat else self._find_view(rows)
         self.X_WT = RigidTransform(R_WT, np.zeros(3))
         self._set_window(positions)
         self.tracers = list(self._find_tracers())
@@ -90,8 +93,9 @@ class Stage:
     def radius(self) -> float:
         """Of the largest sphere that touches something, or what takes its place [m]."""
         inspector = self._world.scene_graph.model_inspector()
-        spheres = (inspector.GetShape(pair[0]) for pair in self._world.shapes)
-        return max((sphere.radius() for sphere in spheres), default=_SMALL * self.size)
+        boxes = (inspector.GetObbInGeometryFrame(pair[0]) for pair in self._world.shapes)
+        sizes = (float(np.min(box.half_width())) for box in boxes)
+        return max(sizes, default=_SMALL * self.size)
 
     def pose(self, actor: Actor, q: Floats) -> RigidTransform:
         """Returns the pose of an actor's drawn shape in the world, at q of shape (nq,)."""
@@ -114,6 +118,19 @@ class Stage:
                 found.append(X_TS.multiply(actor.corners.T).T)
         corners = np.vstack(found)
         return np.array([corners.min(axis=0), corners.max(axis=0)])
+
+    def _find_view(self, rows: Floats) -> RotationMatrix:
+        """Returns R_WT of a motion in space, seen across the longest of its level ways."""
+        moving = [actor for actor in self.actors if actor.moves]
+        places = np.array([[self.pose(a, q).translation()[:2] for a in moving] for q in rows])
+        ways = (places - places.mean(axis=0)).reshape(-1, 2)
+        _, sizes, (along, _) = np.linalg.svd(ways, full_matrices=False)
+        if sizes[0] < _ALONG * sizes[1]:
+            along = np.array([1.0, 0.0])
+        along = along if along[0] + 1e-6 * along[1] >= 0 else -along
+        back = np.array([along[1] * np.cos(_ABOVE), -along[0] * np.cos(_ABOVE), np.sin(_ABOVE)])
+        x = np.append(along, 0.0)
+        return RotationMatrix(np.column_stack([x, np.cross(back, x), back]))
 
     def _ways(self, q: Floats) -> Floats:
         """Returns by how much corners of moving shapes move with each coordinate, (k, 3) [m]."""
@@ -178,10 +195,15 @@ class Stage:
         """Yields the points whose way tells the motion."""
         inspector, plant = self._world.scene_graph.model_inspector(), self._world.plant
         shapes = dict.fromkeys(shape for pair in self._world.shapes for shape in pair)
+        spheres: dict[BodyIndex, list[Floats]] = {}
         for shape in shapes:
             body = plant.GetBodyFromFrameId(inspector.GetFrameId(shape))
-            if isinstance(inspector.GetShape(shape), Sphere) and not plant.IsAnchored(body):
-                yield body.index(), inspector.GetPoseInFrame(shape).translation()
+            is_round = isinstance(inspector.GetShape(shape), Sphere)
+            if (is_round or isinstance(self._world, SpaceWorld)) and not plant.IsAnchored(body):
+                place = inspector.GetPoseInFrame(shape).translation()
+                spheres.setdefault(body.index(), []).append(place)
+        for index, middles in spheres.items():
+            yield index, np.mean(middles, axis=0)
         if shapes:
             return
         for body in moving_bodies(self._world):
@@ -233,25 +255,28 @@ class Stage:
 
     def is_in_the_way(self, actor: Actor) -> bool:
         """Returns whether a shape that stands still is in the plane of motion, not behind it."""
-        _, high = self.extent([actor], np.zeros((1, self._world.num_positions)))
+        _, high = self.extent([actor], self._world.plant.GetDefaultPositions()[np.newaxis])
         return bool(high[2] > _FLAT * self.size)
 
     def movers_of(self, body: BodyIndex) -> Bools:
-        """Returns which coordinates move a body, shape (nq,)."""
+        """Returns which coordinates move a body, shape (nv,)."""
         plant = self._world.plant
-        found = np.zeros(self._world.num_positions, dtype=bool)
+        found = np.zeros(self._world.num_velocities, dtype=bool)
         for joint in moving_joints(self._world):
             bodies = plant.GetBodiesKinematicallyAffectedBy([joint.index()])
             if body in bodies:
-                start = joint.position_start()
-                found[start : start + joint.num_positions()] = True
+                start = joint.velocity_start()
+                found[start : start + joint.num_velocities()] = True
         return found
 
     def touch(self, contact: int, q: Floats) -> tuple[Floats, Floats]:
         """Returns where a contact's shapes are nearest, and its normal, in the world, (3,) each.
 
-        The place is on what the sphere touches [m]; the normal points from there to the sphere.
+        The place is on what the sphere touches [m], in space midway; the normal points to the
+        sphere.
         """
+        if isinstance(self._world, SpaceWorld):
+            return self._world.find_touch(contact, q)
         self._set(q)
         sphere, wall = self._world.shapes[contact]
         scene_graph = self._world.scene_graph
@@ -273,12 +298,16 @@ class Stage:
         ]
         return np.reshape(places, (-1, 2))
 
-    def find_tangent(self, contact: int, q: Floats) -> Floats:
+    def find_tangent(self, contact: int, q: Floats, v: Floats) -> Floats:
         """Returns the direction in the world in which a contact's s = T v counts, shape (3,).
 
         That of what the sphere's material moves by where it touches, as the wall sees it, when v is
-        along T; zero where nothing can slide.
+        along T; in space, as it moves by v. Zero where nothing can slide.
         """
+        if isinstance(self._world, SpaceWorld):
+            along = self._world.calc_slides(q, v)[contact]
+            size = float(np.linalg.norm(along))
+            return along / size if size > 0 else along
         place, normal = self.touch(contact, q)
         T = self._world.rubbing.calc_tangent_jacobian(q)[contact]
         plant, context = self._world.plant, self._set(q)

@@ -266,7 +266,7 @@ def _make_motions(table: Table1, row: int, world: World) -> list[Motion]:
             f"{entry.label}: {SIMULATION_LABELS['event-driven']}",
         )
         motions.append(Motion.from_trajectory(entry.candidate.trajectory, world, labels[0]))
-        motions.append(Motion.from_replay(entry.replays.event_driven, labels[1]))
+        motions.append(Motion.from_replay(entry.replays.event_driven, world, labels[1]))
     return motions
 
 

@@ -82,11 +82,12 @@ def _read_joints(root: Element, path: Path, facts: ModelFacts) -> bool:
                 _fix(root, joint, name)
                 is_changed = True
                 continue
-            for mimic in joint.findall("mimic"):
-                if joint.get("type") != "fixed":
-                    cost = "a joint that follows another one"
-                    facts.refuse("mimic", f"<mimic> of joint {name!r}", cost)
-                joint.remove(mimic)
+            for holder in (joint, *joint.findall("axis")):  # URDF has it in one, SDF in the other.
+                for mimic in holder.findall("mimic"):
+                    if joint.get("type") != "fixed":
+                        cost = "a joint that follows another one"
+                        facts.refuse("mimic", f"<mimic> of joint {name!r}", cost)
+                    holder.remove(mimic)
             is_changed |= _read_numbers(path, joint, name, facts)
     return is_changed
 

@@ -303,8 +303,24 @@ class SpaceWorld(World):
 
     def calc_contact_jacobian(self, q: Floats) -> Floats:
         """Returns J(q) of φ̇ = J v, shape (…, m, nv), at q of shape (…, nq)."""
-        rows = [self._calc_jacobian(row) for row in _rows(q)]
+        rows = [np.einsum("ij,ijk->ik", *self.relate(row)) for row in _rows(q)]
         return np.array(rows).reshape(*np.shape(q)[:-1], self.num_contacts, self.num_velocities)
+
+    def calc_slides(self, q: Floats, v: Floats) -> Floats:
+        """Returns how the first shape of each pair slides along the second, (…, m, 3) [m/s]."""
+        found = []
+        for (n, J), speed in zip(map(self.relate, _rows(q)), _rows(v), strict=True):
+            rate = J @ speed
+            found.append(rate - n * np.sum(n * rate, axis=1, keepdims=True))
+        return np.array(found).reshape(*np.shape(q)[:-1], self.num_contacts, 3)
+
+    def find_touch(self, contact: int, q: Floats) -> tuple[Floats, Floats]:
+        """Returns where a pair's shapes meet at q (nq,), and its normal, in the world, (3,) each.
+
+        The place is midway between both shapes [m]; the normal is from the second to the first.
+        """
+        n, C = np.split(self._measure(q)[1][0, contact], 2)
+        return C, n
 
     def _measure(self, q: Floats) -> tuple[Floats, Floats]:
         """Returns φ (K, m), and normals and points (K, m, 6), of rows."""
@@ -313,17 +329,17 @@ class SpaceWorld(World):
         memory = make_tree_memory(self.tree)
         return measure_pairs(self.tree, *self.geometry, _rows(q), memory, make_closest())
 
-    def _calc_jacobian(self, q: Floats) -> Floats:
-        """Returns J at one state, shape (m, nv)."""
+    def relate(self, q: Floats) -> tuple[Floats, Floats]:
+        """Returns normals at one state, shape (m, 3), and ∂(ṗ_A − ṗ_B)/∂v, shape (m, 3, nv)."""
         from drake_aigto.world.space_kernels import measure_pairs
 
         memory, tree = make_tree_memory(self.tree), self.tree
         _, points = measure_pairs(tree, *self.geometry, _rows(q), memory, make_closest())
-        n, C = points[0, :, np.newaxis, :3], points[0, :, np.newaxis, 3:]
-        moved = memory.motions[:, 3:] + np.cross(memory.motions[:, :3], C)
-        J = np.empty((self.num_contacts, self.num_velocities))
-        J[:, tree.velocities] = np.sum(n * moved, axis=2) * self.signs
-        return J
+        turns, C = memory.motions[:, :3], points[0, :, np.newaxis, 3:]
+        moved = memory.motions[:, 3:] + np.cross(turns, C)
+        J = np.empty((self.num_contacts, 3, self.num_velocities))
+        J[..., tree.velocities] = np.swapaxes(moved * self.signs[..., np.newaxis], 1, 2)
+        return points[0, :, :3], J
 
     @cached_property
     def signs(self) -> Floats:
