@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from refusals import check_refused
 from replay_worlds import shipped_world
 from scenario_studies import Inline, made_up_study
 
@@ -27,8 +26,7 @@ from benchmarks.ablations.ablations import (
     run_variant,
 )
 from benchmarks.ablations.page import plot_variants
-from benchmarks.study import scenario_question
-from benchmarks.study.scenario_question import EXHAUSTIVE, Job, MethodRun, ScenarioQuestion, Spread
+from benchmarks.study.scenario_question import Job, MethodRun, ScenarioQuestion, Spread
 from benchmarks.study.scenario_study import ScenarioStudy, calc_good_enough
 from drake_aigto import PlanOptions, Scenario, jobs
 from drake_aigto.cli import FINE
@@ -239,25 +237,3 @@ def test_the_command_runs_what_it_is_asked_for(
         restitution=Spread((0.5, 1.0), is_range=True),
         methods=("no neighbours", "bare, no boxes"),
     )
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--count", "0"], "count: got 0, expected a whole number, 1 or more"),
-        (["--variants", "luck"], "variants: got 'luck', expected some of 'default'"),
-        (["--goal", "-1:1"], "goal -1.0:1.0: goal_position is inside"),
-    ],
-)
-def test_bad_input_ends_it_before_any_work(
-    arguments: list[str],
-    message: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(scenario_question, "run_job", None)
-    check_refused(["ablations", *arguments], message, capsys, main)
-
-
-def test_options_of_variants_are_those_that_scenarios_are_measured_with() -> None:
-    assert VARIANTS["default"].options == EXHAUSTIVE

@@ -106,6 +106,9 @@ def test_random_functions_come_from_their_seeds() -> None:
     assert not np.array_equal(chain_problem(5, 1).roots, chain_problem(5, 2).roots)
     assert random_univariate(6, 1).minimum == random_univariate(6, 1).minimum
     assert random_univariate(6, 1).minimum != random_univariate(6, 2).minimum
+    first, again, other = (planted_program(5, seed).minimizers for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
 
 
 @pytest.mark.parametrize(("n", "grid_points"), [(2, 801), (3, 89)])
@@ -256,9 +259,3 @@ def test_a_planted_minimum_holds_wherever_the_rows_do(seed: int) -> None:
             continue
         # Multipliers of equalities are at most 1 in size.
         assert problem.evaluate(x) >= -np.sum(np.abs(equalities))
-
-
-def test_a_planted_program_comes_from_its_seed() -> None:
-    first, again, other = (planted_program(5, seed).minimizers for seed in (1, 1, 2))
-    np.testing.assert_array_equal(first, again)
-    assert not np.array_equal(first, other)

@@ -161,6 +161,10 @@ def test_nothing_is_added_after_the_first_plan() -> None:
     late.transcription.prog().AddConstraint(late.transcription.state(3)[0] >= 0.0)
     with pytest.raises(ProgramError, match="after the first plan"):
         late.plan()
+    mechanism = make_planner(SOFT)
+    mechanism.plan()
+    with pytest.raises(ProgramError, match="a cost or constraint after the first plan"):
+        mechanism.transcription.AddFinalCost(mechanism.transcription.state()[0])
 
 
 def test_a_plan_that_a_simulation_breaks_a_constraint_of_does_not_hold() -> None:
@@ -357,13 +361,6 @@ def test_what_cannot_be_planned_is_refused_by_name(
     add(planner.transcription)
     with pytest.raises(error, match=message):
         planner.plan()
-
-
-def test_nothing_can_be_added_after_the_first_plan() -> None:
-    planner = make_planner(SOFT)
-    planner.plan()
-    with pytest.raises(ProgramError, match="a cost or constraint after the first plan"):
-        planner.transcription.AddFinalCost(planner.transcription.state()[0])
 
 
 def test_a_constraint_that_nothing_meets_is_named() -> None:
