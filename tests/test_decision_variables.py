@@ -15,7 +15,7 @@ import numpy.typing as npt
 import pytest
 from box_programs import compile_program, mean_by_block
 from replay_worlds import make_diagram, make_scenario, make_task, shipped, shipped_world
-from rigid_worlds import NAMES, indices, make_motion, physics_of
+from rigid_worlds import indices
 
 from benchmarks.ablations.ablations import Variant, VariantProblem
 from drake_aigto import Scenario, World
@@ -156,50 +156,9 @@ def test_the_first_box_holds_the_start_the_straight_way_and_bounds(
 
 Array = npt.NDArray[np.float64]
 
-EXACT = 1e-9
 # The optimum bounces, and boxes of the hot rung find it without forces as variables.
 BOUNCE = dataclasses.replace(Scenario.named("table1/3"), time_step=0.02)
 HOT = BALL_LADDER[0]
-
-
-def is_met(transcription: Transcription, x: Array) -> bool:
-    prog = transcription.prog()
-    return bool(prog.CheckSatisfied(prog.GetAllConstraints(), x, EXACT))
-
-
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("e", [1.0, 0.8, 0.0])
-def test_rigid_rows_vanish_on_an_exact_motion_and_need_its_impulses(
-    name: str, e: float, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    physics = physics_of(name, tmp_path_factory.getbasetemp())
-    scenario, motion = make_motion(physics, e, seed=1)
-    transcription = RigidWithForces(physics.world, scenario, relaxation=0.0)
-    x = transcription.vector(motion)
-    np.testing.assert_allclose(transcription.impulses(x), motion.impulses, atol=EXACT)
-    assert np.max(motion.impulses) > 0.1
-    assert is_met(transcription, x)
-    assert max(transcription.defects(x).values()) < EXACT
-    x[transcription.impulse_indices()] = 0.0
-    assert not is_met(transcription, x)
-    assert transcription.defects(x)["dynamics"] > 0.1
-
-
-def test_literal_rows_vanish_on_the_papers_euler() -> None:
-    scenario = make_scenario(1.0, -0.5, time_step=0.05)
-    dt = scenario.time_step
-    controls = np.linspace(-2.0, 3.0, scenario.num_steps)[:, np.newaxis]
-    q, v = [scenario.initial_position], [scenario.initial_velocity]
-    for u in controls:
-        force = scenario.epsilon / (q[-1] + scenario.delta)
-        q, v = [*q, q[-1] + dt * v[-1]], [*v, v[-1] + dt * (u + force)]
-    transcription = LiteralWithForces(shipped_world(), scenario, nonpenetration=False)
-    x = transcription.vector_of(np.array(q), np.array(v), controls)
-    assert is_met(transcription, x)
-    gaps = np.array(q)[:-1] + scenario.delta
-    np.testing.assert_allclose(transcription.impulses(x)[:-1], dt * scenario.epsilon / gaps)
-    x[transcription.impulse_indices()[3]] *= 1.01
-    assert not is_met(transcription, x)
 
 
 def test_each_wall_of_a_corridor_has_impulses_of_its_own() -> None:

@@ -7,7 +7,7 @@ import math
 import exact_wall
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from replay_worlds import hold, make_diagram, make_scenario, shipped_world
 
@@ -22,45 +22,7 @@ ROUNDING = 1e-15
 RESTITUTIONS = [1.0, 0.8, 0.5, 0.2, 0.0]
 
 
-# The event-driven wall against the exact solution.
-
-
-@st.composite
-def controls(draw: st.DrawFn) -> tuple[list[float], list[float]]:
-    gaps = draw(st.lists(st.floats(0.01, 0.4), min_size=1, max_size=8))
-    # To the micronewton: a pull of 1e-85 N lifts the ball by less than its position's rounding.
-    force = st.one_of(
-        st.floats(-20, 20).map(lambda f: round(f, 6)), st.integers(-20, 20).map(float)
-    )
-    forces = draw(st.lists(force, min_size=len(gaps), max_size=len(gaps)))
-    return np.concatenate([[0.0], np.cumsum(gaps)]).tolist(), forces
-
-
-@settings(max_examples=300)
-@given(
-    st.floats(0.01, 1.5),
-    st.floats(-3, 1),
-    controls(),
-    st.sampled_from(RESTITUTIONS) | st.floats(0, 1),
-    st.sampled_from([None, 2.0]),
-)
-def test_event_driven_is_exact(
-    q: float, v: float, control: tuple[list[float], list[float]], e: float, mass: float | None
-) -> None:
-    times, forces = control
-    exact = exact_wall.run(q, v, times, forces, e, mass or 1.0)
-    # Shorter hops may become rest (`simulation.flights`): a stated tolerance, tested below.
-    assume(exact.shortest_hop > 1e-6 * 20 * times[-1])
-    replay = replay_event_driven(
-        shipped_world(mass), make_scenario(q, v, restitution=e), times, np.c_[forces]
-    )
-    assert abs(replay.positions[-1, 0] - exact.position) < EXACT
-    assert abs(replay.velocities[-1, 0] - exact.velocity) < 10 * EXACT
-    assert replay.max_penetration <= ROUNDING
-    assert np.all(np.diff(replay.times) >= 0)
-    for time in exact.impact_times[: len(replay.bounce_times)]:
-        assert min(abs(time - np.array(replay.bounce_times))) < EXACT
-    np.testing.assert_allclose(replay.energy_ratios, e**2, atol=1e-12)
+# The event-driven wall against the exact solution; for motions by chance, see test_several_walls.
 
 
 @pytest.mark.parametrize("e", RESTITUTIONS)

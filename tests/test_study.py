@@ -189,7 +189,7 @@ def test_what_is_kept_is_gone_on_from_and_only_with_the_same_flags(
     assert run_all(note, ["a", "raises", "dies"], parse(*keep)) == ["a"]
     told = capsys.readouterr().out
     assert "FAILED raises: ValueError('raises')" in told
-    assert "FAILED dies: ProcessDiedError('dies: got two processes that died of it" in told
+    assert "FAILED dies: ProcessDiedError('2', 'two processes that died of it'" in told
     with (tmp_path / "jobs").open("ab") as file:
         file.write(b"\x80\x04cut sho")
     assert run_all(note, ["b", "raises", "a"], parse(*keep, "--workers", "2")) == ["b", "a"]
