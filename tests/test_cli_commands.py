@@ -143,6 +143,7 @@ def test_every_field_of_a_scenario_has_a_flag_that_changes_it() -> None:
         "friction": 0.0,
         "dry_friction": [0.5, 0.6],
         "stiction_speed": 0.02,
+        "clearance": {"ball against wall": 0.1},
         "ignored_shapes": ["foot", "3"],
     }
     scenario = Scenario(**given)

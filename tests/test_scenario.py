@@ -134,6 +134,7 @@ def test_scenarios_that_differ_in_one_field_are_not_equal(field: str) -> None:
         "angles": "modulo",
         "contact": "compliant",
         "duration_range": [0.5, 2.0],
+        "clearance": {"ball against wall": 0.5},
         "reference_times": [0.0, 2.0],
         "reference_positions": [0.5, 1.0],
         "reference_velocities": [0.5, 1.0],
@@ -237,8 +238,9 @@ def test_an_unknown_name_lists_the_known_ones() -> None:
     [
         field.name
         for field in dataclasses.fields(Scenario)
-        if field.name not in ("model", "hard_goal", "angles", "contact", "ignored_shapes")
-        and field.name not in MODEL_FIELDS
+        if field.name
+        not in ("model", "hard_goal", "angles", "contact", "ignored_shapes", "clearance")
+        and field.name not in (*MODEL_FIELDS, "clearance", "ignored_shapes")
         and not field.name.endswith(("_lower", "_upper"))
     ],
 )

@@ -48,8 +48,9 @@ _WORDS: dict[ChangeName, str] = {
     "left out": "left out at first",
 }
 
-# The proposers of the uncontrolled motion, and of its contacts.
+# The proposers of the uncontrolled motion, of its contacts, and of a user's motion.
 NO_CONTROL, COASTING = "no control", "contacts of the motion without control"
+GIVEN = "the given guess"
 # A candidate whose rows are off by more than this part of the task's scales is no solution.
 LARGEST_DEFECT = 1e-6
 # Changes of velocity below this part of the largest velocity are rounding.
@@ -83,7 +84,7 @@ class Origin:
 
     Attributes:
         proposer: AIGO's algorithm, as the options name it, or another guess: "zero", "random",
-            "no control" (the uncontrolled motion), or that motion's contacts.
+            "no control" (the uncontrolled motion), that motion's contacts, or "the given guess".
         rung: the start of AIGO; None for another guess, and in plan files of version 3, whose
             whole sentence is the proposer.
         changes: of the contact sequence that was proposed, in order.

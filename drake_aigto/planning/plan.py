@@ -19,6 +19,7 @@ from drake_aigto.planning.options import SearchOptions
 from drake_aigto.planning.tracked import confirm_in_drake, perturb, replay_own
 from drake_aigto.simulation import (
     BOUNDS,
+    CLEARANCE,
     HARD_GOAL,
     Arrival,
     Replay,
@@ -150,7 +151,7 @@ class Plan:
     def additions(self) -> tuple[str, ...]:
         """Names of costs and constraints of users (`Planner.transcription`)."""
         named = {**self.best.added_costs, **self.best.replay.violations}
-        return tuple(name for name in named if name not in (BOUNDS, HARD_GOAL))
+        return tuple(name for name in named if name not in (BOUNDS, HARD_GOAL, CLEARANCE))
 
     @property
     def cost(self) -> float:

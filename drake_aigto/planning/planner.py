@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from drake_aigto.certify import bound_plans, out_of_reach
 from drake_aigto.contact import contact_delay
-from drake_aigto.errors import ModelError, OptionsError
+from drake_aigto.errors import ModelError, OptionsError, TrajectoryError
 from drake_aigto.planning.balls.phases import transcribe
 from drake_aigto.planning.balls.search import BallSearch
 from drake_aigto.planning.balls.task import BallTask
@@ -25,6 +25,8 @@ from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.options import PlanOptions, needs_shooting
 from drake_aigto.planning.plan import Plan, PlanningError
 from drake_aigto.planning.search import Progress, Search, Stopwatch, name_active, scaled
+from drake_aigto.planning.stretches import check_sizes
+from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import MotionProgram, OpenProgram, RigidTranscription
 from drake_aigto.world import Scenario, World
 
@@ -35,15 +37,18 @@ _CHANGEABLE = (
 )
 # A plan found on the way is shown if this times its cost is still less than the last one's.
 _WORTH_SHOWING = 1.01
+# A guess ends with the task, within this part of the duration.
+_LATE = 1e-6
 
 
 def plan(
     scenario: Scenario,
     options: PlanOptions | None = None,
     world: World | None = None,
+    initial_guess: Trajectory | None = None,
 ) -> Plan:
-    """Plans for a scenario: `Planner(scenario, options, world).plan()`."""
-    return Planner(scenario, options, world).plan()
+    """Plans for a scenario: `Planner(scenario, options, world).plan(initial_guess=…)`."""
+    return Planner(scenario, options, world).plan(initial_guess=initial_guess)
 
 
 class Planner:
@@ -138,6 +143,7 @@ class Planner:
         goal_weight: float | None = None,
         duration: float | None = None,
         progress: Progress | None = None,
+        initial_guess: Trajectory | None = None,
     ) -> Plan:
         """Plans for the scenario, or for a changed one, with the program that is compiled already.
 
@@ -155,9 +161,13 @@ class Planner:
             duration: instead of the scenario's, of time steps of its length [s].
             progress: called with a line of text before each candidate, and with a `Notice` if
                 machine code has to be compiled first.
+            initial_guess: a motion to start from, beside all that the search proposes itself; it
+                need not obey the equations of motion, nor begin at the start. Between rigid walls
+                its touches are those of its impulses and forces.
 
         Raises:
             ScenarioError: a changed value does not fit.
+            TrajectoryError: the guess is of another world, or lasts another time.
             ProgramError: additions to the program contradict each other or the start, can't be
                 moved to other knots, or came after the first plan.
             UnsupportedTermError: an addition has no mean over boxes.
@@ -165,6 +175,7 @@ class Planner:
                 candidate meets the transcription's rows, or none that does holds in simulation.
         """
         search, scenario = self._begin(
+            initial_guess,
             initial_position=initial_position,
             initial_velocity=initial_velocity,
             goal_position=goal_position,
@@ -174,7 +185,12 @@ class Planner:
         )
         return run_search(search, scenario, progress)
 
-    def plans(self, progress: Progress | None = None, **changed: Any) -> Iterator[Plan]:
+    def plans(
+        self,
+        progress: Progress | None = None,
+        initial_guess: Trajectory | None = None,
+        **changed: Any,
+    ) -> Iterator[Plan]:
         """Yields plans as the search finds better ones, and at last the plan of `plan`.
 
         Those before the last were judged alone, as they were found: each of them passed its
@@ -183,7 +199,8 @@ class Planner:
         than from `plan`.
 
         Args:
-            progress: see `plan`.
+            progress: see `plan`, as for the initial guess.
+            initial_guess: a motion to start from.
             changed: instead of the scenario's values, as `plan` takes them.
 
         Raises:
@@ -192,7 +209,7 @@ class Planner:
         if unknown := changed.keys() - _CHANGEABLE:
             got, known = ", ".join(sorted(unknown)), ", ".join(_CHANGEABLE)
             raise OptionsError("a changed value", got=got, expected=f"one of {known}")
-        search, scenario = self._begin(**changed)
+        search, scenario = self._begin(initial_guess, **changed)
         promise = cost = math.inf
         for _ in search.explore_in_waves(progress):
             if not scaled(_WORTH_SHOWING, search.promise) < min(promise, cost):
@@ -207,16 +224,20 @@ class Planner:
         search.finish()
         yield _conclude(search, scenario)
 
-    def _begin(self, **given: Any) -> tuple[Search, Scenario]:
+    def _begin(self, initial_guess: Trajectory | None, **given: Any) -> tuple[Search, Scenario]:
         """Returns the search for the plan of a changed scenario, and that."""
         changed = {key: value for key, value in given.items() if value is not None}
         scenario = dataclasses.replace(self.scenario, **changed) if changed else self.scenario
         scenario = self.world.place(scenario)
         self.world.check(scenario)
+        if initial_guess is not None:
+            _check_guess(self.world, scenario, initial_guess)
         _check_reach(self.world, scenario)
         _check_friction(self.world, scenario)
         self._transcription.check_frozen()
-        return self._start_search(scenario), scenario
+        search = self._start_search(scenario)
+        search.guess = initial_guess
+        return search, scenario
 
     def _start_search(self, scenario: Scenario) -> Search:
         clock, task = Stopwatch(), self.task
@@ -227,6 +248,33 @@ class Planner:
                 task = task.again(scenario)
         return (
             BallSearch(task, clock) if isinstance(task, BallTask) else MechanismSearch(task, clock)
+        )
+
+
+def _check_guess(world: World, scenario: Scenario, guess: Trajectory) -> None:
+    """Refuses a guess that is of another world, or lasts another time.
+
+    Raises:
+        TrajectoryError: it is; or it is no `Trajectory`.
+    """
+    if not isinstance(guess, Trajectory):
+        raise TrajectoryError(
+            "initial_guess",
+            got=type(guess).__name__,
+            expected="a Trajectory",
+            remedy="Of a plan, give its trajectory.",
+        )
+    check_sizes(world, guess, "initial_guess")
+    T, (begin, end) = scenario.duration, guess.times[[0, -1]]
+    least, most = scenario.duration_range or (T, T)
+    late = _LATE * most
+    if abs(begin) > late or not least - late <= end <= most + late:
+        lasts = f"{least:g} s" if least == most else f"{least:g} to {most:g} s"
+        raise TrajectoryError(
+            "initial_guess",
+            got=f"times from {begin:g} to {end:g} s",
+            expected=f"from 0 to {lasts}",
+            remedy="Stretch its times, or change the scenario's duration.",
         )
 
 

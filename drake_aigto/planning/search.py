@@ -22,6 +22,7 @@ from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
 from drake_aigto.transcription import scaled_defects
 
 if TYPE_CHECKING:
+    from drake_aigto.trajectory import Trajectory
     from drake_aigto.world import Scenario, World
 
 _LOG = logging.getLogger(__name__)
@@ -127,6 +128,7 @@ class Search(ABC):
     Attributes:
         task: that is searched.
         clock: times of the parts of the search.
+        guess: a motion that a user proposes, beside what the search does; None: there is none.
         others: candidates that do not come from the search, such as the uncontrolled motion.
         aigo_steps: inner iterations of AIGO so far.
         searches: see `PlanStats`, as for `found`.
@@ -136,6 +138,7 @@ class Search(ABC):
     def __init__(self, task: Task, clock: Stopwatch | None = None) -> None:
         """Starts with no candidate."""
         self.task, self.clock = task, clock or Stopwatch()
+        self.guess: Trajectory | None = None
         self.others: list[Candidate] = []
         self.aigo_steps = self.searches = self.found = 0
         self.is_interrupted = False

@@ -9,7 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Floats
+from drake_aigto.simulation import find_contacts
+from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence, Transcription
+from drake_aigto.world import World
 
 # An impulse in a box belongs to a contact if it changes the velocity by this part of the largest
 # one: with ε > 0 the wall pushes a little at every knot.
@@ -71,6 +74,12 @@ def read_sequences(transcription: Transcription, x: Floats) -> list[TouchSequenc
         others = [touch for touch in bounces if touch.contact != longest.contact]
         sequences.append([*others, Touch(first, last, longest.contact)])
     return [_in_order(sequence, _APART * T) for sequence in sequences]
+
+
+def read_touches_of(world: World, trajectory: Trajectory) -> TouchSequence:
+    """Returns the touches of a trajectory with impulses and forces, by time."""
+    contacts = find_contacts(world, trajectory)
+    return tuple(Touch(each.time, each.last_time, each.index) for each in contacts)
 
 
 def neighbors(sequence: TouchSequence, grazes: Iterable[Touch]) -> list[TouchSequence]:

@@ -177,8 +177,8 @@ def touches_walls(world: World, trajectory: Trajectory) -> bool:
     return bool(trajectory.impulses.any() or closed.any())
 
 
-def check_sizes(world: World, trajectory: Trajectory) -> None:
-    """Refuses the trajectory of another world.
+def check_sizes(world: World, trajectory: Trajectory, name: str = "the trajectory") -> None:
+    """Refuses the trajectory of another world, by its name in the error.
 
     Raises:
         TrajectoryError: says which sizes do not fit.
@@ -189,7 +189,7 @@ def check_sizes(world: World, trajectory: Trajectory) -> None:
     )
     if got != sizes:
         raise TrajectoryError(
-            "the trajectory",
+            name,
             got=f"{got} positions, controls and contacts",
             expected=f"the world's, {sizes}",
         )

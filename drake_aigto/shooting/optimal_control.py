@@ -168,6 +168,7 @@ class OptimalControlProblem:
         phases: with impacts at rigid walls; None: no impacts. With phases, `times` divide each of
             them, and at rigid contacts φ ≥ 0 holds at all knots.
         clearances: with phases, least φ at knots, shape (N + 1, m) [m]; None: 0.
+        least_distances: φ of contacts at least, at knots after the first, shape (m,) [m]; −∞: any.
         slowest: with phases, least speed of impacts [m/s].
         duration: of the whole task if the knots are only its end, so that friction stays the same
             [s]; 0: they are all of it.
@@ -189,6 +190,7 @@ class OptimalControlProblem:
     length: float = 1.0
     phases: Phases | None = None
     clearances: Floats | None = None
+    least_distances: Floats | None = None
     slowest: float = 0.0
     duration: float = 0.0
     added: AddedTerms = NO_TERMS

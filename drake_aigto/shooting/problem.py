@@ -390,6 +390,8 @@ def _bound_distances(problem: OptimalControlProblem, layout: StageLayout) -> Flo
         bounds[0, :-1][layout.held] = -np.inf
         bounds[0][beside], bounds[1][beside] = -np.inf, most[beside]
         bounds[:, hit, layout.kinds[hit]] = 0.0
+    if problem.least_distances is not None:
+        bounds[0] = np.maximum(bounds[0], problem.least_distances)
     return bounds
 
 

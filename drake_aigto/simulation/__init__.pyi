@@ -32,6 +32,7 @@ from .simulator import set_stiffness as set_stiffness
 from .simulator import start_plant as start_plant
 from .springs import compile_springs as compile_springs
 from .verdict import BOUNDS as BOUNDS
+from .verdict import CLEARANCE as CLEARANCE
 from .verdict import HARD_GOAL as HARD_GOAL
 from .verdict import MOST_GROWTH as MOST_GROWTH
 from .verdict import NOTHING as NOTHING
@@ -39,6 +40,7 @@ from .verdict import Growth as Growth
 from .verdict import calc_compliance_error as calc_compliance_error
 from .verdict import calc_excess as calc_excess
 from .verdict import calc_growth as calc_growth
+from .verdict import calc_lacks as calc_lacks
 from .verdict import narrow_bounds as narrow_bounds
 from .verdict import state_scales as state_scales
 from .verdict import tangent_scales as tangent_scales

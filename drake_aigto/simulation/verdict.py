@@ -25,7 +25,7 @@ from drake_aigto.simulation.recording import (
 from drake_aigto.simulation.rigid import calc_slide
 from drake_aigto.world import Limits, Scales, Scenario, TaskCost, World
 
-BOUNDS, HARD_GOAL = "bounds", "hard goal"
+BOUNDS, HARD_GOAL, CLEARANCE = "bounds", "hard goal", "clearance"
 # What counts as nothing in a simulation, as a part of the task's scales: 2 mm in a task of a meter.
 NOTHING = 2e-3
 # Two simulators, or a robot and its model, differ by more than this part of the scales anywhere.
@@ -56,6 +56,12 @@ def calc_excess(world: World, scenario: Scenario, positions: Floats, velocities:
     lower, upper = np.hstack([bounds.position, bounds.velocity])
     x = np.hstack([positions, velocities])
     return np.maximum([np.max(lower - x, axis=0), np.max(x - upper, axis=0)], 0.0)
+
+
+def calc_lacks(world: World, scenario: Scenario, positions: Floats) -> Floats:
+    """Returns by how much φ of contacts falls below the scenario's least at most, shape (m,)."""
+    lacks = world.least_distances(scenario) - world.calc_signed_distance(np.array(positions))
+    return np.asarray(np.max(lacks, axis=0).clip(min=0.0))
 
 
 def narrow_bounds(bounds: Limits, states: Floats, excess: Floats) -> Limits:
@@ -118,10 +124,11 @@ def calc_growth(transitions: Floats, scales: Floats) -> Growth:
 def calc_violations(
     world: World, scenario: Scenario, positions: Floats, velocities: Floats
 ) -> dict[str, float]:
-    """Returns by how much a motion misses its bounds, and its end a hard goal, by name.
+    """Returns by how much a motion misses bounds and clearances, and its end a hard goal, by name.
 
-    Each is the largest of all coordinates, in parts of `state_scales`; nothing of a plain task in a
-    model without limits. Positions and velocities are shape (K, n), the start the first.
+    Each is the largest of all coordinates, in parts of `state_scales`, or of all pairs, in parts of
+    the task's length; nothing of a plain task in a model without limits. Positions and velocities
+    are shape (K, n), the start the first.
     """
     if scenario.is_plain and not world.limits.are_any:
         return {}
@@ -130,6 +137,9 @@ def calc_violations(
     if np.any(np.isfinite(np.hstack([bounds.position, bounds.velocity]))):
         excess = calc_excess(world, scenario, positions, velocities)
         missed[BOUNDS] = float(np.max(excess / units))
+    if scenario.clearance:
+        lacks = calc_lacks(world, scenario, positions)
+        missed[CLEARANCE] = float(np.max(lacks)) / Scales.of(world, scenario).length
     if scenario.hard_goal:
         task = TaskCost.of(world, scenario)
         off = [task.goal_errors(positions[-1])]

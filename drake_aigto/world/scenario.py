@@ -31,7 +31,7 @@ from drake_aigto.world.fields import (
     check_reference,
 )
 from drake_aigto.world.files import models_directory, read_scenario, scenario_names, suggest
-from drake_aigto.world.model_fields import Material, ModelFields, as_globs
+from drake_aigto.world.model_fields import Material, ModelFields, Named, as_globs, as_mapping
 from drake_aigto.world.places import Pose, PoseWeight, as_places, by_name
 
 DEFAULT_MODEL = "package://drake_aigto_models/point_mass_and_wall.sdf"
@@ -64,7 +64,7 @@ _EXTRAS = (
     *("reference_times", "reference_positions", "reference_velocities"),
     *("position_lower", "position_upper", "velocity_lower", "velocity_upper"),
     *("control_lower", "control_upper", "control_norm", "contact", "dry_friction"),
-    "stiction_speed",
+    *("stiction_speed", "clearance"),
 )
 
 # Whole numbers of steps are recognized up to this relative error: 1.0 / 0.005 is not 200 exactly.
@@ -76,6 +76,7 @@ _Vector = ArrayField[Floats | None]
 _running = by_name(partial(as_weight, at_least=0.0))
 _final = by_name(as_weight_matrix)
 _places = cast(Callable[[str, object], Floats], as_places)  # Names are replaced by numbers.
+_apart = as_mapping(partial(as_number, above=0.0, unit="m"), "{ball against left_wall: 0.05}")
 _price = partial(as_weight, above=0.0)  # At zero no optimum is unique.
 
 
@@ -150,6 +151,8 @@ class Scenario(ModelFields):
             −F σ(v / v_s), see `calc_friction_share`, which belongs to h(q, v) above; None: the
             model's, if it has any.
         stiction_speed: v_s > 0 of all friction, Drake's stiction tolerance [m/s, rad/s].
+        clearance: pairs that must not touch, and the least distance between them: name of a pair as
+            `World.contacts` has it, or a glob → distance > 0 [m].
         ignored_shapes: collision shapes that touch nothing, neither in plans nor in simulations,
             such as meshes, which can't be planned for: "shape", "link::shape", globs, or all.
 
@@ -195,6 +198,7 @@ class Scenario(ModelFields):
         partial(as_vector, at_least=0.0), None
     )  # [N, N m]
     stiction_speed: float = STICTION_SPEED  # [m/s, rad/s]
+    clearance: ArrayField[Named[float]] = ArrayField(_apart, Named())  # [m]
     ignored_shapes: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ())
 
     def __post_init__(self) -> None:

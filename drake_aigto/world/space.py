@@ -203,6 +203,9 @@ class SpaceWorld(World):
         TaskCost.of(self, scenario)
         self.bounds(scenario)
         self._check_made_for(scenario)
+        if scenario.clearance:
+            got = f"{', '.join(scenario.clearance)}, in space"
+            raise ScenarioError("clearance", got, "none, as pairs are kept apart in the plane")
         if not self.pairs:
             return
         if scenario.contact != "compliant":

@@ -20,6 +20,7 @@ from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.dynamics import STICTION_SPEED, EquationsOfMotion, SumMap
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.answers import find_errors, gather
+from drake_aigto.world.clearance import check_clearance, find_least_distances
 from drake_aigto.world.diagram import (
     check_friction_acts,
     check_plant,
@@ -346,6 +347,14 @@ class World(EquationsOfMotion):
         bounds.check_task(scenario, self.is_hinge)
         return bounds
 
+    def least_distances(self, scenario: Scenario) -> Floats:
+        """Returns the least φ of each contact by the clearance, shape (m,) [m]; −∞: any.
+
+        Raises:
+            ScenarioError: the clearance is of no pair, or of a box that is passed on several sides.
+        """
+        return find_least_distances(self, self.reaches, scenario.clearance)
+
     @cached_property
     def rubbing(self) -> Rubbing:
         """Friction of contacts, and the velocity at which they slip."""
@@ -434,7 +443,8 @@ class World(EquationsOfMotion):
         Raises:
             ScenarioError: sizes differ from the plant's, its mass or dry friction is another, the
                 cost makes no sense here (`TaskCost.of`), or start or goal touches the wall, is
-                inside or behind it, or beside its face, or is beyond joint limits.
+                inside or behind it, or beside its face, or is beyond joint limits; or the start
+                lacks its clearance.
             ModelError: friction acts where a sphere can slide in two directions, or is stuck in a
                 shape; or the model lacks what compliant
                 contact takes (`springs`).
@@ -449,6 +459,7 @@ class World(EquationsOfMotion):
         self.rubbing.check(scenario.friction)
         for name in ("initial_position", "goal_position"):
             self._check_place(name, getattr(scenario, name), scenario)
+        check_clearance(self, self.least_distances(scenario), scenario.initial_position)
 
     def check_frictionless(self, scenario: Scenario) -> None:
         """Refuses friction, for planning without it, so that it is not dropped in silence.

@@ -22,13 +22,14 @@ from drake_aigto.planning.balls.branching import (
 )
 from drake_aigto.planning.balls.phases import Path, PhaseMotion
 from drake_aigto.planning.balls.task import BallTask
-from drake_aigto.planning.candidate import COASTING, Candidate, Origin
+from drake_aigto.planning.candidate import COASTING, GIVEN, Candidate, Origin
 from drake_aigto.planning.rungs import Rung
 from drake_aigto.planning.search import Proposal, Stopwatch, scaled
 from drake_aigto.planning.sequences import (
     are_near,
     are_neighbors,
     kinds,
+    read_touches_of,
     swapped,
 )
 from drake_aigto.transcription import Touch, TouchSequence, joint_times
@@ -227,10 +228,15 @@ class BallSearch(BranchingSearch):
         return []
 
     def propose(self) -> Iterator[Sequence[Proposal]]:
-        """Yields boxes of rungs, and the contacts of the uncontrolled motion.
+        """Yields the guess of a user, boxes of rungs, and contacts of the uncontrolled motion.
 
         If boxes lead to no plan, failed polishes are repeated first, with more iterations.
         """
+        if self.guess is not None:
+            touches = read_touches_of(self.task.transcription.world, self.guess)
+            path = self.guess.times, self.guess.positions
+            if self.task.fits(touches):
+                yield [propose(Origin(GIVEN), Shown(self.task.box.center, touches, path))]
         yield from super().propose()
         has_plan = any(each.is_feasible and each.is_confirmed for each in self.by_sequence.values())
         patient = self.task.patient

@@ -11,8 +11,10 @@ from pydrake.trajectories import PiecewisePolynomial
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.contact import CompliantLaw, calc_pushes
 from drake_aigto.planning.mechanisms.measures import Measures
+from drake_aigto.planning.sequences import read_touches_of
 from drake_aigto.shooting import ShootingProblem, ShootingResult
 from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import TouchSequence
 from drake_aigto.world import World
 
 StartName: TypeAlias = Literal["rest", "coast", "line", "turn", "controls"]
@@ -41,12 +43,14 @@ class Guess:
         controls: held between them, shape (N, nu).
         states: q and v at the times, shape (N + 1, 2n); None: those that the controls lead to.
         width: of contact where closing begins, in the unit of distances.
+        touches: of rigid walls, if they are known.
     """
 
     times: Floats
     controls: Floats
     states: Floats | None = None
     width: float = 1.0
+    touches: TouchSequence | None = None
 
     def sample(self, times: Floats) -> tuple[Floats, Floats | None]:
         """Returns controls to hold between times (K + 1,), and states at them."""
@@ -166,9 +170,10 @@ class Guesses:
         return Guess(times, self._bounded(controls), states, width)
 
     def follow(self, trajectory: Trajectory) -> Guess:
-        """Returns the guess of a trajectory."""
+        """Returns the guess of a trajectory, with its touches."""
         states = np.hstack([trajectory.positions, trajectory.velocities])
-        return Guess(trajectory.times, trajectory.controls, states)
+        touches = read_touches_of(self._world, trajectory)
+        return Guess(trajectory.times, trajectory.controls, states, 0.0, touches)
 
     def extend(self, motion: ShootingResult, late: float, width: float = 0.0) -> Guess:
         """Returns a motion that begins late, or sooner; before it waits, and rests in the end.

@@ -140,9 +140,9 @@ class RigidMechanismTask(MechanismTask):
         touches = read_touches(self.world, self.rigid_law, soft, self.lasting)
         found = [self.bounce(touches, soft, aim.most)]
         controls, states = guess.sample(soft.times)
-        if self._sinks_in and states is not None:
+        if (self._sinks_in or guess.touches is not None) and states is not None:
             shown = dataclasses.replace(soft, states=states, controls=controls)
-            touches = read_touches(self.world, self.rigid_law, shown, self.lasting)
+            touches = guess.touches or read_touches(self.world, self.rigid_law, shown, self.lasting)
             found.append(self.bounce(touches, shown, aim.most))
         return min(found, key=self.rank)
 
@@ -293,8 +293,12 @@ class RigidMechanismTask(MechanismTask):
         options: ShootingOptions,
         most: float = np.inf,
     ) -> ShootingResult:
-        """Returns the motion with these touches near another one (`ShootingProblem.solve`)."""
-        T = float(guess.times[-1])
+        """Returns the motion with these touches near another one (`ShootingProblem.solve`).
+
+        Touches of pairs that the scenario keeps apart are left out.
+        """
+        T, may_touch = float(guess.times[-1]), np.isneginf(self.least_distances)
+        touches = tuple(touch for touch in touches if may_touch[touch.contact])
         times, phases = lay_out(touches, num_steps, T, self._total, self.world.num_contacts)
         middles = (times[1:] + times[:-1]) / 2
         row = np.clip(np.searchsorted(guess.times, middles) - 1, 0, len(guess.controls) - 1)

@@ -12,7 +12,7 @@ import numpy as np
 
 from drake_aigto.arrays import interpolate
 from drake_aigto.errors import TrajectoryError
-from drake_aigto.planning.candidate import COASTING, Candidate, Origin
+from drake_aigto.planning.candidate import COASTING, GIVEN, Candidate, Origin
 from drake_aigto.planning.mechanisms.closing import Aim
 from drake_aigto.planning.mechanisms.guesses import Guess, StartName
 from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask
@@ -20,7 +20,8 @@ from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.mechanisms.touches import NEAR
 from drake_aigto.planning.search import Proposal, Search, Stopwatch, scaled
 from drake_aigto.shooting import ShootingResult
-from drake_aigto.simulation import BOUNDS
+from drake_aigto.simulation import BOUNDS, CLEARANCE
+from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import TouchSequence
 
 _LOG = logging.getLogger(__name__)
@@ -43,8 +44,8 @@ _NEAR = 0.05
 _WAVE = 8
 # Costs below this part of the task's scale count as zero.
 _NOTHING = 1e-12
-# How often bounds that a simulation exceeds are narrowed, at most.
-_MOST_NARROWED = 2
+# What is narrowed where a simulation exceeds it, and how often at most.
+_NARROWED, _MOST_NARROWED = {BOUNDS, CLEARANCE}, 2
 # The polish of a motion diverged if it costs more than this times the best that holds.
 _DIVERGED = 2.0
 # Every second renewal is of the best motion, the others are of one of this many.
@@ -141,14 +142,15 @@ class MechanismSearch(Search):
         return self.motions
 
     def propose(self) -> Iterator[Sequence[Proposal]]:
-        """Yields guesses, and motions with the first touches without control.
+        """Yields guesses, that of a user first, and motions with the first touches without control.
 
         A fast start touches a wall at once, where springs are too coarse to tell how.
         """
         count = self.task.options.starts
         self.tell(f"shooting from {count} starts")
         plain = len(self.task.guesses.starts)
-        yield [self._start(number, number < plain) for number in range(count)]
+        given = [] if self.guess is None else [self._follow(self.guess)]
+        yield [*given, *(self._start(number, number < plain) for number in range(count))]
         if (shorter := self.task.shortened()) is not None:
             search = MechanismSearch(shorter, self.clock)
             search.explore(self._progress)
@@ -195,6 +197,10 @@ class MechanismSearch(Search):
         propose = partial(guesses.plain, start) if is_plain else partial(guesses.draw, start, rng)
         words = f"shooting {_WORDS[start]}" + ("" if is_plain else ", perturbed")
         return Proposal(Origin(words), partial(self._close, propose))
+
+    def _follow(self, guess: Trajectory) -> Proposal:
+        propose = partial(self.task.guesses.follow, guess)
+        return Proposal(Origin(GIVEN), partial(self._close, propose))
 
     def _extend(self, motion: KeptMotion, late: float) -> Proposal:
         words = "after a wait" if late else "before a rest"
@@ -398,7 +404,7 @@ class MechanismSearch(Search):
                     self._not_simulated.append((motion, polished))
                     return polished
                 candidate = self._simulate(motion, polished)
-                if self.is_interrupted or BOUNDS not in candidate.replay.broken:
+                if self.is_interrupted or not _NARROWED & {*candidate.replay.broken}:
                     break
                 problem = problem.narrowed(polished, candidate.replay)
         except TrajectoryError as error:

@@ -60,6 +60,7 @@ from drake_aigto.simulation import (
     BOUNDS,
     Replay,
     calc_excess,
+    calc_lacks,
     find_contacts,
     max_penetration,
     narrow_bounds,
@@ -134,6 +135,7 @@ class MechanismTask:
         additions: costs and constraints of users.
         task: the scenario's cost.
         bounds: of positions, velocities and controls.
+        least_distances: φ of contacts at least, by the clearance, shape (m,) [m]; −∞: any.
         law: of its contacts.
         scales: of the task and its verdict, and `state_scales` of q and v, shape (2n,).
         measures: units of the search.
@@ -175,6 +177,7 @@ class MechanismTask:
             raise ScenarioError("duration_range", got, "none, as its time is given there")
         self.world, self.scenario, self.options = world, scenario, options
         self.task, self.bounds = TaskCost.of(world, scenario), world.bounds(scenario)
+        self.least_distances = world.least_distances(scenario)
         self.law = contact_law(world, scenario)
         self.scales, self.state_scales = Scales.of(world, scenario), state_scales(world, scenario)
         self.measures = Measures.of(world, scenario)
@@ -201,6 +204,7 @@ class MechanismTask:
             scales=np.concatenate([measures.position, measures.velocity]),
             length=measures.length,
             state_bounds=limit_states(self.world, bounds),
+            least_distances=self.least_distances,
             phases=None if free is None else Phases.free(T, free),
         )
 
@@ -450,13 +454,15 @@ class MechanismTask:
         )
 
     def narrowed(self, motion: ShootingResult, replay: Replay) -> MechanismTask:
-        """Returns the task with bounds narrowed by the excess of a motion's replay.
+        """Returns the task with bounds and clearances narrowed by the excess of a motion's replay.
 
         Bounds hold at knots, and speeds may exceed them in between, as right before a touch.
         """
         excess = calc_excess(self.world, self.scenario, replay.positions, replay.velocities)
         other = self.again(self.scenario)
         other.bounds = narrow_bounds(self.bounds, motion.states[1:], excess)
+        lacks = calc_lacks(self.world, self.scenario, replay.positions)
+        other.least_distances = self.least_distances + lacks
         return other
 
     def again(self, scenario: Scenario) -> MechanismTask:

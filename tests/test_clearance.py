@@ -1,0 +1,74 @@
+"""Pairs that a scenario keeps apart: in plans, in simulations, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drake_aigto import Planner, PlanOptions, Scenario, World, plan
+from drake_aigto.errors import ScenarioError
+from drake_aigto.simulation import CLEARANCE, replay_event_driven
+
+SOFT, RIGID = "cart_pole/soft_06", "cart_pole/rigid_06"
+QUICK = PlanOptions(renewals=0, starts=4, finalists=1)
+DISTANCE = 0.05
+
+
+def keep_apart(name: str, clearance: dict[str, float]) -> Scenario:
+    changes: Any = {"clearance": clearance}
+    return dataclasses.replace(Scenario.named(name), **changes)
+
+
+@pytest.mark.parametrize("name", [SOFT, pytest.param(RIGID, marks=pytest.mark.slow)])
+def test_a_pole_swings_up_at_a_distance_from_its_walls(name: str) -> None:
+    scenario = keep_apart(name, {"pole against *": DISTANCE})
+    found = plan(scenario, QUICK)
+    assert found.holds and not found.best.is_idle and not found.best.contacts
+    world = World.from_scenario(scenario)
+    for replay in found.replay:
+        nearest = world.calc_signed_distance(replay.positions).min()
+        assert nearest > DISTANCE - 2e-3 * found.best.scales.length
+        assert replay.violations[CLEARANCE] <= 2e-3
+    assert not found.additions
+    # The pole of the plain plan comes nearer, and its motion breaks what is asked here.
+    plain = plan(Scenario.named(name), QUICK).trajectory
+    replay = replay_event_driven(world, scenario, plain.times, plain.controls)
+    assert CLEARANCE in replay.broken
+
+
+def test_the_distance_of_two_spheres_is_that_between_their_surfaces() -> None:
+    world = World.from_scenario(scenario := keep_apart("two_discs/swap", {"*": 0.3}))
+    (reach,) = world.reaches
+    q = np.array([0.0, 0.0, reach + 0.3, 0.0])
+    np.testing.assert_allclose(world.least_distances(scenario), world.calc_signed_distance(q))
+
+
+def test_what_is_kept_apart_is_read_back(tmp_path: Any) -> None:
+    scenario = keep_apart(SOFT, {"pole against left_wall": DISTANCE})
+    scenario.save(tmp_path / "apart.yaml")
+    assert Scenario.load(tmp_path / "apart.yaml").clearance == scenario.clearance
+    assert "clearance" not in Scenario.named(SOFT).to_plain()
+
+
+@pytest.mark.parametrize(
+    ("name", "clearance", "message"),
+    [
+        (
+            SOFT,
+            {"pole against left_wal": 0.1},
+            "no pair of this name that can touch, expected one of pole against left_wall, pole "
+            "against right_wall. Did you mean 'pole against left_wall'",
+        ),
+        (SOFT, {"*left*": 0.0}, "0 m, expected more than 0 m"),
+        (SOFT, {"*right*": 0.5}, "0.227 m too near .pole against right_wall"),
+        ("room_with_block/around", {"*block*": 0.1}, "a box with 4 faces that can be touched"),
+    ],
+)
+def test_a_clearance_that_cannot_be_kept_is_refused(
+    name: str, clearance: dict[str, float], message: str
+) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        Planner(keep_apart(name, clearance))
