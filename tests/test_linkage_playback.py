@@ -80,8 +80,6 @@ def test_links_turn_about_their_joints_in_a_copy_for_each_motion(
     meshcat: Meshcat, cart_pole: World
 ) -> None:
     show(meshcat, cart_pole, swing("plan"), swing("integrated"), swing("Drake"))
-    times, tips = clips(meshcat)[f"{ROOT}/motions/1/{TIP}"]
-    middles = []
     for copy in (1, 2, 3):
         times, tips = clips(meshcat)[f"{ROOT}/motions/{copy}/{TIP}"]
         playing = times <= 1.0
@@ -97,8 +95,6 @@ def test_links_turn_about_their_joints_in_a_copy_for_each_motion(
         # The walls are where the tip's face touches them.
         left = position(meshcat, f"{ROOT}/worlds/{copy}/mechanism/wall/left")
         assert left[0] < aside - 0.6
-        middles.append((aside, base))
-    assert len({tuple(np.round(middle, 6)) for middle in middles}) == 3
 
 
 def test_the_control_of_a_slider_is_an_arrow_at_its_joint(

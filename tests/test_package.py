@@ -137,7 +137,7 @@ def test_pages_can_be_made_from_an_installed_wheel(installed: Path) -> None:
     program = """
 from drake_aigto.show import Page
 page = Page("title")
-page.scenes({"scene": "<html></html>"})
+page.scenes({"scene": ("<html></html>", {})})
 print(page.to_html().count("player-slider"))
 """
     assert int(run_python(program, installed)) > 1

@@ -1,4 +1,4 @@
-"""Playback shows motions beside each other as they are, in what Meshcat sends to a browser."""
+"""Playback shows motions as they are, the others as ghosts, in what Meshcat sends to a browser."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from meshcat_pages import BALL, MOTIONS, ball, clips, messages, objects, position
 from pydrake.geometry import Meshcat
 
 from drake_aigto import Scenario, World
 from drake_aigto.errors import OptionsError, OutputFileError
-from drake_aigto.show import ROOT, Board, Motion, open_meshcat, pack, play, publish, save_html
+from drake_aigto.show import ROOT, Motion, open_meshcat, pack, play, publish
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
 
@@ -26,20 +25,6 @@ RADIUS = 0.05  # of the shipped ball [m]
 @pytest.fixture(scope="module")
 def meshcat() -> Meshcat:
     return Meshcat()
-
-
-@pytest.fixture
-def painted(monkeypatch: pytest.MonkeyPatch) -> list[Board]:
-    """Returns the boards that are painted from now on."""
-    boards: list[Board] = []
-    paint = Board.paint
-
-    def remember(board: Board) -> Figure:
-        boards.append(board)
-        return paint(board)
-
-    monkeypatch.setattr(Board, "paint", remember)
-    return boards
 
 
 @pytest.fixture(scope="module")
@@ -52,25 +37,49 @@ def world(scenario: Scenario) -> World:
     return World.from_scenario(scenario)
 
 
-def test_each_motion_plays_at_real_speed_in_its_own_lane(
+def test_each_motion_plays_at_real_speed_in_one_place(
     meshcat: Meshcat, world: World, scenario: Scenario
 ) -> None:
     publish(MOTIONS, meshcat, world, scenario)
     recorded = clips(meshcat)
-    assert set(recorded) == {ball(lane) for lane in (1, 2, 3)}
-    heights = []
-    for lane, motion in enumerate(MOTIONS, 1):
-        times, places = recorded[ball(lane)]
+    assert set(recorded) == {ball(number) for number in (1, 2, 3)}
+    for number, motion in enumerate(MOTIONS, 1):
+        times, places = recorded[ball(number)]
         moving = times <= motion.times[-1]
         np.testing.assert_allclose(times[moving], motion.times, atol=0.5e-3)
         np.testing.assert_allclose(places[moving, 0], motion.positions[:, 0], atol=1e-12)
         np.testing.assert_allclose(places[~moving, 0], motion.positions[-1, 0], atol=1e-12)
-        np.testing.assert_allclose(places[:, 1], 0, atol=1e-12)
-        assert np.ptp(places[:, 2]) == 0
-        heights.append(places[0, 2])
-    # The first is the highest, none covers another, and the middle one is where its world is.
-    assert np.all(np.diff(heights) <= -4 * RADIUS)
-    assert heights[1] == pytest.approx(0)
+        np.testing.assert_allclose(places[:, 1:], 0, atol=1e-12)
+
+
+def test_the_first_motion_is_solid_and_others_are_ghosts_in_the_colors_of_figures(
+    meshcat: Meshcat, world: World, scenario: Scenario
+) -> None:
+    recording = publish(MOTIONS, meshcat, world, scenario)
+    looks = [objects(meshcat)[ball(number)]["materials"][0] for number in (1, 2, 3)]
+    assert [look["color"] for look in looks] == [0x0072B2, 0xD55E00, 0x009E73]
+    assert [look["opacity"] for look in looks] == [1.0, pytest.approx(0.35), pytest.approx(0.35)]
+    assert str(recording) == "solid: plan; ghosts: rigid; Drake"
+    # Until they stand side by side, they have no world, control and contacts of their own.
+    sent = [m for m in messages(meshcat.StaticHtml()) if m.get("property") == "visible"]
+    hidden = {m["path"] for m in sent if m["value"] is False}
+    for name in ("worlds/2", "ghosts/3", "motions/2/control", "motions/3/contacts"):
+        assert f"{ROOT}/{name}" in hidden
+    assert f"{ROOT}/worlds/1" not in hidden
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 6])
+def test_side_by_side_no_motion_covers_another(
+    meshcat: Meshcat, world: World, scenario: Scenario, count: int
+) -> None:
+    beside = publish([MOTIONS[0]] * count, meshcat, world, scenario).beside
+    places, (one, both) = np.array(beside["aside"]), np.array(beside["reach"])
+    np.testing.assert_allclose(places.mean(axis=0), 0, atol=1e-12)
+    np.testing.assert_allclose(places[:, 1], 0, atol=1e-12)  # A level line is seen along y.
+    apart = np.abs(places[:, np.newaxis] - places)
+    heights = apart[..., 2][~np.eye(count, dtype=bool)]
+    assert np.all(heights > 4 * RADIUS)  # Lines that are long stand below each other.
+    assert both[0] == one[0] and (both[1] > one[1]) == (count > 1)
 
 
 def test_a_ball_turns_round_at_the_wall_in_the_frame_of_its_impact(
@@ -92,32 +101,17 @@ def test_a_ball_turns_round_at_the_wall_in_the_frame_of_its_impact(
     assert np.all(np.diff(times) > 0)
 
 
-def test_each_motion_has_a_wall_where_it_is_that_ends_out_of_sight(
-    meshcat: Meshcat, world: World, scenario: Scenario
-) -> None:
+def test_a_wall_ends_out_of_sight(meshcat: Meshcat, world: World, scenario: Scenario) -> None:
     publish(MOTIONS, meshcat, world, scenario)
     walls = [path for path in objects(meshcat) if "wall_visual" in path]
     assert len(walls) == 3
-    for lane, path in enumerate(walls, 1):
+    for path in walls:
         # The visual wall is 0.08 m thick, and its face is at −0.05 m; of its 0.6 m a ball's height
         # beside the ball is seen.
-        height = position(meshcat, ball(lane))[2]
-        np.testing.assert_allclose(position(meshcat, path), [-0.09, 0, height], atol=1e-12)
+        np.testing.assert_allclose(position(meshcat, path), [-0.09, 0, 0], atol=1e-12)
         box = objects(meshcat)[path]["geometries"][0]
         sides = sorted(box[side] for side in ("width", "height", "depth"))
         assert sides == pytest.approx([0.08, 0.2, 0.2])
-    np.testing.assert_allclose(position(meshcat, ball(2)), [1.0, 0, 0], atol=1e-12)
-    # The board is behind the balls.
-    assert RADIUS > position(meshcat, f"{ROOT}/board")[1] > 0.8 * RADIUS
-
-
-def test_lanes_have_the_colors_of_figures(
-    meshcat: Meshcat, world: World, scenario: Scenario
-) -> None:
-    publish(MOTIONS, meshcat, world, scenario)
-    shown = objects(meshcat)
-    colors = [shown[ball(lane)]["materials"][0]["color"] for lane in (1, 2, 3)]
-    assert colors == [0x0072B2, 0xD55E00, 0x009E73]
 
 
 def test_publishing_again_replaces_what_was_shown(
@@ -148,9 +142,7 @@ def make_plan() -> Any:
     )
 
 
-def test_a_plan_is_played_beside_its_simulations_and_others(
-    meshcat: Meshcat, world: World, painted: list[Board]
-) -> None:
+def test_a_plan_is_played_with_its_simulations_and_others(meshcat: Meshcat, world: World) -> None:
     play(make_plan(), meshcat)
     moving = set(clips(meshcat))
     assert {path for path in moving if path.endswith(BALL)} == {ball(lane) for lane in (1, 2, 3)}
@@ -158,8 +150,8 @@ def test_a_plan_is_played_beside_its_simulations_and_others(
     assert {path for path in moving if path.endswith("/arrow")} == {
         f"{ROOT}/motions/{lane}/control/point_mass_and_wall/ball/arrow" for lane in (1, 2, 3)
     }
-    play(make_plan(), meshcat, world, beside=MOTIONS[:2])
-    assert [panel.label for panel in painted[-1].panels] == [
+    recording = play(make_plan(), meshcat, world, beside=MOTIONS[:2])
+    assert [label for _, label in recording.beside["motions"]] == [
         "AIGTO: plan (not a simulation)",
         "AIGTO: simulation: compliant (Drake)",
         "plan",
@@ -167,33 +159,26 @@ def test_a_plan_is_played_beside_its_simulations_and_others(
     ]
 
 
-def test_a_way_along_a_line_has_a_leg_beside_a_leg_from_impact_to_impact(
-    meshcat: Meshcat, world: World, scenario: Scenario, painted: list[Board]
+def test_what_is_shown_is_explained_with_its_numbers_and_events(
+    meshcat: Meshcat, world: World, scenario: Scenario
 ) -> None:
+    beside = play(make_plan(), meshcat, world).beside
+    texts = [text for _, text in beside["notes"]]
+    assert texts == ["where it starts", "goal", "arrow: control, up to 0.3 N"]
+    numbers = beside["numbers"]
+    assert numbers["names"] == ["x [m]", "control slider [N]"] and beside["events"] == []
+    np.testing.assert_allclose(numbers["columns"][0][::399], [1.0, 0.5])
+    np.testing.assert_allclose(np.array(numbers["columns"][1])[[0, 100, 300]], [0.1, 0.1, 0.3])
     bounce = dataclasses.replace(MOTIONS[0], impacts=(Touch.bounce(0.5),))
-    publish([bounce], meshcat, world, scenario)
-    ((way,),) = (panel.ways for panel in painted[-1].panels)
-    turn = int(np.argmin(way[:, 0]))
-    assert len(set(way[: turn + 1, 1])) == len(set(way[turn + 1 :, 1])) == 1
-    assert way[0, 1] > way[-1, 1]
-    assert np.all(way >= painted[-1].low) and np.all(way <= painted[-1].high)
+    beside = publish([bounce], meshcat, world, scenario, {0.2: "is kicked"}).beside
+    assert [text for _, text in beside["notes"]][-1] == "flash: impact"
+    assert beside["events"] == [(0.2, "is kicked", "change"), (0.5, "touches wall", "touch")]
 
 
-def test_what_is_shown_is_explained(
-    meshcat: Meshcat, world: World, scenario: Scenario, painted: list[Board]
+def test_the_camera_sees_all_that_moves_and_its_arrows(
+    meshcat: Meshcat, world: World, scenario: Scenario
 ) -> None:
-    play(make_plan(), meshcat, world)
-    assert painted[-1].notes == ["dots: every 0.05 s", "black arrow: control, up to 0.3 N"]
-    bounce = dataclasses.replace(MOTIONS[0], impacts=(Touch.bounce(0.5),))
-    publish([bounce], meshcat, world, scenario)
-    assert painted[-1].notes == ["dots: every 0.05 s", "yellow flash: impact"]
-
-
-@pytest.mark.parametrize("lanes", [1, 3, 6, 12])
-def test_the_camera_sees_all_lanes(
-    meshcat: Meshcat, world: World, scenario: Scenario, painted: list[Board], lanes: int
-) -> None:
-    publish([MOTIONS[0]] * lanes, meshcat, world, scenario)
+    recording = play(make_plan(), meshcat, world)
     sent = list(messages(meshcat.StaticHtml()))
     (eye,) = (np.array(m["value"]) for m in sent if m.get("property") == "position")
     (target,) = (np.array(m["value"]) for m in sent if m["type"] == "set_target")
@@ -201,13 +186,13 @@ def test_the_camera_sees_all_lanes(
     # In three.js y is up, and z towards the viewer.
     ahead = (target - eye) / np.linalg.norm(target - eye)
     up = np.array([0, 1, 0]) - ahead[1] * ahead
-    low, high = painted[-1].corners
-    for x, z in ((low[0], low[1]), (low[0], high[1]), (high[0], low[1]), (high[0], high[1])):
+    (across, height), _ = recording.beside["reach"]
+    half = np.tan(np.deg2rad(camera["fov"] / 2))
+    # The wall's face, and the tip of the longest arrow at the end, 0.22 windows ahead of the ball.
+    for x, z in ((-0.05, RADIUS), (-0.05, -RADIUS), (1.05, RADIUS), (0.7 + 0.22, 0.0)):
         ray = np.array([x, z, -RADIUS]) - eye
-        rise = np.arctan(ray @ up / np.linalg.norm(up) / (ray @ ahead))
-        turn = np.arctan(ray[0] / (ray @ ahead))
-        assert abs(np.rad2deg(rise)) < camera["fov"] / 2
-        assert abs(np.rad2deg(turn)) < 1.4 * camera["fov"] / 2
+        rise = ray @ up / np.linalg.norm(up) / (ray @ ahead)
+        assert abs(rise) < half * height and abs(ray[0] / (ray @ ahead)) < half * across
         assert camera["near"] < ray @ ahead < camera["far"]
 
 
@@ -218,50 +203,39 @@ def room_motion(label: str) -> Motion:
     return Motion(label, times, q, np.zeros((4, 2)), touches=(Touch.bounce(0.6, 1),))
 
 
-def test_each_motion_in_a_plane_has_a_world_of_its_own(meshcat: Meshcat) -> None:
+def test_motions_in_a_plane_stand_side_by_side_farther_apart_than_their_world_is_wide(
+    meshcat: Meshcat,
+) -> None:
     scenario = Scenario.named("room/two_walls")
     motions = [room_motion(label) for label in ("plan", "rigid", "Drake")]
-    publish(motions, meshcat, World.from_scenario(scenario), scenario)
-    recorded = clips(meshcat)
-    asides = []
-    for i, motion in enumerate(motions, 1):
-        _, places = recorded[f"{ROOT}/motions/{i}/room/ball/ball_visual"]
+    recording = publish(motions, meshcat, World.from_scenario(scenario), scenario)
+    for i in (1, 2, 3):
+        _, places = clips(meshcat)[f"{ROOT}/motions/{i}/room/ball/ball_visual"]
         wall = position(meshcat, f"{ROOT}/worlds/{i}/room/right_wall/right_wall_visual")
-        aside = places[0, 0] - 0.2
-        asides.append(aside)
-        np.testing.assert_allclose(places[0], [0.2 + aside, 0.3, 0], atol=1e-12)
+        np.testing.assert_allclose(places[0], [0.2, 0.3, 0], atol=1e-12)
         # The wall's face is 0.02 m off the middle of the ball that touches it.
         assert wall[0] - 0.02 == pytest.approx(np.max(places[:, 0]) + 0.02)
-        assert np.ptp(places[:, 0] - aside) == pytest.approx(np.ptp(motion.positions[:, 0]))
-    assert asides[1] == pytest.approx(0)
-    assert np.all(np.diff(asides) > 1.12)  # The room is as wide with its walls.
-
-
-def test_two_masses_have_two_goals(meshcat: Meshcat, painted: list[Board]) -> None:
-    scenario = Scenario.named("two_masses/handed_on")
-    q = np.array([scenario.initial_position, scenario.goal_position])
-    motion = Motion("plan", np.array([0.0, 1.0]), q, np.zeros((2, 2)))
-    publish([motion], meshcat, World.from_scenario(scenario), scenario)
-    (board,) = painted
-    assert board.names == ["left", "right"] and board.has_lanes
-    # The right ball's middle is at q₂ + 1/8 m.
-    np.testing.assert_allclose(board.starts[:, 0], [0.2, 0.625], atol=1e-12)
-    np.testing.assert_allclose(board.goals[:, 0], [0.5, 1.025], atol=1e-12)
+    aside = np.array(recording.beside["aside"])
+    apart = np.linalg.norm(aside[:, np.newaxis] - aside, axis=-1)
+    assert np.all(apart[~np.eye(3, dtype=bool)] > 1.12)  # The room is as wide with its walls.
 
 
 def test_a_page_is_written_whole_and_holds_all(
     meshcat: Meshcat, world: World, scenario: Scenario, tmp_path: Path
 ) -> None:
-    publish(MOTIONS, meshcat, world, scenario)
-    save_html(meshcat, tmp_path / "play.html")
+    recording = publish(MOTIONS, meshcat, world, scenario)
+    recording.save(tmp_path / "play.html")
     page = (tmp_path / "play.html").read_text(encoding="utf-8")
     assert pack(meshcat.StaticHtml()) in page and 'type="range"' in page
+    assert "<iframe srcdoc=" in recording._repr_html_()  # In a notebook.
     assert [path.name for path in tmp_path.iterdir()] == ["play.html"]
 
 
-def test_a_page_in_a_missing_folder_is_refused(meshcat: Meshcat, tmp_path: Path) -> None:
+def test_a_page_in_a_missing_folder_is_refused(
+    meshcat: Meshcat, world: World, scenario: Scenario, tmp_path: Path
+) -> None:
     with pytest.raises(OutputFileError, match=r"can't be written.*a folder that exists"):
-        save_html(meshcat, tmp_path / "missing" / "play.html")
+        publish(MOTIONS, meshcat, world, scenario).save(tmp_path / "missing" / "play.html")
 
 
 def test_a_port_in_use_is_refused() -> None:
@@ -278,7 +252,7 @@ def test_a_plan_that_is_taken_later_is_not_there_before_and_events_flash(
     meshcat: Meshcat, world: World, scenario: Scenario
 ) -> None:
     late = dataclasses.replace(MOTIONS[1], times=MOTIONS[1].times + 0.4)
-    publish([MOTIONS[0], late], meshcat, world, scenario, events=[0.4])
+    publish([MOTIONS[0], late], meshcat, world, scenario, events={0.4: "is kicked"})
     times, is_shown = clips(meshcat, "visible")[f"{ROOT}/motions/2"]
     assert [bool(is_shown[times <= time][-1]) for time in (0.0, 0.39, 0.41, 1.4)] == [0, 0, 1, 1]
     assert f"{ROOT}/motions/1" not in clips(meshcat, "visible")

@@ -42,15 +42,18 @@ def scenes(text: str) -> list[str]:
 
 @pytest.mark.parametrize("pages", [["<a>one</a>"], ["<a>one</a>", "<a>two</a>", "<a></a>"]])
 def test_pages_are_put_together_again(pages: list[str]) -> None:
-    text = embed_scenes({f"scene <{i}>": page for i, page in enumerate(pages)})
+    text = embed_scenes(
+        {f"scene <{i}>": (page, {"notes": ["</script>"]}) for i, page in enumerate(pages)}
+    )
     assert scenes(text) == pages
     assert text.count("scene &lt;") == len(pages) and "scene <" not in text
+    assert '</script>"' not in text  # What is said beside a scene ends no script.
 
 
 def test_what_pages_share_is_there_once() -> None:
     library = "".join(f"function f{i}() {{ return {i * i}; }}\n" for i in range(3000))
-    one = len(embed_scenes({"a": f"{library}a"}))
-    two = len(embed_scenes({"a": f"{library}a", "b": f"{library}b"}))
+    one = len(embed_scenes({"a": (f"{library}a", {})}))
+    two = len(embed_scenes({"a": (f"{library}a", {}), "b": (f"{library}b", {})}))
     assert two < one + 400
 
 
@@ -94,6 +97,19 @@ def test_a_report_has_question_answer_verdict_and_how_to_reproduce_it(plan: Plan
 def test_boxes_that_can_not_be_run_again_are_said_to_be_missing(plan: Plan) -> None:
     text = words(report_plan(dataclasses.replace(plan, options=None)))
     assert "AIGO's boxes are missing: the plan's boxes can't be run again: got a plan" in text
+
+
+def test_a_figure_says_where_its_axes_over_time_are_for_the_players_cursor() -> None:
+    figure = Figure(figsize=(4, 4))
+    upper, lower, other = figure.subplots(3, 1)
+    upper.sharex(lower)
+    lower.set(xlabel="time t [s]", xlim=(0, 2), position=(0.1, 0.4, 0.8, 0.2))
+    other.set_xlabel("position [m]")
+    page = Page("")
+    page.figure(figure, "caption")
+    plots = re.findall(r'class="plot" data-first="0" data-last="2" style="([^"]*)"', page.to_html())
+    assert len(plots) == 2
+    assert plots[1] == "left:10.0000%;top:40.0000%;width:80.0000%;height:20.0000%"
 
 
 def test_a_plan_that_fails_is_said_to_fail(plan: Plan) -> None:

@@ -94,13 +94,14 @@ def _play(options: argparse.Namespace) -> int:
         _ANY_PORT if options.html and options.port is None else options.port
     )
     if isinstance(shown, Plan):
-        _publish(options, shown, meshcat, shown.find_world())
+        recording = _publish(options, shown, meshcat, shown.find_world())
     else:
-        show.show_run(shown, meshcat)
+        recording = show.show_run(shown, meshcat)
     if options.html:
-        show.save_html(meshcat, options.html)
+        recording.save(options.html)
         print(f"wrote {options.html}")
     else:
+        print(recording)
         wait_at(meshcat)
     return FINE
 
@@ -111,18 +112,22 @@ def _load(path: str) -> Plan | ClosedLoopRun:
     return (ClosedLoopRun if is_log else Plan).load(path)
 
 
-def _publish(options: argparse.Namespace, plan: Plan, meshcat: Meshcat, world: World) -> None:
+def _publish(
+    options: argparse.Namespace, plan: Plan, meshcat: Meshcat, world: World
+) -> show.Recording:
     if options.optimization:
         with show_progress(options, "running AIGO again"):
-            show.play_boxes(plan, meshcat, world)
-    elif options.beside:
-        with show_progress(options, "running the gradient solver"):
-            show.play(plan, meshcat, world, show.gradient_motions(world, plan.scenario))
-        if plan.additions:
-            print(f"SNOPT plans without what was added: {', '.join(plan.additions)}")
-    else:
-        with show_progress(options, "simulating"):
-            show.play(plan, meshcat, world)
+            return show.play_boxes(plan, meshcat, world)
+    beside = []
+    with show_progress(options, "simulating") as say:
+        if options.beside:
+            if say:
+                say("running the gradient solver")
+            beside = show.gradient_motions(world, plan.scenario)
+        recording = show.play(plan, meshcat, world, beside)
+    if beside and plan.additions:
+        print(f"SNOPT plans without what was added: {', '.join(plan.additions)}")
+    return recording
 
 
 def wait_at(meshcat: Meshcat) -> None:
@@ -271,6 +276,6 @@ def _answer_run(options: argparse.Namespace, run: ClosedLoopRun, meshcat: Meshca
         print(f"wrote {options.html}", flush=True)
     if meshcat is not None:
         meshcat.Delete(_LIVE)
-        show.show_run(run, meshcat)
+        print(show.show_run(run, meshcat))
         wait_at(meshcat)
     return INTERRUPTED if run.is_interrupted else FINE

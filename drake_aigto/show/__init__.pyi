@@ -1,6 +1,3 @@
-from .board import Board as Board
-from .board import Panel as Panel
-from .board import wrap_notes as wrap_notes
 from .box_playback import BoxRun as BoxRun
 from .box_playback import play_boxes as play_boxes
 from .box_playback import run_boxes as run_boxes
@@ -19,7 +16,6 @@ from .figures import plot_velocities as plot_velocities
 from .film import ROOT as ROOT
 from .film import make_mesh as make_mesh
 from .film import open_meshcat as open_meshcat
-from .film import save_html as save_html
 from .motion import PALETTE as PALETTE
 from .motion import PLAN_LABEL as PLAN_LABEL
 from .motion import Motion as Motion
@@ -35,6 +31,7 @@ from .plan_figures import plot_cost_history as plot_cost_history
 from .plan_figures import plot_cost_landscape as plot_cost_landscape
 from .plan_figures import plot_friction as plot_friction
 from .plan_figures import plot_strobe as plot_strobe
+from .recording import Recording as Recording
 from .report import add_answer as add_answer
 from .report import add_question as add_question
 from .report import add_verdict as add_verdict

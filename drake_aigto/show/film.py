@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 import json
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 
@@ -28,8 +27,6 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
-from drake_aigto.output import write_text
-from drake_aigto.show.page import Page
 
 # All that is drawn lies below this path.
 ROOT = "/drake_aigto"
@@ -47,7 +44,7 @@ ASPECT_RATIO, _SLACK = 1.4, 1.08
 
 # As parts of the window's size: the longest arrow, the radius of the largest arc, from a cone's tip
 # to its rim.
-_LONGEST, _ARC, _CONE = 0.22, 0.085, 0.14
+LONGEST, _ARC, _CONE = 0.22, 0.085, 0.14
 # Of the longest arrow: its head, its head's and its shaft's radius.
 _POINT, _POINT_RADIUS, _SHAFT_RADIUS = 0.32, 0.1, 0.04
 # Of an arc with radius 1: half the thickness of its ring, the radius and the length of its head.
@@ -88,17 +85,6 @@ def open_meshcat(port: int | None = None) -> Meshcat:
         expected=f"a free one, {_PORTS[0]} to {_PORTS[1]}",
         remedy="Name another port, or 0 for any that is free.",
     ) from cause
-
-
-def save_html(meshcat: Meshcat, path: str | os.PathLike[str]) -> None:
-    """Writes what Meshcat shows to one self-contained page with a slider, whole or not at all.
-
-    Raises:
-        OutputFileError: it can't be written; its folder must exist.
-    """
-    page = Page("A plan and simulations of its control")
-    page.scenes({"Recording": meshcat.StaticHtml()})
-    write_text(path, page.to_html())
 
 
 class Film:
@@ -191,8 +177,10 @@ def look_at(
     X_WP: RigidTransform,
     corners: tuple[Floats, Floats],
     angles: tuple[float, float, float],
-) -> None:
+) -> float:
     """Has the camera see all of a rectangle in a frame P's x and y, from P's z.
+
+    Returns half the height of what it sees there [m].
 
     Args:
         meshcat: whose camera.
@@ -208,6 +196,7 @@ def look_at(
     meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=np.rad2deg(view), near=near, far=far))
     eye = middle + distance * back
     meshcat.SetCameraPose(X_WP.multiply(eye), X_WP.multiply(middle))
+    return distance * float(np.tan(view / 2))
 
 
 def make_mesh(figure: Figure, low: npt.ArrayLike, high: npt.ArrayLike) -> Mesh:
@@ -245,6 +234,12 @@ def put_in_front(path: str, shape: Shape, meshcat: Meshcat, color: Rgba) -> None
     _draw_last(path, meshcat)
 
 
+def put_behind(path: str, meshcat: Meshcat) -> None:
+    """Has a shape hidden by another one in the same place."""
+    for name, value in (("", True), ("Factor", 2.0), ("Units", 8.0)):
+        meshcat.SetProperty(f"{path}/<object>", f"material.polygonOffset{name}", value)
+
+
 def _draw_last(path: str, meshcat: Meshcat) -> None:
     meshcat.SetProperty(f"{path}/<object>", "material.depthTest", False)
     meshcat.SetProperty(f"{path}/<object>", "renderOrder", 1.0)
@@ -252,7 +247,7 @@ def _draw_last(path: str, meshcat: Meshcat) -> None:
 
 def shape_arrow(path: str, size: float, meshcat: Meshcat, color: Rgba) -> None:
     """Puts the longest arrow along z, for a window of a size [m]."""
-    length = _LONGEST * size
+    length = LONGEST * size
     shaft, head = (1 - _POINT) * length, _POINT * length
     put_in_front(f"{path}/shaft", Cylinder(_SHAFT_RADIUS * length, shaft), meshcat, color)
     meshcat.SetTransform(f"{path}/shaft", RigidTransform([0, 0, shaft / 2]))

@@ -39,9 +39,6 @@ SIMULATION_LABELS = {
 _AT = 1e-12
 # Between rows farther apart than this a motion is filled in [s].
 _LONGEST_STEP = 0.01
-DOT_SECONDS = 0.05  # From dot to dot, where bodies were.
-# Impacts that follow sooner than this end no leg: a rest begins with ever smaller ones [s].
-_SHORTEST_LEG = 0.03
 _SAME_TIME = 1e-9  # rounding [s]
 
 
@@ -208,20 +205,6 @@ def find_held(motion: Motion) -> Ints:
     assert motion.control_times is not None
     rows = np.searchsorted(motion.control_times, motion.times, side="right") - 1
     return np.clip(rows, 0, len(motion.control_times) - 2)
-
-
-def find_legs(motion: Motion, impacts: Sequence[Touch]) -> list[Floats]:
-    """Returns q every 0.05 s from impact to impact, both ends included, shape (k, nq) each [m]."""
-    begin, end = float(motion.times[0]), float(motion.times[-1])
-    breaks = [begin]
-    for touch in impacts:
-        if min(touch.start - breaks[-1], end - touch.start) > _SHORTEST_LEG:
-            breaks.append(touch.start)
-    dots = np.arange(begin, end, DOT_SECONDS)
-    return [
-        positions_at(motion, np.array([a, *dots[(dots > a) & (dots < b)], b]))
-        for a, b in zip(breaks, [*breaks[1:], end], strict=True)
-    ]
 
 
 def positions_at(motion: Motion, times: Floats) -> Floats:

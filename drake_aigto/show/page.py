@@ -6,7 +6,8 @@ import base64
 import gzip
 import html
 import io
-from collections.abc import Iterable, Mapping, Sequence
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import resources
 from os.path import commonprefix
 from typing import Any
@@ -17,6 +18,9 @@ from matplotlib.figure import Figure
 # The same figure gives the same bytes, and looks the same whatever fonts a reader has.
 _SVG: dict[Any, Any] = {"svg.hashsalt": "drake_aigto", "svg.fonttype": "path"}
 _DPI = 120  # of what is no lines: landscapes of many colors
+
+# `Meshcat.StaticHtml()`, and what the player says beside it (`Recording`).
+Scene = tuple[str, Mapping[str, Any]]
 
 _common_start = commonprefix  # Of any texts: it compares letter by letter.
 
@@ -70,13 +74,15 @@ class Page:
             )
         content = base64.b64encode(written.getvalue()).decode("ascii")
         text = html.escape(caption)
+        cursors = "".join(_find_plots(figure))
         self._parts.append(
-            f'<figure><img alt="{text}" src="data:image/svg+xml;base64,{content}">'
+            f'<figure><div class="drawn"><img alt="{text}" '
+            f'src="data:image/svg+xml;base64,{content}">{cursors}</div>'
             f"<figcaption>{text}</figcaption></figure>"
         )
 
-    def scenes(self, scenes: Mapping[str, str]) -> None:
-        """Adds Meshcat's recordings, title → `Meshcat.StaticHtml()`; once in a page."""
+    def scenes(self, scenes: Mapping[str, Scene]) -> None:
+        """Adds recordings by their titles; once in a page."""
         self._parts.append(embed_scenes(scenes))
 
     def to_html(self) -> str:
@@ -85,23 +91,39 @@ class Page:
         return _asset("page.html").format(title=title, style=_asset("page.css"), body=body)
 
 
-def embed_scenes(scenes: Mapping[str, str]) -> str:
+def _find_plots(figure: Figure) -> Iterator[str]:
+    """Yields where a drawn figure has axes over time, from when to when: for a player's cursor."""
+    over_time = [axes for axes in figure.axes if axes.get_xlabel().startswith("time t")]
+    for axes in figure.axes:
+        if any(axes.get_shared_x_axes().joined(axes, other) for other in over_time):
+            (left, bottom), (right, top) = axes.get_position().get_points()
+            place = f"left:{left:.4%};top:{1 - top:.4%};width:{right - left:.4%}"
+            first, last = axes.get_xlim()
+            yield (
+                f'<div class="plot" data-first="{first:.6g}" data-last="{last:.6g}" '
+                f'style="{place};height:{top - bottom:.4%}"><i></i></div>'
+            )
+
+
+def embed_scenes(scenes: Mapping[str, Scene]) -> str:
     """Returns HTML that shows Meshcat's pages in a frame, with a button for each and a slider.
 
     Nothing is fetched from anywhere: a script unpacks the chosen page as it is first shown. The
-    library that the pages share, by far the most of them, is there once. Scenes are title →
-    `Meshcat.StaticHtml()`, at least one.
+    library that the pages share, by far the most of them, is there once. Of scenes there is at
+    least one.
     """
     stored = "\n".join(
         f'<script type="text/plain" id="scene-{name}">{pack(text)}</script>'
-        for name, text in _share(list(scenes.values())).items()
+        for name, text in _share([text for text, _ in scenes.values()]).items()
     )
     buttons = "".join(
         f'<button type="button" data-scene="{i}">{html.escape(title)}</button>'
         for i, title in enumerate(scenes)
     )
     player = _asset("player.html").format(buttons=buttons)
-    return f"{player}{stored}<script>\n{_asset('player.js')}</script>\n"
+    beside = json.dumps([dict(each) for _, each in scenes.values()]).replace("<", "\\u003c")
+    told = f'<script type="application/json" id="player-beside">{beside}</script>'
+    return f"{player}{stored}{told}<script>\n{_asset('player.js')}</script>\n"
 
 
 def _asset(name: str) -> str:

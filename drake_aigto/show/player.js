@@ -1,14 +1,19 @@
-// Shows packed Meshcat pages in a frame, with a button to play and pause, and a slider for time.
+// Shows packed Meshcat pages in a frame, with what is said of them beside it, a slider for time with
+// events on it, speed, frame steps and keys; figures over time follow it, and lead it.
 (() => {
   const find = (id) => document.getElementById(id);
-  const frame = find("player-frame"), toggle = find("player-toggle");
-  const slider = find("player-slider"), time = find("player-time");
+  const frame = find("player-frame"), toggle = find("player-toggle"), player = frame.closest(".player");
+  const slider = find("player-slider"), time = find("player-time"), aside = find("player-aside");
   const buttons = [...document.querySelectorAll("[data-scene]")];
-  const MOST_HEIGHT = 560, LEAST_HEIGHT = 180; // of the frame [px]
-  const MARGIN = 0.97; // of half a window, that a scene may fill
-  const MOST_REACH = 6, MOST_KEYS = 50; // of an object, in half windows; of one of its tracks
+  const scenes = JSON.parse(find("player-beside").textContent);
+  const MOST_HEIGHT = 600, LEAST_HEIGHT = 150; // of the frame [px]
+  const MARGIN = 0.94; // of half a window, that a scene may fill
   const HOLD = 0.5; // that the end stands before all repeats, which is no time of the motion [s]
-  let animator = null, shown = 0, extent = null, seen = "";
+  const STEP = 0.01; // of a frame [s]
+  const DARK_STAGE = [0.66, 0.68, 0.71], LIGHT_STAGE = [1, 1, 1]; // behind the scene
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  let animator = null, shown = 0, beside = scenes[0], told = -1;
+  let plots = []; // axes over time, in figures of the page
 
   const unpack = async (id) => {
     const packed = Uint8Array.from(atob(find(id).textContent), (c) => c.charCodeAt(0));
@@ -16,9 +21,41 @@
     return new Response(stream).text();
   };
 
+  const add = (parent, tag, text, look = {}) => {
+    const made = parent.appendChild(document.createElement(tag));
+    made.textContent = text;
+    return Object.assign(made, look);
+  };
+
+  // Says beside the scene, and on the slider, what there is to see.
+  const tell = () => {
+    const legend = find("player-legend"), marks = find("player-marks"), list = find("player-events");
+    [legend, marks, list, find("player-numbers")].forEach((each) => each.replaceChildren());
+    const { motions = [], notes = [], events = [], numbers } = beside;
+    motions.forEach(([color, text], i) => {
+      add(legend, "li", text, { className: i ? "ghost" : "solid" }).style.setProperty("--color", color);
+    });
+    notes.forEach(([color, text]) => add(legend, "li", text).style.setProperty("--color", color));
+    for (const [at, text, kind] of events) {
+      const mark = add(marks, "i", "", { className: kind, title: `${at.toFixed(2)} s: ${text}` });
+      mark.style.left = `${(100 * at) / Number(slider.max)}%`;
+      const button = add(list, "button", `${at.toFixed(2)} s ${text}`, { type: "button" });
+      button.onclick = () => seek(at);
+    }
+    for (const name of numbers ? numbers.names : []) {
+      const row = find("player-numbers").insertRow();
+      add(row, "th", name);
+      add(row, "td", "");
+    }
+    aside.hidden = motions.length < 2;
+    buttons.forEach((b) => (b.hidden = buttons.length < 2));
+    told = -1;
+  };
+
   const load = async (scene) => {
     const number = ++shown;
-    animator = extent = null;
+    animator = null;
+    beside = scenes[scene];
     toggle.disabled = slider.disabled = true;
     time.textContent = "loading …";
     buttons.forEach((b) => b.setAttribute("aria-pressed", b.dataset.scene === scene));
@@ -44,100 +81,129 @@
     animator = viewer.animator;
     slider.max = animator.duration - HOLD;
     toggle.disabled = slider.disabled = false;
+    frame.contentWindow.addEventListener("keydown", press);
+    tell();
+    arrange();
     requestAnimationFrame(follow);
   };
 
-  // What is shown from where: meshes and the camera's place come whenever they are ready.
-  const describe = ({ camera, controls, scene_tree }) => {
-    let count = 0;
-    scene_tree.find(["drake_aigto"]).object.traverse((object) => (count += Boolean(object.geometry)));
-    return [count, ...camera.position.toArray(), ...controls.target.toArray()].join();
-  };
-
-  // The times that show all of a recording: between two keys everything moves straight on.
-  const keyTimes = (animator) => {
-    const times = new Set([animator.duration]);
-    for (const { tracks } of animator.actions.map((action) => action.getClip())) {
-      for (const { times: keys } of tracks) {
-        const step = Math.ceil(keys.length / MOST_KEYS);
-        for (let i = 0; i < keys.length; i += step) times.add(keys[i]);
+  // Stands motions side by side, each in its world, or all in one place, all but the first as ghosts.
+  const arrange = () => {
+    const viewer = frame.contentWindow.viewer, isAside = aside.getAttribute("aria-pressed") === "true";
+    (beside.aside || []).forEach(([x, y, z], i) => {
+      for (const kind of ["motions", "worlds", "ghosts"]) {
+        const group = viewer.scene_tree.find(["drake_aigto", kind, `${i + 1}`]).object;
+        group.position.set(...(isAside ? [x, y, z] : [0, 0, 0]));
+        group.updateMatrix();
       }
-    }
-    return times;
-  };
-
-  // How far an object reaches from the middle of the window, across and up, as `seen` has it.
-  const reach = (object, seen) => {
-    const { min, max } = object.geometry.boundingBox, far = [0, 0];
-    const matrix = seen.clone().multiply(object.matrixWorld), corner = min.clone();
-    for (let i = 0; i < 8; i++) {
-      corner.set(i & 1 ? max.x : min.x, i & 2 ? max.y : min.y, i & 4 ? max.z : min.z);
-      corner.applyMatrix4(matrix);
-      far[0] = Math.max(far[0], Math.abs(corner.x));
-      far[1] = Math.max(far[1], Math.abs(corner.y));
-    }
-    return far;
-  };
-
-  // How far the scene ever reaches, across and up, in half the window's height.
-  const measure = ({ animator, camera, controls, scene, scene_tree }) => {
-    controls.update(); // A camera that has just been placed turns to its target with the next frame.
-    const objects = [], most = [0, 0], now = animator.time;
-    scene_tree.find(["drake_aigto"]).object.traverse((object) => {
-      if (!object.geometry || object.isSprite) return;
-      object.geometry.computeBoundingBox();
-      objects.push(object);
+      for (const path of i ? beside.without : []) {
+        const parts = ["drake_aigto", ...path.replace("{}", i + 1).split("/")];
+        viewer.scene_tree.find(parts).object.visible = isAside;
+      }
     });
-    Object.assign(camera, { zoom: 1, aspect: 1 }).updateProjectionMatrix();
-    for (const time of keyTimes(animator)) {
-      animator.seek(time);
-      scene.updateMatrixWorld(true);
-      const seen = camera.projectionMatrix.clone().multiply(camera.matrixWorldInverse);
-      for (const object of objects) {
-        const far = reach(object, seen);
-        // What is farther off is ground that goes on and on.
-        if (Math.max(...far) < MOST_REACH) far.forEach((x, i) => (most[i] = Math.max(most[i], x)));
-      }
+    const ground = dark.matches ? DARK_STAGE : LIGHT_STAGE;
+    for (const end of ["top_color", "bottom_color"]) {
+      viewer.set_property(["Background", "<object>"], end, ground);
     }
-    animator.seek(now);
-    return most;
+    viewer.set_property(["Background"], "visible", true);
+    fit();
   };
 
   // Gives the frame the height that the scene needs at its width, and shows all of it.
   const fit = () => {
     const viewer = frame.contentWindow && frame.contentWindow.viewer;
     if (!viewer || !animator) return;
-    extent = extent || measure(viewer);
-    const [across, up] = extent;
-    if (!across || !up) return;
-    const slim = (frame.clientWidth * up) / across;
-    frame.style.height = `${Math.round(Math.min(MOST_HEIGHT, Math.max(LEAST_HEIGHT, slim)))}px`;
-    viewer.set_3d_pane_size();
-    viewer.camera.zoom = MARGIN / Math.max(across / viewer.camera.aspect, up);
+    const [one, all] = beside.reach, [across, up] = aside.getAttribute("aria-pressed") === "true" ? all : one;
+    const text = frame.nextElementSibling, isBeside = text.offsetTop === frame.offsetTop;
+    const least = Math.max(LEAST_HEIGHT, isBeside ? text.offsetHeight : 0);
+    const height = Math.max(least, Math.min(MOST_HEIGHT, (frame.clientWidth * up) / across));
+    if (frame.clientHeight !== Math.round(height)) {
+      frame.style.height = `${Math.round(height)}px`;
+      viewer.set_3d_pane_size();
+    }
+    const zoom = MARGIN / Math.max(across / viewer.camera.aspect, up);
+    if (viewer.camera.zoom === zoom) return;
+    viewer.camera.zoom = zoom;
     viewer.camera.updateProjectionMatrix();
     viewer.set_dirty();
   };
-  window.addEventListener("resize", fit);
+
+  // Shows numbers and cursors of a time, which is another one.
+  const point = (now) => {
+    if (now === told) return;
+    told = now;
+    time.textContent = `${now.toFixed(2)} s of ${Number(slider.max).toFixed(2)} s`;
+    const { times = [], columns = [] } = beside.numbers || {};
+    const row = times.reduce((best, t, i) => (t <= now + 1e-9 ? i : best), 0);
+    [...find("player-numbers").rows].forEach((each, i) => (each.cells[1].textContent = columns[i][row].toPrecision(3)));
+    for (const plot of plots) {
+      const part = (now - plot.dataset.first) / (plot.dataset.last - plot.dataset.first);
+      plot.firstElementChild.style.left = `${100 * part}%`;
+      plot.firstElementChild.hidden = part < 0 || part > 1;
+    }
+  };
 
   const follow = () => {
     if (!animator) return;
-    const look = describe(frame.contentWindow.viewer);
-    if (look !== seen) extent = null;
-    seen = look;
-    if (!extent) fit();
+    fit();
     if (animator.playing) slider.value = animator.time;
-    toggle.textContent = animator.playing ? "❚❚" : "▶";
-    const now = `${Number(slider.value).toFixed(2)} s of ${Number(slider.max).toFixed(2)} s`;
-    if (time.textContent !== now) time.textContent = now;
+    const speed = Number(find("player-speed").value);
+    animator.actions.forEach((action) => (action.timeScale = speed));
+    const sign = animator.playing ? "❚❚" : "▶";
+    if (toggle.textContent !== sign) toggle.textContent = sign;
+    point(Number(slider.value));
     requestAnimationFrame(follow);
   };
 
-  toggle.onclick = () => (animator.playing ? animator.pause() : animator.play());
-  slider.oninput = () => {
+  const seek = (to) => {
+    if (!animator) return;
+    slider.value = to;
     animator.pause();
     animator.seek(Number(slider.value));
     animator.display_progress(Number(slider.value));
   };
+
+  // From event to event; where there is none further, to an end.
+  const leap = (way) => {
+    const now = Number(slider.value), times = [0, ...(beside.events || []).map(([t]) => t), Number(slider.max)];
+    const further = times.filter((t) => way * (t - now) > 1e-3);
+    if (further.length) seek(way > 0 ? Math.min(...further) : Math.max(...further));
+  };
+
+  const press = (event) => {
+    if (["SELECT", "INPUT"].includes(event.target.tagName) && event.target !== slider) return;
+    const way = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    if (way && event.shiftKey) leap(way);
+    else if (way) seek(Number(slider.value) + way * STEP);
+    else if (event.key === " " && event.target.tagName !== "BUTTON") toggle.click();
+    else if (event.key === "Home" || event.key === "End") seek(event.key === "End" ? slider.max : 0);
+    else return;
+    event.preventDefault();
+  };
+
+  player.addEventListener("keydown", press);
+  window.addEventListener("resize", fit);
+  dark.addEventListener("change", () => animator && arrange());
+  toggle.onclick = () => animator && (animator.playing ? animator.pause() : animator.play());
+  find("player-back").onclick = () => seek(Number(slider.value) - STEP);
+  find("player-ahead").onclick = () => seek(Number(slider.value) + STEP);
+  slider.oninput = () => seek(slider.value);
+  aside.onclick = () => {
+    aside.setAttribute("aria-pressed", aside.getAttribute("aria-pressed") !== "true");
+    arrange();
+  };
+  window.addEventListener("load", () => {
+    plots = [...document.querySelectorAll(".plot")];
+    for (const plot of plots) {
+      const go = ({ clientX }) => {
+        const { left, width } = plot.getBoundingClientRect(), { first, last } = plot.dataset;
+        seek(Number(first) + ((clientX - left) / width) * (last - first));
+      };
+      plot.onpointerdown = go;
+      plot.onpointermove = (event) => event.buttons && go(event);
+    }
+    told = -1;
+  });
   buttons.forEach((b) => (b.onclick = () => load(b.dataset.scene)));
   load("0");
 })();

@@ -35,6 +35,7 @@ from drake_aigto.show.facts import (
 from drake_aigto.show.film import open_meshcat
 from drake_aigto.show.motion import simulation_label
 from drake_aigto.show.page import Page
+from drake_aigto.show.recording import Recording
 from drake_aigto.show.report_figures import (
     figures_of_plan,
     figures_of_run,
@@ -117,11 +118,9 @@ def report_plan(
     add_answer(page, plan, world)
     say("recording the plan, its simulations, and the boxes")
     meshcat = open_meshcat(_ANY_PORT)
-    play(plan, meshcat, world)
-    scenes = {"Plan and simulations": meshcat.StaticHtml()}
+    scenes = {"Plan and simulations": play(plan, meshcat, world).scene}
     if run is not None:
-        play_boxes(plan, meshcat, world, run)
-        scenes["AIGO's boxes"] = meshcat.StaticHtml()
+        scenes["AIGO's boxes"] = play_boxes(plan, meshcat, world, run).scene
     page.heading("In motion")
     page.scenes(scenes)
     say("drawing figures")
@@ -281,8 +280,7 @@ def report_run(run: ClosedLoopRun, progress: Callable[[str], None] | None = None
     say("recording the simulation")
     page.heading("In motion")
     meshcat = open_meshcat(_ANY_PORT)
-    show_run(run, meshcat)
-    page.scenes({"Simulation and plans": meshcat.StaticHtml()})
+    page.scenes({"Simulation and plans": show_run(run, meshcat).scene})
     say("drawing figures")
     page.heading("Figures")
     for figure, caption in figures_of_run(run):
@@ -296,16 +294,16 @@ def report_run(run: ClosedLoopRun, progress: Callable[[str], None] | None = None
     return page.to_html()
 
 
-def show_run(run: ClosedLoopRun, meshcat: Meshcat) -> None:
-    """Shows a run in Meshcat, with a slider: the simulation, and the first plans beside it.
+def show_run(run: ClosedLoopRun, meshcat: Meshcat) -> Recording:
+    """Shows a run in Meshcat, with a slider: the simulation, and the first plans as ghosts.
 
     A flash is a kick, or the moment at which another plan was taken, which is there from then on.
     """
     motions = [motion_of_run(run), *motions_of_switches(run)][:_MOST_MOTIONS]
-    events = [switch.time for switch in run.switches]
+    events = {switch.time: "takes another plan" for switch in run.switches}
     if run.disturbance.kick.any():
-        events.append(run.disturbance.kick_time)
-    publish(motions, meshcat, run.true_world, run.scenario, sorted(events))
+        events[run.disturbance.kick_time] = "is kicked"
+    return publish(motions, meshcat, run.true_world, run.scenario, events)
 
 
 def _add_ticks(page: Page, run: ClosedLoopRun) -> None:

@@ -1,23 +1,24 @@
-"""Playback in Drake's Meshcat: a copy of the world for each motion, at real speed."""
+"""Playback in Drake's Meshcat: one scene, a plan solid and others as ghosts, at real speed."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_hex, to_rgb
 from pydrake.geometry import Meshcat, Rgba, Sphere
-from pydrake.math import RigidTransform
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.planning import Plan
-from drake_aigto.show.board import lay_board
 from drake_aigto.show.film import (
+    LONGEST,
     ROOT,
     Film,
     look_at,
+    put_behind,
     put_in_front,
     shape_arc,
     shape_arrow,
@@ -34,7 +35,19 @@ from drake_aigto.show.motion import (
     motions_of_plan,
     time_span,
 )
-from drake_aigto.show.shapes import Actor, find_goal, has_goal, moves_straight, moving_joints
+from drake_aigto.show.recording import (
+    Recording,
+    list_events,
+    list_numbers,
+    stand_side_by_side,
+)
+from drake_aigto.show.shapes import (
+    Actor,
+    find_goal,
+    has_goal,
+    moves_straight,
+    moving_joints,
+)
 from drake_aigto.show.stage import Stage
 from drake_aigto.world import Scenario, World
 
@@ -42,8 +55,8 @@ from drake_aigto.world import Scenario, World
 _FRAMES_PER_SECOND = 1000
 # Seen from afar, as walls hide less then; and from aside by this [rad].
 _VIEW, _TILT = np.deg2rad(12.0), np.deg2rad(12.0)
-_LIFT = 0.1  # of the board from what is farthest back, in radii of what moves
 
+_GHOST = 0.35  # how much a ghost covers
 _GRAY = Rgba(0.6, 0.6, 0.6)  # of what has no color of its own
 # Ghosts of the links where they start, and where they should end.
 _GHOSTS = {"start": Rgba(0.3, 0.3, 0.3, 0.25), "goal": Rgba(0.0, 0.62, 0.35, 0.3)}
@@ -53,15 +66,22 @@ _MAGENTA, _VIOLET = Rgba(0.75, 0.0, 0.45), Rgba(0.36, 0.1, 0.75)
 _FLASH = 0.045  # radius of the largest flash, in sizes of the window
 _LASTING = 0.3  # that the impulse of an impact is seen [s]
 _LEAST_FLASH = 0.4  # Of the largest flash's radius: that of an impact without speed.
+_BEHIND = 2e-3  # from the way of one motion to that of the next, in sizes of the window
+# What ghosts lack until they stand side by side with the first motion.
+GHOSTS_WITHOUT = (
+    *("worlds/{}", "ghosts/{}", "motions/{}/control", "motions/{}/contacts"),
+    "motions/{}/friction",
+)
+_LINE = 2.0  # width of ways [px]
 _FLASH_TIME = 0.15  # from an impact until its flash is gone [s]
 
 
 def play(
     plan: Plan, meshcat: Meshcat, world: World | None = None, beside: Sequence[Motion] = ()
-) -> None:
+) -> Recording:
     """Shows a plan, labeled as no simulation, and what simulations made of its control.
 
-    Motions of the same world to compare with, such as `gradient_motions` returns, are shown beside
+    Motions of the same world to compare with, such as `gradient_motions` returns, are shown with
     them; of the plan's simulations then only the exactly rigid one.
 
     Raises:
@@ -74,7 +94,7 @@ def play(
     if beside:
         ours = [dataclasses.replace(each, label=f"AIGTO: {each.label}") for each in motions[:2]]
         motions = [*ours, *beside]
-    publish(motions, meshcat, world, plan.scenario)
+    return publish(motions, meshcat, world, plan.scenario)
 
 
 def publish(
@@ -82,16 +102,17 @@ def publish(
     meshcat: Meshcat,
     world: World,
     scenario: Scenario,
-    events: Sequence[float] = (),
-) -> None:
+    events: Mapping[float, str] | None = None,
+) -> Recording:
     """Publishes one recording, with a time slider, of several motions of the same world.
 
-    Each motion has a copy of the world, so that none hides another: its links and walls in their
-    own colors (balls in that of their motion), before a panel with its planned contacts. Dots are
-    where bodies were every 0.05 s. Transparent ghosts are the start (gray) and the goal (green): a
-    coordinate whose goal has no weight is there as it ends, and links that no weighted one moves
-    have no ghost. What moves is there from the first time of its motion on. Arrows, arcs and
-    flashes are control, contact and impacts:
+    The first motion is solid, its links in their own colors (balls in that of their motion); the
+    others are translucent ghosts in the same place, each in its color. A page's player stands them
+    side by side at the press of a button, each in a world of its own (`Recording`). Lines are the
+    ways of bodies. Fainter still are the start (gray) and the goal (green): a coordinate whose goal
+    has no weight is there as it ends, and links that no weighted one moves have no ghost. What
+    moves is there from the first time of its motion on. Arrows, arcs and flashes are control,
+    contact and impacts:
 
     - Black arrows are forces of the control on links, and black arcs its torques at joints.
     - Magenta arrows are forces of contacts while they last, friction included; yellow flashes are
@@ -101,33 +122,45 @@ def publish(
       ones while it sticks, open ones of ribs while it slips. Cones and impulses are in a folder
       "friction" of each motion, which Meshcat's controls can hide.
 
-    The camera sees all of it. What was shown below `ROOT` before is gone.
+    Ghosts have arrows and flashes only side by side. The camera sees all of it. What was shown
+    below `ROOT` before is gone.
 
     Args:
-        motions: to show, the first of them as it is placed in the world.
+        motions: to show.
         meshcat: where.
         world: of the motions.
         scenario: has start and goal.
-        events: times of kicks and the like [s].
+        events: times of kicks and the like [s], and what they are.
     """
     goals = (find_goal(world, scenario, motion.positions[-1]) for motion in motions)
     rows = [scenario.initial_position, *goals, *(motion.positions for motion in motions)]
     stage = Stage(world, np.vstack(rows))
     film = Film(meshcat, *time_span(motions), _FRAMES_PER_SECOND)
     scene = _Scene(stage, world, scenario, motions, film)
-    notes = scene.notes + ["violet flash: a kick, or another plan"] * bool(events)
-    board = lay_board(stage, motions, world, scenario, notes)
-    meshcat.SetObject(f"{ROOT}/board", board.mesh())
-    lift = RigidTransform([0.0, 0.0, _LIFT * stage.radius])
-    meshcat.SetTransform(f"{ROOT}/board", stage.X_WT @ lift)
     for index in range(len(motions)):
-        scene.add(index, RigidTransform(stage.X_WT.rotation() @ board.offset(index)))
-    aside = RigidTransform(stage.X_WT.rotation() @ board.offset(0))
-    scene.add_events(events, aside)
+        scene.add(index)
+    scene.add_events(list(events or ()))
     film.play()
-    # From a little below a level board, or above an upright one.
+    # From a little below a level plane, or above an upright one.
     tilt = -_TILT if abs(stage.X_WT.rotation().matrix()[2, 2]) > 0.5 else _TILT
-    look_at(meshcat, stage.X_WT, board.corners, (_VIEW, tilt, 0.0))
+    low, high = scene.find_corners()
+    unit = look_at(meshcat, stage.X_WT, (low, high), (_VIEW, tilt, 0.0))
+    places = stand_side_by_side(high - low, len(motions))
+    both = high - low, high - low + np.ptp(places, axis=0)
+    lean = np.array([0.0, stage.depth * abs(np.sin(tilt))])
+    rotation = stage.X_WT.rotation().matrix()
+    return Recording(
+        meshcat,
+        {
+            "motions": [[color_of(i), motion.label] for i, motion in enumerate(motions)],
+            "notes": scene.notes,
+            "events": list_events(motions[0], world, events or {}),
+            "numbers": list_numbers(motions[0], world),
+            "reach": [((size + lean) / 2 / unit).tolist() for size in both],
+            "aside": (places @ rotation[:, :2].T).tolist(),
+            "without": GHOSTS_WITHOUT,
+        },
+    )
 
 
 class _Scene:
@@ -145,6 +178,7 @@ class _Scene:
         """Finds the scales."""
         self._stage, self._world, self._scenario, self.film = stage, world, scenario, film
         self._motions = list(motions)
+        self._asked_for = has_goal(world, scenario)
         self._loads = [self._calc_loads(motion) for motion in motions]
         self._friction = [calc_friction(motion, world, scenario) for motion in motions]
         self._coefficients = world.friction_coefficients(scenario)
@@ -169,32 +203,45 @@ class _Scene:
         self._largest_speed = max(speeds, default=0.0) or 1.0
 
     @property
-    def notes(self) -> list[str]:
-        """Explanations of what is shown."""
+    def notes(self) -> list[tuple[str, str]]:
+        """Explanations of what is shown, each with its color."""
         force, torque, push, impulse = self.largest
         slides = any(np.any(each.largest > 0) for both in self._friction for each in both)
         free = self._stage.names_without_contact if self._world.contacts else []
-        found = {
-            f"black arrow: control, up to {force:.3g} N": force > 0,
-            f"black arc: control, up to {torque:.3g} N m": torque > 0,
-            f"magenta arrow: contact force, up to {push:.3g} N": push > 0,
-            "yellow flash: impact": self._flashes,
-            f"violet arrow: impulse, up to {impulse:.3g} N s": impulse > 0,
-            "cone of friction: filled sticks, ribs slip": slides,
-            f"touches nothing: {', '.join(free)}": free,
-        }
-        return [note for note, is_shown in found.items() if is_shown]
+        found: list[tuple[object, str, Any]] = [
+            (True, "where it starts", _GHOSTS["start"]),
+            (self._asked_for.any(), "goal", _GHOSTS["goal"]),
+            (force > 0, f"arrow: control, up to {force:.3g} N", _INK),
+            (torque > 0, f"arc: control, up to {torque:.3g} N m", _INK),
+            (push > 0, f"arrow: contact force, up to {push:.3g} N", _MAGENTA),
+            (self._flashes, "flash: impact", _YELLOW),
+            (impulse > 0, f"arrow: impulse, up to {impulse:.3g} N s", _VIOLET),
+            (slides, "cone of friction: filled while it sticks, ribs while it slips", _MAGENTA),
+            (free, f"touches nothing: {', '.join(free)}", _GRAY),
+        ]
+        return [(to_hex(_on_white(color)), text) for is_so, text, color in found if is_so]
 
-    def add(self, index: int, aside: RigidTransform) -> None:
-        """Adds a copy of the world for the motion of this number, moved aside.
+    def find_corners(self) -> tuple[Floats, Floats]:
+        """Returns corners in T's x and y of what is to be seen with its arrows, (2,) each [m]."""
+        stage, X_TW = self._stage, self._stage.X_WT.inverse()
+        low, high, size = stage.low, stage.high, LONGEST * stage.size
+        for loads, largest in zip(self._loads[0], self.largest, strict=False):
+            for places, vectors in loads.values():
+                ends = X_TW.multiply((places + vectors * (size / (largest or 1.0))).T)[:2]
+                low, high = np.minimum(low, ends.min(axis=1)), np.maximum(high, ends.max(axis=1))
+        return low, high
 
-        It is what stands still, ghosts, links as they move, and what rides on them. Links have
-        their own colors, but balls and what has none that of the motion. Only those have a ghost at
-        the goal that a coordinate asked for moves.
+    def add(self, index: int) -> None:
+        """Adds the motion of this number.
+
+        It is what stands still, ghosts of start and goal, links as they move, and what rides on
+        them. Links of the first motion have their own colors, but balls and what has none that of
+        the motion. Only those have a ghost at the goal that a coordinate asked for moves.
         """
         stage, film, motion = self._stage, self.film, self._motions[index]
-        asked_for, (first, last) = has_goal(self._world, self._scenario), motion.positions[[0, -1]]
-        goal, color = find_goal(self._world, self._scenario, last), Rgba(*to_rgb(color_of(index)))
+        first, last = motion.positions[[0, -1]]
+        goal = find_goal(self._world, self._scenario, last)
+        color = Rgba(*to_rgb(color_of(index)), _GHOST if index else 1.0)
         # Of several rows in one frame the last one counts.
         rows = {film.frame(time): q for time, q in zip(motion.times, motion.positions, strict=True)}
         rows[film.last_frame] = last
@@ -202,7 +249,7 @@ class _Scene:
         def put(actor: Actor, folder: str, q: Floats, color: Rgba | None) -> str:
             path = f"{ROOT}/{folder}/{actor.name}"
             film.meshcat.SetObject(path, actor.shape, color or _GRAY)
-            film.meshcat.SetTransform(path, aside @ stage.pose(actor, q))
+            film.meshcat.SetTransform(path, stage.pose(actor, q))
             return path
 
         folder, start = f"motions/{index + 1}", self._scenario.initial_position
@@ -211,27 +258,33 @@ class _Scene:
                 put(actor, f"worlds/{index + 1}", first, actor.color)
                 continue
             put(actor, f"ghosts/{index + 1}/start", start, _GHOSTS["start"])
-            if np.any(stage.movers_of(actor.index) & asked_for):
+            if np.any(stage.movers_of(actor.index) & self._asked_for):
                 put(actor, f"ghosts/{index + 1}/goal", goal, _GHOSTS["goal"])
-            own = None if moves_straight(self._world) else actor.color
+            own = None if index or moves_straight(self._world) else actor.color
             path = put(actor, folder, first, own or color)
+            if index:
+                put_behind(path, film.meshcat)
             for frame, q in rows.items():
-                film.move(frame, path, aside @ stage.pose(actor, q))
+                film.move(frame, path, stage.pose(actor, q))
+        for number, way in enumerate(stage.trace(motion.positions)):
+            line = stage.X_WT.multiply((way - [0.0, 0.0, _BEHIND * index * stage.size]).T)
+            film.meshcat.SetLine(f"{ROOT}/{folder}/ways/{number}", line, _LINE, color)
         if min(rows) > 0:
             film.show_between(f"{ROOT}/{folder}", min(rows), film.last_frame + 1)
-        self._add_control(index, aside, f"{ROOT}/{folder}/control")
-        self._add_contacts(index, aside, f"{ROOT}/{folder}")
+        self._add_control(index, f"{ROOT}/{folder}/control")
+        self._add_contacts(index, f"{ROOT}/{folder}")
+        for part in GHOSTS_WITHOUT if index else ():
+            film.meshcat.SetProperty(f"{ROOT}/{part.format(index + 1)}", "visible", False)
 
-    def add_events(self, times: Sequence[float], aside: RigidTransform) -> None:
+    def add_events(self, times: Sequence[float]) -> None:
         """Adds flashes where the first motion is at times [s]."""
         if not times:
             return
         motion = self._motions[0]
         (way, *_), rows = self._stage.trace(motion.positions), [find_row(motion, t) for t in times]
-        places = aside.multiply(self._stage.X_WT.multiply(way[rows].T)).T
-        self._flash(
-            f"{ROOT}/motions/1/events", sorted(times), places, np.full(len(rows), 2.0), _VIOLET
-        )
+        places = self._stage.X_WT.multiply(way[rows].T).T
+        path = f"{ROOT}/motions/1/events"
+        self._flash(path, sorted(times), places, np.full(len(rows), 2.0), _VIOLET)
 
     def _calc_loads(
         self, motion: Motion
@@ -262,7 +315,7 @@ class _Scene:
                 forces[name] = places, pushes + before
         return forces, torques
 
-    def _add_control(self, index: int, aside: RigidTransform, folder: str) -> None:
+    def _add_control(self, index: int, folder: str) -> None:
         """Adds arrows and arcs of the control."""
         frames = list(map(self.film.frame, self._motions[index].times))
         shapes = {"arrow": shape_arrow, "arc": shape_arc}
@@ -272,16 +325,16 @@ class _Scene:
                 if np.any(vectors):
                     path = f"{folder}/{name}/{kind}"
                     shape(path, self._stage.size, self.film.meshcat, _INK)
-                    self.film.ride(path, frames, aside.multiply(places.T).T, vectors / largest)
+                    self.film.ride(path, frames, places, vectors / largest)
 
-    def _add_contacts(self, index: int, aside: RigidTransform, folder: str) -> None:
+    def _add_contacts(self, index: int, folder: str) -> None:
         """Adds forces, impulses and cones of friction of contacts, and flashes of impacts."""
         motion, (forces, impulses) = self._motions[index], self._friction[index]
         keys = [(self.film.frame(time), row, True) for row, time in enumerate(motion.times)]
         for contact in _find(forces.normals > 0):
             arrow, cones = f"contacts/{contact}/force", f"friction/{contact}/force"
             paths = f"{folder}/{arrow}", f"{folder}/{cones}"
-            self._add_push(motion, forces, contact, keys, aside, paths, self.largest[2], _MAGENTA)
+            self._add_push(motion, forces, contact, keys, paths, self.largest[2], _MAGENTA)
         end = round(_LASTING * self.film.rate)
         lasting = {-1: False, 0: True, end: True, end + 1: False}
         for contact in _find(impulses.largest > 0):
@@ -290,11 +343,11 @@ class _Scene:
             keys = [(frame, int(rows[number]), seen) for frame, number, seen in moments]
             cones = f"{folder}/friction/{contact}/impulse"
             paths = f"{cones}/arrow", cones
-            self._add_push(motion, impulses, contact, keys, aside, paths, self.largest[3], _VIOLET)
+            self._add_push(motion, impulses, contact, keys, paths, self.largest[3], _VIOLET)
         for contact in sorted({touch.contact for touch in motion.impacts}) if self._flashes else ():
             times = [touch.start for touch in motion.impacts if touch.contact == contact]
             qs = [motion.positions[find_row(motion, time)] for time in times]
-            places = np.array([aside.multiply(self._stage.touch(contact, q)[0]) for q in qs])
+            places = np.array([self._stage.touch(contact, q)[0] for q in qs])
             speeds = [calc_approach_speed(self._world, motion, time, contact) for time in times]
             sizes = _LEAST_FLASH + (1 - _LEAST_FLASH) * (np.array(speeds) / self._largest_speed)
             self._flash(f"{folder}/contacts/{contact}/impacts", times, places, sizes, _YELLOW)
@@ -305,7 +358,6 @@ class _Scene:
         friction: Friction,
         contact: int,
         keys: Sequence[tuple[int, int, bool]],
-        aside: RigidTransform,
         paths: tuple[str, str],
         largest: float,
         color: Rgba,
@@ -316,7 +368,7 @@ class _Scene:
         """
         frames, rows, shown = (list(each) for each in zip(*keys, strict=True))
         touches = [self._stage.touch(contact, q) for q in motion.positions[rows]]
-        places = np.array([aside.multiply(place) for place, _ in touches])
+        places = np.array([place for place, _ in touches])
         normals = np.array([normal for _, normal in touches]) * np.array(shown)[:, np.newaxis]
         vectors = normals * friction.normals[rows, contact, np.newaxis]
         slides = (friction.largest[rows, contact] > 0) & shown
@@ -349,3 +401,9 @@ class _Scene:
 def _find(acts: Bools) -> list[int]:
     """Returns the contacts that act in any row, of shape (K, m)."""
     return list(map(int, np.flatnonzero(acts.any(axis=0))))
+
+
+def _on_white(color: Rgba) -> tuple[float, float, float]:
+    """Returns how a translucent color looks on white."""
+    red, green, blue = (1 - color.a() * (1 - part) for part in (color.r(), color.g(), color.b()))
+    return red, green, blue

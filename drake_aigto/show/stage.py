@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydrake.geometry import Box, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.tree import BodyIndex, JacobianWrtVariable, Joint, PrismaticJoint
+from pydrake.multibody.tree import BodyIndex, JacobianWrtVariable, Joint, PrismaticJoint, RigidBody
 from pydrake.systems.framework import Context
 
 from drake_aigto.arrays import Bools, Floats
@@ -221,14 +221,6 @@ class Stage:
             yield body.index(), places[np.argmax(np.linalg.norm(places - origin, axis=1))]
 
     @property
-    def tracer_names(self) -> list[str]:
-        """The names of the tracers' bodies, without the last word where it is that of all."""
-        bodies = (self._world.plant.get_body(body) for body, _ in self.tracers)
-        names = [body.name().split("_") for body in bodies]
-        is_shared = len({name[-1] for name in names}) == 1
-        return [" ".join(name[:-1] if is_shared else name) for name in names]
-
-    @property
     def names_without_contact(self) -> list[str]:
         """The names of bodies that move, and pass through all that they meet."""
         inspector, plant = self._world.scene_graph.model_inspector(), self._world.plant
@@ -347,15 +339,24 @@ class Stage:
         return self.pose(driven, q).multiply(middle), push, moment
 
     def find_driven(self, joint: Joint) -> Actor | None:
-        """Returns the first shape of the link that a joint moves, or that slides on it."""
+        """Returns the first shape of the link that a joint moves, or that it carries along.
+
+        That is one that slides on the link, or turns on it about its middle.
+        """
         outward = [joint]
         for each in outward:
-            for actor in self.actors:
-                if actor.index == each.child_body().index():
+            body = each.child_body()
+            for actor in (actor for actor in self.actors if actor.index == body.index()):
+                if isinstance(each, PrismaticJoint) or each is joint or self._is_about(actor, body):
                     return actor
-            others = outboard_joints(self._world, each.child_body())
-            outward += [other for other in others if isinstance(other, PrismaticJoint)]
+            outward += outboard_joints(self._world, body)
         return None
+
+    def _is_about(self, actor: Actor, body: RigidBody) -> bool:
+        """Returns whether the joint that carries a body is in the middle of a shape of it."""
+        place = actor.X_BS.inverse().multiply(find_hinge(self._world, body))
+        off = np.abs(place - actor.corners.mean(axis=0))
+        return bool(np.all(off < np.ptp(actor.corners, axis=0) / 4))
 
 
 def _face(normal: Floats) -> RotationMatrix:

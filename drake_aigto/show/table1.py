@@ -13,7 +13,7 @@ from drake_aigto.paper import PAPER_COSTS, Cell, Entry, RigidCell, Table1, Table
 from drake_aigto.show.figures import plot_motions
 from drake_aigto.show.film import open_meshcat
 from drake_aigto.show.motion import PLAN_LABEL, SIMULATION_LABELS, Motion
-from drake_aigto.show.page import Page
+from drake_aigto.show.page import Page, Scene
 from drake_aigto.show.report import PROBLEM, describe_versions
 from drake_aigto.show.scene import publish
 from drake_aigto.show.text import (
@@ -270,7 +270,7 @@ def _make_motions(table: Table1, row: int, world: World) -> list[Motion]:
     return motions
 
 
-def _record(table: Table1, row: int) -> str:
+def _record(table: Table1, row: int) -> Scene:
     """Returns Meshcat's page of a row."""
     scenario = Scenario.named(f"table1/{row}")
     world = World.from_scenario(scenario)
@@ -280,5 +280,4 @@ def _record(table: Table1, row: int) -> str:
         simulated = motions[2 * index + 1]
         motions[2 * index + 1] = simulated.under(planned.control_times, planned.controls)
     meshcat = open_meshcat(_ANY_PORT)
-    publish(motions, meshcat, world, scenario)
-    return str(meshcat.StaticHtml())
+    return publish(motions, meshcat, world, scenario).scene
