@@ -114,7 +114,7 @@ def _load(path: str) -> Plan | ClosedLoopRun:
 
 def _publish(
     options: argparse.Namespace, plan: Plan, meshcat: Meshcat, world: World
-) -> show.Recording:
+) -> show.Playback:
     if options.optimization:
         with show_progress(options, "running AIGO again"):
             return show.play_boxes(plan, meshcat, world)

@@ -31,7 +31,7 @@ from .plan_figures import plot_cost_history as plot_cost_history
 from .plan_figures import plot_cost_landscape as plot_cost_landscape
 from .plan_figures import plot_friction as plot_friction
 from .plan_figures import plot_strobe as plot_strobe
-from .recording import Recording as Recording
+from .playback import Playback as Playback
 from .report import add_answer as add_answer
 from .report import add_question as add_question
 from .report import add_verdict as add_verdict

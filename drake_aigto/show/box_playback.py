@@ -18,7 +18,7 @@ from drake_aigto.paper import LiteralOptions, make_literal_task
 from drake_aigto.planning import Plan, PlanOptions, ProgramTask, Rung, make_ball_task
 from drake_aigto.show.film import ROOT, Film, look_at, make_mesh
 from drake_aigto.show.motion import PALETTE, PLAN_LABEL
-from drake_aigto.show.recording import Recording
+from drake_aigto.show.playback import Playback
 from drake_aigto.show.shapes import coordinate_names, wall_places
 from drake_aigto.transcription import Transcription
 from drake_aigto.world import World
@@ -45,7 +45,7 @@ _VIEW, _TILT, _TURN = np.deg2rad([20.0, 14.0, 10.0])
 
 def play_boxes(
     plan: Plan, meshcat: Meshcat, world: World | None = None, run: BoxRun | None = None
-) -> Recording:
+) -> Playback:
     """Shows how AIGO's boxes shrank onto a plan, with a slider over iterations.
 
     For each coordinate, a box for each knot stands on a graph of position over time. Not every
@@ -94,7 +94,7 @@ def play_boxes(
     # From the front, a little from above and from the right.
     frame = RigidTransform(turned, np.zeros(3))
     unit = look_at(meshcat, frame, (-corner, corner), (_VIEW, _TILT, _TURN))
-    return Recording(meshcat, {"reach": [(corner / unit).tolist()]})
+    return Playback(meshcat, {"reach": [(corner / unit).tolist()]})
 
 
 def _paint(run: BoxRun, plan: Plan, world: World, low: Floats, high: Floats) -> Figure:

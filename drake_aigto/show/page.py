@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 _SVG: dict[Any, Any] = {"svg.hashsalt": "drake_aigto", "svg.fonttype": "path"}
 _DPI = 120  # of what is no lines: landscapes of many colors
 
-# `Meshcat.StaticHtml()`, and what the player says beside it (`Recording`).
+# `Meshcat.StaticHtml()`, and what the player says beside it (`Playback`).
 Scene = tuple[str, Mapping[str, Any]]
 
 _common_start = commonprefix  # Of any texts: it compares letter by letter.

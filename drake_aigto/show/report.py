@@ -35,7 +35,7 @@ from drake_aigto.show.facts import (
 from drake_aigto.show.film import open_meshcat
 from drake_aigto.show.motion import simulation_label
 from drake_aigto.show.page import Page
-from drake_aigto.show.recording import Recording
+from drake_aigto.show.playback import Playback
 from drake_aigto.show.report_figures import (
     figures_of_plan,
     figures_of_run,
@@ -294,7 +294,7 @@ def report_run(run: ClosedLoopRun, progress: Callable[[str], None] | None = None
     return page.to_html()
 
 
-def show_run(run: ClosedLoopRun, meshcat: Meshcat) -> Recording:
+def show_run(run: ClosedLoopRun, meshcat: Meshcat) -> Playback:
     """Shows a run in Meshcat, with a slider: the simulation, and the first plans as ghosts.
 
     A flash is a kick, or the moment at which another plan was taken, which is there from then on.

@@ -35,8 +35,8 @@ from drake_aigto.show.motion import (
     motions_of_plan,
     time_span,
 )
-from drake_aigto.show.recording import (
-    Recording,
+from drake_aigto.show.playback import (
+    Playback,
     list_events,
     list_numbers,
     stand_side_by_side,
@@ -78,7 +78,7 @@ _FLASH_TIME = 0.15  # from an impact until its flash is gone [s]
 
 def play(
     plan: Plan, meshcat: Meshcat, world: World | None = None, beside: Sequence[Motion] = ()
-) -> Recording:
+) -> Playback:
     """Shows a plan, labeled as no simulation, and what simulations made of its control.
 
     Motions of the same world to compare with, such as `gradient_motions` returns, are shown with
@@ -103,12 +103,12 @@ def publish(
     world: World,
     scenario: Scenario,
     events: Mapping[float, str] | None = None,
-) -> Recording:
+) -> Playback:
     """Publishes one recording, with a time slider, of several motions of the same world.
 
     The first motion is solid, its links in their own colors (balls in that of their motion); the
     others are translucent ghosts in the same place, each in its color. A page's player stands them
-    side by side at the press of a button, each in a world of its own (`Recording`). Lines are the
+    side by side at the press of a button, each in a world of its own (`Playback`). Lines are the
     ways of bodies. Fainter still are the start (gray) and the goal (green): a coordinate whose goal
     has no weight is there as it ends, and links that no weighted one moves have no ghost. What
     moves is there from the first time of its motion on. Arrows, arcs and flashes are control,
@@ -149,7 +149,7 @@ def publish(
     both = high - low, high - low + np.ptp(places, axis=0)
     lean = np.array([0.0, stage.depth * abs(np.sin(tilt))])
     rotation = stage.X_WT.rotation().matrix()
-    return Recording(
+    return Playback(
         meshcat,
         {
             "motions": [[color_of(i), motion.label] for i, motion in enumerate(motions)],

@@ -26,7 +26,7 @@ _HEIGHT = 640  # of the frame in a notebook [px]
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Playback:
     """What a Meshcat plays, and what a page says beside it.
 
     A notebook shows it as a page in a frame, which needs no network.
