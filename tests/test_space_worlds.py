@@ -167,8 +167,12 @@ def test_a_body_that_turns_is_shown_between_knots_and_across_its_way(tmp_path: P
     x, _, towards = stage.X_WT.rotation().matrix().T
     np.testing.assert_allclose(x, [0, 1, 0], atol=1e-3)
     assert not stage.is_flat and 0.3 < towards[2] < 0.6
-    assert sorted(stage.tracer_names) == ["finger", "thing"]
-    publish([motion], meshcat := Meshcat(), world, scenario)
+    named = {world.plant.get_body(body).name() for body, _ in stage.tracers}
+    assert named == {"finger", "thing"}
+    numbers = publish([motion], meshcat := Meshcat(), world, scenario).beside["numbers"]
+    assert len(numbers["names"]) == len(numbers["columns"]) and "thing turn z [rad]" in " ".join(
+        numbers["names"]
+    )
     _, turns = clips(meshcat, "quaternion")[f"{ROOT}/motions/1/m/thing/ball"]
     np.testing.assert_allclose(np.abs(turns[-1]), [0, 0, np.sin(0.3), np.cos(0.3)], atol=1e-6)
     captions = [caption for _, caption in draw_mechanism([motion], world, scenario)]

@@ -16,9 +16,9 @@ from drake_aigto.output import write_text
 from drake_aigto.show.film import ASPECT_RATIO
 from drake_aigto.show.motion import Motion
 from drake_aigto.show.page import Page, Scene
-from drake_aigto.show.shapes import coordinate_names
+from drake_aigto.show.shapes import coordinate_names, read_coordinates
 from drake_aigto.show.text import touch_names
-from drake_aigto.world import World
+from drake_aigto.world import Scenario, World
 
 _APART = 1.06  # from one motion to the next when they stand side by side, in windows
 _MOST_NUMBERS = 400  # rows of the table of numbers
@@ -97,14 +97,15 @@ def list_events(
     return sorted(found + [(time, text, "change") for time, text in others.items()])
 
 
-def list_numbers(motion: Motion, world: World) -> dict[str, Any]:
+def list_numbers(motion: Motion, world: World, scenario: Scenario) -> dict[str, Any]:
     """Returns a motion's coordinates and controls over time, with their names and units."""
     times = np.linspace(motion.times[0], motion.times[-1], _MOST_NUMBERS)
     names = [
         f"{name} [{'rad' if is_hinge else 'm'}]"
-        for name, is_hinge in zip(coordinate_names(world), world.is_hinge, strict=True)
+        for name, is_hinge in zip(coordinate_names(world), world.turns, strict=True)
     ]
-    columns = list(interpolate(times, motion.times, motion.positions).T)
+    read = read_coordinates(world, scenario, motion.positions)
+    columns = list(interpolate(times, motion.times, read).T)
     if motion.controls is not None and motion.control_times is not None:
         held = np.searchsorted(motion.control_times, times, side="right") - 1
         columns += list(motion.controls[np.clip(held, 0, len(motion.controls) - 1)].T)

@@ -155,7 +155,7 @@ def publish(
             "motions": [[color_of(i), motion.label] for i, motion in enumerate(motions)],
             "notes": scene.notes,
             "events": list_events(motions[0], world, events or {}),
-            "numbers": list_numbers(motions[0], world),
+            "numbers": list_numbers(motions[0], world, scenario),
             "reach": [((size + lean) / 2 / unit).tolist() for size in both],
             "aside": (places @ rotation[:, :2].T).tolist(),
             "without": GHOSTS_WITHOUT,
