@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from pydrake.solvers import MathematicalProgram
 
-from drake_aigto.certify.contraction import contract_box
+from drake_aigto.certify.contraction import contract_all
 from drake_aigto.certify.enclosures import SumOfFormulas
 from drake_aigto.certify.formulas import (
     BoundedFormula,
@@ -29,7 +29,8 @@ def narrowed(formulas: Formulas) -> tuple[Formulas, bool]:
     lower, upper, rows = formulas.lower.copy(), formulas.upper.copy(), formulas.rows
     joint = join([(row,) for row in rows], lower.size)
     low, high = (np.array([getattr(row, side) for row in rows]) for side in ("lower", "upper"))
-    is_left = bool(np.all(lower <= upper)) and contract_box(joint, low, high, lower, upper)
+    is_left = bool(np.all(lower <= upper))
+    is_left = is_left and bool(contract_all(joint, low, high, lower[None], upper[None])[0])
     return (replace(formulas, lower=lower, upper=upper) if is_left else formulas), is_left
 
 

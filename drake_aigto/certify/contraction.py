@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.certify.enclosures import VALUE, at, enclose, make_scratch, put
 from drake_aigto.certify.formulas import JointTape, Operation
 from drake_aigto.certify.intervals import (
@@ -193,18 +193,24 @@ def contract(
 
 
 @kernel
-def contract_box(joint: JointTape, lower: Floats, upper: Floats, low: Floats, high: Floats) -> bool:
-    """Narrows low ≤ x ≤ high (n,), in place, to where all formulas may be within bounds.
+def contract_all(
+    joint: JointTape, lower: Floats, upper: Floats, low: Floats, high: Floats
+) -> Bools:
+    """Narrows cells, in place, to where all formulas may be within bounds.
 
     Args:
         joint: the formulas.
         lower: their bounds (R,).
         upper: shape (R,).
-        low: lower ends, contiguous.
+        low: lower ends of the cells (C, n), contiguous.
         high: upper ends.
 
     Returns:
-        Whether anything is left.
+        Whether anything is left of each (C,).
     """
-    jets, old = make_scratch(joint.tape, low.size, VALUE), np.empty((2, low.size))
-    return contract(joint, lower, upper, low, high, jets, old)
+    size = low.shape[1]
+    jets, old = make_scratch(joint.tape, size, VALUE), np.empty((2, size))
+    is_left = np.empty(len(low), dtype=np.bool_)
+    for c in range(is_left.size):
+        is_left[c] = contract(joint, lower, upper, low[c], high[c], jets, old)
+    return is_left

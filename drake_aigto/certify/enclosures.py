@@ -70,6 +70,13 @@ def put(jets: Floats, entry: int, place: int, x: Interval) -> None:
 
 
 @inner
+def _slope_of_power(x: Interval, exponent: Interval) -> Interval:
+    """Returns x^p as a part of a derivative: all numbers where it has no value."""
+    low, high = real_power(x, exponent)
+    return (low, high) if low <= high else (-np.inf, np.inf)
+
+
+@inner
 def derivatives(
     operation: int, x: Interval, exponent: int, p: float, order: int
 ) -> tuple[Interval, Interval, Interval]:
@@ -97,8 +104,8 @@ def derivatives(
         return value, minus(power(value, 2)), (2.0 * cube[0], 2.0 * cube[1])
     if operation == Operation.REAL_POWER:
         less, least = plus((p, p), (-1.0, -1.0)), plus((p, p), (-2.0, -2.0))
-        second = times(scaled(p, less), real_power(x, least))
-        return real_power(x, (p, p)), scaled(p, real_power(x, less)), second
+        first, second = _slope_of_power(x, less), _slope_of_power(x, least)
+        return real_power(x, (p, p)), scaled(p, first), times(scaled(p, less), second)
     if operation == Operation.LOG:
         first = reciprocal((max(x[0], 0.0), x[1]))
         return logarithm(x), first, minus(power(first, 2))

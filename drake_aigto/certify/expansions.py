@@ -140,8 +140,8 @@ def _plane_bound(about: Floats, steps: Floats) -> float:
 @inner
 def expansion_bound(
     about: Floats, over: Floats, steps: Floats, matrix: Floats, scales: Floats
-) -> tuple[float, bool]:
-    """Returns the best of the bounds about a point, and whether f is convex over the cell.
+) -> float:
+    """Returns the best of the bounds about a point.
 
     Args:
         about: jet of f at the point, with its gradient (J, 2).
@@ -162,7 +162,7 @@ def expansion_bound(
     for bound in (mean, bent, _plane_bound(about, steps) if is_bowl else -np.inf):
         if bound > best:  # NaN is not
             best = bound
-    return best, is_bowl
+    return best
 
 
 @inner
@@ -241,7 +241,7 @@ def _bound_about(
     if is_convex:
         bound = _plane_bound(about, steps)
     else:
-        bound, _ = expansion_bound(about, over, steps, matrix, scales)
+        bound = expansion_bound(about, over, steps, matrix, scales)
     return bound if bound > natural else natural
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.expansions import middles
 from drake_aigto.certify.formulas import Formulas, JointTape, Operation, join
-from drake_aigto.certify.intervals import UNIT
+from drake_aigto.certify.intervals import LARGEST, UNIT
 from drake_aigto.certify.relaxation_kernels import (
     ROWS_OF_ONE,
     ROWS_OF_TWO,
@@ -51,11 +51,14 @@ class _RowLists:
     def add(self, linear: _Linear, lower: float, upper: float) -> None:
         """Adds lower ≤ Σ c_j w_j + constant ≤ upper."""
         terms, constant = linear
-        values = [float(c) for c in terms.values()]
+        try:
+            values, errors = [float(c) for c in terms.values()], [_error(c) for c in terms.values()]
+            ends = [_shifted(end, constant) for end in (lower, upper)]
+        except OverflowError:  # Without a number in range, the row says nothing.
+            terms, values, errors, ends = {}, [], [], [-math.inf, math.inf]
         self.columns.append(list(terms))
         self.values.append(values)
-        self.errors.append([_error(c) for c in terms.values()])
-        ends = [_shifted(end, constant) for end in (lower, upper)]
+        self.errors.append(errors)
         self.bounds.append((_below(ends[0]), -_below(-ends[1])))
 
 
@@ -146,16 +149,13 @@ def _sum(one: _Linear, other: _Linear, factor: Fraction) -> _Linear:
 
 
 def read_structure(formulas: Formulas) -> Structure:
-    """Returns the columns and rows of a program's relaxation; row 0 is the cost.
-
-    Raises:
-        OverflowError: a coefficient is beyond the range of numbers.
-    """
+    """Returns the columns and rows of a program's relaxation; row 0 is the cost."""
     size = formulas.lower.size
     joint = join([formulas.summands, *((row,) for row in formulas.rows)], size, is_nested=False)
     reader = _StructureReader(joint, size)
     rows, cost = reader.rows, reader.form(joint.roots[0])
     own = _RowLists()
+    is_in_range = max(map(abs, (*cost[0].values(), cost[1]))) < Fraction(LARGEST)
     own.add(cost, -np.inf, np.inf)
     for row, root in zip(formulas.rows, joint.roots[1:], strict=True):
         own.add(reader.form(root), row.lower, row.upper)
@@ -184,7 +184,7 @@ def read_structure(formulas: Formulas) -> Structure:
         lower=np.array([low for low, _ in bounds]),
         upper=np.array([high for _, high in bounds]),
         cost=enclosed,
-        constant=_below(float(cost[1])),
+        constant=_below(float(cost[1])) if is_in_range else -math.inf,
     )
 
 
@@ -212,9 +212,6 @@ class Relaxation:
     Attributes:
         structure: its columns and rows.
         effort: of one of them, in cells.
-
-    Raises:
-        OverflowError: as in `read_structure`.
     """
 
     def __init__(self, formulas: Formulas) -> None:
@@ -237,8 +234,7 @@ class Relaxation:
         self._reads = _readers(structure, size)
         self._starts = structure.starts.astype(np.int32)
         self._columns = structure.columns.astype(np.int32)
-        sides = formulas.upper - formulas.lower
-        self._sides = np.where((sides > 0.0) & np.isfinite(sides), sides, 1.0)
+        self._sides = sides_of(formulas)
         self._integrality = np.zeros(num_columns, dtype=np.int32)
         # SciPy's own binding: `linprog` takes fifteen times as long for programs of this size. It
         # takes a while to load, and most who plan need no bounds.
@@ -377,6 +373,12 @@ class Relaxation:
             return i, place
         place = float(middles(low[widest : widest + 1], high[widest : widest + 1])[0])
         return (widest, place) if low[widest] < place < high[widest] else (-1, place)
+
+
+def sides_of(formulas: Formulas) -> Floats:
+    """Returns the sides of a program's box, 1 where it has no such side (n,)."""
+    sides = formulas.upper - formulas.lower
+    return np.where((sides > 0.0) & np.isfinite(sides), sides, 1.0)
 
 
 def _readers(structure: Structure, size: int) -> Floats:
