@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.in_the_loop import OFF, OpenLoop
+from benchmarks.in_the_loop import OFF, make_open_loop
 from benchmarks.script import machine, read_flags, run_all, run_as
 from drake_aigto import (
     ModelPredictiveController,
@@ -72,7 +72,7 @@ def make_controllers(
 ) -> Iterator[tuple[str, TrackingController | ModelPredictiveController]]:
     """Yields the methods' controllers."""
     period = plan.scenario.time_step
-    yield "open loop", OpenLoop(plan, period)
+    yield "open loop", make_open_loop(plan, period)
     yield "tracking", TrackingController(plan, period=period)
     again = ModelPredictiveController(
         planner, period, "shrinking", iterations=ITERATIONS, surprise=np.inf

@@ -53,11 +53,11 @@ from drake_aigto.control import (
     Disturbance,
     Horizon,
     PlannedMotion,
+    Safety,
     make_horizon,
     run_in_loop,
 )
 from drake_aigto.planning import needs_shooting
-from drake_aigto.simulation import Held
 from drake_aigto.world import Scales, find_model, package_map
 
 SCENARIOS = (
@@ -81,17 +81,9 @@ BEST = "knows the truth"
 _CART_POLE = "package://drake_aigto_models/cart_pole.sdf"
 
 
-class OpenLoop(TrackingController):
-    """A plan's control alone, in the ports of what tracks it."""
-
-    def __init__(self, plan: Plan, period: float) -> None:
-        super().__init__(plan, period=period)
-        self.feedback: Any = self
-        self._control = plan.trajectory.to_piecewise()[1]
-
-    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
-        """Returns u(t)."""
-        return Held(self._control.value(time)[:, 0], np.inf)
+def make_open_loop(plan: Plan, period: float) -> TrackingController:
+    """Returns a plan's control alone, in the ports of what tracks it: nothing is near enough."""
+    return TrackingController(plan, period=period, safety=Safety(far=1e-12))
 
 
 class Task(NamedTuple):
@@ -186,7 +178,7 @@ def make_controllers(
     plan: Plan, planner: Planner, disturbance: Disturbance
 ) -> Iterator[tuple[str, Any, Disturbance]]:
     """Yields the methods' controllers, and what disturbs each."""
-    yield "open loop", OpenLoop(plan, PERIOD), disturbance
+    yield "open loop", make_open_loop(plan, PERIOD), disturbance
     yield "tracking", TrackingController(plan, period=PERIOD), disturbance
     again: dict[str, Any] = {"period": PERIOD, "horizon": "shrinking"}
     warm = ModelPredictiveController(planner, **again, surprise=np.inf)

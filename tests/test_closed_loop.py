@@ -210,7 +210,7 @@ def test_a_log_reads_back_to_the_same_run(tmp_path: Path) -> None:
     ("changes", "message"),
     [
         ({"format": "other"}, r"run\.json is not the log of a run in the loop: expected an object"),
-        ({"version": 2}, r"^log .*run\.json: got version 2, expected version 1"),
+        ({"version": 1}, r"^log .*run\.json: got version 1, expected version 2"),
         ({"promised": "a lot"}, r"is damaged: got run\.promised: got 'a lot', expected a number"),
         ({"more": 1}, "is damaged: got run: got unknown more"),
     ],

@@ -181,9 +181,7 @@ def _add_controller(group: Any) -> None:
     group.add_argument("--method", choices=["replanning", "tracking"], help=text)
     text = "how long to simulate (default: the scenario's duration) [s]"
     group.add_argument("--seconds", type=seconds, metavar="X", help=text)
-    text = (
-        f"between ticks [s] (default: {_DEFAULT_PERIOD:g}; of tracking, the scenario's time step)"
-    )
+    text = f"between ticks [s] (default: {_DEFAULT_PERIOD:g}; of tracking, a fifth of a time step)"
     group.add_argument("--period", type=seconds, metavar="X", help=text)
     text = "replanning: ticks from one search to the next (default: only where costs rise)"
     group.add_argument("--search-every", type=positive, metavar="N", help=text)

@@ -7,8 +7,11 @@ from .loop_run import PlannedPath as PlannedPath
 from .loop_run import PlanSwitch as PlanSwitch
 from .loop_run import is_run as is_run
 from .mechanism_horizon import make_horizon as make_horizon
+from .ports import LoopController as LoopController
+from .ports import Safety as Safety
+from .ports import TickStatus as TickStatus
+from .ports import tabulate as tabulate
 from .predictive import ModelPredictiveController as ModelPredictiveController
-from .predictive import TickStatus as TickStatus
 from .touches import PlannedMotion as PlannedMotion
 from .touches import SeenBounces as SeenBounces
 from .touches import choose as choose

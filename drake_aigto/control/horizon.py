@@ -5,10 +5,12 @@ from __future__ import annotations
 import copy
 import dataclasses
 from abc import ABC, abstractmethod
+from typing import Any
 
 import numpy as np
 
 from drake_aigto.arrays import Floats
+from drake_aigto.control.ports import check_plane
 from drake_aigto.control.touches import (
     WALL_DOUBT,
     PlannedMotion,
@@ -16,11 +18,12 @@ from drake_aigto.control.touches import (
     choose,
     find_left,
 )
-from drake_aigto.control.tracking import check_plane
 from drake_aigto.errors import ControlError, OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.planning import (
     BallSearch,
     BallTask,
+    Feedback,
+    FeedbackPhase,
     Path,
     Planner,
     PlanningError,
@@ -67,6 +70,7 @@ class Horizon(ABC):
     is_rigid = True
     num_steps: int
     cost_scale: float
+    _task: Any  # of the planning room, by its kind
 
     def __init__(self, planner: Planner, is_receding: bool, period: float) -> None:
         """Takes a planner's task, for ticks a period [s] apart.
@@ -186,6 +190,31 @@ class Horizon(ABC):
     def knowing(self, seen: SeenBounces) -> Horizon:
         """Returns the same task between walls that return what was seen, and stand there."""
         return self
+
+    def toward(self, goal: Floats) -> Horizon:
+        """Returns the same task with another goal, q and v, shape (2n,), within bounds.
+
+        Its velocity counts where the scenario has one.
+        """
+        other, (q, v) = copy.copy(self), np.split(goal, 2)
+        asked = {"goal_position": np.clip(q, *self.world.bounds(self.scenario).position)}
+        if self.scenario.goal_velocity is not None:
+            asked["goal_velocity"] = v
+        other.scenario = dataclasses.replace(self.scenario, **asked)  # type: ignore[arg-type]
+        other._task = self._task.again(other.scenario)
+        return other
+
+    def make_feedback(self, motion: PlannedMotion) -> Feedback | None:
+        """Returns feedback about a motion; None where there is none for its contacts."""
+        phases, of = self._find_phases(motion), (self.world, self.scenario, motion.trajectory)
+        try:
+            return Feedback(*of, phases, period=self._period)
+        except TrajectoryError:
+            return None
+
+    def _find_phases(self, motion: PlannedMotion) -> list[FeedbackPhase]:
+        """Returns the phases of feedback where they are known without a sweep."""
+        return []
 
 
 class BallHorizon(Horizon):

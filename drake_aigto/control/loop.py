@@ -5,18 +5,19 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from pydrake.geometry import Meshcat, MeshcatVisualizer
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, OutputPort
-from pydrake.systems.primitives import Adder, TrajectorySource
+from pydrake.systems.primitives import Adder, DiscreteTimeDelay, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
 from drake_aigto.control.loop_run import ClosedLoopRun, Disturbance, PlannedPath, PlanSwitch
-from drake_aigto.control.predictive import ModelPredictiveController, TickStatus
+from drake_aigto.control.ports import LoopController, TickStatus
+from drake_aigto.control.predictive import ModelPredictiveController
 from drake_aigto.control.tracking import TrackingController
 from drake_aigto.errors import ControlError, ModelError
 from drake_aigto.simulation import (
@@ -32,7 +33,8 @@ from drake_aigto.simulation import (
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World
 
-LoopController: TypeAlias = TrackingController | ModelPredictiveController
+# Commands that act later are sampled so often [s].
+_SAMPLED = 1e-3
 
 
 class LoopRecorder:
@@ -90,10 +92,10 @@ class LoopRecorder:
             self._contacts.plan(root)
 
     def _add(self, root: Context) -> None:
-        plant, controller = self._world.plant, self._controller
-        x = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root))
-        port = controller.GetOutputPort("control")
-        u = np.array(port.Eval(controller.GetMyContextFromRoot(root)))
+        plant = self._world.plant
+        context = plant.GetMyContextFromRoot(root)
+        x = plant.GetPositionsAndVelocities(context)
+        u = np.array(plant.get_actuation_input_port().Eval(context))
         self._rows.append(StepEnd(root.get_time(), np.array(x), u))
         self._say(f"simulating, {root.get_time():.2f} of {self._end:.2f} s")
 
@@ -254,13 +256,25 @@ def _connect(
     if disturbance.noise.any():
         state = _add_noise(builder, state, disturbance, controller.period, end)
     builder.Connect(state, estimate)
-    builder.Connect(controller.GetOutputPort("control"), plant.GetInputPort("actuation"))
+    control = controller.get_output_port_control()
+    if disturbance.delay:
+        control = _add_delay(builder, control, disturbance.delay)
+    builder.Connect(control, plant.GetInputPort("actuation"))
     if controller.HasInputPort("contact_results"):
         felt = controller.GetInputPort("contact_results")
         builder.Connect(plant.GetOutputPort("contact_results"), felt)
     if meshcat is not None:
         MeshcatVisualizer.AddToBuilder(builder, plant.GetOutputPort("query"), meshcat)
     return builder.Build()
+
+
+def _add_delay(builder: DiagramBuilder, control: OutputPort, delay: float) -> OutputPort:
+    """Returns the port of a control that acts later."""
+    count = int(np.ceil(delay / _SAMPLED))
+    # What changes as it is sampled is seen at the next sample, or at once.
+    late = builder.AddSystem(DiscreteTimeDelay(delay / (count + 0.5), count, control.size()))
+    builder.Connect(control, late.get_input_port())
+    return late.get_output_port()
 
 
 def _add_noise(

@@ -13,14 +13,14 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context
 
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
-from drake_aigto.control.predictive import TickStatus
+from drake_aigto.control.ports import TickStatus
 from drake_aigto.errors import AigtoError, ControlError, ResultsFileError
 from drake_aigto.output import write_text
 from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
 from drake_aigto.simulation import Arrival, Replay
 from drake_aigto.world import Scenario, World
 
-FORMAT, FORMAT_VERSION = "drake_aigto closed loop", 1
+FORMAT, FORMAT_VERSION = "drake_aigto closed loop", 2
 HEAD = {"format": FORMAT, "version": FORMAT_VERSION, "simulation": True}
 
 Method = Literal["tracking", "replanning"]
@@ -51,6 +51,8 @@ class Disturbance(ArrayRecord):
         noise: standard deviations of the estimate of q and v, shape (2n,), drawn anew
             at each of the controller's periods [m, rad, 1/s].
         seed: of the noise.
+        delay: from a command of the controller to its acting on the plant, within a millisecond;
+            until the first one acts there is no control [s].
     """
 
     start_offset: Floats = field(default_factory=lambda: np.empty(0))
@@ -62,6 +64,7 @@ class Disturbance(ArrayRecord):
     kick_time: float = 0.0
     noise: Floats = field(default_factory=lambda: np.empty(0))
     seed: int = 0
+    delay: float = 0.0
 
     def __post_init__(self) -> None:
         """Checks what does not depend on a world, and makes the arrays read-only.
@@ -71,7 +74,7 @@ class Disturbance(ArrayRecord):
         """
         for name in ("start_offset", "kick", "noise"):
             object.__setattr__(self, name, _as_row(name, getattr(self, name)))
-        for name in ("mass_factor", "restitution_factor", "friction_factor", "kick_time"):
+        for name in ("mass_factor", "restitution_factor", "friction_factor", "kick_time", "delay"):
             value = getattr(self, name)
             is_above = value > 0 if name == "mass_factor" else value >= 0
             if not (is_above and np.isfinite(value)):

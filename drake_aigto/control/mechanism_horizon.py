@@ -12,6 +12,7 @@ from drake_aigto.control.horizon import BallHorizon, Horizon
 from drake_aigto.control.touches import PlannedMotion, choose, find_left, keep_apart
 from drake_aigto.errors import OptionsError, TrajectoryError
 from drake_aigto.planning import (
+    FeedbackPhase,
     MechanismSearch,
     Planner,
     RigidMechanismTask,
@@ -20,7 +21,7 @@ from drake_aigto.planning import (
     make_mechanism_task,
     make_trajectory,
 )
-from drake_aigto.shooting import ShootingOptions, ShootingResult, Smoothing
+from drake_aigto.shooting import ShootingOptions, ShootingProblem, ShootingResult, Smoothing
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import Scenario
@@ -105,14 +106,32 @@ class CompliantHorizon(_ShootingHorizon):
     def __init__(self, planner: Planner, is_receding: bool, period: float, iterations: int) -> None:
         """Compiles the planner's task, for at most this many iterations in a tick."""
         super().__init__(planner, is_receding, period)
-        task = self._task.shooting(self.num_steps)
-        self._problem = dataclasses.replace(task, duration=self.scenario.duration)
-        self._has_friction = task.mechanism.has_friction
+        self._problem = self._pose()
+        self._has_friction = self._problem.mechanism.has_friction
         substeps, order = _SUBSTEPS, 2
         if self._has_friction:
-            substeps, order = min(max(task.friction_substeps, _FEWEST), _MOST), 4
+            substeps, order = min(max(self._problem.friction_substeps, _FEWEST), _MOST), 4
         rungs = (Smoothing(_SMOOTHING, iterations, _TOLERANCE),)
         self._options = ShootingOptions(rungs, substeps, order=order, multiplier_updates=1)
+
+    def _pose(self) -> ShootingProblem:
+        problem = self._task.shooting(self.num_steps)
+        return dataclasses.replace(problem, duration=self.scenario.duration)
+
+    def toward(self, goal: Floats) -> CompliantHorizon:
+        """Returns the same task with another goal; see `Horizon`."""
+        other: CompliantHorizon = super().toward(goal)  # type: ignore[assignment]
+        other._problem = other._pose()
+        return other
+
+    def _find_phases(self, motion: PlannedMotion) -> list[FeedbackPhase]:
+        """Returns the one phase, with the gains of the descent about it."""
+        plan = motion.trajectory
+        states = np.hstack([plan.positions, plan.velocities])
+        problem = dataclasses.replace(self._problem, times=plan.times, start=states[0])
+        substeps = self._options.substeps
+        about = problem.linearize(plan.controls, substeps, _SMOOTHING, states)
+        return [FeedbackPhase(plan.times, states, plan.controls, about.gains)]
 
     def is_inside(self, x: Floats) -> bool:
         """Returns False: compliant walls may be planned in."""

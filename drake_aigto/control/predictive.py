@@ -2,117 +2,39 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, State
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
 from drake_aigto.control.horizon import Horizon
 from drake_aigto.control.mechanism_horizon import make_horizon
+from drake_aigto.control.ports import (
+    NUMBERS,
+    LoopController,
+    Mode,
+    Safety,
+    TickStatus,
+    append_command,
+    check_seconds,
+    may_be_unsampled,
+)
+from drake_aigto.control.ticks import Searches, TickChoice, TickMemory, TickQuestion
 from drake_aigto.control.touches import PlannedMotion, SeenBounces
-from drake_aigto.control.tracking import NUMBERS, check_period, may_be_unsampled, read_start
 from drake_aigto.errors import ControlError
 from drake_aigto.planning import Plan, Planner
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.world import take_nearest_turn
 
-# A plan that costs more than the one before met no surprise if that is less than this part of the
-# task's scale.
-_NOTHING = 1e-3
+# Times of ticks are the same within this part of a period.
+_SAME = 1e-6
 
 
-@dataclass(frozen=True)
-class TickStatus:
-    """Report of a tick.
-
-    Attributes:
-        time: of the tick [s].
-        cost: J of the plan from there on.
-        touches: the contacts that the plan comes into, in order, each as often as it does.
-        reason: why the plan is what it is.
-        seconds: of wall time that the tick took.
-        has_switched: whether another contact sequence was taken.
-        restitution: e of rigid walls, as the scenario has it or as bounces have shown it; None
-            where they are compliant.
-        nearer: by how much nearer the wall of each contact was found to stand than the model has
-            it, shape (m,) [m]; empty: nothing was found.
-    """
-
-    time: float
-    cost: float
-    touches: tuple[int, ...]
-    reason: str
-    seconds: float
-    has_switched: bool = False
-    restitution: float | None = None
-    nearer: tuple[float, ...] = ()
-
-
-class _Pending(NamedTuple):
-    """A search that goes on in its thread."""
-
-    due: int  # the tick that waits for it
-    found: Future[PlannedMotion | None]
-
-
-class _Choice(NamedTuple):
-    """Decision of a tick."""
-
-    motion: PlannedMotion
-    reason: str
-    has_switched: bool = False
-    pending: _Pending | None = None
-
-
-class _Question(NamedTuple):
-    """The state that a tick plans from."""
-
-    now: float
-    x: Floats
-    seen: SeenBounces
-    horizon: Horizon  # that knows what was seen
-
-    def find_obstacle(self) -> str | None:
-        """Returns why nothing can be planned from here; None: something can."""
-        if not np.all(np.isfinite(self.x)):
-            return "the estimated state is not finite"
-        if self.horizon.is_over(self.now):
-            return "the horizon ends"
-        return "a wall is touched" if self.horizon.is_inside(self.x) else None
-
-
-@dataclass(frozen=True, eq=False)
-class _Moment:
-    """Memory from one tick to the next; contexts share it, as it never changes.
-
-    Attributes:
-        choice: what the tick decided.
-        control: that is held since.
-        status: what the output port says.
-        tick: how many there were before.
-        usable: the last question from which something could be planned.
-        seen: what is known of walls.
-    """
-
-    choice: _Choice
-    control: Floats
-    status: TickStatus
-    tick: int
-    usable: _Question
-    seen: SeenBounces
-
-    def __deepcopy__(self, memo: object) -> _Moment:
-        """Returns itself."""
-        return self
-
-
-class ModelPredictiveController(LeafSystem):
+class ModelPredictiveController(LoopController):
     """Plans from the estimated state, every period, and holds the plan's control between.
 
         controller = builder.AddSystem(ModelPredictiveController(Planner(scenario), period=0.01))
@@ -134,24 +56,23 @@ class ModelPredictiveController(LeafSystem):
     what they return. Both are learned from bounces that are seen between one tick and the next; and
     a wall that a ball is well inside of stands farther away. Mechanisms learn nothing of walls.
 
-    A state that is not finite, one inside of a rigid wall where no contact lasts, or one from
-    which no motion is found, leaves the last plan as it is, and its control goes on. So it does at
-    the end of a horizon that shrinks. No NaN leaves a port.
+    Between ticks the plan's control is held, or with `feedback_period` it is u* + K (x − x*) of
+    `Feedback` about the plan, sampled so often.
+
+    A sample that is of no use (`Safety`), one inside of a rigid wall where no contact lasts, or one
+    from which no motion is found, leaves the last plan as it is, and its control goes on, or the
+    fallback. At the end of a horizon that shrinks the goal is held by a `Regulator`, where there is
+    one, and else the last control. No NaN leaves a port.
 
     The first plan is from the first sample: where all of the state is zero at the start, and the
     scenario's is not, it is searched for at the first tick, as a sampled estimate may have no
     sample before. Hinges of an estimate that wraps angles are taken a whole number of turns on, to
-    where they are nearest to the plan.
+    where they are nearest to the plan. A Simulator that is initialized again on its way, at most a
+    period after the last tick, keeps the plan.
 
-    A Simulator that is initialized again
-    on its way, at most a period after the last tick, keeps the plan.
-
-    Input port: `estimated_state`, q and v. Output ports: `control`, u as the plant's actuation port
-    takes it; `planned_state`, a PiecewisePolynomial of q and v over the horizon; and `status`, a
-    `TickStatus`.
-
-    Attributes:
-        period: between ticks [s].
+    Ports are those of `LoopController`, and an input port `reference`: q and v of the goal, which
+    may move, in place of the scenario's; it may stay unconnected, and is not followed while it is
+    not finite.
     """
 
     def __init__(
@@ -165,6 +86,12 @@ class ModelPredictiveController(LeafSystem):
         surprise: float = 0.5,
         search_ticks: int | None = None,
         learns: bool = True,
+        waits: bool = True,
+        plan: Plan | None = None,
+        feedback_period: float | None = None,
+        delay: float = 0.0,
+        start_time: float = 0.0,
+        safety: Safety | None = None,
     ) -> None:
         """Takes the planner's task; its start does not count.
 
@@ -187,12 +114,19 @@ class ModelPredictiveController(LeafSystem):
                 state. None: searches end in their tick.
             learns: whether what rigid walls return, and where they stand, is learned
                 (`SeenBounces`); the scenario and the model are what is thought of it before.
+            waits: whether a search in a thread is waited for, so that a run is the same again; else
+                it is taken at the first tick at which it is done, and ticks until then are late.
+            plan: the first plan, in place of a search; its time 0 is the `start_time`.
+            feedback_period: between samples that are answered by feedback about the plan, at most a
+                period [s]; None: no feedback.
+            delay: see `LoopController`, as for the other arguments.
+            start_time: the context's time at which the task begins [s].
+            safety: limits, and the fallback.
 
         Raises:
             ControlError: a free duration, or something that was added to the planner's
-                transcription; or an argument is out of its range.
+                transcription; an argument is out of its range, or the plan is another world's.
         """
-        super().__init__()
         given: Any = planner
         if not isinstance(given, Planner):
             remedy = "Give it Planner(plan.scenario)." if isinstance(given, Plan) else ""
@@ -211,74 +145,135 @@ class ModelPredictiveController(LeafSystem):
         for name, share in (("margin", margin), ("surprise", surprise)):
             if not (isinstance(share, NUMBERS) and share >= 0):
                 raise ControlError(name, got=share, expected="a number of at least 0")
-        self.period = check_period(period)
-        self._world, self._every = planner.world, search_every
-        self._margin, self._surprise, self._learns = margin, surprise, learns
-        self._horizon = make_horizon(planner, horizon == "receding", iterations, self.period)
-        self._search_ticks = search_ticks
-        if search_ticks is not None:
-            # In its thread it shares nothing that changes.
-            self._searching = make_horizon(planner, horizon == "receding", iterations, self.period)
-            self._thread = ThreadPoolExecutor(1, "search")
-        n, nu = self._world.num_positions, self._world.num_actuators
-        nowhere = _Question(-np.inf, np.zeros(2 * n), SeenBounces(), self._horizon)
-        rest = _Choice(self._horizon.rest(0.0, nowhere.x), "")
+        super().__init__(planner.world, planner.scenario, period, delay, start_time, safety)
+        self.feedback_period = feedback_period
+        if feedback_period is not None:
+            name, most = "feedback_period", self.period
+            self.feedback_period = check_seconds(name, feedback_period, is_positive=True, most=most)
+        self._first = None if plan is None else PlannedMotion.of(plan, planner.world)
+        self._margin, self._learns = margin, learns
+        posed = planner, horizon == "receding", iterations, self.period
+        self._horizon = self._aside = make_horizon(*posed)
+        if search_ticks is not None:  # In its thread it shares nothing that changes.
+            self._aside = make_horizon(*posed)
+        self._searches = Searches(self.period, search_every, surprise, search_ticks, waits)
+        never, n = (-np.inf, np.zeros(2 * self._world.num_positions)), self._world.num_positions
+        nowhere = TickQuestion(*never, SeenBounces(), self._horizon, never)
+        rest = TickChoice(self._horizon.rest(0.0, nowhere.x), "")
         status = TickStatus(-np.inf, np.inf, (), "", 0.0, restitution=self._horizon.restitution)
-        none = _Moment(rest, np.zeros(nu), status, 0, nowhere, nowhere.seen)
-        self._estimate = self.DeclareVectorInputPort("estimated_state", 2 * n)
+        none = TickMemory(rest, self._no_commands, status, 0, nowhere, nowhere.seen)
+        self._reference = self.DeclareVectorInputPort("reference", 2 * n)
+        self._aimed: tuple[Floats, tuple[Horizon, Horizon]] | None = None
         self._moment = self.DeclareAbstractState(AbstractValue.Make(none))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._start)
         self.DeclarePeriodicUnrestrictedUpdateEvent(self.period, self.period, self._tick)
-        held = {self.abstract_state_ticket(self._moment)}
-        self.DeclareVectorOutputPort("control", nu, self._write_control, held)
-        self.DeclareAbstractOutputPort(
-            "planned_state",
-            lambda: AbstractValue.Make(PiecewisePolynomial()),
-            self._write_path,
-            held,
-        )
-        self.DeclareAbstractOutputPort(
-            "status",
-            lambda: AbstractValue.Make(status),
-            self._write_status,
-            held,
-        )
+        if self.feedback_period is not None:
+            often = self.feedback_period
+            self.DeclarePeriodicUnrestrictedUpdateEvent(often, often, self._correct)
+        self._declare_outputs({self.abstract_state_ticket(self._moment)})
 
     def read_plan(self, context: Context) -> Trajectory:
         """Returns the plan in its own context, in the context's time."""
-        return self._read(context).choice.motion.trajectory
+        return self._read(context).choice.motion.trajectory.later(self.start_time)
 
-    def _read(self, context: Context) -> _Moment:
-        moment: _Moment = context.get_abstract_state(int(self._moment)).get_value()
+    def update(self, context: Context) -> None:
+        """Ticks at the context's time, as a Simulator would have it do."""
+        self._tick(context, context.get_mutable_state())
+
+    def read_status(self, context: Context) -> TickStatus:
+        """Returns the report of the last tick, in its own context."""
+        return self._read(context).status
+
+    def _read(self, context: Context) -> TickMemory:
+        moment: TickMemory = context.get_abstract_state(int(self._moment)).get_value()
         return moment
+
+    def _read_commands(self, context: Context) -> Floats:
+        return self._read(context).commands
+
+    def _find_desired(self, context: Context) -> Floats:
+        return self._read(context).choice.motion.calc_state(self._find_time(context))
+
+    def _find_path(self, context: Context) -> PiecewisePolynomial:
+        return self.read_plan(context).to_piecewise()[0]
+
+    def _find_time(self, context: Context) -> float:
+        """Returns the task's time at which a command of now acts [s]."""
+        return float(context.get_time()) - self.start_time + self.delay
+
+    def _aim(self, context: Context) -> tuple[Horizon, Horizon]:
+        """Returns the horizons of ticks and of threads with the goal of now."""
+        own = self._horizon, self._aside
+        if not self._reference.HasValue(context):
+            return own
+        goal = np.array(self._reference.Eval(context))
+        if not np.all(np.isfinite(goal)):
+            return own
+        if self._aimed is None or not np.array_equal(goal, self._aimed[0]):
+            self._aimed = goal, (own[0].toward(goal), own[1].toward(goal))
+        return self._aimed[1]
+
+    def _ask(
+        self, context: Context, x: Floats, before: TickMemory, seen: SeenBounces
+    ) -> TickQuestion:
+        """Returns what is to be planned from: a sample, checked and led on to when u acts."""
+        motion, time = before.choice.motion, float(context.get_time())
+        planned = motion.calc_state(time - self.start_time)
+        sample, off = self._judge(x, planned, motion.reach)
+        is_first = np.isinf(before.usable.now)
+        if is_first and sample == "far off":  # There is no plan yet.
+            sample, off = "valid", 0.0
+        ahead = self._lead_on(time, x, before.commands) if sample == "valid" else None
+        if sample == "valid" and ahead is None:
+            sample = "far off"
+        later = x if ahead is None else ahead[0]
+        horizon = self._aim(context)[0].knowing(seen)
+        return TickQuestion(self._find_time(context), later, seen, horizon, (time, x), sample, off)
 
     def _start(self, context: Context, state: State) -> EventStatus:
         """Searches for the first plan; on the way, the one that there is goes on."""
-        x, before = read_start(self, self._estimate, context), self._read(context)
+        x, before = np.array(self._read_start(context)), self._read(context)
         elapsed = context.get_time() - before.status.time
-        is_same = elapsed == 0 and np.array_equal(x, before.usable.x)
+        is_same = elapsed == 0 and np.array_equal(x, before.usable.sampled[1])
         if is_same or 0 < elapsed <= self.period:
             return EventStatus.DidNothing()
-        now, begin = context.get_time(), time.perf_counter()
-        question = _Question(now, np.array(x), SeenBounces(), self._horizon)
-        if self._is_empty(x):
-            choice = _Choice(self._horizon.rest(now, x), "waits for the first sample of the state")
-            return self._keep(state, choice, question, begin, 0, before.usable)
-        return self._keep(state, self._choose_first(question), question, begin, 0, question)
+        never = (-np.inf, np.zeros_like(x))
+        nowhere = TickQuestion(*never, SeenBounces(), self._horizon, never)
+        before = dataclasses.replace(
+            before, commands=self._no_commands, usable=nowhere, seen=SeenBounces(), tick=-1
+        )
+        return self._begin(context, state, before, x)
 
-    def _is_empty(self, x: Floats) -> bool:
-        """Returns whether a state may be what a hold has before its first sample."""
+    def _begin(self, context: Context, state: State, before: TickMemory, x: Floats) -> EventStatus:
+        """Makes the first plan, or waits for the first sample or the start."""
+        begin, question = time.perf_counter(), self._ask(context, x, before, SeenBounces())
         asked = self._horizon.scenario
         start = np.concatenate([asked.initial_position, asked.initial_velocity])
-        return may_be_unsampled(x, start)
+        if question.now < -_SAME * self.period:
+            reason = "waits for its start"
+        elif before.tick < 0 and may_be_unsampled(x, start):
+            reason = "waits for the first sample of the state"
+        elif question.sample != "valid":
+            reason = f"the estimated state is {question.sample}: waits for another one"
+        else:
+            choice = self._choose_first(question)
+            return self._keep(state, before, choice, question, begin, usable=question)
+        rest = TickChoice(
+            self._horizon.rest(question.now, np.where(np.isfinite(x), x, 0.0)), reason
+        )
+        return self._keep(state, before, rest, question, begin, usable=before.usable)
 
-    def _choose_first(self, question: _Question) -> _Choice:
-        """Returns the plan of a search.
+    def _choose_first(self, question: TickQuestion) -> TickChoice:
+        """Returns the given plan, or that of a search.
 
         Raises:
             ControlError: the state is inside of a wall.
         """
-        now, x, _, horizon = question
+        now, x, horizon = question.now, question.x, question.horizon
+        if self._first is not None:
+            is_free = not (horizon.is_inside(x) or horizon.is_over(now))
+            led = horizon.advance(self._first, now, x) if is_free else None
+            return TickChoice(led or self._first, "the plan that was given")
         if horizon.is_inside(x):
             raise ControlError(
                 "the state at the start",
@@ -287,111 +282,119 @@ class ModelPredictiveController(LeafSystem):
                 remedy="Start a little off the wall, or track a plan: TrackingController.",
             )
         if found := horizon.search(now, x):
-            return _Choice(found, "the first search")
+            return TickChoice(found, "the first search")
         rest = horizon.rest(now, x)
         motion = horizon.advance(rest, now, x) or rest
-        return _Choice(motion, "a search found nothing; a descent from rest")
+        return TickChoice(motion, "a search found nothing; a descent from rest")
 
     def _tick(self, context: Context, state: State) -> EventStatus:
         """Improves the plan, or takes another one."""
-        x, now, begin = self._estimate.Eval(context), context.get_time(), time.perf_counter()
-        before = self._read(context)
-        if np.isinf(before.usable.now) and np.all(np.isfinite(x)):
-            first = _Question(now, np.array(x), SeenBounces(), self._horizon)
-            return self._keep(state, self._choose_first(first), first, begin, 0, first)
-        x = self._unwrap(x, before.choice.motion.calc_state(now))
-        seen, last = before.seen, before.usable
+        begin, before = time.perf_counter(), self._read(context)
+        now, x = float(context.get_time()), np.array(self._estimate.Eval(context))
+        if np.isinf(before.usable.now):
+            return self._begin(context, state, before, x)
+        x = self._unwrap(x, before.choice.motion.calc_state(now - self.start_time))
+        seen, (then, last) = before.seen, before.usable.sampled
         if self._learns and np.all(np.isfinite(x)):
-            seen = self._horizon.watch(seen, (last.x, x), now - last.now, before.control)
-        question = _Question(now, np.array(x), seen, self._horizon.knowing(seen))
+            u = self._find_acting(before.commands, then)
+            seen = self._horizon.watch(seen, (last, x), now - then, u)
+        question = self._ask(context, x, before, seen)
         obstacle = question.find_obstacle()
-        choice = self._choose(before, question, obstacle)
-        usable = last if obstacle else question
-        return self._keep(state, choice, question, begin, before.tick + 1, usable)
+        choice = self._choose(context, before, question, obstacle)
+        usable = before.usable if obstacle else question
+        return self._keep(state, before, choice, question, begin, usable)
 
-    def _unwrap(self, x: Floats, planned: Floats) -> Floats:
-        """Returns a state with hinges as many turns on as bring them nearest to the plan."""
-        (q, v), (about, _) = np.split(x, 2), np.split(planned, 2)
-        turns = q - about - take_nearest_turn(q - about, self._world.is_hinge)
-        return np.concatenate([q - turns, v])
+    def _correct(self, context: Context, state: State) -> EventStatus:
+        """Answers a sample between two ticks by feedback about the plan."""
+        before, ticks = self._read(context), context.get_time() / self.period
+        if np.isinf(before.usable.now) or abs(ticks - round(ticks)) < _SAME:
+            return EventStatus.DidNothing()
+        x = np.array(self._estimate.Eval(context))
+        planned = before.choice.motion.calc_state(context.get_time() - self.start_time)
+        question = self._ask(context, self._unwrap(x, planned), before, before.seen)
+        moment = self._command(before, question)
+        state.get_mutable_abstract_state(int(self._moment)).set_value(moment)
+        return EventStatus.Succeeded()
 
     def _keep(
         self,
         state: State,
-        choice: _Choice,
-        question: _Question,
+        before: TickMemory,
+        choice: TickChoice,
+        question: TickQuestion,
         begin: float,
-        tick: int,
-        usable: _Question,
+        usable: TickQuestion,
     ) -> EventStatus:
         """Remembers what a tick decided, and what it says of that."""
-        motion, control = choice.motion, choice.motion.calc_control(question.now)
+        motion, tick, feedback = choice.motion, before.tick + 1, None
+        is_over = question.horizon.is_over(question.now)
+        if not np.isinf(usable.now) and (is_over or self.feedback_period is not None):
+            is_kept = motion is before.choice.motion and before.feedback is not None
+            feedback = before.feedback if is_kept else question.horizon.make_feedback(motion)
         status = TickStatus(
-            time=question.now,
+            time=question.sampled[0],
             cost=motion.cost,
             touches=tuple(touch.contact for touch in motion.touches),
             reason=choice.reason,
-            seconds=time.perf_counter() - begin,
+            seconds=0.0,
             has_switched=choice.has_switched,
             restitution=question.horizon.restitution,
             nearer=question.seen.nearer,
         )
-        moment = _Moment(choice, control, status, tick, usable, question.seen)
+        moment = TickMemory(choice, before.commands, status, tick, usable, question.seen, feedback)
+        moment = self._command(moment, question)
+        seconds, pending = time.perf_counter() - begin, choice.pending
+        is_late = seconds > self.period or (pending is not None and tick >= pending.due)
+        status = dataclasses.replace(moment.status, seconds=seconds, is_late=is_late)
+        moment = dataclasses.replace(moment, status=status)
         state.get_mutable_abstract_state(int(self._moment)).set_value(moment)
         return EventStatus.Succeeded()
 
-    def _choose(self, before: _Moment, question: _Question, obstacle: str | None) -> _Choice:
+    def _command(self, moment: TickMemory, question: TickQuestion) -> TickMemory:
+        """Returns a moment with the command for a sample, and what its report says of that."""
+        motion, (time, x), now = moment.choice.motion, question.sampled, question.now
+        mode: Mode = "running"
+        u, planned = motion.calc_control(now), motion.calc_state(now)
+        if np.isinf(moment.usable.now):
+            mode = "waiting"
+        elif question.sample != "valid":
+            u, mode = self._fall_back(x, planned, u, moment.commands), "fallback"
+        elif question.horizon.is_over(now):
+            mode = "holding"
+            if moment.feedback and moment.feedback.regulator:
+                u = moment.feedback.sample(max(now, moment.feedback.end), question.x, ()).control
+        elif moment.feedback:
+            u = moment.feedback.sample(
+                now, question.x, moment.find_hits(question, self.period)
+            ).control
+        u, is_limited = self._limit(u, moment.commands, time)
+        status = dataclasses.replace(
+            moment.status,
+            mode=mode,
+            sample=question.sample,
+            deviation=question.deviation,
+            is_limited=is_limited,
+        )
+        return dataclasses.replace(
+            moment, commands=append_command(moment.commands, time, u), status=status
+        )
+
+    def _choose(
+        self, context: Context, before: TickMemory, question: TickQuestion, obstacle: str | None
+    ) -> TickChoice:
         """Returns the plan from now on, and why it is that."""
         last, pending = before.choice.motion, before.choice.pending
-        now, x, _, horizon = question
+        now, x, horizon = question.now, question.x, question.horizon
         if obstacle:
-            return _Choice(last, f"{obstacle}: the last plan goes on", pending=pending)
+            return TickChoice(last, f"{obstacle}: the last plan goes on", pending=pending)
         motion = horizon.advance(last, now, x)
         cost = motion.cost if motion else np.inf
-        has_searched, found, pending = self._find_other(before, question, motion)
+        aside = self._aim(context)[1]
+        has_searched, found, pending = self._searches.find(before, question, motion, aside)
         if found and found.cost < (1 - self._margin) * cost:
             reason = f"switched: {found.cost:.4g} in place of {cost:.4g}"
-            return _Choice(found, reason, has_switched=True, pending=pending)
+            return TickChoice(found, reason, has_switched=True, pending=pending)
         if motion is None:
-            return _Choice(last, "no motion was found: the last plan goes on", pending=pending)
+            return TickChoice(last, "no motion was found: the last plan goes on", pending=pending)
         reason = "warm; a search found nothing better" if has_searched else "warm"
-        return _Choice(motion, reason, pending=pending)
-
-    def _find_other(
-        self, before: _Moment, question: _Question, motion: PlannedMotion | None
-    ) -> tuple[bool, PlannedMotion | None, _Pending | None]:
-        """Returns whether a search is done, what it found, and one that goes on."""
-        last, pending, tick = before.choice.motion.cost, before.choice.pending, before.tick + 1
-        now, x, seen, horizon = question
-        if pending is not None:
-            if tick < pending.due:
-                return False, None, pending
-            found = pending.found.result()
-            return True, found and horizon.advance(found, now, x), None
-        is_due = self._every is not None and tick % self._every == 0
-        cost = motion.cost if motion else np.inf
-        if not is_due and cost - last <= self._calc_surprise(last):
-            return False, None, None
-        if self._search_ticks is None:
-            return True, horizon.search(now, x), None
-        ahead = now + self._search_ticks * self.period
-        x = motion.calc_state(ahead) if motion else np.array(x)
-        if horizon.is_over(ahead) or horizon.is_inside(x):
-            return False, None, None
-        begun = self._thread.submit(self._searching.knowing(seen).search, ahead, x)
-        return False, None, _Pending(tick + self._search_ticks, begun)
-
-    def _calc_surprise(self, cost: float) -> float:
-        """Returns by how much a plan costs more than the one before, if it met a surprise."""
-        if np.isinf(self._surprise):  # What costs nothing any more, too.
-            return np.inf
-        return self._surprise * cost + _NOTHING * self._horizon.cost_scale
-
-    def _write_control(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._read(context).control)
-
-    def _write_path(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self.read_plan(context).to_piecewise()[0])
-
-    def _write_status(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._read(context).status)
+        return TickChoice(motion, reason, pending=pending)

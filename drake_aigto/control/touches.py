@@ -5,11 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
+from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
+from drake_aigto.planning import Plan
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import World
@@ -49,11 +52,32 @@ class PlannedMotion:
         k = int(np.searchsorted(times, time, side="right")) - 1
         return np.array(controls[min(max(k, 0), len(controls) - 1)])
 
+    @classmethod
+    def of(cls, plan: Plan, world: World) -> PlannedMotion:
+        """Returns a plan as a motion.
+
+        Raises:
+            ModelError: it is none of this world.
+        """
+        plan.find_world(world)
+        touches = (Touch(each.time, each.last_time, each.index) for each in plan.best.contacts)
+        return cls(plan.trajectory, plan.cost, tuple(touches))
+
+    @cached_property
+    def _path(self) -> PiecewisePolynomial:
+        """q(t) and v(t)."""
+        return self.trajectory.to_piecewise()[0]
+
+    @cached_property
+    def reach(self) -> Floats:
+        """The largest |q| and |v| at knots, shape (2n,)."""
+        states = np.hstack([self.trajectory.positions, self.trajectory.velocities])
+        return np.asarray(np.max(np.abs(states), axis=0))
+
     def calc_state(self, time: float) -> Floats:
         """Returns q and v at a time, shape (2n,); beyond the horizon its first and last."""
         times = self.trajectory.times
-        state, _ = self.trajectory.to_piecewise()
-        return np.array(state.value(min(max(time, times[0]), times[-1]))[:, 0])
+        return np.array(self._path.value(min(max(time, times[0]), times[-1]))[:, 0])
 
     def later(self, by: float) -> PlannedMotion:
         """Returns the same motion, later by a duration [s]."""
@@ -294,3 +318,20 @@ def find_bounce(
         return None
     (i,) = np.flatnonzero(turns).tolist()
     return Bounce(i, float(place[i]), float(comes[i]), float(leaves[i]))
+
+
+def find_bodies(world: World) -> list[list[set[str]]]:
+    """Returns the names of both bodies that meet in each contact, plain and with their model's."""
+    inspector, plant = world.scene_graph.model_inspector(), world.plant
+    bodies = [
+        [plant.GetBodyFromFrameId(inspector.GetFrameId(shape)) for shape in pair]
+        for pair in world.shapes
+    ]
+    return [[{body.name(), str(body.scoped_name())} for body in pair] for pair in bodies]
+
+
+def name_body(plant: Any, index: Any) -> str:
+    """Returns a body's name, with its model's if other bodies of the plant have the same."""
+    body = plant.get_body(index)
+    is_alone = plant.NumBodiesWithName(body.name()) == 1
+    return str(body.name() if is_alone else body.scoped_name())

@@ -2,50 +2,64 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import time as clock
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.multibody.plant import ContactResults
-from pydrake.systems.framework import (
-    BasicVector,
-    Context,
-    DiscreteStateIndex,
-    DiscreteValues,
-    EventStatus,
-    InputPort,
-    LeafSystem,
-    System,
-)
+from pydrake.systems.framework import Context, DiscreteStateIndex, DiscreteValues, EventStatus
+from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.control.touches import WALL_DOUBT, find_bounce
-from drake_aigto.errors import ControlError
+from drake_aigto.control.ports import (
+    MODES,
+    SAMPLES,
+    LoopController,
+    Mode,
+    Safety,
+    Sample,
+    TickStatus,
+    append_command,
+    may_be_unsampled,
+)
+from drake_aigto.control.touches import (
+    WALL_DOUBT,
+    PlannedMotion,
+    find_bodies,
+    find_bounce,
+    name_body,
+)
 from drake_aigto.planning import Cut, Feedback, Plan, is_at_rest_on
-from drake_aigto.world import Scales, SpaceWorld, World
+from drake_aigto.world import Scales, World
 
 # A period of what happens once [s]; and how near to a sample is the same, as a part of the period.
 _ONCE, _SAME = 1e12, 1e-6
-# Types of real numbers: NumPy's scalars may be given, too.
-NUMBERS = int | float | np.integer | np.floating
 # Samples in a time step of the scenario: gains are of its holds, and are no worse in shorter ones.
 _SAMPLES = 5
 # What turns round more slowly than this part of the slowest impact that is planned is noise.
 _FAINT = 0.2
 # Of a contact: it is touched, or was and is not over yet; it has lasted since the start; none.
 _TOUCHED, _LASTS, _APART = 1.0, -1.0, 0.0
+_REASONS: dict[Mode, str] = {
+    "waiting": "waits for the first sample of the state, or for its start",
+    "running": "follows the plan",
+    "holding": "the plan is over",
+    "fallback": "the sample is of no use",
+}
 
 
 class _Groups(NamedTuple):
     """Which group of the discrete state holds what."""
 
-    control: DiscreteStateIndex  # u, shape (nu,)
+    commands: DiscreteStateIndex  # rows (t, u), shape (k (1 + nu),)
     bounces: DiscreteStateIndex  # how many of each contact, shape (m,)
     touches: DiscreteStateIndex  # _TOUCHED, _LASTS or _APART, shape (m,)
-    last: DiscreteStateIndex  # the time of the last sample, q and v, shape (1 + 2n,)
+    last: DiscreteStateIndex  # the time of the last valid sample, q and v, shape (1 + 2n,)
+    told: DiscreteStateIndex  # time, mode, sample, deviation, is_limited, seconds, shape (6,)
 
 
-class TrackingController(LeafSystem):
+class TrackingController(LoopController):
     """Keeps a plant on a plan: samples its state every period, and holds the control between.
 
         controller = builder.AddSystem(TrackingController(plan))
@@ -66,119 +80,211 @@ class TrackingController(LeafSystem):
 
     Samples are taken at the plan's own knots as well, where its control changes.
 
-    Where a state is not finite the plan's own control goes on: no NaN leaves a port. So it does
-    while all of the state is zero, where the plan's is not: a sampled estimate that has no sample
-    yet. After its end a plan is held (`Feedback`). A Simulator that is initialized again on its
-    way, at most a period after the last sample, samples anew, and remembers bounces.
+    Where a sample is of no use (`Safety`) the fallback is commanded, by default the plan's own
+    control: no NaN leaves a port. The plan's goes on, too, while all of the state is zero, where
+    the plan's is not: a sampled estimate that has no sample yet. Before `start_time` nothing is
+    commanded; after its end a plan is held (`Feedback`). A Simulator that is initialized again on
+    its way, at most a period after the last sample, samples anew, and remembers bounces.
 
-    Input ports: `estimated_state`, q and v; `contact_results`, which may stay unconnected. Output
-    ports: `control`, u as the plant's actuation port takes it, and `desired_state`, q and v of the
-    plan, on the flight that the ball is on.
+    Ports are those of `LoopController`, and an input port `contact_results`, which may stay
+    unconnected. The desired state is that of the flight that the ball is on.
 
     Attributes:
         plan: what is tracked.
         feedback: the law.
-        period: between samples [s].
     """
 
-    def __init__(self, plan: Plan, world: World | None = None, period: float | None = None) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        world: World | None = None,
+        period: float | None = None,
+        delay: float = 0.0,
+        start_time: float = 0.0,
+        safety: Safety | None = None,
+    ) -> None:
         """Computes the gains.
 
         Args:
-            plan: what to track; its time 0 is the context's.
+            plan: what to track.
             world: see `Plan.find_world`.
             period: between samples [s]; None: a fifth of the scenario's time step.
+            delay: see `LoopController`, as for the other arguments.
+            start_time: the context's time at which the plan begins [s].
+            safety: limits, and the fallback.
 
         Raises:
             ModelError: from `Plan.find_world`.
             TrajectoryError: no feedback is known for its contacts (`Feedback`).
-            ControlError: the period is not a number above zero, or the plan is in space.
+            ControlError: an argument is out of its range, or the plan is in space.
         """
-        super().__init__()
-        world = plan.find_world(world)
-        check_plane(world)
+        world, usual = plan.find_world(world), plan.scenario.time_step / _SAMPLES
+        period = usual if period is None else period
+        super().__init__(world, plan.scenario, period, delay, start_time, safety)
         self.plan = plan
-        usual = plan.scenario.time_step / _SAMPLES
-        self.period = usual if period is None else check_period(period)
         known, of = plan.best.gains, (world, plan.scenario, plan.trajectory)
         self.feedback = Feedback(*of, known, period=self.period)
-        self._world, self._bodies = world, _find_bodies(world)
-        n, m, nu = world.num_positions, world.num_contacts, world.num_actuators
-        self._estimate = self.DeclareVectorInputPort("estimated_state", 2 * n)
+        self._bodies = find_bodies(world)
+        n, m = world.num_positions, world.num_contacts
         self._results = self.DeclareAbstractInputPort("contact_results", Value(ContactResults()))
         self._doubt = WALL_DOUBT * Scales.of(world, plan.scenario).length
         hits = [each for each in self.feedback.stretches if each.cut == Cut.HIT]
         # The slowest impact of each contact that is planned.
         self._speeds = {each.contact: each.speed for each in sorted(hits, key=lambda s: -s.speed)}
+        self._motion = PlannedMotion.of(plan, world)
         self._never = np.append(-np.inf, np.zeros(2 * n))
-        groups = np.zeros(nu), np.zeros(m), np.zeros(m), self._never
+        groups = self._no_commands.ravel(), np.zeros(m), np.zeros(m), self._never, np.zeros(6)
         self._groups = _Groups(*map(self.DeclareDiscreteState, groups))
         self.DeclareInitializationDiscreteUpdateEvent(self._start)
         self.DeclarePeriodicDiscreteUpdateEvent(self.period, 0.0, self._sample)
-        for knot in _find_between(plan.trajectory.times, self.period):
+        for knot in _find_between(self.start_time + plan.trajectory.times, self.period):
             self.DeclarePeriodicDiscreteUpdateEvent(_ONCE, knot, self._sample)
         self.DeclarePerStepDiscreteUpdateEvent(self._step)
-        state = self.discrete_state_ticket
-        control = {state(self._groups.control)}
-        desired = {self.time_ticket(), state(self._groups.bounces)}
-        self.DeclareVectorOutputPort("control", nu, self._write_control, control)
-        self.DeclareVectorOutputPort("desired_state", 2 * n, self._write_state, desired)
+        self._declare_outputs({self.discrete_state_ticket(group) for group in self._groups})
 
     def count_bounces(self, context: Context) -> tuple[int, ...]:
         """Returns how many times each contact has bounced in its own context, shape (m,)."""
         return tuple(int(count) for count in self._read(context, self._groups.bounces))
 
+    def read_status(self, context: Context) -> TickStatus:
+        """Returns the report of the last sample, in its own context."""
+        time, mode, sample, off, is_limited, seconds = self._read(context, self._groups.told)
+        bounces = _list_bounces(self._read(context, self._groups.bounces))
+        left = [each.contact for each in self.feedback.stretches if each.cut == Cut.HIT]
+        for contact in bounces:
+            if contact in left:
+                left.remove(contact)
+        return TickStatus(
+            time=float(time),
+            cost=self.plan.cost,
+            touches=tuple(left),
+            reason=_REASONS[MODES[int(mode)]],
+            seconds=float(seconds),
+            restitution=self._scenario.restitution if self.feedback.stretches else None,
+            mode=MODES[int(mode)],
+            sample=SAMPLES[int(sample)],
+            deviation=float(off),
+            is_limited=bool(is_limited),
+            is_late=bool(seconds > self.period),
+        )
+
+    def update(self, context: Context) -> None:
+        """Takes a sample of the context's state now, as a Simulator would have it do."""
+        self._sample(context, context.get_mutable_discrete_state())
+
     def _read(self, context: Context, group: DiscreteStateIndex) -> Floats:
         return np.array(context.get_discrete_state(group).value())
 
+    def _read_commands(self, context: Context) -> Floats:
+        return self._read(context, self._groups.commands).reshape(self._no_commands.shape)
+
+    def _find_time(self, context: Context) -> float:
+        """Returns the plan's time [s]."""
+        return float(context.get_time()) - self.start_time
+
+    def _find_desired(self, context: Context) -> Floats:
+        bounces = _list_bounces(self._read(context, self._groups.bounces))
+        return self.feedback.find_state(self._find_time(context) + self.delay, bounces)
+
+    def _find_path(self, context: Context) -> PiecewisePolynomial:
+        return self.plan.trajectory.later(self.start_time).to_piecewise()[0]
+
     def _start(self, context: Context, values: DiscreteValues) -> EventStatus:
         """Forgets what was, and takes the first sample; on the way, the next one."""
-        x = read_start(self, self._estimate, context)
+        x = self._read_start(context)
         last, *before = self._read(context, self._groups.last)
         elapsed = context.get_time() - last
         if 0 < elapsed <= (1 + _SAME) * self.period or (elapsed == 0 and np.array_equal(x, before)):
             return self._sample(context, values)
+        none = np.zeros(self._world.num_contacts)
+        empty = self._no_commands.ravel(), none, none, self._never
+        for group, known in zip(self._groups, empty, strict=False):
+            values.set_value(group, known)
         if self._is_empty(context, x):
-            none = np.zeros(self._world.num_contacts)
-            for group, known in zip(self._groups[1:], (none, none, self._never), strict=True):
-                values.set_value(group, known)
-            return self._play(context, values)
-        return self._begin(context, values, x)
+            return self._play(context, values, x, self._no_commands, "none", np.inf)
+        return self._begin(context, values, x, self._no_commands)
 
-    def _begin(self, context: Context, values: DiscreteValues, x: Floats) -> EventStatus:
+    def _begin(
+        self, context: Context, values: DiscreteValues, x: Floats, commands: Floats
+    ) -> EventStatus:
         """Takes the first sample: what is at rest on a wall has not bounced."""
-        none, (q, v) = 0 * self._read(context, self._groups.bounces), np.split(x, 2)
+        none, (q, v) = np.zeros(self._world.num_contacts), np.split(x, 2)
         lasts = is_at_rest_on(self._world, q, v)
-        return self._hold(context, values, x, none, np.where(lasts, _LASTS, _APART))
+        return self._hold(context, values, x, none, np.where(lasts, _LASTS, _APART), commands)
 
     def _sample(self, context: Context, values: DiscreteValues) -> EventStatus:
         """Takes a sample: touches, bounces that are over, and the control from now on."""
-        x = self._estimate.Eval(context)
-        if not self._is_known(context, x):
-            return self._play(context, values)
+        x, commands = self._estimate.Eval(context), self._read_commands(context)
+        sample, off, x = self._check(context, x)
+        if sample != "valid":
+            return self._play(context, values, x, commands, sample, off)
         if np.isinf(self._read(context, self._groups.last)[0]):
-            return self._begin(context, values, x)
+            return self._begin(context, values, x, commands)
         reached = pressed = self._feel(context, x)
         if not self._results.HasValue(context):
             reached = pressed | self._infer(context, x)
         return self._go_on(context, values, x, reached, pressed)
 
-    def _is_known(self, context: Context, x: Floats) -> bool:
-        """Returns whether an estimate is one: finite, and not what a hold has before its sample."""
+    def _check(self, context: Context, x: Floats) -> tuple[Sample, float, Floats]:
+        """Returns whether an estimate is of use, how far off, and with angles near the plan's."""
         if np.isinf(self._read(context, self._groups.last)[0]) and self._is_empty(context, x):
-            return False
-        return bool(np.all(np.isfinite(x)))
+            return "none", np.inf, x
+        planned = self._find_planned(context)
+        x = self._unwrap(x, planned)
+        return *self._judge(x, planned, self._motion.reach), x
+
+    def _find_planned(self, context: Context) -> Floats:
+        """Returns q and v of the plan now, shape (2n,)."""
+        bounces = _list_bounces(self._read(context, self._groups.bounces))
+        return self.feedback.find_state(self._find_time(context), bounces)
 
     def _is_empty(self, context: Context, x: Floats) -> bool:
         """Returns whether a state may be what a hold has before its first sample."""
-        return may_be_unsampled(x, self.feedback.find_state(context.get_time(), ()))
+        return may_be_unsampled(x, self.feedback.find_state(self._find_time(context), ()))
 
-    def _play(self, context: Context, values: DiscreteValues) -> EventStatus:
-        """Holds the plan's own control from now on."""
-        now, bounces = context.get_time(), self._read(context, self._groups.bounces)
-        planned = self.feedback.find_state(now, _list_bounces(bounces))
-        control = self.feedback.sample(now, planned, _list_bounces(bounces)).control
-        values.set_value(self._groups.control, control)
+    def _play(
+        self,
+        context: Context,
+        values: DiscreteValues,
+        x: Floats,
+        commands: Floats,
+        sample: Sample,
+        off: float,
+    ) -> EventStatus:
+        """Commands what the fallback says, or the plan's own control before the first sample."""
+        begin, time = clock.perf_counter(), self._find_time(context) + self.delay
+        bounces = _list_bounces(self._read(context, self._groups.bounces))
+        planned = self.feedback.find_state(time, bounces)
+        u = self._motion.calc_control(time)  # By the clock: bounces may be missed meanwhile.
+        if time >= self.feedback.end:
+            u = self.feedback.sample(time, planned, bounces).control
+        mode: Mode = "waiting"
+        if sample != "none":
+            u, mode = self._fall_back(x, planned, u, commands), "fallback"
+        return self._command(context, values, u, commands, mode, sample, off, begin)
+
+    def _command(
+        self,
+        context: Context,
+        values: DiscreteValues,
+        u: Floats,
+        commands: Floats,
+        mode: Mode,
+        sample: Sample,
+        off: float,
+        begin: float,
+    ) -> EventStatus:
+        """Commands a control within limits, none before the start, and notes the report of that."""
+        if self._find_time(context) + self.delay < 0:
+            u, mode = np.zeros_like(u), "waiting"
+        elif mode == "running" and self._find_time(context) >= self.feedback.end:
+            mode = "holding"
+        time = context.get_time()
+        u, is_limited = self._limit(u, commands, time)
+        values.set_value(self._groups.commands, append_command(commands, time, u).ravel())
+        seconds = clock.perf_counter() - begin
+        told = time, MODES.index(mode), SAMPLES.index(sample), off, is_limited, seconds
+        values.set_value(self._groups.told, np.array(told, dtype=float))
         return EventStatus.Succeeded()
 
     def _feel(self, context: Context, x: Floats) -> Bools:
@@ -194,7 +300,7 @@ class TrackingController(LeafSystem):
         felt, plant = np.zeros(len(phi), dtype=bool), results.plant()
         for k in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(k)
-            a, b = (_name_body(plant, index) for index in (info.bodyA_index(), info.bodyB_index()))
+            a, b = (name_body(plant, index) for index in (info.bodyA_index(), info.bodyB_index()))
             same = [
                 i
                 for i, (one, other) in enumerate(self._bodies)
@@ -211,7 +317,7 @@ class TrackingController(LeafSystem):
         turned round as an impact that is planned does.
         """
         world, (time, *before) = self._world, self._read(context, self._groups.last)
-        last, u = np.array(before), self._read(context, self._groups.control)
+        last, u = np.array(before), self._find_acting(self._read_commands(context), time)
         elapsed, (q, v) = context.get_time() - time, np.split(last, 2)
         ahead = q + elapsed * (v + elapsed / 2 * world.calc_acceleration(q, v, u))
         comes = world.calc_contact_rate(q, v) < 0
@@ -223,11 +329,11 @@ class TrackingController(LeafSystem):
 
     def _step(self, context: Context, values: DiscreteValues) -> EventStatus:
         """Notes touches that the plant reports, and samples at once where one is over."""
-        x = self._estimate.Eval(context)
-        if not self._is_known(context, x):
+        sample, _, x = self._check(context, self._estimate.Eval(context))
+        if sample != "valid":
             return EventStatus.DidNothing()
         if np.isinf(self._read(context, self._groups.last)[0]):
-            return self._begin(context, values, x)
+            return self._begin(context, values, x, self._read_commands(context))
         if not self._results.HasValue(context):
             return EventStatus.DidNothing()
         touches, felt = self._read(context, self._groups.touches), self._feel(context, x)
@@ -246,7 +352,7 @@ class TrackingController(LeafSystem):
         bounces = self._read(context, groups.bounces) + (over & (touches == _TOUCHED))
         left = np.where(over, _APART, touches)
         if not np.any((left == _TOUCHED) & (before == _APART)):
-            return self._hold(context, values, x, bounces, left)
+            return self._hold(context, values, x, bounces, left, self._read_commands(context))
         values.set_value(groups.bounces, bounces)
         values.set_value(groups.touches, left)
         return EventStatus.Succeeded()
@@ -258,22 +364,21 @@ class TrackingController(LeafSystem):
         x: Floats,
         bounces: Floats,
         touches: Floats,
+        commands: Floats,
     ) -> EventStatus:
-        """Holds the control of a state from now on."""
-        time = context.get_time()
-        control = self.feedback.sample(time, x, _list_bounces(bounces)).control
-        for group, value in zip(
-            self._groups, (control, bounces, touches, np.append(time, x)), strict=True
-        ):
+        """Answers a state from now on."""
+        begin, now = clock.perf_counter(), context.get_time()
+        time, seen = self._find_time(context), _list_bounces(bounces)
+        sample, off = self._judge(x, self.feedback.find_state(time, seen), self._motion.reach)
+        ahead = self._lead_on(now, x, commands)
+        if ahead is None:
+            return self._play(context, values, x, commands, "far off", off)
+        later, more = ahead
+        u = self.feedback.sample(time + self.delay, later, seen + more).control
+        groups = self._groups[1:4]
+        for group, value in zip(groups, (bounces, touches, np.append(now, x)), strict=True):
             values.set_value(group, value)
-        return EventStatus.Succeeded()
-
-    def _write_control(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._read(context, self._groups.control))
-
-    def _write_state(self, context: Context, output: BasicVector) -> None:
-        bounces = _list_bounces(self._read(context, self._groups.bounces))
-        output.SetFromVector(self.feedback.find_state(context.get_time(), bounces))
+        return self._command(context, values, u, commands, "running", sample, off, begin)
 
 
 def _find_between(knots: Floats, period: float) -> list[float]:
@@ -286,72 +391,3 @@ def _find_between(knots: Floats, period: float) -> list[float]:
 def _list_bounces(counts: Floats) -> list[int]:
     """Returns the contact of each bounce so far."""
     return [int(i) for i in np.repeat(np.arange(len(counts)), counts.astype(int))]
-
-
-def _find_bodies(world: World) -> list[list[set[str]]]:
-    """Returns the names of both bodies that meet in each contact, plain and with their model's."""
-    inspector, plant = world.scene_graph.model_inspector(), world.plant
-    bodies = [
-        [plant.GetBodyFromFrameId(inspector.GetFrameId(shape)) for shape in pair]
-        for pair in world.shapes
-    ]
-    return [[{body.name(), str(body.scoped_name())} for body in pair] for pair in bodies]
-
-
-def _name_body(plant: Any, index: Any) -> str:
-    """Returns a body's name, with its model's if other bodies of the plant have the same."""
-    body = plant.get_body(index)
-    is_alone = plant.NumBodiesWithName(body.name()) == 1
-    return str(body.name() if is_alone else body.scoped_name())
-
-
-def may_be_unsampled(x: Floats, expected: Floats) -> bool:
-    """Returns whether all of a state is zero where another one is expected."""
-    return bool(np.any(expected) and not np.any(x))
-
-
-def check_plane(world: World) -> None:
-    """Refuses worlds in space, for which no controller is made.
-
-    Raises:
-        ControlError: it is one.
-    """
-    if isinstance(world, SpaceWorld):
-        raise ControlError(
-            "the world to control",
-            got="one in space, whose positions and velocities differ in number or kind",
-            expected="one in a plane, of hinges and sliders",
-            remedy="Play the plan's control: TrajectorySource(plan.trajectory.to_piecewise()[1]).",
-        )
-
-
-def check_period(period: float) -> float:
-    """Returns a period as a number above zero.
-
-    Raises:
-        ControlError: it is none.
-    """
-    if not (isinstance(period, NUMBERS) and 0 < period < np.inf):
-        raise ControlError("period", got=period, expected="seconds above zero")
-    return float(period)
-
-
-def read_start(system: System, port: InputPort, context: Context) -> Floats:
-    """Returns the first estimated state of a controller.
-
-    Raises:
-        ControlError: nothing is connected, or it is not finite.
-    """
-    if not port.HasValue(context):
-        is_named = system.get_name() and "@" not in system.get_name()  # Else Drake has an address.
-        name = system.GetSystemPathname() if is_named else type(system).__name__
-        raise ControlError(
-            f"the input port {port.get_name()} of {name}",
-            got="nothing that is connected to it",
-            expected="q and v of the plant",
-            remedy="Connect the plant's state output port, or an estimator's.",
-        )
-    x: Floats = port.Eval(context)
-    if not np.all(np.isfinite(x)):
-        raise ControlError("the state at the start", got=x.tolist(), expected="finite numbers")
-    return x

@@ -395,6 +395,7 @@ def run_facts(run: ClosedLoopRun) -> Iterator[Fact]:
         f"restitution times {d.restitution_factor:g}": d.restitution_factor != 1,
         f"a kick of {weight_text(d.kick)} at {d.kick_time:g} s": d.kick.any(),
         f"noise of {weight_text(d.noise)} (seed {d.seed})": d.noise.any(),
+        f"commands {1e3 * d.delay:g} ms late": d.delay,
     }
     yield "disturbed", "; ".join(text for text, is_so in disturbed.items() if is_so) or "by nothing"
     first = cost_text(run.promised, 3)
