@@ -138,6 +138,22 @@ def test_a_tendon_along_one_joint_is_an_actuator_of_that_joint(arm: Any) -> None
     np.testing.assert_array_equal(world.actuation.ravel(), [0.0, 1.0])
 
 
+@pytest.mark.parametrize("kind", ["urdf", "mjcf"])
+def test_forces_of_two_actuators_at_one_joint_add_up(arm: Any, gantry: Any, kind: str) -> None:
+    if kind == "urdf":
+        second = TRANSMISSION.replace('name="t"', 'name="t2"').replace("drive", "drive2")
+        world = gantry({"effort_limits": {"drive2": 3.0}}, MORE=TRANSMISSION + second)
+        with pytest.raises(ModelError, match=r"got joint 'x', which 'drive', 'drive2' drive, exp"):
+            gantry({"effort_limits": {"x": 3.0}}, MORE=TRANSMISSION + second)
+        with pytest.raises(ModelError, match=r"already contains a joint actuator named 'drive'"):
+            gantry(MORE=TRANSMISSION + TRANSMISSION)
+    else:
+        motors = '<motor joint="shoulder" gear="5" ctrlrange="-1 1"/><motor joint="shoulder" '
+        world = arm(ACTUATORS=motors + 'ctrlrange="-3 3"/>', JOINT='armature="2"')
+    np.testing.assert_array_equal(world.limits.control[1], [5.0, 3.0])
+    np.testing.assert_array_equal(world.actuation, [[1.0, 1.0], [0.0, 0.0]])
+
+
 def test_springs_and_friction_of_joints_act(arm: Any) -> None:
     plain = arm(OPTION='gravity="0 0 0"')
     sprung = arm(OPTION='gravity="0 0 0"', JOINT='stiffness="4" springref="30" frictionloss="0.25"')
@@ -295,7 +311,10 @@ BAD_MJCF = {
     "a gear of 0": ({"ACTUATORS": '<motor joint="elbow" gear="0"/>'}, "with a gear of 0"),
     "an unknown joint": ({"ACTUATORS": '<motor joint="knee"/>'}, "the unknown joint 'knee'"),
     "an unknown class": ({"ACTUATORS": '<motor joint="elbow" class="x"/>'}, "unknown class 'x'"),
-    "two at one joint": ({"ACTUATORS": f'{MOTOR}<motor joint="shoulder"/>'}, "'motor' and .* at"),
+    "two within one range": (
+        {"JOINT": 'actuatorfrcrange="-1 1"', "ACTUATORS": f'{MOTOR}<motor joint="shoulder"/>'},
+        "'motor' and 'shoulder_motor' at joint 'shoulder' with an actuatorfrcrange, expected one",
+    ),
     "no range": ({"JOINT": 'range="1 -1"'}, "range of joint 'shoulder' .* from 1 to -1, expected"),
     "no range of control": (
         {"ACTUATORS": '<motor name="m" joint="elbow" ctrlrange="1 0"/>'},

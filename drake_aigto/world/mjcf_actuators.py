@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Collection, Mapping
 from xml.etree.ElementTree import Element
@@ -21,6 +22,8 @@ def read_actuators(
 ) -> set[str]:
     """Turns all that drives one joint into motors, and returns the joints that are driven.
 
+    Forces of several at one joint add up.
+
     Args:
         file: with its joints named.
         fixed: joints that do not move any more.
@@ -28,24 +31,35 @@ def read_actuators(
     """
     joints = [joint for body, _ in file.bodies for joint in body.findall("joint")]
     names = {joint.get("name", "") for joint in joints}
-    driven = dict[str, str]()
+    driven, labels = (
+        dict[str, str](),
+        {each.get("name") for each in file.root.iterfind("actuator/*")},
+    )
     for group in file.root.findall("actuator"):
         for motor in list(group):
             values = file.resolve(motor, "main")
             joint, lever = _find_joint(file, values)
-            label = motor.get("name") or f"{joint or 'actuator'}_{motor.tag}"
+            label = motor.get("name") or _name_motor(f"{joint or 'actuator'}_{motor.tag}", labels)
             is_off = "actuation" in file.off or joint in fixed
             if is_off or not _acts(file, motor, values, joint, label, names):
                 group.remove(motor)
                 continue
             assert joint is not None
-            if joint in driven:
-                got = f"{driven[joint]!r} and {label!r} at joint {joint!r}"
-                raise refuse_element(file.path, motor, got, "one actuator for each joint")
+            if joint in driven and joint in efforts:
+                got = f"{driven[joint]!r} and {label!r} at joint {joint!r} with an actuatorfrcrange"
+                expected = "one actuator there, or none that bounds their sum"
+                raise refuse_element(file.path, motor, got, expected)
             driven[joint] = label
             effort = _find_effort(file, motor, f"actuator {label!r}", values, lever)
             _make_motor(file, motor, joint, label, (effort, efforts.get(joint, effort)))
     return set(driven)
+
+
+def _name_motor(name: str, taken: set[str | None]) -> str:
+    """Returns a name for an actuator without one, and takes it."""
+    free = itertools.chain([name], (f"{name}{i}" for i in itertools.count(1)))
+    taken.add(found := next(each for each in free if each not in taken))
+    return found
 
 
 def _acts(

@@ -14,7 +14,14 @@ import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, Joint, PrismaticSpring, RevoluteSpring, RigidBody
+from pydrake.multibody.tree import (
+    BodyIndex,
+    Joint,
+    JointActuator,
+    PrismaticSpring,
+    RevoluteSpring,
+    RigidBody,
+)
 from pydrake.symbolic import Expression, MakeVectorVariable
 from pydrake.symbolic import max as largest
 from pydrake.symbolic import min as least
@@ -246,29 +253,34 @@ def _drive(plant: MultibodyPlant, path: Path, facts: ModelFacts) -> None:
     """Adds actuators, and sets their limits."""
     joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
     moving = {joint.name(): joint for joint in joints if joint.num_velocities() == 1}
-    actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
-    driven = {actuator.joint().name(): actuator for actuator in actuators}
+    driven: dict[str, list[JointActuator]] = {}
+    for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
+        driven.setdefault(actuator.joint().name(), []).append(actuator)
     asked = pick(f"actuators in {path}", facts.fields.actuators, moving)
     for name in facts.fields.actuators:
         if name in driven:
-            got = f"joint {name!r}, which actuator {driven[name].name()!r} drives"
+            names = " and ".join(repr(each.name()) for each in driven[name])
+            got = f"joint {name!r}, which actuator {names} drives"
             raise ModelError(f"actuators in {path}", got, "joints that nothing drives")
     limits = facts.fields.effort_limits
     for name in [*asked, *(each for each in facts.no_effort if each in limits)]:
         if name not in driven:
             effort = facts.joint_efforts.get(name, math.inf)
-            driven[name] = plant.AddJointActuator(name, moving[name], effort)
-    known = {**{each.name(): each for each in driven.values()}, **driven}
+            driven[name] = [plant.AddJointActuator(name, moving[name], effort)]
+    known = {each.name(): [each] for several in driven.values() for each in several} | driven
     for name, limit in limits.items():
-        if name not in known:
+        if len(known.get(name, [])) != 1:
+            several = ", ".join(repr(each.name()) for each in known.get(name, []))
             raise ModelError(
                 f"effort_limits in {path}",
-                got=repr(name),
-                expected=f"an actuator or its joint: {', '.join(sorted(known)) or 'there is none'}",
+                got=f"joint {name!r}, which {several} drive" if several else repr(name),
+                expected="one of these actuators"
+                if several
+                else f"an actuator or its joint: {', '.join(sorted(known)) or 'there is none'}",
                 remedy="Joints without an actuator get one by the scenario's actuators.",
             )
-        known[name].set_effort_limit(limit)
-        facts.efforts.pop(known[name].name(), None)
+        known[name][0].set_effort_limit(limit)
+        facts.efforts.pop(known[name][0].name(), None)
     if moving and not driven:
         idle = sorted(facts.no_effort & set(moving))
         first = (idle or sorted(moving))[0]
