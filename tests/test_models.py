@@ -429,7 +429,8 @@ def test_meshes_that_can_not_be_read_are_listed_and_left_out_before_they_are(gan
         MESH.replace("NAME", name).replace("FILE", file)
         for name, file in (("hook", "hook.stl"), ("box", "package://crane/box.obj"))
     )
-    with pytest.raises(ModelError, match=r"read: hook .hook\.stl., box .in the unknown package cr"):
+    message = r"read: hook .hook\.stl., box .in the unknown package crane: name its folder by pack"
+    with pytest.raises(ModelError, match=message):
         gantry(COLLISION=meshes)
     assert not gantry({"collisions": "none"}, COLLISION=meshes).contacts
     with pytest.raises(ModelError, match=r"can't be read: box"):
@@ -608,7 +609,47 @@ def test_joints_of_all_arms_are_fixed_by_one_answer_and_floors_stay(tmp_path: Pa
 
 def test_links_without_mass_are_refused_by_their_joints(gantry: Any) -> None:
     with pytest.raises(ModelError, match=r"singular: got no inertia along x, y. Give every link"):
+        gantry({"allow_ignored": ["inertias"]}, MASS="0")
+
+
+def test_inertias_that_drake_would_replace_are_refused(gantry: Any, tmp_path: Path) -> None:
+    with pytest.raises(
+        ModelError, match=r"inertia of link 'bridge' without a mass .its inertia, wh"
+    ):
         gantry(MASS="0")
+    flat = INERTIAL.replace('izz="1"', 'izz="2.5"')
+    with pytest.raises(ModelError, match=r"with moments of 1, 1, 2.5 .*allow_ignored: .inertias"):
+        gantry(INERTIAL=flat)
+    assert len(gantry({"allow_ignored": ["inertias"]}, INERTIAL=flat).ignored) == 2
+    mass = "<inertial><mass>2</mass><inertia><ixx>IXX</ixx><iyy>1</iyy><izz>1</izz></inertia>"
+    model = tmp_path / "m.sdf"
+    for text, count in (("1", 0), ("3", 1)):
+        model.write_text(
+            f"<sdf version='1.9'><model name='m'><link name='l'>{mass.replace('IXX', text)}"
+            "</inertial></link><joint name='j' type='prismatic'><parent>world</parent>"
+            "<child>l</child><axis><xyz>1 0 0</xyz></axis></joint></model></sdf>"
+        )
+        assert len(make(str(model), 1, allow_ignored=["inertias"]).ignored) == count
+
+
+def test_includes_of_an_sdf_that_are_missing_are_refused(tmp_path: Path) -> None:
+    model = tmp_path / "m.sdf"
+    for uri, message in (
+        ("part.sdf", "an <include> of part.sdf, which is missing, .*relative to the model's"),
+        ("package://arm/part.sdf", r"package://arm/part.sdf, .*by the scenario's packages: {arm: "),
+    ):
+        text = (
+            f"<sdf version='1.9'><model name='m'><include><uri>{uri}</uri></include></model></sdf>"
+        )
+        model.write_text(text, encoding="utf-8")
+        with pytest.raises(ModelError, match=message):
+            make(str(model), 1)
+
+
+def test_what_drake_asserts_of_a_model_is_an_error_of_the_model(arm: Any) -> None:
+    body = '/><body pos="0 0 1"><geom size="-1"/></body><site'
+    with pytest.raises(ModelError, match=r"Drake can't parse the model .*arm.xml: got .*radius"):
+        arm(JOINT=body)
 
 
 def test_a_pair_of_unlike_friction_is_noted_where_mujoco_combines_it_otherwise(

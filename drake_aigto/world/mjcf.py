@@ -245,13 +245,15 @@ class _MjcfReader:
             body.find("inertial") is None or self._file.compiler.get("inertiafromgeom") == "true"
         )
         is_massless = "0" in (values.get("mass"), values.get("density")) or body.tag == "worldbody"
-        is_needed = touches or (weighs and not is_massless)
+        weighs = weighs and not is_massless
+        is_needed = touches or weighs
         if is_read and (is_needed or self._facts.stub is None):
             return True
         self._facts.is_bare |= is_read
         if is_needed:
             kind = mesh.name if mesh else values.get("type")
-            self._facts.unread.append(f"{geom.get('name')} ({kind})")
+            unread = self._facts.unweighed if weighs else self._facts.unread
+            unread.append(f"{geom.get('name')} ({kind})")
         body.remove(geom)
         return False
 

@@ -65,7 +65,8 @@ class ModelFacts:
         refused: what can't be planned for: the word that allows to leave it out, what it is, and
             what is missing without it.
         ignored: the same of what is left out, as it was allowed.
-        unread: shapes with meshes that can't be read.
+        unread: shapes with meshes that can't be read, and may touch.
+        unweighed: those that give links their mass.
         notes: what else differs from the file.
     """
 
@@ -83,6 +84,7 @@ class ModelFacts:
     refused: list[tuple[str, str, str]] = field(default_factory=list)
     ignored: list[tuple[str, str, str]] = field(default_factory=list)
     unread: list[str] = field(default_factory=list)
+    unweighed: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def refuse(self, word: str, what: str, cost: str) -> bool:
@@ -106,11 +108,11 @@ class ModelFacts:
             ModelError: there is something; lists it, and the field that leaves it out.
         """
         got, remedies, answer = [], [], dict[str, Any]()
-        if self.unread and not self.fields.collisions:
+        if self.unweighed:
             raise ModelError(
                 f"model {path}",
                 got="meshes that can't be read and give links their mass: "
-                f"{', '.join(self.unread)}",
+                f"{', '.join(self.unweighed)}",
                 remedy=f"Convert them to {' or '.join(MESHES)}, or give the links masses and "
                 "inertias in the model.",
             )
@@ -119,8 +121,7 @@ class ModelFacts:
             got.append(f"meshes that can't be read: {', '.join(self.unread)}")
             remedies.append(
                 "Name the shapes that may touch by the scenario's collisions: [...], or take "
-                "collisions: none, as meshes can't be planned for; one that gives a link its mass "
-                f"has to be converted to {' or '.join(MESHES)}."
+                "collisions: none, as meshes can't be planned for."
             )
         if self.refused:
             words = ", ".join(dict.fromkeys(word for word, _, _ in self.refused))

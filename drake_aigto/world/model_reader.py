@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,7 +35,7 @@ from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import check_plant, refuse_loop
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
-from drake_aigto.world.model_facts import FixableError, ModelFacts, pick
+from drake_aigto.world.model_facts import MESHES, FixableError, ModelFacts, pick
 from drake_aigto.world.model_fields import ModelFields
 from drake_aigto.world.model_shapes import (
     add_ends,
@@ -223,11 +224,14 @@ def _parse(
     with hear_drake() as heard:
         try:
             parser.AddModels(path) if text is None else parser.AddModelsFromString(text, kind)
-        except RuntimeError as error:
+        except (RuntimeError, SystemExit) as error:  # pydrake has its assertions as exits.
             if _LOOP in str(error):
                 raise refuse_loop(f"a loop of joints in {path}") from error
-            text = str(error).replace(f"<literal-string>.{kind}", str(path))
-            raise ModelError(f"Drake can't parse the model {path}", got=text) from error
+            text = re.sub(r"/?/?<literal-string>\.\w+", str(path), str(error))
+            remedy = "Leave its shape out by the scenario's collisions: [...] or none."
+            is_mesh = any(f"{ending}." in f"{text}." for ending in MESHES)
+            what = f"Drake can't parse the model {path}"
+            raise ModelError(what, text, None, remedy if is_mesh else None) from error
     told = (each.partition("warning: ")[2] or each for each in heard)
     return [each for each in told if not any(word in each for word in _HARMLESS)]
 

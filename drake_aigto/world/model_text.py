@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
 
+import numpy as np
 from pydrake.multibody.parsing import PackageMap
 
 from drake_aigto.errors import ModelError
@@ -14,6 +15,7 @@ from drake_aigto.world.mjcf import read_mjcf
 from drake_aigto.world.model_facts import MESHES, ModelFacts, read_numbers, read_range
 from drake_aigto.world.model_fields import ModelFields
 
+_ROUNDING = 1e-12  # Of the largest moment of inertia.
 _KINDS = {"mujoco": "xml", "robot": "urdf", "sdf": "sdf"}
 
 
@@ -53,9 +55,9 @@ def read_model_text(
             got=f"<{leftover}>: an xacro, not a URDF",
             remedy=f"Expand it: xacro {path.name} > {path.name.partition('.')[0]}.urdf.",
         )
+    is_changed = kind == "xml"
     if kind == "xml":
         read_mjcf(root, path, facts)
-        is_changed = True
     elif kind:
         if kind == "urdf":
             root.set("name", root.get("name") or path.stem)
@@ -65,7 +67,7 @@ def read_model_text(
         is_changed |= _prune_shapes(root, path, packages, facts)
     else:
         return None, kind, facts
-    _check_masses(root, path)
+    is_changed |= _check_masses(root, path, facts)
     facts.check(path)
     return tostring(root, encoding="unicode") if is_changed else None, kind, facts
 
@@ -126,9 +128,18 @@ def _read_includes(root: Element, path: Path, packages: PackageMap, facts: Model
     """Reads friction and efforts in files that an SDF includes, which are not rewritten."""
     for text in (each.findtext("uri", "") for each in root.iter("include")):
         file = _find_file(text, path, packages)
-        if file is not None and file.is_dir():
+        if file is None or not file.exists():
+            raise ModelError(
+                f"model {path}",
+                got=f"an <include> of {text}, which is missing",
+                expected="a file that is there",
+                remedy="Paths are relative to the model's file."
+                if file
+                else f"Say where it is by the scenario's packages: {{{_find_package(text)}: ...}}.",
+            )
+        if file.is_dir():
             file /= "model.sdf"
-        if file is None or not file.is_file() or file == path:
+        if not file.is_file() or file == path:
             continue  # Drake's parser says it.
         included = read_xml(file)
         joints = [each.get("name", "") for each in included.iter("joint")]
@@ -191,16 +202,47 @@ def _tell_materials_apart(root: Element) -> None:
                 SubElement(visual, "material", name=f"material{number}").append(color)
 
 
-def _check_masses(root: Element, path: Path) -> None:
-    """Refuses masses that are negative, or no numbers, by their link."""
+def _check_masses(root: Element, path: Path, facts: ModelFacts) -> bool:
+    """Refuses masses and inertias that no link has; returns whether an inertia is left out."""
+    is_changed = False
     for link in root.iter():
         for inertial in [*link.findall("inertial"), *link.findall("geom")]:
             mass = inertial.find("mass")
             text = inertial.get("mass", "0") if mass is None else mass.get("value") or mass.text
-            if read_numbers(path, text or "", what=f"mass of {link.get('name')!r}")[0] < 0:
+            number = read_numbers(path, text or "", what=f"mass of {link.get('name')!r}")[0]
+            if number < 0:
                 raise ModelError(
                     f"mass of {link.get('name')!r} in {path}", got=text, expected="0 or more"
                 )
+            for inertia in inertial.findall("inertia"):
+                name = link.get("name", "")
+                is_changed |= _check_inertia(path, name, inertia, number == 0, facts)
+    return is_changed
+
+
+def _check_inertia(
+    path: Path, link: str, inertia: Element, is_massless: bool, facts: ModelFacts
+) -> bool:
+    """Refuses an inertia that Drake would replace; returns whether it is left out."""
+    what, numbers = f"inertia of link {link!r}", dict[str, float]()
+    for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"):
+        text = inertia.get(key) or inertia.findtext(key) or "0"
+        numbers[key] = read_numbers(path, text, what=what)[0]
+    matrix = [[numbers["i" + "".join(sorted(a + b))] for b in "xyz"] for a in "xyz"]
+    moments = np.linalg.eigvalsh(matrix)
+    if is_massless and moments.any():
+        facts.refuse("inertias", f"{what} without a mass", "its inertia, which is left out")
+        for key in numbers:
+            if (element := inertia.find(key)) is None:
+                inertia.set(key, "0")
+            else:
+                element.text = "0"
+        return True
+    if moments[0] < 0 or moments[2] > (1 + _ROUNDING) * (moments[0] + moments[1]):
+        text = f"{what} with moments of {', '.join(f'{m:.3g}' for m in moments)} kg m²"
+        cost = "no body has such; a ball of its mass, of water, takes its place"
+        facts.refuse("inertias", text, cost)
+    return False
 
 
 def _list_shapes(root: Element) -> Iterator[tuple[Element, Element]]:
@@ -219,8 +261,8 @@ def _find_mesh(shape: Element, path: Path, packages: PackageMap) -> Path | None:
     text = (mesh.get("filename") if uri is None else uri.text) or ""
     found = _find_file(text, path, packages)
     if found is None:
-        package = text.partition("://")[2].lstrip("/").partition("/")[0]
-        return Path(f"in the unknown package {package}")
+        package = _find_package(text)
+        return Path(f"in the unknown package {package}: name its folder by packages")
     if found.is_file():
         _set_file(shape, found)
     return found
@@ -235,6 +277,11 @@ def _find_file(uri: str, path: Path, packages: PackageMap) -> Path | None:
         return Path(rest)
     package, _, inside = rest.lstrip("/").partition("/")
     return Path(packages.GetPath(package)) / inside if packages.Contains(package) else None
+
+
+def _find_package(uri: str) -> str:
+    """Returns the package that a URI is in."""
+    return uri.partition("://")[2].lstrip("/").partition("/")[0]
 
 
 def _set_file(shape: Element, file: Path) -> None:
