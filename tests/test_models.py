@@ -231,6 +231,23 @@ REFUSED = {
         "actuator 's', which acts through a site",
     ),
 }
+LEFT_OUT = {
+    "free": (
+        {"JOINT": '/><body name="c"><freejoint name="f"/><geom size=".1"/></body><site'},
+        "actuator 'm' at joint 'f', which turns in space",
+    ),
+    "replicate": (
+        {"JOINT": '/><replicate count="2"><body><joint name="f"/></body></replicate><site'},
+        "actuator 'm' at joint 'f', which is left out",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LEFT_OUT)
+def test_actuators_of_what_can_not_be_driven_are_refused_with_it(arm: Any, name: str) -> None:
+    parts, message = LEFT_OUT[name]
+    with pytest.raises(ModelError, match=f"{message}.*allow_ignored: .*actuators"):
+        arm(**parts, ACTUATORS=f'{MOTOR}<motor name="m" joint="f"/>')
 
 
 @pytest.mark.parametrize("word", REFUSED)
@@ -798,6 +815,18 @@ SAME_TWICE = {
         """<body pos="0 0 1" euler="0 90 0"><body name="a"><joint name="x" axis="0 1 0"/>
           <geom size=".1" pos=".1 0 .4"/></body></body>""",
     ),
+    "a box from a point to another": (
+        """<body name="a"><joint name="x" axis="0 1 0"/>
+          <geom type="box" fromto=".1 0 0 .1 0 .6" size=".05 .2"/></body>""",
+        """<body name="a"><joint name="x" axis="0 1 0"/>
+          <geom type="box" size=".05 .05 .3" pos=".1 0 .3"/></body>""",
+    ),
+    "actuators of groups that are off": (
+        """<body name="a"><joint name="x" axis="0 1 0"/><geom size=".1" pos="0 0 .4"/></body>
+          </worldbody><option actuatorgroupdisable="1 2"/>
+          <actuator><motor joint="x" group="2" gear="7"/></actuator><worldbody>""",
+        """<body name="a"><joint name="x" axis="0 1 0"/><geom size=".1" pos="0 0 .4"/></body>""",
+    ),
     "groups that weigh nothing": (
         """<body name="a"><joint name="x" axis="0 1 0"/><geom size=".1" pos="0 0 .4"/>
           <geom group="3" size=".3"/></body>""",
@@ -829,6 +858,7 @@ def test_an_mjcf_and_a_plainer_one_of_the_same_mean_the_same(tmp_path: Path, nam
     np.testing.assert_allclose(one.calc_mass_matrix(q), other.calc_mass_matrix(q), atol=1e-9)
     np.testing.assert_allclose(one.calc_bias(q, v), other.calc_bias(q, v), atol=1e-9)
     np.testing.assert_array_equal(one.limits.position, other.limits.position)
+    np.testing.assert_array_equal(one.actuation, other.actuation)
     assert one.notes == other.notes or "groups" in name
 
 

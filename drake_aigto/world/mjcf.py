@@ -12,6 +12,8 @@ import math
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
+import numpy as np
+
 from drake_aigto.world.mjcf_actuators import OTHER_ACTUATORS, Range, read_actuators, read_tendons
 from drake_aigto.world.mjcf_file import MOTORS, MjcfFile
 from drake_aigto.world.model_facts import ModelFacts, Spring, read_numbers, read_range
@@ -215,6 +217,8 @@ class _MjcfReader:
                     continue
                 kept.append((geom, masks, self._owners[body]))
                 self._set_mass(geom, values)
+                if "fromto" in values and values.get("type") in ("box", "ellipsoid"):
+                    self._place_along(geom, values)
                 geom.set("friction", values.get("friction", "1").split()[0])
         pairs = {
             frozenset((pair.get("geom1"), pair.get("geom2")))
@@ -234,6 +238,18 @@ class _MjcfReader:
                 geom.set(mask, "1" if touches else "0")
         if touching:
             self._facts.notes.append("<contact><pair>: its friction and softness are not read")
+
+    def _place_along(self, geom: Element, values: dict[str, str]) -> None:
+        """Gives a box or an ellipsoid from one point to another a pose, as Drake has none such."""
+        ends = np.array(read_numbers(self._file.path, values["fromto"], 6, "fromto")).reshape(2, 3)
+        width = read_numbers(self._file.path, values.get("size", ""), 1, "size")[0]
+        x, y, z = ends[0] - ends[1]
+        length = math.hypot(x, y, z)
+        turn = (length + z, -y, x, 0.0) if length + z > 0 else (0.0, 1.0, 0.0, 0.0)
+        size = width, width, length / 2
+        for key, numbers in (("pos", ends.mean(axis=0)), ("quat", turn), ("size", size)):
+            geom.set(key, " ".join(repr(float(each)) for each in numbers))
+        geom.attrib.pop("fromto", None)
 
     def _keeps_mesh(self, body: Element, geom: Element, touches: bool) -> bool:
         """Returns whether a mesh stays; one that can't be read may, if no mass depends on it."""

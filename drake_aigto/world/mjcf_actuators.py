@@ -29,8 +29,11 @@ def read_actuators(
         fixed: joints that do not move any more.
         efforts: least and largest effort of joints that have limits of their own [N, N m].
     """
-    joints = [joint for body, _ in file.bodies for joint in body.findall("joint")]
-    names = {joint.get("name", "") for joint in joints}
+    joints = [
+        each for body, _ in file.bodies for each in body if each.tag in ("joint", "freejoint")
+    ]
+    names = {joint.get("name", ""): joint for joint in joints}
+    off_groups = file.option.get("actuatorgroupdisable", "").split()
     driven, labels = (
         dict[str, str](),
         {each.get("name") for each in file.root.iterfind("actuator/*")},
@@ -40,7 +43,8 @@ def read_actuators(
             values = file.resolve(motor, "main")
             joint, lever = _find_joint(file, values)
             label = motor.get("name") or _name_motor(f"{joint or 'actuator'}_{motor.tag}", labels)
-            is_off = "actuation" in file.off or joint in fixed
+            is_off = "actuation" in file.off or values.get("group", "0") in off_groups
+            is_off |= joint in fixed
             if is_off or not _acts(file, motor, values, joint, label, names):
                 group.remove(motor)
                 continue
@@ -68,7 +72,7 @@ def _acts(
     values: dict[str, str],
     joint: str | None,
     label: str,
-    names: Collection[str],
+    joints: Mapping[str, Element],
 ) -> bool:
     """Returns whether an actuator is one that is read."""
     what = f"actuator {label!r}"
@@ -76,11 +80,15 @@ def _acts(
         through = next((each for each in _TRANSMISSIONS if each in values), "nothing")
         of = f"{what}, which acts through a {through}, not one joint"
         return file.facts.refuse("actuators", of, "an actuator that is missing")
-    if joint not in names:
-        if file.facts.refused:  # It may be in what is refused.
-            return False
+    if joint not in joints:
+        if file.facts.refused or file.facts.ignored:  # It may be in what is left out.
+            of = f"{what} at joint {joint!r}, which is left out"
+            return file.facts.refuse("actuators", of, "an actuator that is missing")
         got = f"{what} at the unknown joint {joint!r}"
-        raise refuse_element(file.path, motor, got, f"one of {', '.join(sorted(names))}")
+        raise refuse_element(file.path, motor, got, f"one of {', '.join(sorted(joints))}")
+    if joints[joint].tag == "freejoint" or joints[joint].get("type") in ("ball", "free"):
+        of = f"{what} at joint {joint!r}, which turns in space"
+        return file.facts.refuse("actuators", of, "an actuator that is missing")
     if motor.tag in OTHER_ACTUATORS or values.get("dyntype", "none") != "none":
         of = f"{what}, which has dynamics of its own"
         return file.facts.refuse("actuators", of, "an actuator that is missing")
@@ -121,7 +129,7 @@ def _find_effort(
     file: MjcfFile, motor: Element, what: str, values: dict[str, str], factor: float
 ) -> tuple[float, float]:
     """Returns the least and the largest effort at the joint, gear × gain × ctrlrange."""
-    gear = factor * read_numbers(file.path, values.get("gear", "1"))[0]
+    gear = factor * read_numbers(file.path, values.get("gear", "1"), what=f"gear of {what}")[0]
     if gear == 0.0:
         raise refuse_element(file.path, motor, f"{what} with a gear of 0", "another gear")
     ends = [(-math.inf, math.inf)]
