@@ -649,6 +649,73 @@ def test_inertias_that_drake_would_replace_are_refused(gantry: Any, tmp_path: Pa
         assert len(make(str(model), 1, allow_ignored=["inertias"]).ignored) == count
 
 
+SLIDER = (
+    "<sdf version='1.9'>BEFORE<model name='m'>MORE<link name='l'>LINK<inertial><mass>2</mass>"
+    "</inertial></link><joint name='j' type='prismatic'><parent>world</parent><child>l</child>"
+    "<axis><xyz>1 0 0</xyz>AXIS</axis></joint></model>AFTER</sdf>"
+)
+BAD_SDF = {
+    "mimic": ({"AXIS": "<mimic joint='k'/>"}, "<mimic> of joint 'j'"),
+    "kinematic": ({"LINK": "<kinematic>true</kinematic>"}, "<kinematic> of link 'l'"),
+    "velocity_decay": ({"LINK": "<velocity_decay/>"}, "<velocity_decay> of link 'l'"),
+    "gravity": ({"LINK": "<gravity>false</gravity>"}, "<gravity> of link 'l' .it has its weight"),
+}
+
+
+def write_slider(path: Path, **parts: str) -> str:
+    text = SLIDER
+    for name in ("BEFORE", "MORE", "LINK", "AXIS", "AFTER"):
+        text = text.replace(name, parts.get(name, ""))
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+@pytest.mark.parametrize("word", BAD_SDF)
+def test_what_drake_leaves_out_of_an_sdf_is_refused_by_name(tmp_path: Path, word: str) -> None:
+    parts, message = BAD_SDF[word]
+    model = write_slider(tmp_path / "m.sdf", **parts)
+    with pytest.raises(ModelError, match=f"{message}.*allow_ignored: .{word}"):
+        make(model, 1)
+    assert len(make(model, 1, allow_ignored=[word]).ignored) == 1
+
+
+@pytest.mark.parametrize("gravity", ["0 0 -9.8", "0 0 -3"])
+def test_only_earths_gravity_of_an_sdfs_world_is_read(tmp_path: Path, gravity: str) -> None:
+    world = f"<world name='w'><gravity>{gravity}</gravity>"
+    model = write_slider(tmp_path / "m.sdf", BEFORE=world, AFTER="</world>")
+    if gravity == "0 0 -9.8":
+        assert not make(model, 1).ignored
+    else:
+        with pytest.raises(ModelError, match=r"the gravity 0 0 -3 of a world .9.81 m/s² downwards"):
+            make(model, 1)
+
+
+def test_joints_of_one_name_in_two_models_are_refused_where_names_count(tmp_path: Path) -> None:
+    friction = "<dynamics><friction>0.5</friction></dynamics>"
+    part = SLIDER.partition(">BEFORE")[2].partition("AFTER")[0].replace("name='m'", "name='n'")
+    part = part.replace("AXIS", "").replace("LINK", "").replace("MORE", "")
+    assert make(write_slider(tmp_path / "m.sdf", MORE=part), 2).dry_friction is None
+    model = write_slider(tmp_path / "m.sdf", MORE=part, AXIS=friction)
+    with pytest.raises(ModelError, match=r"joint 'j' in .*m.sdf: got 2 joints of this name"):
+        make(model, 2)
+
+
+def test_an_answer_that_does_not_help_is_given_once(tmp_path: Path) -> None:
+    ball = "<joint name='b' type='ball'><parent>l</parent><child>k</child></joint>"
+    link = "<link name='k'><inertial><mass>1</mass></inertial></link>"
+    model = write_slider(tmp_path / "m.sdf", MORE=ball + link)
+    with pytest.raises(ModelError, match=r"joint 'b' .ball_rpy.") as caught:
+        make(model, 1)
+    assert str(caught.value).count("ball_rpy") == 1
+    answer = getattr(caught.value, "fields", {})
+    assert make(model, 1, **answer).num_positions == 1
+    screw = '<drake:joint name="y" type="screw"><parent link="bridge"/><child link="trolley"/>'
+    text = GANTRY.partition('<joint name="y"')
+    rest = f'{screw}<axis xyz="0 0 1"/></drake:joint>MORE</robot>'
+    model = write(tmp_path / "g.urdf", text[0] + rest)
+    assert make(model, 1, fixed_joints=["y"]).num_positions == 1
+
+
 def test_includes_of_an_sdf_that_are_missing_are_refused(tmp_path: Path) -> None:
     model = tmp_path / "m.sdf"
     for uri, message in (

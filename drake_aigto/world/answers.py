@@ -46,6 +46,8 @@ def gather(
             errors = find(dataclasses.replace(scenario, **answers))
         except ScenarioError:
             break
+        told = set(map(str, found))
+        errors = [error for error in errors if str(error) not in told]
         found += errors
         if not errors or not all(isinstance(error, FixableError) for error in errors):
             break
@@ -59,7 +61,10 @@ def gather(
         left += " With contact: compliant, links may float, and joints may be many."
     return FixableError(
         name,
-        got="; ".join(f"{error.what}: {error.got}".removeprefix(f"{name}: ") for error in found),
+        got="; ".join(
+            f"{error.what}: {error.got}".removeprefix(f"{name}: ").removesuffix(": None")
+            for error in found
+        ),
         remedy=f"These fields of the scenario answer that: {text}, or change the model.{left}",
         fields=answers,
     )

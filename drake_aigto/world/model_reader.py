@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -257,10 +258,11 @@ def _drive(plant: MultibodyPlant, path: Path, facts: ModelFacts) -> None:
     """Adds actuators, and sets their limits."""
     joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
     moving = {joint.name(): joint for joint in joints if joint.num_velocities() == 1}
+    asked = pick(f"actuators in {path}", facts.fields.actuators, moving)
+    _refuse_twins(path, joints, {*asked, *facts.friction, *facts.no_effort})
     driven: dict[str, list[JointActuator]] = {}
     for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
         driven.setdefault(actuator.joint().name(), []).append(actuator)
-    asked = pick(f"actuators in {path}", facts.fields.actuators, moving)
     for name in facts.fields.actuators:
         if name in driven:
             names = " and ".join(repr(each.name()) for each in driven[name])
@@ -297,6 +299,18 @@ def _drive(plant: MultibodyPlant, path: Path, facts: ModelFacts) -> None:
             remedy=f"Drive joints by the scenario's {remedy}, or in the model.",
             fields=answer,
         )
+
+
+def _refuse_twins(path: Path, joints: list[Joint], read: set[str]) -> None:
+    """Refuses joints of one name in several models, where something is read by their name."""
+    for name, count in Counter(joint.name() for joint in joints).items():
+        if count > 1 and name in read:
+            raise ModelError(
+                f"joint {name!r} in {path}",
+                got=f"{count} joints of this name, in models of their own",
+                expected="one, as friction, efforts and actuators are read by names",
+                remedy="Rename all but one.",
+            )
 
 
 def _add_spring(plant: MultibodyPlant, joint: Joint, stiffness: float, reference: float) -> None:

@@ -16,6 +16,14 @@ from drake_aigto.world.model_facts import MESHES, ModelFacts, read_numbers, read
 from drake_aigto.world.model_fields import ModelFields
 
 _ROUNDING = 1e-12  # Of the largest moment of inertia.
+# What of an SDF's link changes its motion: the element, values that do not, and what is missing.
+_LEFT_OUT = (
+    ("gravity", ("true", "1"), "it has its weight"),
+    ("kinematic", ("false", "0"), "forces move it"),
+    ("enable_wind", ("false", "0"), "the forces of wind"),
+    ("velocity_decay", (), "the forces of damping"),
+    ("fluid_added_mass", (), "inertia that is missing"),
+)
 _KINDS = {"mujoco": "xml", "robot": "urdf", "sdf": "sdf"}
 
 
@@ -64,6 +72,7 @@ def read_model_text(
             _tell_materials_apart(root)
         is_changed = _read_joints(root, path, facts)
         _read_includes(root, path, packages, facts)
+        _refuse_forces(root, path, facts)
         is_changed |= _prune_shapes(root, path, packages, facts)
     else:
         return None, kind, facts
@@ -76,7 +85,7 @@ def _read_joints(root: Element, path: Path, facts: ModelFacts) -> bool:
     """Reads friction and efforts of a URDF's or an SDF's joints, and fixes some."""
     is_changed = root.tag == "robot"  # Which may have got a name, and colors.
     for parent in list(root.iter()):
-        for joint in parent.findall("joint"):
+        for joint in [*parent.findall("joint"), *parent.findall("drake:joint")]:
             name = joint.get("name", "")
             if joint.find("axis") is None and joint.find("parent") is None:
                 continue  # That of a transmission.
@@ -84,12 +93,13 @@ def _read_joints(root: Element, path: Path, facts: ModelFacts) -> bool:
                 _fix(root, joint, name)
                 is_changed = True
                 continue
-            for holder in (joint, *joint.findall("axis")):  # URDF has it in one, SDF in the other.
-                for mimic in holder.findall("mimic"):
+            for axis in (joint, *joint.findall("axis")):
+                for mimic in axis.findall("mimic"):
                     if joint.get("type") != "fixed":
                         cost = "a joint that follows another one"
                         facts.refuse("mimic", f"<mimic> of joint {name!r}", cost)
-                    holder.remove(mimic)
+                    axis.remove(mimic)
+                    is_changed = True
             is_changed |= _read_numbers(path, joint, name, facts)
     return is_changed
 
@@ -151,10 +161,25 @@ def _read_includes(root: Element, path: Path, packages: PackageMap, facts: Model
             )
         _read_joints(included, file, facts)
         _read_includes(included, file, packages, facts)
+        _refuse_forces(included, file, facts)
+
+
+def _refuse_forces(root: Element, path: Path, facts: ModelFacts) -> None:
+    """Refuses what an SDF says of gravity, air and water, which Drake's reader leaves out."""
+    for text in (each.text or "" for each in root.findall("world/gravity")):
+        if not np.allclose(read_numbers(path, text, 3, "gravity"), [0.0, 0.0, -9.81], atol=0.02):
+            cost = "9.81 m/s² downwards counts"
+            facts.refuse("gravity", f"the gravity {text} of a world", cost)
+    for link in root.iter("link"):
+        for tag, plain, cost in _LEFT_OUT:
+            for each in link.iter(tag):
+                if (each.text or "").strip().lower() not in plain:
+                    facts.refuse(tag, f"<{tag}> of link {link.get('name')!r}", cost)
 
 
 def _fix(root: Element, joint: Element, name: str) -> None:
     """Turns a joint into a weld at zero, without what drives it."""
+    joint.tag = "joint"
     joint.set("type", "fixed")
     for tag in ("axis", "axis2", "limit", "dynamics", "mimic", "calibration", "safety_controller"):
         for each in joint.findall(tag):
