@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, TypeVar
 
@@ -70,4 +71,4 @@ def _hashable(value: object) -> object:
         return value.shape, *value.ravel().tolist()
     if isinstance(value, tuple):
         return tuple(map(_hashable, value))
-    return frozenset(value.items()) if isinstance(value, dict) else value
+    return frozenset(value.items()) if isinstance(value, Mapping) else value

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
@@ -32,12 +32,32 @@ class Material(NamedTuple):
 _Item = TypeVar("_Item")
 
 
-class Named(dict[str, _Item]):
+class Named(Mapping[str, _Item]):
     """A mapping of names that nobody changes, equal and hashed by value."""
 
-    def __hash__(self) -> int:  # type: ignore[override]
+    def __init__(self, items: Mapping[str, _Item] | None = None) -> None:
+        """Copies the items, if any."""
+        self._items = dict(items or {})
+
+    def __getitem__(self, name: str) -> _Item:
+        """Returns the item of a name."""
+        return self._items[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Yields the names."""
+        return iter(self._items)
+
+    def __len__(self) -> int:
+        """Returns the number of items."""
+        return len(self._items)
+
+    def __hash__(self) -> int:
         """Hashes all items."""
         return hash(frozenset(self.items()))
+
+    def __repr__(self) -> str:
+        """Returns what a dict of the items shows."""
+        return repr(self._items)
 
 
 _BOUNDS: dict[str, dict[str, Any]] = {

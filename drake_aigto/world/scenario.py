@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, cast, get_args
@@ -413,6 +413,6 @@ def _as_plain(value: Any) -> Any:
         return {name: list(item) for name, item in value._asdict().items()}
     if isinstance(value, Material):
         return {name: item for name, item in value._asdict().items() if item is not None}
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {name: _as_plain(item) for name, item in value.items()}
     return list(value) if isinstance(value, tuple) else value
