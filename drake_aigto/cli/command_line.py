@@ -31,22 +31,27 @@ from drake_aigto.errors import AigtoError
 # Command → the module that adds it, by `add_` and its name. `--help` lists them in this order.
 _COMMANDS = {
     "table1": "drake_aigto.cli.plan",
+    "list": "drake_aigto.cli.look",
     "look": "drake_aigto.cli.look",
     "plan": "drake_aigto.cli.plan",
     "plan-many": "drake_aigto.cli.plan",
     "replay": "drake_aigto.cli.plan",
     "play": "drake_aigto.cli.play",
     "report": "drake_aigto.cli.play",
+    "compare": "drake_aigto.cli.play",
+    "live": "drake_aigto.cli.play",
     "control": "drake_aigto.cli.play",
 }
 # Command that is gone → where it is now.
 _MOVED = {"bench": "python -m benchmarks, in a checkout of drake_aigto"}
 _EXAMPLES = """\
+drake-aigto list                             # what is shipped
 drake-aigto look robot.urdf                  # what is understood of a model
 drake-aigto plan table1/1 --json plan.json   # plan, and keep the plan
 drake-aigto play plan.json                   # watch it
 drake-aigto plan-many tasks/*.yaml --into plans   # a plan for each, side by side
 drake-aigto report plan.json --html p.html   # a page about it, to mail
+drake-aigto live table1/1                    # drag its goal, and watch the plan follow
 drake-aigto control cart_pole/soft_06 --kick 0.3 1.5 --kick-time 0.5   # plan again as it moves
 drake-aigto -v plan table1/3                 # see what the planner does, step by step
 drake-aigto table1                           # the paper's Table I, and the truth beside it

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import difflib
 import inspect
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager
 from functools import partial
@@ -20,30 +21,80 @@ from typing import Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 
 import yaml
 
-from drake_aigto.world import Scenario, scenario_names
+from drake_aigto.world import Scenario
 
 # Exit statuses.
 FINE, NOTHING_HOLDS, BAD_INPUT, INTERRUPTED, UNREAD = 0, 1, 2, 130, 141
+# Titles of groups of flags that the usual help does not explain.
+FIELDS, NUMERICS = "change the scenario's fields", "numerics"
+UNKNOWN = "what the controller does not know"
+RARE = (FIELDS, NUMERICS, UNKNOWN)
+_HELP_WIDTH = 96
 FAULT = 70  # EX_SOFTWARE in BSD's sysexits.h; an uncaught exception's 1 means NOTHING_HOLDS here.
 
 
 class Parser(argparse.ArgumentParser):
-    """Refuses what it does not understand in one line, and shows examples as they are written."""
+    """Refuses what it does not understand in one line, and shows examples as they are written.
+
+    Attributes:
+        tells_all: whether its help explains flags of rare groups, too.
+        commands: those that it has.
+    """
+
+    tells_all = False
+    commands: Any = None
 
     def __init__(self, **settings: Any) -> None:
         """Takes what argparse does."""
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **settings)
+        self.add_argument("--help-all", action=_HelpAll, help="explain every flag")
         # As of Python 3.14: -1e-3, -3:0.5, and here -inf as well, are no flags.
         self._negative_number_matcher = re.compile(r"-(\.?\d|inf)")
 
     def error(self, message: str) -> NoReturn:
-        """Exits with what is wrong, and where help is."""
-        self.exit(BAD_INPUT, f"{self.prog}: {message}. Try {self.prog} --help.\n")
+        """Exits with what was probably meant, what is wrong, and where help is."""
+        known = [*self._flags(), *(self.commands.choices if self.commands else ())]
+        words = re.findall(r"--[\w-]+|(?<=choice: ')[\w-]+", message)
+        close = [name for word in words for name in difflib.get_close_matches(word, known, 1)]
+        hint = f"did you mean {' and '.join(close)}? " if close else ""
+        self.exit(BAD_INPUT, f"{self.prog}: {hint}{message}. Try {self.prog} --help.\n")
+
+    def _flags(self) -> Iterator[str]:
+        """Yields all flags, those of commands included."""
+        yield from self._option_string_actions
+        for command in self.commands.choices.values() if self.commands else ():
+            yield from command._flags()
+
+    def format_help(self) -> str:
+        """Returns the help, with flags of rare groups by their names only."""
+        for group in self._action_groups if not self.tells_all else ():
+            if group.title in RARE and group._group_actions:
+                flags = (action.option_strings[0] for action in group._group_actions)
+                group.description = f"{', '.join(flags)} (--help-all explains each)"
+                lines = textwrap.wrap(group.description, _HELP_WIDTH, break_on_hyphens=False)
+                group.description = "\n".join(lines)
+                for action in group._group_actions:
+                    action.help = argparse.SUPPRESS
+        return super().format_help()
 
     def add_commands(self, metavar: str) -> Any:
         """Returns where commands are added; without one of them, the help is shown."""
         self.set_defaults(run=partial(_show_help, self))
-        return self.add_subparsers(metavar=metavar)
+        self.commands = self.add_subparsers(metavar=metavar)
+        return self.commands
+
+
+class _HelpAll(argparse.Action):
+    """The help with every flag."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str) -> None:
+        super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=help)
+
+    def __call__(self, parser: Any, *_: Any) -> None:
+        """Prints it, and exits."""
+        parser.tells_all = True
+        parser.print_help()
+        parser.exit()
 
 
 def _show_help(parser: Parser, _: argparse.Namespace) -> int:
@@ -90,10 +141,10 @@ def add_confirm(command: Any) -> None:
 
 def add_scenario(command: Any) -> None:
     """Adds the scenario to a command, and flags that change its fields."""
-    text = f"a YAML file, or one of {', '.join(scenario_names())}"
+    text = "a YAML file, or the name of a shipped one (drake-aigto list)"
     command.add_argument("scenario", metavar="SCENARIO", help=text)
-    title, notes = "change the scenario's fields", "A row of a matrix or a table is 1,2,3."
-    add_fields(command.add_argument_group(title, notes), Scenario)
+    notes = "A row of a matrix or a table is 1,2,3."
+    add_fields(command.add_argument_group(FIELDS, notes), Scenario)
 
 
 def load_scenario(options: argparse.Namespace, scenario: Scenario | None = None) -> Scenario:

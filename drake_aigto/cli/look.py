@@ -1,4 +1,4 @@
-"""``drake-aigto look``: what is understood of a model, before anything is planned."""
+"""``drake-aigto look`` and ``list``: what is understood of a model, and what is shipped."""
 
 from __future__ import annotations
 
@@ -22,8 +22,16 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.sensors import CameraInfo
 
 from drake_aigto.cli.flags import FINE, add_command, add_scenario, load_scenario
+from drake_aigto.errors import OptionsError
 from drake_aigto.output import check_writable
-from drake_aigto.world import DISSIPATION, STIFFNESS, Scenario, World, read_property
+from drake_aigto.world import (
+    DISSIPATION,
+    STIFFNESS,
+    Scenario,
+    World,
+    read_property,
+    scenario_summaries,
+)
 
 _MODELS = (".xml", ".urdf", ".sdf")
 _EXAMPLES = """\
@@ -36,6 +44,24 @@ _VIEW = 0.8  # Angle of view [rad].
 _BACK = 1.6  # Distance of the camera, in sizes of the model: all of it is in the picture.
 _UP = 0.25  # Height of the camera above what it looks at, in its distance.
 _LEAST_SIZE = 0.2  # Of a model of one point [m].
+
+
+def add_list(commands: Any) -> None:
+    """Adds the command that lists what is shipped."""
+    examples = "drake-aigto list           # then: drake-aigto plan NAME\ndrake-aigto list cart\n"
+    text = "list the shipped scenarios, and what each of them shows"
+    command = add_command(commands, "list", _list, text, examples)
+    command.add_argument("part", metavar="TEXT", nargs="?", default="", help="of a name")
+
+
+def _list(options: argparse.Namespace) -> int:
+    """Prints names and first lines of scenarios."""
+    told = {n: text for n, text in scenario_summaries().items() if options.part in n}
+    if not told:
+        raise OptionsError("TEXT", got=repr(options.part), expected="a part of a scenario's name")
+    width = max(map(len, told))
+    print("\n".join(f"{name:{width}}  {text}" for name, text in told.items()))
+    return FINE
 
 
 def add_look(commands: Any) -> None:

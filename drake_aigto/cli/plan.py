@@ -13,6 +13,7 @@ from drake_aigto.cli.flags import (
     FINE,
     INTERRUPTED,
     NOTHING_HOLDS,
+    NUMERICS,
     add_command,
     add_confirm,
     add_fields,
@@ -28,7 +29,7 @@ from drake_aigto.cli.flags import (
     read_scenario,
     read_workers,
 )
-from drake_aigto.cli.progress import show_progress
+from drake_aigto.cli.progress import paint, show_progress
 from drake_aigto.errors import OptionsError
 from drake_aigto.output import check_writable, write_text
 from drake_aigto.paper import ROWS, LiteralOptions, plan_literal, run_table1
@@ -39,7 +40,7 @@ from drake_aigto.planning import (
     PlanningError,
     PlanOptions,
 )
-from drake_aigto.show import cost_text, format_plan, format_replays
+from drake_aigto.show import cost_text, format_plan, format_replays, to_csv
 from drake_aigto.world import Scenario, World
 
 # Options that are no flags: lists, and what has a flag of its own.
@@ -79,9 +80,10 @@ def add_plan(commands: Any) -> None:
     """Adds the command that plans."""
     plan = add_command(commands, "plan", _plan, "plan for a scenario", _PLAN_EXAMPLES)
     add_scenario(plan)
-    _add_numerics(plan.add_argument_group("numerics"))
+    _add_numerics(plan.add_argument_group(NUMERICS))
     add_confirm(plan)
     add_json(plan, "write the plan, for `replay` and `play`")
+    plan.add_argument("--csv", metavar="FILE", help="write its trajectory, a row for each knot")
 
 
 def add_replay(commands: Any) -> None:
@@ -130,6 +132,7 @@ def _read_options(options: argparse.Namespace) -> PlanOptions | LiteralOptions:
 
 def _plan(options: argparse.Namespace) -> int:
     check_writable(options.json)
+    check_writable(options.csv)
     scenario = load_scenario(options)
     world = World.from_scenario(scenario)
     chosen = _read_options(options)
@@ -163,7 +166,9 @@ def _answer(options: argparse.Namespace, plan: Plan, text: str) -> int:
     """Writes and prints a plan, and returns the exit status that its verdict asks for."""
     if options.json:
         plan.save(options.json)
-    print(text, flush=True)
+    if getattr(options, "csv", None):
+        write_text(options.csv, to_csv(plan))
+    print(paint(text), flush=True)
     return FINE if plan.holds else NOTHING_HOLDS
 
 

@@ -1,16 +1,19 @@
-"""``drake-aigto play``, ``drake-aigto report`` and ``drake-aigto control``."""
+"""``drake-aigto play``, ``report``, ``compare``, ``live`` and ``control``."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 import threading
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drake_aigto import show
 from drake_aigto.cli.flags import (
     FINE,
     INTERRUPTED,
+    UNKNOWN,
     add_command,
     add_fields,
     add_json,
@@ -23,7 +26,7 @@ from drake_aigto.cli.flags import (
     read_fields,
     seconds,
 )
-from drake_aigto.cli.progress import show_progress
+from drake_aigto.cli.progress import paint, show_progress
 from drake_aigto.control import (
     ClosedLoopRun,
     Disturbance,
@@ -57,6 +60,13 @@ drake-aigto report plan.json --html plan.html
 drake-aigto report run.json --html run.html         # the log of `drake-aigto control`
 """
 
+_LIVE_EXAMPLES = """\
+drake-aigto live table1/1             # drag the goal towards the wall: bounce becomes brake
+drake-aigto live cart_pole/soft_06    # a second or so from drag to plan
+"""
+_COMPARE_EXAMPLES = """\
+drake-aigto compare a.json b.json --html both.html
+"""
 _LIVE = "visualizer"  # where Drake's own visualizer draws what moves
 
 _CONTROL_EXAMPLES = """\
@@ -159,13 +169,43 @@ def _report(options: argparse.Namespace) -> int:
     return FINE
 
 
+def add_live(commands: Any) -> None:
+    """Adds the command whose plan follows sliders."""
+    text = "drag start, velocity and goal in Meshcat, and watch the plan follow"
+    live = add_command(commands, "live", _live, text, _LIVE_EXAMPLES)
+    add_scenario(live)
+    add_port(live)
+
+
+def _live(options: argparse.Namespace) -> int:
+    tell = partial(print, flush=True)
+    show.Live(load_scenario(options), tell, options.port).run()
+    return FINE
+
+
+def add_compare(commands: Any) -> None:
+    """Adds the command that puts plans on one page."""
+    text = "write one page about several plans for the same world"
+    compare = add_command(commands, "compare", _compare, text, _COMPARE_EXAMPLES)
+    compare.add_argument("plans", metavar="FILE.json", nargs="+", help="plan files")
+    compare.add_argument("--html", metavar="FILE", required=True, help="the page")
+
+
+def _compare(options: argparse.Namespace) -> int:
+    check_writable(options.html)
+    plans = {Path(path).stem: Plan.load(path) for path in options.plans}
+    write_text(options.html, show.compare(plans).to_html())
+    print(f"wrote {options.html}")
+    return FINE
+
+
 def add_control(commands: Any) -> None:
     """Adds the command that closes the loop."""
     text = "simulate a plant under a controller that plans again, or tracks a plan, in Drake"
     control = add_command(commands, "control", _control, text, _CONTROL_EXAMPLES)
     add_scenario(control)
     _add_controller(control.add_argument_group("controller"))
-    unknown = control.add_argument_group("what the controller does not know")
+    unknown = control.add_argument_group(UNKNOWN)
     add_fields(unknown, Disturbance, "seed")
     text = "of the noise (default: 0)"
     unknown.add_argument("--noise-seed", type=natural, metavar="N", dest="seed", help=text)
@@ -266,7 +306,7 @@ def _answer_run(options: argparse.Namespace, run: ClosedLoopRun, meshcat: Meshca
     """Writes and prints a run, and returns the exit status."""
     if options.json:
         run.save(options.json)
-    print(show.format_run(run), flush=True)
+    print(paint(show.format_run(run)), flush=True)
     if options.html:
         with show_progress(options, "making the page") as progress:
             page = show.report_run(run, progress)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +18,12 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 _BAR_WIDTH = 20
+# ANSI colors: green, red, yellow.
+_COLORS = {
+    "1;32": r"^(verdict     holds|goal        reached)",
+    "1;31": r"^verdict     fails",
+    "1;33": r"^(goal        not reached|vetoed)",
+}
 _OURS, _DRAKE = logging.getLogger("drake_aigto"), logging.getLogger("drake")
 
 
@@ -60,6 +68,15 @@ def show_progress(
         yield show
     finally:
         progress.stop()
+
+
+def paint(text: str) -> str:
+    """Returns a text whose verdicts have colors, if it goes to a terminal that has any."""
+    if not sys.stdout.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return text
+    for color, verdict in _COLORS.items():
+        text = re.sub(verdict, rf"\033[{color}m\g<0>\033[0m", text, flags=re.MULTILINE)
+    return text
 
 
 def _make_progress() -> Progress:

@@ -61,12 +61,14 @@ from drake_aigto.planning.sequences import (
 )
 from drake_aigto.planning.stretches import Cut, is_at_rest_on
 from drake_aigto.planning.tracked import needs_feedback
+from drake_aigto.planning.views import VIEWS
 
 __all__ = [
     "BALL_LADDER",
     "COARSE",
     "COASTING",
     "LARGEST_DEFECT",
+    "VIEWS",
     "Aim",
     "ArcPrograms",
     "Arcs",

@@ -17,6 +17,7 @@ from drake_aigto.planning.candidate import Candidate, Replays, Veto
 from drake_aigto.planning.feedback import Feedback
 from drake_aigto.planning.options import SearchOptions
 from drake_aigto.planning.tracked import confirm_in_drake, perturb, replay_own
+from drake_aigto.planning.views import view
 from drake_aigto.simulation import (
     BOUNDS,
     CLEARANCE,
@@ -289,6 +290,22 @@ class Plan:
                 remedy="In Python, load the plan, and give world=World.from_diagram(diagram).",
             )
         return World.from_scenario(dataclasses.replace(self.scenario, model=self.made_in.model))
+
+    def plot(self, world: World | None = None) -> Any:
+        """Returns a Matplotlib figure of the motion and its numbers over time (`show.plot`)."""
+        return view("plot", self, world)
+
+    def animate(self, path: str | os.PathLike[str], **look: Any) -> Any:
+        """Writes a GIF, WebP or MP4 of the motion, and returns its path (`show.animate`)."""
+        return view("animate", self, path, **look)
+
+    def to_dataframe(self, world: World | None = None) -> Any:
+        """Returns the trajectory as a pandas DataFrame (`show.to_dataframe`)."""
+        return view("to_dataframe", self, world)
+
+    def _repr_html_(self) -> str:
+        """Returns verdicts and a picture, for a notebook."""
+        return str(view("to_html", self))
 
     def replayed(self, world: World | None = None, confirm: bool = True) -> Plan:
         """Returns the plan with new simulations of its control.

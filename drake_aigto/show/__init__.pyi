@@ -1,6 +1,8 @@
 from .box_playback import BoxRun as BoxRun
 from .box_playback import play_boxes as play_boxes
 from .box_playback import run_boxes as run_boxes
+from .columns import to_csv as to_csv
+from .columns import to_dataframe as to_dataframe
 from .facts import INTERRUPTED as INTERRUPTED
 from .facts import format_plan as format_plan
 from .facts import format_replays as format_replays
@@ -16,6 +18,7 @@ from .figures import plot_velocities as plot_velocities
 from .film import ROOT as ROOT
 from .film import make_mesh as make_mesh
 from .film import open_meshcat as open_meshcat
+from .live import Live as Live
 from .motion import PALETTE as PALETTE
 from .motion import PLAN_LABEL as PLAN_LABEL
 from .motion import Motion as Motion
@@ -61,5 +64,9 @@ from .text import length_text as length_text
 from .text import miss_text as miss_text
 from .text import run_texts as run_texts
 from .text import task_items as task_items
+from .views import animate as animate
+from .views import compare as compare
+from .views import fill_views as fill_views
+from .views import plot as plot
 
 __all__: list[str]

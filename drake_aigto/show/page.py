@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 # The same figure gives the same bytes, and looks the same whatever fonts a reader has.
 _SVG: dict[Any, Any] = {"svg.hashsalt": "drake_aigto", "svg.fonttype": "path"}
+_HEIGHT = 680  # of the frame in a notebook [px]
 _DPI = 120  # of what is no lines: landscapes of many colors
 
 # `Meshcat.StaticHtml()`, and what the player says beside it (`Playback`).
@@ -65,6 +66,10 @@ class Page:
             f"<tbody>{body}</tbody></table></div>"
         )
 
+    def facts(self, facts: Iterable[tuple[str, str]]) -> None:
+        """Adds labels and texts as a table."""
+        self.table(("", ""), [(label, text.replace("\u00a0", " ")) for label, text in facts])
+
     def figure(self, figure: Figure, caption: str) -> None:
         """Adds a figure as an inline SVG; the caption is also its text for screen readers."""
         written = io.BytesIO()
@@ -89,6 +94,15 @@ class Page:
         """Returns the page. It needs no network, and may not use it."""
         title, body = html.escape(self._title), "\n".join(self._parts)
         return _asset("page.html").format(title=title, style=_asset("page.css"), body=body)
+
+    def _repr_html_(self) -> str:
+        """Returns the page in a frame, for a notebook."""
+        look = f"width: 100%; height: {_HEIGHT}px; border: 0"
+        return f'<iframe srcdoc="{html.escape(self.to_html())}" style="{look}"></iframe>'
+
+    def to_fragment(self) -> str:
+        """Returns what was added, without a page around it, in a notebook's own style."""
+        return "\n".join(self._parts[1:])
 
 
 def _find_plots(figure: Figure) -> Iterator[str]:

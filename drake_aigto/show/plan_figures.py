@@ -92,22 +92,11 @@ def plot_strobe(
     is_asked = has_goal(world, scenario)
     goal = find_goal(world, scenario, motion.positions[-1])
     stage = Stage(world, np.vstack([motion.positions, goal]))
-    q = motion.positions[0]
-    # From the back to the front: in a plane, none comes nearer as it moves.
-    moving = [actor for actor in stage.actors if actor.moves]
-    moving.sort(key=lambda actor: np.sum(stage.extent([actor], q[np.newaxis])[:, 2]))
-    for actor in stage.actors:
-        if not actor.moves:
-            look = SOLID_LOOK if stage.is_in_the_way(actor) else _BEHIND
-            _draw(axes, stage, [actor], q, look)
+    draw_still(axes, stage, motion.positions[0])
     moments = positions_at(motion, np.linspace(*time_span([motion]), count))
     for alpha, q in zip(np.linspace(_PALEST, 1, count), moments, strict=True):
-        for actor in moving:
-            color = actor.color
-            own = (color.r(), color.g(), color.b()) if color else to_rgb(color_of(index))
-            look = {"facecolor": own, "edgecolor": "#222222", "linewidth": 0.4}
-            _draw(axes, stage, [actor], q, {**look, "alpha": alpha, "zorder": 2 + alpha})
-    asked = [actor for actor in moving if np.any(stage.movers_of(actor.index) & is_asked)]
+        draw_moving(axes, stage, q, index, alpha)
+    asked = [a for a in stage.actors if a.moves and np.any(stage.movers_of(a.index) & is_asked)]
     _draw(axes, stage, asked, goal, _GOAL)
     line: dict[str, Any] = {"color": color_of(index), "linewidth": 1.2}
     for way in stage.trace(motion.positions):
@@ -124,14 +113,38 @@ def plot_strobe(
     axes.legend(ncols=3, **ABOVE)
 
 
+def draw_still(axes: Axes, stage: Stage, q: Floats) -> None:
+    """Draws what stands still."""
+    for actor in (actor for actor in stage.actors if not actor.moves):
+        look = SOLID_LOOK if stage.is_in_the_way(actor) else _BEHIND
+        _draw(axes, stage, [actor], q, look)
+
+
+def draw_moving(axes: Axes, stage: Stage, q: Floats, index: int, alpha: float) -> list[Polygon]:
+    """Draws links at q in their own colors, or that of the motion of an index."""
+    # From the back to the front: in a plane, none comes nearer as it moves.
+    moving = [actor for actor in stage.actors if actor.moves]
+    moving.sort(key=lambda actor: np.sum(stage.extent([actor], q[np.newaxis])[:, 2]))
+    patches = []
+    for actor in moving:
+        color = actor.color
+        own = (color.r(), color.g(), color.b()) if color else to_rgb(color_of(index))
+        look = {"facecolor": own, "edgecolor": "#222222", "linewidth": 0.4}
+        patches += _draw(axes, stage, [actor], q, {**look, "alpha": alpha, "zorder": 2 + alpha})
+    return patches
+
+
 def _draw(
     axes: Axes, stage: Stage, actors: Sequence[Actor], q: Floats, look: dict[str, Any]
-) -> None:
+) -> list[Polygon]:
     """Draws the outlines of shapes at q."""
+    patches = []
     for actor in actors:
         X_TS = stage.X_WT.inverse() @ stage.pose(actor, q)
         points = np.vstack(list(_find_points(actor, X_TS)))[:, :2]
-        axes.add_patch(Polygon(points[ConvexHull(points).vertices], **look))
+        patches.append(Polygon(points[ConvexHull(points).vertices], **look))
+        axes.add_patch(patches[-1])
+    return patches
 
 
 def _find_points(actor: Actor, X_TS: RigidTransform) -> Iterator[Floats]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,7 +21,6 @@ from drake_aigto.world import Scenario, World
 
 _APART = 1.06  # from one motion to the next when they stand side by side, in windows
 _MOST_NUMBERS = 400  # rows of the table of numbers
-_HEIGHT = 640  # of the frame in a notebook [px]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +43,12 @@ class Playback:
         """What a page needs of it."""
         return self.meshcat.StaticHtml(), self.beside
 
-    def to_html(self, title: str = "A plan and simulations of its control") -> str:
-        """Returns one self-contained page with a player."""
-        page = Page(title)
+    @property
+    def page(self) -> Page:
+        """One self-contained page with a player."""
+        page = Page("A plan and simulations of its control")
         page.scenes({"Recording": self.scene})
-        return page.to_html()
+        return page
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes that page, whole or not at all.
@@ -57,13 +56,10 @@ class Playback:
         Raises:
             OutputFileError: it can't be written; its folder must exist.
         """
-        write_text(path, self.to_html())
+        write_text(path, self.page.to_html())
 
     def _repr_html_(self) -> str:
-        page = html.escape(self.to_html(), quote=True)
-        return (
-            f'<iframe srcdoc="{page}" style="width: 100%; height: {_HEIGHT}px; border: 0"></iframe>'
-        )
+        return self.page._repr_html_()
 
     def __str__(self) -> str:
         """Returns what is solid and what are ghosts."""

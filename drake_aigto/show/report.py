@@ -24,7 +24,6 @@ from drake_aigto.planning import (
 )
 from drake_aigto.show.box_playback import play_boxes, run_boxes
 from drake_aigto.show.facts import (
-    Fact,
     answer_facts,
     candidate_texts,
     count_candidates,
@@ -139,12 +138,7 @@ def add_verdict(page: Page, plan: Plan, world: World) -> None:
     (_, verdict), (_, goal), *others = verdict_facts(plan, world)
     page.verdict(verdict, plan.holds)
     page.verdict(f"goal {goal}", plan.find_arrival(world).is_reached)
-    _add_facts(page, others)
-
-
-def _add_facts(page: Page, facts: Iterable[Fact]) -> None:
-    """Adds facts as a table."""
-    page.table(("", ""), [(label, text.replace("\u00a0", " ")) for label, text in facts])
+    page.facts(others)
 
 
 def add_question(
@@ -166,7 +160,7 @@ def add_question(
         ("weights", weights),
         ("model", world.model or "a diagram of one's own"),
     ]
-    _add_facts(page, [*question_facts(scenario, world, duration), *more])
+    page.facts([*question_facts(scenario, world, duration), *more])
 
 
 def add_answer(page: Page, plan: Plan, world: World) -> None:
@@ -194,7 +188,7 @@ def add_answer(page: Page, plan: Plan, world: World) -> None:
         "The plan is what the optimizer promises. The simulations run its control alone, from the "
         "start: they know nothing else of it."
     )
-    _add_facts(page, answer_facts(plan, world))
+    page.facts(answer_facts(plan, world))
 
 
 def _add_candidates(page: Page, plan: Plan, world: World) -> None:
@@ -275,7 +269,7 @@ def report_run(run: ClosedLoopRun, progress: Callable[[str], None] | None = None
     )
     (_, goal), *others = run_facts(run)
     page.verdict(f"goal {goal}", run.arrival.is_reached)
-    _add_facts(page, others)
+    page.facts(others)
     add_question(page, run.scenario, run.world)
     say("recording the simulation")
     page.heading("In motion")

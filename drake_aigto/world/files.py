@@ -132,6 +132,14 @@ def scenario_names() -> list[str]:
     return sorted(path.relative_to(directory).with_suffix("").as_posix() for path in paths)
 
 
+def scenario_summaries() -> dict[str, str]:
+    """Returns the names that `Scenario.named` knows, and what each shows: its file's first line."""
+    directory = models_directory() / "scenarios"
+    files = {name: directory / f"{name}.yaml" for name in scenario_names()}
+    lines = {name: path.read_text("utf-8").splitlines()[0] for name, path in files.items()}
+    return {name: line.lstrip("# ").rstrip(".") for name, line in lines.items()}
+
+
 def suggest(word: str, known: list[str]) -> str | None:
     """Returns the known word that is meant, as a question, if one is near."""
     close = difflib.get_close_matches(word, known, n=1)

@@ -1,0 +1,332 @@
+"""A plan that changes as start, velocity and goal are dragged, in Drake's Meshcat."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.colors import to_rgb
+from pydrake.geometry import Meshcat, Rgba
+
+from drake_aigto.arrays import Floats, interpolate
+from drake_aigto.errors import AigtoError, OptionsError
+from drake_aigto.planning import Candidate, Plan, Planner, PlanOptions
+from drake_aigto.show.film import ROOT, look_at, open_meshcat
+from drake_aigto.show.motion import Motion, color_of, positions_at
+from drake_aigto.show.shapes import coordinate_names, find_goal, has_goal, moves_straight
+from drake_aigto.show.stage import Stage
+from drake_aigto.show.text import cost_text, touch_names
+from drake_aigto.world import Scales, Scenario
+
+_PERIOD = 0.02  # from look to look at the sliders [s]
+_MOST_GHOSTS = 3  # candidates beside the best
+_PAUSE = 0.7  # that the end stands before the motion starts again [s]
+_KICKED = -0.5  # what a kick leaves of each velocity
+_PARTS = 200  # of a slider's range
+# What sliders reach: beyond start and goal, in ways between them, and of angles [rad]; and of
+# velocities, in largest ways over the duration.
+_BEYOND, _AROUND, _FASTEST = 0.8, np.pi, 3.0
+_GHOST, _LINE = 0.25, 3.0  # how much ghosts cover; width of ways [px]
+_VIEW, _TILT = np.deg2rad(12.0), np.deg2rad(8.0)
+_ENDS = {"start": Rgba(0.3, 0.3, 0.3, 0.25), "goal": Rgba(0.0, 0.62, 0.35, 0.3)}
+_KICK, _AGAIN = "kick", "start again"
+
+
+class _Slider(NamedTuple):
+    """One number of the question."""
+
+    name: str
+    field: str
+    coordinate: int
+    low: float
+    high: float
+
+
+class _Planned(NamedTuple):
+    """A plan, or why there is none; asked when [s], and whether because of a kick."""
+
+    asked: float
+    is_kicked: bool
+    plan: Plan | AigtoError
+
+
+class Live:
+    """A scenario whose plan follows sliders in Meshcat.
+
+    The best candidate moves, solid; up to three others are ghosts, and labels name them all with
+    their costs. Plans are made in a thread of their own: what stood stands until the next one is
+    there; where there is none, a label says why. The button "kick" is `kick`; "start again" goes
+    back to what the sliders say.
+
+    On a terminal, `run` plays until Ctrl-C; in a notebook, `start` plays in the background until
+    `stop`, and the cell shows the scene.
+
+    Attributes:
+        planner: without Drake's replay, which takes longer than most plans.
+        plan: what is shown; None before the first plan.
+        message: why there is no plan for what was asked last; "" if there is one.
+        labels: of what is shown, the best candidate's first.
+        latency: from when the sliders asked for the plan until it was shown [s].
+    """
+
+    def __init__(
+        self, scenario: Scenario, say: Callable[[str], None] | None = None, port: int | None = None
+    ) -> None:
+        """Reads the scenario's world; `say` is told each message. Nothing is opened yet.
+
+        Raises:
+            OptionsError: bodies of the scenario float.
+        """
+        self.planner = Planner(scenario, PlanOptions(confirm=False))
+        if self.planner.world.num_positions != self.planner.world.num_velocities:
+            got, expected = "bodies that float", "coordinates that sliders can set"
+            raise OptionsError("the scenario", got=got, expected=expected)
+        self.plan: Plan | None = None
+        self.message, self.latency = "", np.nan
+        self._say, self._port = say or (lambda text: None), port
+        self._questions: queue.Queue[tuple[float, bool, dict[str, Any]]] = queue.Queue()
+        self._answers: queue.Queue[_Planned] = queue.Queue()
+        self._ended, self._opened = threading.Event(), threading.Event()
+        self._is_waiting = self._is_behind = self._is_kicked = False
+        self._clicks: dict[str, int] = {}
+        self._began = time.monotonic()
+        self._motions: list[Motion] = []
+        self.labels: list[str] = []
+
+    def run(self, seconds: float = np.inf) -> None:
+        """Plays until Ctrl-C, `stop`, or for some time [s].
+
+        Raises:
+            OptionsError: Meshcat's port is in use.
+        """
+        meshcat = self.open()
+        self._say(f"Meshcat shows it at {meshcat.web_url()}; press Ctrl-C to stop.")
+        end = time.monotonic() + seconds
+        with contextlib.suppress(KeyboardInterrupt):
+            while not self._ended.wait(_PERIOD) and time.monotonic() < end:
+                self.look()
+        self.stop()
+
+    def start(self) -> Live:
+        """Plays in the background; returns itself, which a notebook shows."""
+        threading.Thread(target=self.run, daemon=True).start()
+        self._opened.wait()
+        return self
+
+    def stop(self) -> None:
+        """Ends it."""
+        self._ended.set()
+
+    def _repr_html_(self) -> str:
+        """Returns Meshcat in a frame; it is served by this process."""
+        look = "width: 100%; height: 560px; border: 0"
+        return f'<iframe src="{self.meshcat.web_url()}" style="{look}"></iframe>'
+
+    def open(self) -> Meshcat:
+        """Opens Meshcat, which this thread alone may use from now on, and asks for the first plan.
+
+        Raises:
+            OptionsError: its port is in use.
+        """
+        self.meshcat = meshcat = open_meshcat(self._port)
+        self._sliders, scenario = list(self._find_sliders()), self.planner.scenario
+        for each in self._sliders:
+            step, value = (
+                (each.high - each.low) / _PARTS,
+                getattr(scenario, each.field)[each.coordinate],
+            )
+            meshcat.AddSlider(each.name, each.low, each.high, step, value)
+        for button in (_KICK, _AGAIN):
+            meshcat.AddButton(button)
+        for path in ("/Background", "/Grid", "/Axes"):
+            meshcat.SetProperty(path, "visible", False)
+        self._set_stage()
+        self._question = self._slid = self._read()
+        threading.Thread(target=self._work, daemon=True).start()
+        self._ask()
+        self._opened.set()
+        return meshcat
+
+    def look(self) -> None:
+        """Looks once at sliders, buttons and answers, and moves what moves."""
+        while not self._answers.empty():
+            self._show(self._answers.get())
+        asked = self._read()
+        if self._is_clicked(_AGAIN) or any(np.any(asked[k] != self._slid[k]) for k in asked):
+            self._question, self._is_behind, self._is_kicked = asked, True, False
+        elif self._is_clicked(_KICK):
+            self.kick()
+        self._slid = asked
+        if self._is_behind and not self._is_waiting:
+            self._ask()
+        self._move()
+
+    def kick(self) -> None:
+        """Turns velocities round and halves them where the motion is now, and plans from there."""
+        if self._motions:
+            motion, now = self._motions[0], np.array([self._now()])
+            rows = (motion.positions, motion.velocities)
+            (q,), (v,) = (interpolate(now, motion.times, each) for each in rows)
+            kicked = {"initial_position": q, "initial_velocity": _KICKED * v}
+            self._question = {**self._question, **kicked}
+            self._is_behind = self._is_kicked = True
+
+    def _find_sliders(self) -> Iterator[_Slider]:
+        """Yields a slider for each coordinate's start and velocity, and for goals that count."""
+        scenario, world = self.planner.scenario, self.planner.world
+        start, goal = scenario.initial_position, scenario.goal_position
+        way = float(np.max(np.abs(goal - start)[~world.is_hinge], initial=0.0)) or 1.0
+        if not world.is_hinge.any():
+            way = Scales.of(world, scenario).length
+        beyond = np.where(world.is_hinge, _AROUND, _BEYOND * way)
+        low, high = np.minimum(start, goal) - beyond, np.maximum(start, goal) + beyond
+        limits = world.bounds(scenario)
+        low, high = np.maximum(low, limits.position[0]), np.minimum(high, limits.position[1])
+        fast = _FASTEST * np.where(world.is_hinge, _AROUND, way) / scenario.duration
+        fast = np.maximum(fast, 1.5 * np.abs(scenario.initial_velocity))
+        slow, fast = np.maximum(-fast, limits.velocity[0]), np.minimum(fast, limits.velocity[1])
+        asked = has_goal(world, scenario)
+        for i, name in enumerate(coordinate_names(world)):
+            unit = "rad" if world.is_hinge[i] else "m"
+            yield _Slider(f"start {name} [{unit}]", "initial_position", i, low[i], high[i])
+            yield _Slider(f"speed {name} [{unit}/s]", "initial_velocity", i, slow[i], fast[i])
+            if asked[i]:
+                yield _Slider(f"goal {name} [{unit}]", "goal_position", i, low[i], high[i])
+
+    def _set_stage(self) -> None:
+        """Shows what stands still, and has the camera see all that sliders can reach."""
+        world, scenario = self.planner.world, self.planner.scenario
+        corners = [scenario.initial_position, scenario.goal_position]
+        for end in ("low", "high"):
+            q = np.array(scenario.initial_position)
+            for each in self._sliders:
+                if each.field == "initial_position" and not world.is_hinge[each.coordinate]:
+                    q[each.coordinate] = getattr(each, end)
+            corners.append(q)
+        self._stage = stage = Stage(world, np.array(corners))
+        for actor in stage.actors:
+            if not actor.moves:
+                path = f"{ROOT}/world/{actor.name}"
+                self.meshcat.SetObject(path, actor.shape, actor.color or Rgba(0.6, 0.6, 0.6))
+                self.meshcat.SetTransform(path, stage.pose(actor, corners[0]))
+        tilt = -_TILT if abs(stage.X_WT.rotation().matrix()[2, 2]) > 0.5 else _TILT
+        look_at(self.meshcat, stage.X_WT, (stage.low, stage.high), (_VIEW, tilt, 0.0))
+
+    def _read(self) -> dict[str, Any]:
+        """Returns what the sliders say."""
+        fields = ("initial_position", "initial_velocity", "goal_position")
+        read = {name: np.array(getattr(self.planner.scenario, name)) for name in fields}
+        for each in self._sliders:
+            read[each.field][each.coordinate] = self.meshcat.GetSliderValue(each.name)
+        return read
+
+    def _is_clicked(self, button: str) -> bool:
+        """Returns whether a button was pressed since the last look."""
+        before = self._clicks.get(button, 0)
+        self._clicks[button] = self.meshcat.GetButtonClicks(button)
+        return self._clicks[button] > before
+
+    def _ask(self) -> None:
+        self._is_waiting, self._is_behind = True, False
+        self._questions.put((time.monotonic(), self._is_kicked, self._question))
+
+    def _work(self) -> None:
+        """Answers questions, until the process ends: a thread of its own."""
+        while not self._ended.is_set():
+            asked, is_kicked, question = self._questions.get()
+            answer: Plan | AigtoError
+            try:
+                answer = self.planner.plan(**question)
+            except AigtoError as error:
+                answer = error
+            self._answers.put(_Planned(asked, is_kicked, answer))
+
+    def _show(self, answer: _Planned) -> None:
+        """Shows an answer: a plan from its start, or a message beside what stands."""
+        self._is_waiting = False
+        if isinstance(answer.plan, AigtoError):
+            self.message = str(answer.plan)
+            self._label([*self._describe(), f"no plan: {self.message}"])
+            self._say(f"no plan: {self.message}")
+            return
+        plan, world = answer.plan, self.planner.world
+        self.plan, self.message = plan, ""
+        shown = [plan.best, *self._rivals(plan)]
+        self._motions = [Motion.from_trajectory(each.trajectory, world) for each in shown]
+        ends = {
+            "start": plan.scenario.initial_position,
+            "goal": find_goal(world, plan.scenario, plan.trajectory.positions[-1]),
+        }
+        for name, q in ends.items():
+            self._put(name, q, _ENDS[name])
+        for number in range(1 + _MOST_GHOSTS):
+            path = f"candidates/{number}"
+            if number >= len(self._motions):
+                self.meshcat.Delete(f"{ROOT}/{path}")
+                continue
+            color = Rgba(*to_rgb(color_of(number)), _GHOST if number else 1.0)
+            self._put(path, self._motions[number].positions[0], color)
+            for k, way in enumerate(self._stage.trace(self._motions[number].positions)):
+                line = self._stage.X_WT.multiply(way.T)
+                self.meshcat.SetLine(f"{ROOT}/{path}/ways/{k}", line, _LINE, color)
+        self._label(self._describe())
+        now = time.monotonic()
+        if answer.is_kicked:  # Else it goes on from where it was: sliders are dragged.
+            self._began = now
+        self.latency = now - answer.asked
+
+    def _rivals(self, plan: Plan) -> list[Candidate]:
+        """Returns the best candidates that are feasible and touch something else."""
+        found, seen = [], [[contact.index for contact in plan.best.contacts]]
+        for each in plan.candidates[1:]:
+            touches = [contact.index for contact in each.contacts]
+            if each.is_feasible and touches not in seen:
+                found.append(each)
+                seen.append(touches)
+        return found[:_MOST_GHOSTS]
+
+    def _describe(self) -> list[str]:
+        """Returns the cost and the touches of what is shown, and whether it reaches the goal."""
+        if self.plan is None:
+            return []
+        names, texts = touch_names(self.planner.world), []
+        for number, each in enumerate((self.plan.best, *self._rivals(self.plan))):
+            touches = ", ".join(dict.fromkeys(names[c.index] for c in each.contacts))
+            kind, cost = "ghost" if number else "plan", cost_text(each.cost, 2, each.scales.cost)
+            texts.append(f"{kind}: cost {cost}, touches {touches or 'nothing'}")
+        return texts if self.plan.reached else [*texts, "the plan does not reach its goal"]
+
+    def _label(self, texts: list[str]) -> None:
+        """Shows texts among the sliders, as buttons that do nothing."""
+        if texts != self.labels:
+            for text in self.labels:
+                self.meshcat.DeleteButton(text)
+            self.labels = list(dict.fromkeys(texts))
+            for text in self.labels:
+                self.meshcat.AddButton(text)
+
+    def _put(self, path: str, q: Floats, color: Rgba) -> None:
+        """Shows all that moves at q, in a color; solid links keep their own."""
+        for actor in (actor for actor in self._stage.actors if actor.moves):
+            own = color.a() == 1.0 and not moves_straight(self.planner.world)
+            place = f"{ROOT}/{path}/{actor.name}"
+            self.meshcat.SetObject(place, actor.shape, (own and actor.color) or color)
+            self.meshcat.SetTransform(place, self._stage.pose(actor, q))
+
+    def _now(self) -> float:
+        """Returns the time of the motion that is shown just now [s]."""
+        end = float(self._motions[0].times[-1])
+        return min(end, (time.monotonic() - self._began) % (end + _PAUSE))
+
+    def _move(self) -> None:
+        """Moves candidates to where they are now."""
+        for number, motion in enumerate(self._motions):
+            (q,) = positions_at(motion, np.array([self._now()]))
+            for actor in (actor for actor in self._stage.actors if actor.moves):
+                path = f"{ROOT}/candidates/{number}/{actor.name}"
+                self.meshcat.SetTransform(path, self._stage.pose(actor, q))
