@@ -258,7 +258,7 @@ def test_sparse_hessians_are_the_banded_ones(centers_only: bool) -> None:
         np.testing.assert_allclose(ours, theirs, atol=1e-12)
 
 
-@pytest.mark.parametrize("make", [lambda: shared_variable(250), lambda: on_grid(45)])
+@pytest.mark.parametrize("make", [lambda: shared_variable(250), lambda: on_grid(30)])
 @pytest.mark.parametrize(
     "algorithm", [Annealing(), pytest.param(BoundedAnnealing(), marks=pytest.mark.slow)]
 )

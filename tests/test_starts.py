@@ -316,9 +316,15 @@ def test_hops_end_before_the_jump_however_short_the_time_is(
     ("scenario", "gravity", "mass"),
     [
         (on_floor(0.290604, -0.07273, 0.303735, 0.9, 0.3), 20.0, 3.0),  # Stays where it fell.
-        (on_floor(0.758673, 0.66295, 0.537131, 1.9, 0.3), 13.30707, 1.53598),
+        pytest.param(
+            *(on_floor(0.758673, 0.66295, 0.537131, 1.9, 0.3), 13.30707, 1.53598),
+            marks=pytest.mark.slow,
+        ),
         (on_floor(0.595983, -1.02674, 0.903772, 1.5, 0.1), 19.1117, 0.83202),
-        (on_floor(0.518778, 1.97036, 0.243520, 1.1, 0.1), 16.23448, 0.42458),
+        pytest.param(
+            *(on_floor(0.518778, 1.97036, 0.243520, 1.1, 0.1), 16.23448, 0.42458),
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_ball_that_settles_rests_until_it_is_time_to_jump(

@@ -219,18 +219,14 @@ def test_a_flight_has_no_contact(floor: World) -> None:
     assert find_contacts(floor, fly({3: 1e-12}, {}, KNOTS)) == ()
 
 
-def test_every_impulse_is_a_contact_of_its_own(floor: World) -> None:
-    first, second = find_contacts(floor, fly({2: 4.5, 5: 0.75}, {}, KNOTS))
+# Also at knots next to each other.
+@pytest.mark.parametrize(("knot", "size"), [(5, 0.75), (3, 1.5)])
+def test_every_impulse_is_a_contact_of_its_own(floor: World, knot: int, size: float) -> None:
+    first, second = find_contacts(floor, fly({2: 4.5, knot: size}, {}, KNOTS))
     assert (first.time, first.last_time) == (0.15, 0.15)
     assert (first.velocity_change, first.energy_ratio) == pytest.approx((3.0, 0.25))
-    assert (second.time, second.velocity_change) == pytest.approx((0.6, 0.5))
-    assert second.energy_ratio == pytest.approx(2.25)
-
-
-def test_impulses_at_knots_next_to_each_other_are_two_contacts(floor: World) -> None:
-    contacts = find_contacts(floor, fly({2: 4.5, 3: 1.5}, {}, KNOTS))
-    assert [c.time for c in contacts] == [0.15, 0.3]
-    assert [c.velocity_change for c in contacts] == pytest.approx([3.0, 1.0])
+    assert (second.time, second.velocity_change) == pytest.approx((KNOTS[knot], size / 1.5))
+    assert second.energy_ratio == pytest.approx((1.0 + size / 1.5) ** 2)
 
 
 def test_a_contact_that_lasts_is_one_from_first_to_last_knot(floor: World) -> None:
