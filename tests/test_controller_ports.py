@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from functools import cache
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -27,6 +29,7 @@ from drake_aigto.control import (
     LoopController,
     Safety,
     TickStatus,
+    make_horizon,
     run_in_loop,
     tabulate,
 )
@@ -253,6 +256,27 @@ def test_a_pole_stands_up_though_commands_act_late() -> None:
         run = run_in_loop(controller, POLE, planner.world, wrong)
         off = np.linalg.norm(run.replay.positions[-1] - POLE.goal_position)
         assert (off < 0.1) == is_near
+
+
+def test_a_search_that_is_not_waited_for_is_late_until_it_is_done(monkeypatch: Any) -> None:
+    is_released, kind = Event(), type(make_horizon(make_planner(), False, 5, 0.02))
+    search = kind.search
+
+    def search_late(self: Any, now: float, x: Any) -> Any:
+        is_released.wait(60.0)
+        return search(self, now, x)
+
+    monkeypatch.setattr(kind, "search", search_late)
+    controller = make_controller("replanning", search_every=2, search_ticks=1, waits=False)
+    run = Told(controller, {0.0: START})
+    assert run.advance(0.07).is_late
+    assert run.advance(0.13).reason == "warm"
+    is_released.set()
+    for tick in range(7, 45):
+        time.sleep(0.1)
+        if run.advance(0.02 * tick + 0.01).reason != "warm":
+            break
+    assert run.controller.read_status(run.context).reason.startswith(("warm; a search", "switched"))
 
 
 @pytest.mark.slow
