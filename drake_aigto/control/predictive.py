@@ -388,7 +388,7 @@ class ModelPredictiveController(LoopController):
         if obstacle:
             return TickChoice(last, f"{obstacle}: the last plan goes on", pending=pending)
         motion = horizon.advance(last, now, x)
-        cost = motion.cost if motion else np.inf
+        cost = question.price(motion, last)
         aside = self._aim(context)[1]
         has_searched, found, pending = self._searches.find(before, question, motion, aside)
         if found and found.cost < (1 - self._margin) * cost:

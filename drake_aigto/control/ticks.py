@@ -17,6 +17,8 @@ from drake_aigto.planning import Cut, Feedback
 
 # A wall that is planned to be hit within this number of periods, and left, has been hit.
 _NEAR = 2.0
+# A state that is off its plan by no more than this part of the scales is on it.
+_ON_PLAN = 0.02
 # A plan that costs more than the one before met no surprise if that is less than this part of the
 # task's scale.
 _NOTHING = 1e-3
@@ -58,6 +60,12 @@ class TickQuestion(NamedTuple):
     sampled: tuple[float, Floats]
     sample: Sample = "valid"
     deviation: float = 0.0
+
+    def price(self, motion: PlannedMotion | None, last: PlannedMotion) -> float:
+        """Returns the cost of a motion; where there is none, of the last plan if x is on it."""
+        if motion is None:
+            return last.cost if self.deviation <= _ON_PLAN else np.inf
+        return motion.cost
 
     def find_obstacle(self) -> str | None:
         """Returns why nothing can be planned from here; None: something can."""
@@ -142,7 +150,7 @@ class Searches:
             found = pending.found.result()
             return True, found and horizon.advance(found, now, x), None
         is_due = self._every is not None and tick % self._every == 0
-        cost = motion.cost if motion else np.inf
+        cost = question.price(motion, before.choice.motion)
         if not is_due and cost - last <= self._calc_surprise(last, horizon.cost_scale):
             return False, None, None
         if self._ticks is None:
