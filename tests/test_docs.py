@@ -30,6 +30,7 @@ from benchmarks import records
 from drake_aigto import Planner, Scenario, World
 from drake_aigto.cli import load_scenario, make_parser
 from drake_aigto.errors import ModelError
+from drake_aigto.world import scenario_summaries
 
 API = Path(__file__).resolve().parents[1] / "docs" / "api"
 
@@ -76,6 +77,13 @@ def test_the_index_has_every_page() -> None:
     for page in API.parent.rglob("*.md"):
         if page.stem != "index":
             assert f"\n{page.relative_to(API.parent).with_suffix('')}\n" in index
+
+
+def test_the_gallery_has_every_shipped_scenario_with_what_it_shows() -> None:
+    text = (API.parent / "gallery.md").read_text("utf-8")
+    lines = [line for line in text.splitlines() if line.startswith("| `")]
+    told = [f"| `{name}` | {shows} |" for name, shows in scenario_summaries().items()]
+    assert lines == told
 
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))

@@ -77,6 +77,20 @@ def test_a_kick_plans_on_from_where_the_motion_is_and_sliders_bring_it_back(live
     )
 
 
+def test_in_a_notebook_it_plays_in_the_background(in_background: Live) -> None:
+    shown = in_background._repr_html_()
+    assert (
+        shown.startswith(f'<iframe src="{in_background.url}"') and "localhost" in in_background.url
+    )
+
+
+@pytest.fixture
+def in_background() -> Iterator[Live]:
+    live = Live(Scenario.named("table1/1")).start()
+    yield live
+    live.stop()
+
+
 def test_bodies_that_float_are_refused(tmp_path: Path) -> None:
     with pytest.raises(OptionsError, match="got bodies that float, expected coordinates that"):
         Live(make_scenario(tmp_path))

@@ -54,7 +54,8 @@ def rigid_cell(plan: Plan, optimum: float, drake: bool = True) -> RigidCell:
 def test_a_rigid_block_has_the_exact_optimum_and_how_far_above_it_all_is(plan: Plan) -> None:
     cell = rigid_cell(plan, optimum=1e-4)
     text = format_table1(Table1((), (cell,)))
-    title, costs, above = text.splitlines()[4:7]
+    begin = text.splitlines().index("")
+    title, costs, above = text.splitlines()[begin + 4 : begin + 7]
     assert title.startswith(
         "  rigid wall, e = 0.8; exact optimum 1.0000e-04, bounce at 0.512 s; "
         "Drake's wall 0.12 ms late ---"
@@ -106,7 +107,7 @@ def test_a_plan_shows_no_rounding_noise_at_any_scale(
 
 def test_what_drake_did_not_simulate_is_not_compared(plan: Plan) -> None:
     text = format_table1(Table1((), (rigid_cell(plan, optimum=1e-4, drake=False),)))
-    block = text[: text.index("\n\n", 1)]
+    block = text.split("\n\n")[1]
     assert "Drake's wall" not in block
     assert re.search(r"\n  above the optimum +\+0\.001 % +\+1\.000 %$", block)
 

@@ -92,6 +92,19 @@ def _die_of_ctrl_c() -> Iterator[None]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@contextmanager
+def _tell_loading(words: Sequence[str]) -> Iterator[None]:
+    """Says what it waits for, on a terminal: a line that goes again."""
+    is_seen = sys.stderr.isatty() and not {"-q", "--quiet", "--version"} & set(words)
+    if is_seen:
+        print("loading Drake …", end="\r", file=sys.stderr, flush=True)
+    try:
+        yield
+    finally:
+        if is_seen:
+            print("\033[2K", end="\r", file=sys.stderr, flush=True)
+
+
 def run(
     arguments: Sequence[str] | None, make: Callable[[Sequence[str]], Parser] | None = None
 ) -> int:
@@ -103,7 +116,7 @@ def run(
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     unset = argparse.Namespace(quiet=False, verbose=False)
-    with _die_of_ctrl_c():
+    with _die_of_ctrl_c(), _tell_loading(words):
         parser = (make or make_parser)(words)
     options = parser.parse_args(words, unset)
     try:

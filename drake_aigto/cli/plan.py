@@ -29,7 +29,7 @@ from drake_aigto.cli.flags import (
     read_scenario,
     read_workers,
 )
-from drake_aigto.cli.progress import paint, show_progress
+from drake_aigto.cli.progress import hear_ctrl_c, paint, show_progress
 from drake_aigto.errors import OptionsError
 from drake_aigto.output import check_writable, write_text
 from drake_aigto.paper import ROWS, LiteralOptions, plan_literal, run_table1
@@ -137,7 +137,7 @@ def _plan(options: argparse.Namespace) -> int:
     world = World.from_scenario(scenario)
     chosen = _read_options(options)
     try:
-        with show_progress(options, "transcribing") as progress:
+        with show_progress(options, "transcribing") as progress, hear_ctrl_c():
             if isinstance(chosen, LiteralOptions):
                 plan = plan_literal(scenario, chosen, world=world, progress=progress)
             else:

@@ -6,7 +6,9 @@ import argparse
 import logging
 import os
 import re
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -68,6 +70,27 @@ def show_progress(
         yield show
     finally:
         progress.stop()
+
+
+@contextmanager
+def hear_ctrl_c() -> Iterator[None]:
+    """Answers Ctrl-C at once, and has it end the search as usual; what was found is shown."""
+    is_usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if not is_usual or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def hear(*_: object) -> None:
+        text = "stopping with the best so far; Ctrl-C again skips what is left"
+        print(f"drake-aigto: {text}", file=sys.stderr, flush=True)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, hear)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def paint(text: str) -> str:

@@ -20,6 +20,7 @@ from pydrake.geometry import (
     Meshcat,
     MeshcatAnimation,
     MeshcatCone,
+    MeshcatParams,
     Rgba,
     Shape,
 )
@@ -76,7 +77,7 @@ def open_meshcat(port: int | None = None) -> Meshcat:
         got = f"{port}"
     else:
         try:
-            return Meshcat(port=port)
+            return Meshcat(MeshcatParams(port=port, show_stats_plot=False))
         except RuntimeError as error:
             cause = error
     raise OptionsError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import queue
 import threading
@@ -67,6 +68,7 @@ class Live:
     `stop`, and the cell shows the scene.
 
     Attributes:
+        url: where Meshcat shows it, once it is open.
         planner: without Drake's replay, which takes longer than most plans.
         plan: what is shown; None before the first plan.
         message: why there is no plan for what was asked last; "" if there is one.
@@ -92,6 +94,7 @@ class Live:
         self._questions: queue.Queue[tuple[float, bool, dict[str, Any]]] = queue.Queue()
         self._answers: queue.Queue[_Planned] = queue.Queue()
         self._ended, self._opened = threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
         self._is_waiting = self._is_behind = self._is_kicked = False
         self._clicks: dict[str, int] = {}
         self._began = time.monotonic()
@@ -104,28 +107,33 @@ class Live:
         Raises:
             OptionsError: Meshcat's port is in use.
         """
-        meshcat = self.open()
-        self._say(f"Meshcat shows it at {meshcat.web_url()}; press Ctrl-C to stop.")
+        self.open()
+        self._say(f"Sliders are in the controls at {self.url}; press Ctrl-C to stop.")
         end = time.monotonic() + seconds
         with contextlib.suppress(KeyboardInterrupt):
             while not self._ended.wait(_PERIOD) and time.monotonic() < end:
                 self.look()
-        self.stop()
+        self._ended.set()
+        del self.meshcat  # In its own thread.
 
     def start(self) -> Live:
         """Plays in the background; returns itself, which a notebook shows."""
-        threading.Thread(target=self.run, daemon=True).start()
+        self._thread = threading.Thread(target=self.run, daemon=True)
+        self._thread.start()
+        atexit.register(self.stop)
         self._opened.wait()
         return self
 
     def stop(self) -> None:
-        """Ends it."""
+        """Ends it, and waits until nothing is shown any more."""
         self._ended.set()
+        if self._thread:
+            self._thread.join()
 
     def _repr_html_(self) -> str:
         """Returns Meshcat in a frame; it is served by this process."""
         look = "width: 100%; height: 560px; border: 0"
-        return f'<iframe src="{self.meshcat.web_url()}" style="{look}"></iframe>'
+        return f'<iframe src="{self.url}" style="{look}"></iframe>'
 
     def open(self) -> Meshcat:
         """Opens Meshcat, which this thread alone may use from now on, and asks for the first plan.
@@ -134,6 +142,7 @@ class Live:
             OptionsError: its port is in use.
         """
         self.meshcat = meshcat = open_meshcat(self._port)
+        self.url = meshcat.web_url()
         self._sliders, scenario = list(self._find_sliders()), self.planner.scenario
         for each in self._sliders:
             step, value = (

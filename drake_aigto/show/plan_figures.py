@@ -49,7 +49,7 @@ _PALEST = 0.15  # The first of the links that are drawn: how much they cover.
 _AROUND = np.linspace(0, 2 * np.pi, 33)[:-1]  # of what is round [rad]
 _GOAL: dict[str, Any] = {"facecolor": "none", "edgecolor": "#007a55", "linewidth": 1.3}
 _GOAL |= {"linestyle": (0, (3, 2)), "zorder": 4}
-_BEHIND: dict[str, Any] = {"facecolor": "#eceff3", "zorder": 0}
+_BEHIND: dict[str, Any] = {"facecolor": "#eceff3", "zorder": -1}
 _NAME: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": "small"}
 _NAME |= {"textcoords": "offset points", "xytext": (0, 4)}
 _WIDTH = 0.01  # of bars of impulses, as a part of the motion
@@ -89,15 +89,13 @@ def plot_strobe(
         count: of the times.
         index: of the motion, in pictures of several: it has the same color in all.
     """
-    is_asked = has_goal(world, scenario)
     goal = find_goal(world, scenario, motion.positions[-1])
     stage = Stage(world, np.vstack([motion.positions, goal]))
     draw_still(axes, stage, motion.positions[0])
     moments = positions_at(motion, np.linspace(*time_span([motion]), count))
     for alpha, q in zip(np.linspace(_PALEST, 1, count), moments, strict=True):
         draw_moving(axes, stage, q, index, alpha)
-    asked = [a for a in stage.actors if a.moves and np.any(stage.movers_of(a.index) & is_asked)]
-    _draw(axes, stage, asked, goal, _GOAL)
+    draw_goal(axes, stage, world, scenario, goal)
     line: dict[str, Any] = {"color": color_of(index), "linewidth": 1.2}
     for way in stage.trace(motion.positions):
         axes.plot(*way[:, :2].T, alpha=0.8, zorder=3.5, **line)
@@ -118,6 +116,13 @@ def draw_still(axes: Axes, stage: Stage, q: Floats) -> None:
     for actor in (actor for actor in stage.actors if not actor.moves):
         look = SOLID_LOOK if stage.is_in_the_way(actor) else _BEHIND
         _draw(axes, stage, [actor], q, look)
+
+
+def draw_goal(axes: Axes, stage: Stage, world: World, scenario: Scenario, goal: Floats) -> None:
+    """Draws outlines at the goal of links whose end matters."""
+    is_asked = has_goal(world, scenario)
+    asked = [a for a in stage.actors if a.moves and np.any(stage.movers_of(a.index) & is_asked)]
+    _draw(axes, stage, asked, goal, _GOAL)
 
 
 def draw_moving(axes: Axes, stage: Stage, q: Floats, index: int, alpha: float) -> list[Polygon]:

@@ -61,7 +61,7 @@ _HEADER = (
 
 def format_table1(table: Table1) -> str:
     """Returns Table I: what each method's plan costs, and what it does on a rigid wall."""
-    return "\n".join([*_blocks(table), "", _LEGEND, "", *_summary(table)])
+    return "\n".join([*_summary(table), *_blocks(table), "", _LEGEND])
 
 
 def _blocks(table: Table1) -> Iterator[str]:

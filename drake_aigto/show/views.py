@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -19,17 +20,17 @@ from drake_aigto.show.columns import to_dataframe
 from drake_aigto.show.facts import verdict_facts
 from drake_aigto.show.figures import plot_plan, plot_positions
 from drake_aigto.show.film import open_meshcat
-from drake_aigto.show.motion import Motion, motions_of_plan, positions_at
+from drake_aigto.show.motion import Motion, color_of, motions_of_plan, positions_at
 from drake_aigto.show.page import Page
-from drake_aigto.show.plan_figures import draw_moving, draw_still, plot_strobe
+from drake_aigto.show.plan_figures import draw_goal, draw_moving, draw_still, plot_strobe
 from drake_aigto.show.scene import publish
-from drake_aigto.show.shapes import coordinate_names
+from drake_aigto.show.shapes import coordinate_names, find_goal
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.text import cost_text, miss_text, sequence_text
 from drake_aigto.world import World
 
 _INCH, _DPI = 8.0, 100  # width of figures, and their dots per inch
-_LEAST_HEIGHT, _MOST_HEIGHT = 1.6, 7.0  # of an animation [in]
+_WIDTH, _LEAST_HEIGHT, _MOST_HEIGHT = 6.0, 1.2, 5.0  # of an animation [in]
 _GHOST = 0.35  # how much a ghost covers
 _HOLD = 0.5  # that the end stands [s]
 _VIDEO = (".mp4", ".m4v", ".mov")
@@ -74,15 +75,18 @@ def animate(
     check_writable(path)
     planned, *simulated = motions_of_plan(plan, world)
     motions = [planned, *simulated[:1]]
-    stage = Stage(world, np.vstack([motion.positions for motion in motions]))
-    width, height = (stage.high - stage.low).tolist()
-    tall = float(np.clip(_INCH * height / width, _LEAST_HEIGHT, _MOST_HEIGHT))
-    figure = Figure(figsize=(_INCH, tall + 0.5), layout="constrained")
+    goal = find_goal(world, plan.scenario, planned.positions[-1])
+    stage = Stage(world, np.vstack([goal, *(motion.positions for motion in motions)]))
+    across, up = (stage.high - stage.low).tolist()
+    tall = float(np.clip(_WIDTH * up / across, _LEAST_HEIGHT, _MOST_HEIGHT))
+    figure = Figure(figsize=(_WIDTH, tall + 0.4), layout="constrained")
     axes = figure.subplots()
     draw_still(axes, stage, planned.positions[0])
+    draw_goal(axes, stage, world, plan.scenario, goal)
     for index, motion in enumerate(motions):
         for way in stage.trace(motion.positions):
-            axes.plot(*way[:, :2].T, linewidth=1.2, alpha=0.7, color=f"C{index}", zorder=1)
+            look: dict[str, Any] = {"color": color_of(index), "zorder": 1.5 - index / 10}
+            axes.plot(*way[:, :2].T, linewidth=1.2, alpha=0.7, **look)
     (left, bottom), (right, top) = stage.low, stage.high
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     axes.set_axis_off()
