@@ -17,6 +17,10 @@ spring of the same stiffness where the impedance d is small,
 
 so that with `solref` = (−k (1 − d) Â, 0) and d = 1e-4 what is left of A and a₀ is 1e-4 of the rest.
 Â is the inverse weight that MuJoCo takes for the foot's body.
+
+Friction and rigid impacts are not compared. MuJoCo's friction is a constraint of the same
+impedance: with the small d that makes the normal force a spring, it is 1 / d times too soft for
+Coulomb's law. It has no impacts of rigid bodies. Plans with either are simulated on Drake's plant.
 """
 
 from __future__ import annotations

@@ -638,6 +638,8 @@ def test_inertias_that_drake_would_replace_are_refused(gantry: Any, tmp_path: Pa
     with pytest.raises(ModelError, match=r"with moments of 1, 1, 2.5 .*allow_ignored: .inertias"):
         gantry(INERTIAL=flat)
     assert len(gantry({"allow_ignored": ["inertias"]}, INERTIAL=flat).ignored) == 2
+    world = GANTRY.replace('<link name="world"/>', f'<link name="world">{flat}</link>')
+    make(write(tmp_path / "g.urdf", world))
     mass = "<inertial><mass>2</mass><inertia><ixx>IXX</ixx><iyy>1</iyy><izz>1</izz></inertia>"
     model = tmp_path / "m.sdf"
     for text, count in (("1", 0), ("3", 1)):

@@ -24,7 +24,7 @@ from drake_aigto.errors import ModelError
 from drake_aigto.world.material import FRICTION
 from drake_aigto.world.model_facts import ModelFacts, fits
 from drake_aigto.world.model_fields import Material
-from drake_aigto.world.pair_errors import END, name_pair
+from drake_aigto.world.pair_errors import END, IN_PLANE, name_pair, refuse_pairs
 from drake_aigto.world.pairs import list_pairs, order_pair
 
 # From an inspector and a pair of shapes to the same in order, or None if they can't be planned for.
@@ -92,6 +92,35 @@ def pick_shapes(
             )
         found.update(dict.fromkeys(fitting))
     return list(found)
+
+
+def choose_pairs(
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    ignored_shapes: tuple[str, ...],
+    order: Order,
+    expected: str = IN_PLANE,
+) -> list[tuple[GeometryId, GeometryId]]:
+    """Returns pairs of shapes that may collide (Drake's filters applied), in order, as a plan may.
+
+    Args:
+        plant: finalized.
+        scene_graph: its geometry.
+        ignored_shapes: names or globs of shapes that touch nothing.
+        order: of a pair.
+        expected: pairs that have an order, for errors.
+
+    Raises:
+        ModelError: pairs are not supported; lists all of them. Or a name fits no shape.
+    """
+    inspector: Any = scene_graph.model_inspector()
+    names = name_shapes(plant, scene_graph)
+    ignored = set(pick_shapes("ignored_shapes", ignored_shapes, names))
+    pairs = [pair for pair in list_pairs(inspector) if not ignored & set(pair)]
+    ordered = {pair: order(inspector, pair) for pair in pairs}
+    if unread := [pair for pair, found in ordered.items() if found is None]:
+        raise refuse_pairs(inspector, unread, expected)
+    return [found for found in ordered.values() if found]
 
 
 def keep_apart(plant: MultibodyPlant, scene_graph: SceneGraph, facts: ModelFacts) -> None:

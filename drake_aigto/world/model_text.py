@@ -239,8 +239,8 @@ def _check_masses(root: Element, path: Path, facts: ModelFacts) -> bool:
                 raise ModelError(
                     f"mass of {link.get('name')!r} in {path}", got=text, expected="0 or more"
                 )
-            for inertia in inertial.findall("inertia"):
-                name = link.get("name", "")
+            name = link.get("name", "")
+            for inertia in inertial.findall("inertia") if name != "world" else ():
                 is_changed |= _check_inertia(path, name, inertia, number == 0, facts)
     return is_changed
 

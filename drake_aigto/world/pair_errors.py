@@ -32,7 +32,7 @@ _SOFT = (
 )
 _MOST_WORK = 30_000  # Samples of all distances, about a second's worth.
 
-_IN_PLANE = "Sphere against Box, HalfSpace or Sphere, or Capsule against HalfSpace"
+IN_PLANE = "Sphere against Box, HalfSpace or Sphere, or Capsule against HalfSpace"
 
 Pair = tuple[GeometryId, GeometryId]
 
@@ -57,7 +57,7 @@ def explain_no_contact(scene_graph: SceneGraph, are_ignored: bool = False) -> st
     return f"nothing can touch: {why}"
 
 
-def refuse_pairs(inspector: Any, pairs: list[Pair], expected: str = _IN_PLANE) -> ModelError:
+def refuse_pairs(inspector: Any, pairs: list[Pair], expected: str = IN_PLANE) -> ModelError:
     """Returns the error of pairs that are not supported, with the fewest shapes to leave out."""
     of_kind: dict[tuple[str, ...], list[Pair]] = {}
     for pair in pairs:
@@ -76,7 +76,7 @@ def refuse_pairs(inspector: Any, pairs: list[Pair], expected: str = _IN_PLANE) -
         expected=expected,
         remedy=f"Leave shapes out by the scenario's ignored_shapes: [{', '.join(out)}], or the "
         f"pairs by allow_ignored: [pairs]; or replace {'; '.join(instead)}; or exclude pairs with "
-        f"a <drake:collision_filter_group>.{_SOFT if expected == _IN_PLANE else ''}",
+        f"a <drake:collision_filter_group>.{_SOFT if expected == IN_PLANE else ''}",
         fields={"allow_ignored": ["pairs"]},
     )
 

@@ -7,7 +7,7 @@ face.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -22,7 +22,7 @@ from pydrake.symbolic import Expression
 from drake_aigto.arrays import Floats
 from drake_aigto.dynamics import Contact, evaluate, is_constant, tidy
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world.pair_errors import check_work, refuse_pairs
+from drake_aigto.world.pair_errors import check_work
 from drake_aigto.world.plant_reader import PlantReader
 
 # Where a scene graph keeps the restitution of a shape, if its maker put it there.
@@ -103,21 +103,6 @@ class ReachableFace(NamedTuple):
     reach: float = 0.0
 
 
-def choose_pairs(
-    scene_graph: SceneGraph, ignored: Collection[GeometryId] = ()
-) -> list[tuple[GeometryId, GeometryId]]:
-    """Returns pairs of shapes that may collide (Drake's filters applied), but for ignored shapes.
-
-    Raises:
-        ModelError: pairs are not supported; lists all of them.
-    """
-    inspector: Any = scene_graph.model_inspector()
-    pairs = [pair for pair in list_pairs(inspector) if not set(pair) & set(ignored)]
-    if unread := [pair for pair in pairs if order_pair(inspector, pair) is None]:
-        raise refuse_pairs(inspector, unread)
-    return pairs
-
-
 def find_reach(
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
@@ -146,8 +131,7 @@ def find_reach(
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, default)  # A clone's context forgets them.
     inspector: Any = scene_graph.model_inspector()
-    ordered = (order_pair(inspector, pair) for pair in candidates)
-    pairs = [_read_pair(plant, inspector, *pair, context) for pair in ordered if pair]
+    pairs = [_read_pair(plant, inspector, *pair, context) for pair in candidates]
     for pair in pairs:
         places = [_read_place(reader, face) for face in pair]
         chosen, fixed = _choose(places, reader.q, default)

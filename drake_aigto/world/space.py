@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -29,19 +28,18 @@ from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.geometry import make_closest
 from drake_aigto.world.answers import find_errors
 from drake_aigto.world.diagram import find_plant
-from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.limits import Limits, check_sizes
-from drake_aigto.world.material import SpringMaterial, combine_springs, read_materials
+from drake_aigto.world.material import SpringMaterial, combine_springs
 from drake_aigto.world.model_fields import Limited, as_globs
-from drake_aigto.world.model_shapes import name_shapes, pick_shapes
-from drake_aigto.world.pair_errors import explain_no_contact
-from drake_aigto.world.pairs import list_pairs
+from drake_aigto.world.model_shapes import choose_pairs
+from drake_aigto.world.pair_errors import explain_no_contact, name_pair
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.space_pairs import (
+    EXPECTED,
     ShapePair,
     SpaceFriction,
     SpaceShapes,
-    choose_space_pairs,
+    order_shapes,
     read_shapes,
 )
 from drake_aigto.world.task_cost import TaskCost
@@ -131,14 +129,6 @@ class SpaceWorld(World):
             angular=turns,
         )
 
-    def of_diagram(self, diagram: Diagram) -> SpaceWorld:
-        """Returns the world of another diagram with a copy of its plant, all else as it is here."""
-        friction = self.dry_friction, self.stiction_speed
-        given = None, self.ignored_shapes, *friction, self.model_fields.limits
-        other = SpaceWorld.from_diagram(diagram, *given)
-        kept = ("limits", "model_fields", "ignored", "notes")
-        return dataclasses.replace(other, **{name: getattr(self, name) for name in kept})
-
     @property
     def has_constant_inertia(self) -> bool:
         """False: M is not looked at."""
@@ -155,13 +145,6 @@ class SpaceWorld(World):
     def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
         """The shapes of each contact, in the scene graph."""
         return tuple(pair.shapes for pair in self.pairs)
-
-    @cached_property
-    def fingerprint(self) -> Fingerprint:
-        """Names and numbers that no other world has."""
-        materials = tuple(read_materials(self.scene_graph, pair) for pair in self.shapes)
-        friction = self.rubbing.model_coefficients
-        return Fingerprint.of(self, self.plant, self.model, materials, self.limits, friction)
 
     @cached_property
     def springs(self) -> SpringMaterial:
@@ -181,12 +164,6 @@ class SpaceWorld(World):
     def rubbing(self) -> Any:
         """Friction of contacts (`SpaceFriction`)."""
         return SpaceFriction(self.plant, self.scene_graph, self.diagram, self.pairs)
-
-    @property
-    def frictions(self) -> Mapping[str, float]:
-        """The model's μ above 0, by pair of shapes."""
-        found: Mapping[str, float] = self.rubbing.frictions
-        return found
 
     def is_on_face(self, q: Floats) -> Bools:
         """Returns True for each contact, shape (m,): distances are those of whole shapes."""
@@ -367,10 +344,10 @@ class SpaceWorld(World):
 def _choose_pairs(
     plant: MultibodyPlant, scene_graph: SceneGraph, ignored: tuple[str, ...]
 ) -> tuple[ShapePair, ...]:
-    """Returns pairs of shapes that may touch, but for ignored ones."""
-    shapes = pick_shapes("ignored_shapes", ignored, name_shapes(plant, scene_graph))
-    pairs = list_pairs(scene_graph.model_inspector())
-    return choose_space_pairs(scene_graph, [pair for pair in pairs if not set(pair) & set(shapes)])
+    """Returns pairs of shapes that may touch, but for ignored ones, with their names."""
+    inspector = scene_graph.model_inspector()
+    pairs = choose_pairs(plant, scene_graph, ignored, order_shapes, EXPECTED)
+    return tuple(ShapePair(name_pair(inspector, pair), pair) for pair in pairs)
 
 
 def _rows(values: Floats) -> Floats:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from typing import Any, NamedTuple, cast
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.geometry import (
@@ -29,7 +29,6 @@ from drake_aigto.dynamics import Tree
 from drake_aigto.geometry import BALL, BOX, CAPSULE, CYLINDER, HALF_SPACE, Shapes, can_meet
 from drake_aigto.world.diagram import hide_half_space_warning
 from drake_aigto.world.material import FRICTION, read_material, set_material
-from drake_aigto.world.pair_errors import name_pair, refuse_pairs
 
 _KINDS: dict[type[Shape], int] = {
     Sphere: BALL,
@@ -67,21 +66,6 @@ def order_shapes(
     if min(kinds) < 0 or not can_meet(*kinds):
         return None
     return (first, second) if kinds[0] <= kinds[1] else (second, first)
-
-
-def choose_space_pairs(
-    scene_graph: SceneGraph, pairs: Collection[tuple[GeometryId, GeometryId]]
-) -> tuple[ShapePair, ...]:
-    """Returns pairs with their names.
-
-    Raises:
-        ModelError: the distance of a pair is not known; lists all of them.
-    """
-    inspector: Any = scene_graph.model_inspector()
-    if unread := [pair for pair in pairs if order_shapes(inspector, pair) is None]:
-        raise refuse_pairs(inspector, unread, EXPECTED)
-    ordered = [cast(Any, order_shapes(inspector, pair)) for pair in pairs]
-    return tuple(ShapePair(name_pair(inspector, pair), pair) for pair in ordered)
 
 
 def read_shapes(

@@ -38,14 +38,19 @@ from drake_aigto.world.material import SpringMaterial, read_materials, read_spri
 from drake_aigto.world.model_facts import FixableError
 from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
 from drake_aigto.world.model_reader import read_model
-from drake_aigto.world.model_shapes import name_shapes, pick_shapes, set_materials
+from drake_aigto.world.model_shapes import (
+    choose_pairs,
+    name_shapes,
+    pick_shapes,
+    set_materials,
+)
 from drake_aigto.world.pair_errors import check_work, explain_no_contact
 from drake_aigto.world.pairs import (
     ReachableFace,
     SphereAndFace,
-    choose_pairs,
     find_reach,
     find_sphere_body,
+    order_pair,
     refuse_beside,
     refuse_inside,
 )
@@ -190,9 +195,7 @@ class World(EquationsOfMotion):
     def _check_plant(scenario: Scenario, diagram: Diagram) -> list[ModelError]:
         """Returns what is wrong with contacts, and with the joints that M depends on."""
         plant, scene_graph = find_plant(diagram)
-        names = name_shapes(plant, scene_graph)
-        ignored = pick_shapes("ignored_shapes", scenario.ignored_shapes, names)
-        pairs = partial(choose_pairs, scene_graph, ignored)
+        pairs = partial(choose_pairs, plant, scene_graph, scenario.ignored_shapes, order_pair)
         return find_errors(pairs, PlantReader(plant).read_mass_matrix) or find_errors(
             lambda: check_work(plant, scene_graph, pairs())
         )
@@ -236,8 +239,8 @@ class World(EquationsOfMotion):
         fields, diagram, plant, scene_graph = open_diagram(diagram, limits, material, dry_friction)
         reader = PlantReader(plant)
         ignored_shapes = as_globs("ignored_shapes", ignored_shapes)
-        ignored = pick_shapes("ignored_shapes", ignored_shapes, name_shapes(plant, scene_graph))
-        pairs = choose_pairs(scene_graph, ignored)  # What refuses at once comes first.
+        # What refuses at once comes first.
+        pairs = choose_pairs(plant, scene_graph, ignored_shapes, order_pair)
         mass_matrix = reader.calc_mass_matrix()
         reachable, stuck = find_reach(plant, scene_graph, reader, pairs)
         if mass is not None:
@@ -282,7 +285,7 @@ class World(EquationsOfMotion):
         """
         friction = self.dry_friction, self.stiction_speed
         given = self.mass, self.ignored_shapes, *friction, self.model_fields.limits
-        other = World.from_diagram(diagram, *given)
+        other = type(self).from_diagram(diagram, *given)
         mine = {
             name: getattr(self, name) for name in ("limits", "model_fields", "ignored", "notes")
         }
