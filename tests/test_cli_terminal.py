@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import io
 import logging
 import os
 import pty
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -337,3 +340,67 @@ def _read(descriptor: int) -> bytes:
         return os.read(descriptor, 1 << 16)
     except OSError:
         return b""
+
+
+def test_a_terminal_is_told_at_once_what_it_waits_for(
+    monkeypatch: pytest.MonkeyPatch, plan_file: Path, telling: Callable[..., None]
+) -> None:
+    telling()
+    stream = open_terminal(monkeypatch)
+    assert main(FLIGHT) == FINE
+    assert stream.shown()[0] == "loading Drake …"
+
+
+def test_ctrl_c_is_answered_and_the_next_one_is_heard_as_usual(
+    monkeypatch: pytest.MonkeyPatch, plan_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def plan(planner: Planner, progress: Callable[[str], None] | None = None) -> Plan:
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        return dataclasses.replace(Plan.load(plan_file), is_interrupted=True)
+
+    monkeypatch.setattr(Planner, "plan", plan)
+    assert main(FLIGHT) == INTERRUPTED
+    assert "stopping with the best so far; Ctrl-C again skips" in capsys.readouterr().err
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_verdicts_have_colors_on_a_terminal_alone(
+    monkeypatch: pytest.MonkeyPatch, plan_file: Path, telling: Callable[..., None]
+) -> None:
+    telling()
+    open_terminal(monkeypatch)
+    texts = []
+    for stream in (Terminal(), io.StringIO()):
+        monkeypatch.setattr(sys, "stdout", stream)
+        assert main([*FLIGHT, "--quiet"]) == FINE
+        texts.append(stream.getvalue())
+    assert texts[0].startswith(f"{ESCAPE}[1;32mverdict     holds{ESCAPE}[0m: ")
+    assert texts[1].startswith("verdict     holds: ") and ESCAPE not in texts[1]
+
+
+@pytest.mark.parametrize("command", ["plan", "control", "live", "look"])
+def test_help_fits_on_a_screen_and_the_whole_explains_every_flag(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    texts = []
+    for flag in ("--help", "--help-all"):
+        with pytest.raises(SystemExit):
+            main([command, flag])
+        texts.append(capsys.readouterr().out)
+    assert len(texts[0].splitlines()) <= 60
+    about = "where it starts" if "where it starts" in texts[1] else "--goal-position X [X ...]"
+    assert "--goal-position" in texts[0] and about in texts[1] and about not in texts[0]
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [(["plan", "table1/1", "--time-stp", "0.1"], "--time-step"), (["contrl"], "control")],
+)
+def test_what_was_probably_meant_is_said_first(
+    words: list[str], meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(words)
+    assert capsys.readouterr().err.startswith(f"drake-aigto: did you mean {meant}? ")

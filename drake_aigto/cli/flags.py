@@ -75,6 +75,8 @@ class Parser(argparse.ArgumentParser):
                 group.description = "\n".join(lines)
                 for action in group._group_actions:
                     action.help = argparse.SUPPRESS
+                places = (str(action.metavar) for action in self._get_positional_actions())
+                self.usage = " ".join([self.prog, "[flags]", *places])
         return super().format_help()
 
     def add_commands(self, metavar: str) -> Any:

@@ -6,7 +6,6 @@ from .columns import to_dataframe as to_dataframe
 from .facts import INTERRUPTED as INTERRUPTED
 from .facts import format_plan as format_plan
 from .facts import format_replays as format_replays
-from .facts import format_run as format_run
 from .figures import plot_boxes as plot_boxes
 from .figures import plot_controls as plot_controls
 from .figures import plot_motions as plot_motions
@@ -48,6 +47,7 @@ from .report_figures import has_landscape as has_landscape
 from .report_figures import plot_mind as plot_mind
 from .report_figures import plot_promises as plot_promises
 from .report_figures import plot_run as plot_run
+from .run_facts import format_run as format_run
 from .scene import play as play
 from .scene import publish as publish
 from .shapes import coordinate_names as coordinate_names

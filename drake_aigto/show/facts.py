@@ -37,19 +37,17 @@ from drake_aigto.show.text import (
     time_text,
     touch_names,
     way_text,
-    weight_text,
 )
 from drake_aigto.simulation import Replay
 from drake_aigto.transcription import UNITS
 from drake_aigto.world import Scenario, TaskCost, World
 
 if TYPE_CHECKING:
-    from drake_aigto.control import ClosedLoopRun
+    pass
 
 Fact = tuple[str, str]
 
 INTERRUPTED = "the search was ended by Ctrl-C; this is the best of what it had found by then"
-CUT_SHORT = "Ctrl-C ended the simulation; this is what happened by then"
 
 _LABEL = 12  # columns of the labels at the left
 _COLUMNS = (9, 8, 9, 8, 10, 10)  # Of the table of candidates, before their contacts.
@@ -57,10 +55,6 @@ _MOST_CANDIDATES, _MOST_VETOES = 8, 3
 _OF_SCALES = "of the task's scales"
 _AT_END = 1e-6  # of a duration: as near as rounding to an end of its range
 _FAR = 4.0  # Lengths of the task: a motion that ends farther off has left it.
-_METHODS = {
-    "tracking": "a plan is tracked (TrackingController)",
-    "replanning": "it plans again at every tick (ModelPredictiveController)",
-}
 
 
 def format_plan(plan: Plan, world: World | None = None) -> str:
@@ -72,7 +66,7 @@ def format_plan(plan: Plan, world: World | None = None) -> str:
         ModelError: the world has to be given (`Plan.find_world`).
     """
     world = plan.find_world(world)
-    lines = [format_replays(plan, world), *_format(_search_facts(plan))]
+    lines = [format_replays(plan, world), *format_facts(_search_facts(plan))]
     shown = plan.candidates[:_MOST_CANDIDATES]
     table = [candidate_texts(candidate, plan.scenario, world) for candidate in shown]
     header = ("cost", "defect", "in wall", "energy", "replayed", "off goal", "contacts")
@@ -81,22 +75,19 @@ def format_plan(plan: Plan, world: World | None = None) -> str:
         others.insert(0, ("", f"left out: free flight, which costs {least:.2e} at least"))
     if (more := len(plan.candidates) - _MOST_CANDIDATES) > 0:
         others.insert(0, ("", f"and {more} more"))
-    return "\n".join([*lines, *_table(header, *table), *_format(others)])
+    return "\n".join([*lines, *_table(header, *table), *format_facts(others)])
 
 
 def format_replays(plan: Plan, world: World | None = None) -> str:
     """Returns the part of `format_plan` that says what simulations of the plan's control do."""
     world = plan.find_world(world)
     question = question_facts(plan.scenario, world, float(plan.trajectory.times[-1]))
-    return "\n".join(_format([*verdict_facts(plan, world), *question, *answer_facts(plan, world)]))
+    return "\n".join(
+        format_facts([*verdict_facts(plan, world), *question, *answer_facts(plan, world)])
+    )
 
 
-def format_run(run: ClosedLoopRun) -> str:
-    """Returns what happened in the loop, as text."""
-    return "\n".join(_format(run_facts(run)))
-
-
-def _format(facts: Iterable[Fact]) -> Iterator[str]:
+def format_facts(facts: Iterable[Fact]) -> Iterator[str]:
     """Yields facts in lines of at most 100 columns, their labels at the left."""
     for label, text in facts:
         for line in textwrap.wrap(text, WIDTH - _LABEL, break_on_hyphens=False):
@@ -375,53 +366,3 @@ def candidate_texts(candidate: Candidate, scenario: Scenario, world: World) -> t
         " ".join(miss_texts(candidate.replay, scenario, world)),
         sequence_text(candidate, world),
     )
-
-
-def run_facts(run: ClosedLoopRun) -> Iterator[Fact]:
-    """Yields what happened in the loop."""
-    replay, world = run.replay, run.world
-    walls = "soft walls" if run.scenario.contact == "compliant" else "stiff walls"
-    where = f"with {walls}" if world.contacts else "without walls"
-    yield "goal", join_items(goal_items(run.arrival))
-    yield "simulation", f"in Drake's Simulator, {where}; {_METHODS[run.method]}"
-    if run.is_interrupted:
-        yield "interrupted", CUT_SHORT
-    d = run.disturbance
-    disturbed = {
-        f"start off by {weight_text(d.start_offset)}": d.start_offset.any(),
-        f"masses times {d.mass_factor:g}": d.mass_factor != 1,
-        f"friction times {d.friction_factor:g}": d.friction_factor != 1,
-        f"walls {1e3 * d.wall_shift:g} mm nearer": d.wall_shift,
-        f"restitution times {d.restitution_factor:g}": d.restitution_factor != 1,
-        f"a kick of {weight_text(d.kick)} at {d.kick_time:g} s": d.kick.any(),
-        f"noise of {weight_text(d.noise)} (seed {d.seed})": d.noise.any(),
-        f"commands {1e3 * d.delay:g} ms late": d.delay,
-    }
-    yield "disturbed", "; ".join(text for text, is_so in disturbed.items() if is_so) or "by nothing"
-    first = cost_text(run.promised, 3)
-    yield "cost", f"{cost_text(run.cost, 3)} along what happened; the first plan promises {first}"
-    yield "ends", f"at {run.duration:g} s"
-    pairs = zip(replay.bounce_times, replay.bounce_contacts, strict=True)
-    touches = list_some(name_touch(pair, touch_names(world)) for pair in pairs)
-    touched = f"touches {touches}" if touches else "nothing is touched"
-    yield "walls", f"deepest penetration {length_text(replay.max_penetration)}; {touched}"
-    if broken := replay.broken:
-        yield "breaks", ", ".join(f"{name} by {replay.violations[name]:.1g}" for name in broken)
-    if run.ticks:
-        yield "ticks", describe_ticks(run)
-        times = ", ".join(f"{switch.time:.2f} s" for switch in run.switches)
-        taken = f"another plan was taken at {times}"
-        yield "switches", taken if times else "the first plan was improved only"
-        learned, known = run.ticks[-1].restitution, run.scenario.restitution
-        if learned not in (None, known):
-            yield "learned", f"walls return {learned:.3f} of a speed; the scenario says {known:g}"
-
-
-def describe_ticks(run: ClosedLoopRun) -> str:
-    """Returns how many ticks there were, and how long they took."""
-    seconds = 1e3 * np.array([tick.seconds for tick in run.ticks])
-    text = f"{len(seconds)}; the first took {seconds[0]:.0f} ms"
-    if len(seconds) == 1:
-        return text
-    middle, late = np.percentile(seconds[1:], [50, 99])
-    return f"{text}, others {middle:.1f} ms (median), {late:.1f} ms (99 %)"

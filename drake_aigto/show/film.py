@@ -316,3 +316,9 @@ def _shape_ring(
 def _around(count: int) -> Floats:
     """Returns the angles of `count` points around a circle [rad]."""
     return 2 * np.pi * np.arange(count) / count
+
+
+def on_white(color: Rgba) -> tuple[float, float, float]:
+    """Returns how a translucent color looks on white."""
+    red, green, blue = (1 - color.a() * (1 - part) for part in (color.r(), color.g(), color.b()))
+    return red, green, blue

@@ -27,8 +27,6 @@ from drake_aigto.show.facts import (
     answer_facts,
     candidate_texts,
     count_candidates,
-    describe_ticks,
-    run_facts,
     verdict_facts,
 )
 from drake_aigto.show.film import open_meshcat
@@ -41,6 +39,7 @@ from drake_aigto.show.report_figures import (
     motion_of_run,
     motions_of_switches,
 )
+from drake_aigto.show.run_facts import describe_ticks, run_facts
 from drake_aigto.show.scene import play, publish
 from drake_aigto.show.text import (
     contact_names,

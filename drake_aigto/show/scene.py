@@ -18,6 +18,7 @@ from drake_aigto.show.film import (
     ROOT,
     Film,
     look_at,
+    on_white,
     put_behind,
     put_in_front,
     shape_arc,
@@ -35,12 +36,7 @@ from drake_aigto.show.motion import (
     motions_of_plan,
     time_span,
 )
-from drake_aigto.show.playback import (
-    Playback,
-    list_events,
-    list_numbers,
-    stand_side_by_side,
-)
+from drake_aigto.show.playback import Playback, list_events, list_numbers, stand_side_by_side
 from drake_aigto.show.shapes import (
     Actor,
     find_goal,
@@ -219,7 +215,7 @@ class _Scene:
             (slides, "cone of friction: filled while it sticks, ribs while it slips", _MAGENTA),
             (free, f"touches nothing: {', '.join(free)}", _GRAY),
         ]
-        return [(to_hex(_on_white(color)), text) for is_so, text, color in found if is_so]
+        return [(to_hex(on_white(color)), text) for is_so, text, color in found if is_so]
 
     def find_corners(self) -> tuple[Floats, Floats]:
         """Returns corners in T's x and y of what is to be seen with its arrows, (2,) each [m]."""
@@ -401,9 +397,3 @@ class _Scene:
 def _find(acts: Bools) -> list[int]:
     """Returns the contacts that act in any row, of shape (K, m)."""
     return list(map(int, np.flatnonzero(acts.any(axis=0))))
-
-
-def _on_white(color: Rgba) -> tuple[float, float, float]:
-    """Returns how a translucent color looks on white."""
-    red, green, blue = (1 - color.a() * (1 - part) for part in (color.r(), color.g(), color.b()))
-    return red, green, blue

@@ -1,0 +1,85 @@
+"""Facts about runs in the loop, and these as text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drake_aigto.show.facts import Fact, format_facts
+from drake_aigto.show.text import (
+    cost_text,
+    goal_items,
+    join_items,
+    length_text,
+    list_some,
+    name_touch,
+    touch_names,
+    weight_text,
+)
+
+if TYPE_CHECKING:
+    from drake_aigto.control import ClosedLoopRun
+
+CUT_SHORT = "Ctrl-C ended the simulation; this is what happened by then"
+
+_METHODS = {
+    "tracking": "a plan is tracked (TrackingController)",
+    "replanning": "it plans again at every tick (ModelPredictiveController)",
+}
+
+
+def format_run(run: ClosedLoopRun) -> str:
+    """Returns what happened in the loop, as text."""
+    return "\n".join(format_facts(run_facts(run)))
+
+
+def run_facts(run: ClosedLoopRun) -> Iterator[Fact]:
+    """Yields what happened in the loop."""
+    replay, world = run.replay, run.world
+    walls = "soft walls" if run.scenario.contact == "compliant" else "stiff walls"
+    where = f"with {walls}" if world.contacts else "without walls"
+    yield "goal", join_items(goal_items(run.arrival))
+    yield "simulation", f"in Drake's Simulator, {where}; {_METHODS[run.method]}"
+    if run.is_interrupted:
+        yield "interrupted", CUT_SHORT
+    d = run.disturbance
+    disturbed = {
+        f"start off by {weight_text(d.start_offset)}": d.start_offset.any(),
+        f"masses times {d.mass_factor:g}": d.mass_factor != 1,
+        f"friction times {d.friction_factor:g}": d.friction_factor != 1,
+        f"walls {1e3 * d.wall_shift:g} mm nearer": d.wall_shift,
+        f"restitution times {d.restitution_factor:g}": d.restitution_factor != 1,
+        f"a kick of {weight_text(d.kick)} at {d.kick_time:g} s": d.kick.any(),
+        f"noise of {weight_text(d.noise)} (seed {d.seed})": d.noise.any(),
+        f"commands {1e3 * d.delay:g} ms late": d.delay,
+    }
+    yield "disturbed", "; ".join(text for text, is_so in disturbed.items() if is_so) or "by nothing"
+    first = cost_text(run.promised, 3)
+    yield "cost", f"{cost_text(run.cost, 3)} along what happened; the first plan promises {first}"
+    yield "ends", f"at {run.duration:g} s"
+    pairs = zip(replay.bounce_times, replay.bounce_contacts, strict=True)
+    touches = list_some(name_touch(pair, touch_names(world)) for pair in pairs)
+    touched = f"touches {touches}" if touches else "nothing is touched"
+    yield "walls", f"deepest penetration {length_text(replay.max_penetration)}; {touched}"
+    if broken := replay.broken:
+        yield "breaks", ", ".join(f"{name} by {replay.violations[name]:.1g}" for name in broken)
+    if run.ticks:
+        yield "ticks", describe_ticks(run)
+        times = ", ".join(f"{switch.time:.2f} s" for switch in run.switches)
+        taken = f"another plan was taken at {times}"
+        yield "switches", taken if times else "the first plan was improved only"
+        learned, known = run.ticks[-1].restitution, run.scenario.restitution
+        if learned not in (None, known):
+            yield "learned", f"walls return {learned:.3f} of a speed; the scenario says {known:g}"
+
+
+def describe_ticks(run: ClosedLoopRun) -> str:
+    """Returns how many ticks there were, and how long they took."""
+    seconds = 1e3 * np.array([tick.seconds for tick in run.ticks])
+    text = f"{len(seconds)}; the first took {seconds[0]:.0f} ms"
+    if len(seconds) == 1:
+        return text
+    middle, late = np.percentile(seconds[1:], [50, 99])
+    return f"{text}, others {middle:.1f} ms (median), {late:.1f} ms (99 %)"
