@@ -243,7 +243,8 @@ def finish(problem: MechanismTask, motion: Motion) -> float:
     often = len(motion.controls) // count
     states, controls = motion.states[::often], motion.controls.reshape(count, often, -1).mean(1)
     shooting = problem.shooting(count)
-    closed = shooting.solve(controls, states, find_tight(problem.world))
+    start, step = problem.scenario.initial_position, problem.scenario.time_step
+    closed = shooting.solve(controls, states, find_tight(problem.world, start, step))
     try:
         replay = problem.judge(Origin("IPOPT"), closed, problem.polish(closed)).replay
     except TrajectoryError:

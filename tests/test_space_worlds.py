@@ -23,7 +23,9 @@ from drake_aigto import (
     World,
 )
 from drake_aigto.cli import FINE, main
+from drake_aigto.contact import CompliantLaw, contact_law
 from drake_aigto.errors import ControlError, ModelError, ProgramError, ScenarioError
+from drake_aigto.planning import Reaches
 from drake_aigto.show import ROOT, Motion, Stage, draw_mechanism, motions_of_plan, publish
 from drake_aigto.simulation import replay_drake, replay_event_driven
 from drake_aigto.world import SpaceWorld, TaskCost
@@ -212,6 +214,40 @@ _LOOP = "".join(
 def test_what_is_no_driven_tree_is_refused_by_name(tmp_path: Path, text: str, match: str) -> None:
     with pytest.raises(ModelError, match=match):
         World.from_scenario(make_scenario(tmp_path, text))
+
+
+def test_a_hand_reaches_where_it_pushes_the_object_along_and_sticks_to_it(tmp_path: Path) -> None:
+    world, scenario = build(make_scenario(tmp_path))
+    cost, start = TaskCost.of(world, scenario), scenario.initial_position
+    law = contact_law(world, scenario)
+    assert isinstance(law, CompliantLaw)
+    reaches = Reaches(world, law, cost, np.full(9, 0.3))
+    assert [world.contacts[i].name for i in reaches.contacts] == ["m::ball with m::tip"]
+    times = np.linspace(0.0, 1.0, 51)
+    path = reaches.find_path(times, start, (0.4, 1.0), np.random.default_rng(0))
+    pushed = times > 0.4
+    assert np.all(np.abs(world.calc_signed_distance(path)[pushed, reaches.contacts]) < 2e-3)
+    (ball,) = (world.plant.GetJointByName("thing").position_start() + 4,)
+    between = path[:, ball : ball + 3] - path[:, :3]
+    assert np.all(np.ptp(between[pushed], axis=0) < 2e-3)  # It sticks,
+    assert np.mean(between[pushed, 0]) > 0.95 * 0.1  # behind the ball, whose way is along x.
+    np.testing.assert_allclose(world.subtract(path[-1], scenario.goal_position)[6:], 0, atol=1e-9)
+    bounds, state = np.array([[-10.0] * 3, [10.0] * 3]), (start, scenario.initial_velocity)
+    controls = reaches.push(times, state, (0.4, 1.0), bounds, np.random.default_rng(0))
+    replay = replay_event_driven(world, scenario, times, controls)
+    assert replay.positions[-1, ball] > 0.1  # Contact does the rest.
+
+
+@pytest.mark.slow  # Shooting over trees is compiled.
+@pytest.mark.parametrize("name", ["finger_and_ball/roll", "finger_and_box/push"])
+def test_shipped_plans_in_space_bring_objects_to_their_goals(name: str) -> None:
+    planner = Planner(Scenario.named(name), PlanOptions(renewals=16, finalists=1))
+    plan, cost = planner.plan(), TaskCost.of(planner.world, planner.scenario)
+    assert plan.holds and len(list(plan.replay)) == 2
+    for positions in (plan.trajectory.positions, *(r.positions for r in plan.replay)):
+        off = np.abs(cost.goal_errors(positions[-1])) * cost.is_asked
+        assert np.max(off[~planner.world.turns]) < 0.02  # [m]
+        assert np.max(off[planner.world.turns]) < 0.1  # [rad]
 
 
 @pytest.mark.slow  # Shooting over trees is compiled.

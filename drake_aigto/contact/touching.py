@@ -6,12 +6,12 @@ The law is Drake's, of continuous point contact:
 
 acts on A at C = (p_A + p_B)/2, and −f on B: n is the normal from B to A, p_A and p_B are witness
 points, v = v_A − v_B is the relative velocity of the material at C, φ̇ = n · v, v_t = v − φ̇ n, and σ
-that of `calc_friction_share`. While a search is on, φ is known to a width ε (logistic noise), and
-v_t to a speed ε / T:
+that of `calc_friction_share`. While a search is on, φ is known to a width w = ε × share (logistic
+noise), v_t to a speed ε / T, and springs that are wide are soft:
 
-    x = ε log(1 + exp(−φ / ε)),    v_s² + (ε / T)² in place of v_s²
+    x = w log(1 + exp(−φ / w)),    k min(1, g / w) for k,    v_s² + (ε / T)² for v_s²
 
-which is the law itself at ε = 0.
+which is the law itself at ε = 0. With k from afar, light bodies would be thrown.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from drake_aigto.geometry import (
 from drake_aigto.kernels import inner, kernel
 
 # Columns of `TouchTable.law`.
-STIFFNESS, DISSIPATION, FRICTION, STICTION = range(4)
+STIFFNESS, DISSIPATION, FRICTION, STICTION, SHARE, GIVE = range(6)
 # Beyond this many widths ε a depth is below e⁻³² ε: no contact.
 _FAR = 32.0
 
@@ -42,7 +42,7 @@ class TouchTable(NamedTuple):
 
     shapes: Shapes
     pairs: Ints  # shapes A and B of each, A's kind the lower number, shape (P, 2)
-    law: Floats  # k [N/m], d [s/m], μ, v_s [m/s] of each pair, shape (P, 4)
+    law: Floats  # k [N/m], d [s/m], μ, v_s [m/s], share, g [m] of each pair, shape (P, 6)
     # Degrees of freedom that move A or B but not both; of pair i from starts[i] to starts[i + 1].
     starts: Ints  # shape (P + 1,)
     chain: Ints
@@ -132,7 +132,7 @@ def push(
     place_shapes(table.shapes, poses, room.rotations, room.places)
     for pair in range(table.pairs.shape[0]):
         room.found[pair, 1] = 0.0
-        if meet(table, pair, _FAR * eps, room):
+        if meet(table, pair, _FAR * eps * table.law[pair, SHARE], room):
             _push_pair(table, pair, S, v, eps, pace, has_slopes, room, force, slopes)
 
 
@@ -156,9 +156,12 @@ def _push_pair(
         for k in range(3):
             row[k] += S[i, 3 + k]
             speed[k] += s * row[k] * v[i]
-    rate, (depth, by_distance) = dot(n, speed), find_depth(distance, eps)
-    brake = 1.0 - law[DISSIPATION] * rate
-    normal = law[STIFFNESS] * depth * brake
+    width = eps * law[SHARE]
+    rate, (depth, by_distance) = dot(n, speed), find_depth(distance, width)
+    stiffness, brake = law[STIFFNESS], 1.0 - law[DISSIPATION] * rate
+    if width > law[GIVE]:
+        stiffness *= law[GIVE] / width
+    normal = stiffness * depth * brake
     if normal <= 0.0 or brake <= 0.0:
         return
     found[0], found[1] = distance, normal
@@ -172,8 +175,8 @@ def _push_pair(
     for a in range(first, last):
         force[table.chain[a]] += swap * table.signs[a] * dot(J[a - first], f)
     if has_slopes:
-        by_rate = -law[STIFFNESS] * depth * law[DISSIPATION]
-        law_slopes = law[STIFFNESS] * by_distance * brake, by_rate, normal, drag, bend
+        by_rate = -stiffness * depth * law[DISSIPATION]
+        law_slopes = stiffness * by_distance * brake, by_rate, normal, drag, bend
         _differentiate(table, pair, S, v, rate, law_slopes, room, slopes)
 
 

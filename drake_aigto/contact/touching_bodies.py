@@ -19,6 +19,10 @@ from drake_aigto.dynamics import (
 from drake_aigto.kernels import inner
 from drake_aigto.world import SpaceWorld
 
+# Part of the width of contacts that counts where bodies are moved by no actuator; and the force of
+# springs from afar, in weights of what they move.
+_RESTING, _WEIGHTS = 0.03, 3.0
+
 
 class Bodies(NamedTuple):
     """A tree and its pairs of shapes."""
@@ -59,16 +63,32 @@ def make_touch_table(world: SpaceWorld, law: CompliantLaw) -> TouchTable:
         law.dissipation,
         law.friction,
         np.full(len(signs), world.stiction_speed),
+        *_find_widths(world, law),
     )
     return TouchTable(
         shapes=world.geometry.shapes,
         pairs=world.geometry.pairs,
-        law=np.column_stack(numbers).reshape(-1, 4),
+        law=np.column_stack(numbers).reshape(-1, 6),
         starts=np.cumsum([0, *map(len, moving)]),
         chain=np.concatenate([np.zeros(0, dtype=np.int64), *moving]).astype(np.int64),
         signs=np.concatenate([np.zeros(0), *(s[i] for s, i in zip(signs, moving, strict=True))]),
         carries=before,
     )
+
+
+def _find_widths(world: SpaceWorld, law: CompliantLaw) -> tuple[Floats, Floats]:
+    """Returns the part of ε that counts for each pair, and how far its spring gives [m].
+
+    What no actuator moves is not uncertain: bodies rest on others as they do. And of what is, a
+    spring from afar pushes no harder than some times the weight of the mass that it moves there.
+    """
+    driven = np.any(world.actuation[world.tree.velocities], axis=1)
+    share = np.where(np.any((world.signs != 0) & driven, axis=1), 1.0, _RESTING)
+    q, g = world.plant.GetDefaultPositions(), world.plant.gravity_field().gravity_vector()
+    J = world.calc_contact_jacobian(q)
+    mobility = np.einsum("ij,ji->i", J, np.linalg.solve(world.calc_mass_matrix(q), J.T))
+    weight = float(np.linalg.norm(g)) / np.maximum(mobility * law.stiffness, 1e-300)
+    return share, _WEIGHTS * weight if np.any(g) else np.full(len(share), np.inf)
 
 
 @inner

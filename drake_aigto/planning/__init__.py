@@ -30,6 +30,7 @@ from drake_aigto.planning.mechanisms.phases import (
     lay_out,
     make_trajectory,
 )
+from drake_aigto.planning.mechanisms.reaches import Reaches
 from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask, make_mechanism_task
 from drake_aigto.planning.mechanisms.search import MechanismSearch
 from drake_aigto.planning.mechanisms.task import MechanismTask
@@ -97,6 +98,7 @@ __all__ = [
     "ProgramTask",
     "Progress",
     "Proposal",
+    "Reaches",
     "Regulator",
     "Replays",
     "RigidMechanismTask",

@@ -19,7 +19,7 @@ def make_no_touch(num_velocities: int) -> TouchTable:
     shapes = Shapes(counts, counts, np.zeros((0, 3, 3)), none, none.copy(), np.zeros(0))
     carries = np.zeros((num_velocities, num_velocities), dtype=np.bool_)
     pairs, starts = np.zeros((0, 2), dtype=np.int64), np.zeros(1, dtype=np.int64)
-    return TouchTable(shapes, pairs, np.zeros((0, 4)), starts, counts, np.zeros(0), carries)
+    return TouchTable(shapes, pairs, np.zeros((0, 6)), starts, counts, np.zeros(0), carries)
 
 
 @dataclass(frozen=True, eq=False)

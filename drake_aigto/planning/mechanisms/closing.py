@@ -10,7 +10,13 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, calc_dissipation
-from drake_aigto.shooting import ShootingOptions, ShootingProblem, ShootingResult, Smoothing
+from drake_aigto.shooting import (
+    ShootingOptions,
+    ShootingProblem,
+    ShootingResult,
+    Smoothing,
+    TreeMechanism,
+)
 from drake_aigto.simulation import EVENT_DRIVEN, Held, HeldControl, has_knots, replay_with
 from drake_aigto.world import Scenario, World, find_anywhere
 
@@ -72,6 +78,8 @@ _FROM_AFAR = tuple(Smoothing(each, 15, 1e-2) for each in (1.0, 0.3, 0.1, 0.03, 0
 _EXACT, _MOST_SUBSTEPS = 1e-3, 64
 # A motion that halved steps change by less is steady: its controls reproduce it closely.
 _STEADY = 0.1
+# Times the cost of a motion that another one costs at most, which is as good.
+_HARDLY = 1.05
 # A motion that violates its bounds by more (relative to the scales) won't become a plan.
 HOPELESS = 0.05
 
@@ -119,14 +127,29 @@ def find_closing(
         return options
     turn = time_step * _calc_pace(world, law, q)
     if law.has_friction:
-        return _from_afar(options, turn)
-    substeps = max(1, int(np.ceil(turn / _RESOLVING_STEP)))
-    return options if is_aimed else dataclasses.replace(NEAR, substeps=substeps)
+        options = _from_afar(options, turn)
+    elif not is_aimed:
+        options = dataclasses.replace(NEAR, substeps=max(1, int(np.ceil(turn / _RESOLVING_STEP))))
+    return _resolve_dampers(options, world, q, time_step)
 
 
-def find_tight(world: World) -> ShootingOptions:
-    """Returns the options for refining closed motions in short time steps."""
-    return TIGHT if world.dry_friction is None else TIGHT_DRY
+def find_tight(world: World, q: Floats, time_step: float) -> ShootingOptions:
+    """Returns the options for refining closed motions; arguments are those of `find_closing`."""
+    if world.dry_friction is not None:
+        return TIGHT_DRY
+    return _resolve_dampers(TIGHT, world, q, time_step)
+
+
+def _resolve_dampers(
+    options: ShootingOptions, world: World, q: Floats, time_step: float
+) -> ShootingOptions:
+    """Returns options with Runge-Kutta steps in which the dampers of joints are stable."""
+    each = np.eye(world.num_velocities)
+    at = np.tile(q, (len(each), 1))
+    D = (world.calc_bias(at, each) - world.calc_bias(at, -each)).T / 2  # Squares of v cancel.
+    rates = np.abs(np.linalg.eigvals(np.linalg.solve(world.calc_mass_matrix(q), D)))
+    least = int(np.ceil(time_step * np.max(rates) / _LONGEST_STEP))
+    return dataclasses.replace(options, substeps=max(options.substeps, least))
 
 
 def soften(world: World, law: RigidLaw, time_step: float, speed: float) -> CompliantLaw:
@@ -234,6 +257,29 @@ def steady(
     )
 
 
+def close_gaps(
+    problem: ShootingProblem,
+    motion: ShootingResult,
+    controls: Floats,
+    states: Floats | None,
+    options: ShootingOptions,
+    prices: Floats | None = None,
+) -> ShootingResult:
+    """Returns the local optimum near states and controls of a motion.
+
+    In space, where contact may get lost as gaps between states are closed, that near the controls
+    counts if it costs hardly more than the motion. Other arguments are those of
+    `ShootingProblem.solve`.
+    """
+    if states is None or not isinstance(problem.mechanism, TreeMechanism):
+        return problem.solve(controls, states, options, prices)
+    found = problem.solve(controls, None, options, prices)
+    if found.violation <= HOPELESS and found.cost <= _HARDLY * motion.cost:
+        return found
+    other = problem.solve(controls, states, options, prices)
+    return min(found, other, key=lambda each: (each.violation > HOPELESS, each.cost))
+
+
 def halve_steps(problem: ShootingProblem, motion: ShootingResult) -> ShootingResult:
     """Returns the local optimum near a motion, its Runge-Kutta steps halved until they agree.
 
@@ -253,7 +299,7 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult) -> ShootingRes
         is_unstable = problem.is_unstable(motion)
         states = motion.states if is_unstable or error > _STEADY else None
         options = dataclasses.replace(options, is_wary=is_unstable)
-        motion = problem.solve(motion.controls, states, options, motion.prices)
+        motion = close_gaps(problem, motion, motion.controls, states, options, motion.prices)
         if motion.violation > HOPELESS or motion.substeps >= _MOST_SUBSTEPS:
             return motion
         error = problem.estimate_error(motion)

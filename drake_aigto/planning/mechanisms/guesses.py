@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -10,15 +10,18 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.contact import CompliantLaw, calc_pushes
+from drake_aigto.errors import TrajectoryError
 from drake_aigto.planning.mechanisms.measures import Measures
+from drake_aigto.planning.mechanisms.reaches import Reaches
 from drake_aigto.planning.sequences import read_touches_of
 from drake_aigto.shooting import ShootingProblem, ShootingResult
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import TouchSequence
-from drake_aigto.world import World
+from drake_aigto.world import SpaceWorld, World
 
-StartName: TypeAlias = Literal["rest", "coast", "line", "turn", "controls"]
-STARTS: tuple[StartName, ...] = get_args(StartName)
+StartName: TypeAlias = Literal["rest", "coast", "line", "turn", "controls", "push"]
+_PUSH: StartName = "push"
+STARTS: tuple[StartName, ...] = get_args(StartName)[:-1]  # In any world.
 
 # Largest amplitudes of the waves that are added to a path: of a slider in its unit, of a hinge.
 _FAR, _ROUND = 0.5, np.pi
@@ -26,8 +29,11 @@ _MOST_WAVES = 3
 # Powers of ten of amplitudes of controls, in those that move by the units in the duration; and the
 # numbers of their knots.
 _EFFORTS, _FEWEST, _MOST = (-1.0, 0.7), 2, 8
-# Power of ten of the widest contact, in the unit of distances, where closing begins.
-_WIDTHS = (-3.0, 0.0)
+# Power of ten of the widest contact, in the unit of distances, where closing begins; and where
+# bodies touch already.
+_WIDTHS, _NARROW = (-3.0, 0.0), (-3.0, -1.5)
+# When hands begin to push, as parts of the duration; and the last part of it in which they do anew.
+_BEGINS, _LAST_PUSH = (0.1, 0.6), 0.2
 # A motion that departs by less than this part of its units rests.
 _STILL = 1e-6
 # Parts of a motion's units by which it is perturbed, as powers of ten.
@@ -79,7 +85,8 @@ class Guesses:
     Paths are standing still (rest), the uncontrolled motion (coast), and a move to the goal (line),
     or to it from the other side where turns of a hinge do not count (turn). A move begins after a
     wait and ends before the end, or not; it lasts from the mechanism's own period up to all of the
-    duration. Waves are added, and inverse dynamics gives the controls of a path,
+    duration. Waves are added. In space a hand may reach for an object and push it to its goal, too
+    (push: `Reaches`). Inverse dynamics gives the controls of a path,
 
         u = B⁺ (M(q) v̇ + h(q, v) − J(q)ᵀ f(q, v))   within bounds,
 
@@ -111,6 +118,9 @@ class Guesses:
         self._start, self._velocity = world.split(problem.start)
         self._turns = cost.is_modulo | cost.is_chordal
         self._way = -cost.goal_errors(self._start)
+        self._reaches: Reaches | None = None
+        if isinstance(world, SpaceWorld):
+            self._reaches = Reaches(world, law, cost, measures.position)
 
     @property
     def starts(self) -> tuple[StartName, ...]:
@@ -119,7 +129,10 @@ class Guesses:
         path = self._coast.states[:, : self._world.num_positions]
         moved = np.abs(self._world.subtract(path, self._start))
         is_still = bool(np.all(moved <= _STILL * self._measures.position))
-        return tuple(each for each in STARTS if each not in {*same, *(["coast"] * is_still)})
+        others = [each for each in STARTS if each not in {*same, *(["coast"] * is_still)}]
+        if self._reaches and len(self._reaches.contacts):
+            return tuple(name for each in others for name in (_PUSH, each))
+        return tuple(others)
 
     def plain(self, start: StartName) -> Guess:
         """Returns the guess of a start as it is: no wait, no waves, no control."""
@@ -139,11 +152,29 @@ class Guesses:
         width = 10 ** rng.uniform(*_WIDTHS)
         if start == "controls":
             return Guess(times, self._draw_controls(rng, times, begin, end), None, width)
+        if start == _PUSH:
+            return self._push(times, (self._start, self._velocity), rng)
         path = self._find_path(start, times, begin, end)
         path = self._world.add(path, self._draw_waves(rng, times))
         return self._follow(times, path, width)
 
     def renew(self, motion: ShootingResult, rng: np.random.Generator) -> Guess:
+        """Returns a motion with a stretch of its path, or of its controls, perturbed, or moved.
+
+        In space, where gaps that are closed at once lose contact, only controls are kept, and every
+        second time a hand reaches and pushes anew, from somewhere on the way.
+        """
+        if self._reaches is None:
+            return self._perturb(motion, rng)
+        if len(self._reaches.contacts) and rng.integers(2):
+            k = int(rng.uniform(0.0, 1.0 - _LAST_PUSH) * len(motion.controls))
+            guess = self._push(motion.times[k:], self._world.split(motion.states[k]), rng)
+            controls = np.vstack([motion.controls[:k], guess.controls])
+            return replace(guess, times=motion.times, controls=controls)
+        guess = self._perturb(motion, rng)
+        return replace(guess, states=None, width=10 ** rng.uniform(*_NARROW))
+
+    def _perturb(self, motion: ShootingResult, rng: np.random.Generator) -> Guess:
         """Returns a motion with a stretch of its path, or of its controls, perturbed, or moved."""
         T, N = float(motion.times[-1]), len(self._problem.times) - 1
         times, width = np.linspace(0.0, T, N + 1), 10 ** rng.uniform(*_WIDTHS)
@@ -216,6 +247,19 @@ class Guesses:
         if start == "coast" and np.isfinite(coast).all():
             return self._world.normalized(interpolate(times, self._coast.times, coast))
         return np.tile(self._start, (len(times), 1))
+
+    def _push(self, times: Floats, state: tuple[Floats, Floats], rng: np.random.Generator) -> Guess:
+        """Returns the controls of a hand that reaches for an object from a state, and pushes it."""
+        assert self._reaches is not None
+        width, T = 10 ** rng.uniform(*_NARROW), times[-1] - times[0]
+        begin = times[0] + rng.uniform(*_BEGINS) * T
+        stretch = begin, begin + rng.uniform(0.5, 1.0) * (times[-1] - begin)
+        bounds = np.array(self._problem.control_bounds)
+        try:
+            controls = self._reaches.push(times, state, stretch, bounds, rng)
+        except TrajectoryError:  # It runs away.
+            controls = np.zeros((len(times) - 1, self._world.num_actuators))
+        return Guess(times, controls, None, width)
 
     def _draw_waves(self, rng: np.random.Generator, times: Floats) -> Floats:
         """Returns a random sum of waves that vanishes at the start, shape (N + 1, n)."""

@@ -14,7 +14,7 @@ from drake_aigto.arrays import interpolate
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.planning.candidate import COASTING, GIVEN, Candidate, Origin
 from drake_aigto.planning.mechanisms.closing import Aim
-from drake_aigto.planning.mechanisms.guesses import Guess, StartName
+from drake_aigto.planning.mechanisms.guesses import STARTS, Guess, StartName
 from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask
 from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.mechanisms.touches import NEAR
@@ -30,6 +30,7 @@ _LOG = logging.getLogger(__name__)
 _Key: TypeAlias = tuple[tuple[int, int, int, int], ...]
 
 _WORDS: dict[StartName, str] = {
+    "push": "from a hand that pushes",
     "rest": "from standing still",
     "coast": "from the motion without control",
     "line": "from a line to the goal",
@@ -194,6 +195,7 @@ class MechanismSearch(Search):
         guesses = self.task.guesses
         start = guesses.starts[number % len(guesses.starts)]
         rng = self._make_generator(number, is_renewal=False)
+        is_plain &= start in STARTS
         propose = partial(guesses.plain, start) if is_plain else partial(guesses.draw, start, rng)
         words = f"shooting {_WORDS[start]}" + ("" if is_plain else ", perturbed")
         return Proposal(Origin(words), partial(self._close, propose))

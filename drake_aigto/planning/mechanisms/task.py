@@ -26,6 +26,7 @@ from drake_aigto.planning.mechanisms.closing import (
     POLISH,
     Aim,
     begin_at,
+    close_gaps,
     find_closing,
     find_tight,
     halve_steps,
@@ -204,7 +205,7 @@ class MechanismTask:
             scales=np.concatenate([measures.position, measures.velocity]),
             length=measures.length,
             state_bounds=limit_states(self.world, bounds),
-            least_distances=self.least_distances,
+            least_distances=self.least_distances if self.mechanism.num_contacts else None,
             phases=None if free is None else Phases.free(T, free),
         )
 
@@ -297,7 +298,9 @@ class MechanismTask:
         controls = motion.controls[np.searchsorted(motion.times, (times[1:] + times[:-1]) / 2) - 1]
         q, v = self.world.split(motion.states)
         states = sample_cubic(self.world, motion.times, q, v, times)
-        return problem.solve(controls, states, find_tight(self.world))
+        start, time_step = self.scenario.initial_position, self.scenario.time_step
+        options = find_tight(self.world, start, time_step)
+        return close_gaps(problem, motion, controls, states, options)
 
     def polish(self, motion: ShootingResult, most: float = np.inf) -> ShootingResult:
         """Returns the local optimum near a motion, its time steps halved until they agree.
