@@ -329,13 +329,14 @@ class TrackingController(LoopController):
 
     def _step(self, context: Context, values: DiscreteValues) -> EventStatus:
         """Notes touches that the plant reports, and samples at once where one is over."""
+        is_first = bool(np.isinf(self._read(context, self._groups.last)[0]))
+        if not (is_first or self._results.HasValue(context)):
+            return EventStatus.DidNothing()
         sample, _, x = self._check(context, self._estimate.Eval(context))
         if sample != "valid":
             return EventStatus.DidNothing()
-        if np.isinf(self._read(context, self._groups.last)[0]):
+        if is_first:
             return self._begin(context, values, x, self._read_commands(context))
-        if not self._results.HasValue(context):
-            return EventStatus.DidNothing()
         touches, felt = self._read(context, self._groups.touches), self._feel(context, x)
         if np.array_equal(touches != _APART, felt):
             return EventStatus.DidNothing()
