@@ -40,8 +40,6 @@ _FIRST_CHUNK = 500
 _SOON = 2.0  # seconds from one line of progress to the next
 # Costs below it are lost in what rounding adds to numbers that may underflow.
 _LEAST_SCALE = 1e-290
-# Polynomials of more variables are too many to multiply out.
-_MOST_OF_SQUARES = 0
 # Cells are settled at this part of the required gap.
 _MARGIN = 0.5
 # Dynamic programming bounds up to this many cells for each that branch and bound may use.
@@ -116,11 +114,13 @@ def certify(
 ) -> Certificate:
     """Returns a lower bound of a program's cost over all points that meet its constraints.
 
-    Ctrl-C ends the search; the bound so far is returned, and `Certificate.reason` says so.
+    Ctrl-C ends the search; the bound so far is returned, and `Certificate.reason` says so. What is
+    proven is the formula that Drake holds, which may not be what was written: it makes
+    `pow(pow(x, 2), 0.5)` to `x`, which is wrong where x < 0.
 
     Args:
         prog: costs and constraints linear, quadratic or symbolic; variables with bounds.
-        point: a feasible point, the better the tighter, shape (n,).
+        point: a feasible point, the better the tighter, shape (n,); its rows are not checked.
         gap: relative; small enough.
         cells: the most cells that are bounded; a linear program counts as some of them.
         seconds: the most that it takes, if any; the bound depends on the clock then.
@@ -128,7 +128,8 @@ def certify(
         progress: called with a line of text every two seconds.
 
     Raises:
-        OptionsError: a limit that is not above 0, or a prover that is unknown or not installed.
+        OptionsError: a limit that is not above 0, a point of another size or with NaN, or a prover
+            that is unknown or not installed.
         UnsupportedTermError: a function without an enclosure, or an integer variable, by name.
     """
     if prover not in (known := get_args(Prover)):
@@ -136,6 +137,9 @@ def certify(
     for name, limit in (("gap", gap), ("cells", cells), ("seconds", seconds)):
         if limit is not None and not limit > 0:
             raise OptionsError(name, got=limit, expected="a number above 0")
+    if point is not None and (point.shape != (prog.num_vars(),) or np.any(np.isnan(point))):
+        expected = f"shape ({prog.num_vars()},), no NaN"
+        raise OptionsError("point", got=repr(point.tolist()), expected=expected)
     if prover == "scip":
         return _certify_with_scip(prog, gap, seconds)
     certifier = Certifier(prog, gap=gap, seconds=seconds, progress=progress)

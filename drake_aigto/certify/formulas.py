@@ -24,7 +24,15 @@ from pydrake.symbolic import Expression, ExpressionKind
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.terms import CONES, NORM_COSTS, evaluator_kind, evaluator_label, operands, shown
+from drake_aigto.terms import (
+    CONES,
+    NORM_COSTS,
+    check_continuous,
+    evaluator_kind,
+    evaluator_label,
+    operands,
+    shown,
+)
 
 # Evaluators that give their formulas back, what they are called, and the remedy for others.
 _COSTS = (
@@ -164,8 +172,10 @@ def read_formulas(prog: MathematicalProgram) -> Formulas:
     """Returns the formulas of a program.
 
     Raises:
-        UnsupportedTermError: a cost or a row has no formula that Drake gives back.
+        UnsupportedTermError: a cost or a row has no formula that Drake gives back, or a variable is
+            not continuous.
     """
+    check_continuous(prog)
     index = {variable.get_id(): i for i, variable in enumerate(prog.decision_variables())}
     lower, upper = np.full(prog.num_vars(), -np.inf), np.full(prog.num_vars(), np.inf)
     summands: list[Summand] = []

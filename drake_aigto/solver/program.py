@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.solvers import Binding, EvaluatorBase, MathematicalProgram
-from pydrake.symbolic import Variable
 
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
@@ -26,6 +25,7 @@ from drake_aigto.terms import (
     Term,
     TermBlock,
     TooManyTermsError,
+    check_continuous,
     evaluate,
     evaluator_name,
     from_terms,
@@ -81,14 +81,7 @@ class ParsedProgram:
                 are not continuous; by name.
             ContradictionError: bounds or constants alone leave no feasible point.
         """
-        for variable in prog.decision_variables():
-            if variable.get_type() != Variable.Type.CONTINUOUS:
-                raise UnsupportedTermError(
-                    f"the variable {variable} can't be solved for",
-                    got=f"one of type {variable.get_type().name}",
-                    expected="continuous variables",
-                    remedy="Relax it, or use a mixed-integer solver.",
-                )
+        check_continuous(prog)
         parsed = cls(prog.num_vars())
         for label, evaluator, copies in shared_evaluators(prog, prog.GetAllConstraints()):
             parsed.rows += parse_rows(label, evaluator, copies)

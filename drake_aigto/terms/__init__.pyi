@@ -21,6 +21,7 @@ from .products import with_own_variables as with_own_variables
 from .programs import CONES as CONES
 from .programs import NORM_COSTS as NORM_COSTS
 from .programs import ParsedRow as ParsedRow
+from .programs import check_continuous as check_continuous
 from .programs import evaluator_kind as evaluator_kind
 from .programs import evaluator_label as evaluator_label
 from .programs import evaluator_name as evaluator_name

@@ -28,7 +28,7 @@ from pydrake.solvers import (
     QuadraticCost,
     RotatedLorentzConeConstraint,
 )
-from pydrake.symbolic import Expression
+from pydrake.symbolic import Expression, Variable
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
@@ -120,6 +120,22 @@ def shared_evaluators(
     for evaluator, group in grouped.items():
         copies = [prog.FindDecisionVariableIndices(binding.variables()) for binding in group]
         yield evaluator_label(group[0]), evaluator, copies
+
+
+def check_continuous(prog: MathematicalProgram) -> None:
+    """Refuses variables that are not continuous.
+
+    Raises:
+        UnsupportedTermError: there is one, by name.
+    """
+    for variable in prog.decision_variables():
+        if variable.get_type() != Variable.Type.CONTINUOUS:
+            raise UnsupportedTermError(
+                f"the variable {variable} can't be solved for",
+                got=f"one of type {variable.get_type().name}",
+                expected="continuous variables",
+                remedy="Relax it, or use a mixed-integer solver.",
+            )
 
 
 def evaluator_name(evaluator: EvaluatorBase) -> str:
