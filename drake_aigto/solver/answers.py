@@ -160,7 +160,10 @@ class Answers:
         """Keeps a point x of a cell, and polishes it; returns the best if feasible."""
         self.keep(x, "a cell of the proof")
         program = self.program
-        better = program.answer(self.polish(program.with_slacks(program.reduce(x)), " of a cell"))
+        start = program.with_slacks(program.reduce(x))
+        if not np.all(np.isfinite(start)):  # Functions of x overflow.
+            return None
+        better = program.answer(self.polish(start, " of a cell"))
         return better if program.violation(better) <= self._options.feasibility else None
 
     def polish_as_given(self) -> None:
