@@ -17,7 +17,7 @@ SPINNER = Scenario.named("spinner/two_radians")
 MODELS = Path(__file__).parents[1] / "models"
 
 
-@pytest.mark.parametrize(("angle", "most"), [(2.8, 5.5), (3.0, 6.97), (np.pi, 6.6)])
+@pytest.mark.parametrize(("angle", "most"), [(2.8, 4.9), (3.0, 5.9), (np.pi, 5.5)])
 def test_a_spinner_is_turned_by_any_angle(angle: float, most: float) -> None:
     reference = np.array(SPINNER.reference_positions)
     reference[-1, -1] = angle
@@ -64,11 +64,10 @@ def test_a_small_spinner_is_turned_as_a_large_one(tmp_path: Path) -> None:
     ("position", "velocity", "most"),
     [
         ([0.8037304251537628, 0.71672183364263], [-0.975128387370213, 0.08554995881670191], 132.0),
-        pytest.param(
+        (
             [0.9350092221974413, 0.6589850492023026],
             [-0.8464870215039917, -2.195667155432691],
-            170.2,
-            marks=pytest.mark.xfail(reason="187.9 is found; it takes other seeds to find 111.5"),
+            132.0,
         ),
     ],
 )
@@ -84,7 +83,7 @@ def test_poles_that_a_wall_has_whirled_up_stand(
 
 def test_a_hopper_hops_for_less_than_in_one_stride() -> None:
     found = plan(Scenario.named("hopper/hop"))
-    assert found.holds and found.cost < 9.0
+    assert found.holds and found.cost < 8.6
     assert found.stats.searches > found.stats.found >= 1
 
 

@@ -112,7 +112,7 @@ def test_a_start_in_a_box_that_yields_is_pushed_out_while_the_center_is_outside(
         {"initial_position": -0.11, "contact": "compliant"},
         {"initial_position": -0.05},
     ):
-        with pytest.raises(ScenarioError, match="initial_position is inside, behind"):
+        with pytest.raises(ScenarioError, match="initial_position is inside or behind"):
             world.check(Scenario(**lying, **changes))
 
 

@@ -22,7 +22,7 @@ from benchmarks.floors import draw, floor_optimum, make_world
 from benchmarks.optima import masses_optimum, walls_optimum
 from benchmarks.worlds import WORLDS
 from drake_aigto import PlanOptions, Scenario, World, plan, replay_drake, replay_event_driven
-from drake_aigto.errors import OptionsError
+from drake_aigto.errors import OptionsError, ScenarioError
 from drake_aigto.planning import (
     BALL_LADDER,
     BallSearch,
@@ -359,3 +359,18 @@ def test_the_reference_of_floors_is_no_worse_than_all_listed_sequences() -> None
         world = make_world(gravity, mass)
         listed = walls_optimum(world, scenario, most_touches=4)
         assert floor_optimum(scenario, gravity, mass).cost <= listed.cost * (1 + 1e-6) + 1e-9
+
+
+def test_a_ball_that_lies_at_a_wall_leaves_it_as_cheaply_as_in_free_flight() -> None:
+    shipped = Scenario.named("table1/1")
+    lies: dict[str, Any] = {"initial_position": [0.0], "initial_velocity": [0.0]}
+    scenario = dataclasses.replace(shipped, **lies, goal_position=[0.5])
+    found = plan(scenario, PlanOptions(starts=2, renewals=0, threads=1))
+    # Free flight from rest: J = 3 m² w_u x²/T³ + w_f (x − goal)² is least at this end x.
+    effort = 3 * shipped.control_weight / shipped.duration**3
+    end = 0.5 * shipped.goal_weight / (shipped.goal_weight + effort)
+    least = effort * end**2 + shipped.goal_weight * (end - 0.5) ** 2
+    assert found.holds and found.cost == pytest.approx(least, rel=1e-3)
+    # Contact sequences of balls begin in flight.
+    with pytest.raises(ScenarioError, match="got one against a wall, expected both away"):
+        Planner(shipped).plan(**lies)

@@ -174,13 +174,13 @@ def test_plans_without_limits_refuse_a_model_that_has_one(write_model: ModelWrit
     ("fields", "message"),
     [
         (
-            {"initial_position": 0.0},
-            r"initial_position is inside, behind or against the wall \(ball against wall\): got a "
-            r"signed distance of 0 m, expected more than 0 m",
+            {"initial_position": -1e-3},
+            r"initial_position is inside or behind the wall \(ball against wall\): got a "
+            r"signed distance of -0.001 m, expected at least 0 m",
         ),
         ({"initial_position": -0.02}, r"initial_position is inside.* got .* -0\.02 m"),
         ({"goal_position": -0.02}, r"goal_position is inside.* got .* -0\.02 m"),
-        ({"initial_position": -1.0}, r"initial_position is inside, behind .* got .* -1 m"),
+        ({"initial_position": -1.0}, r"initial_position is inside or behind .* got .* -1 m"),
         ({"initial_position": [1, 2]}, "initial_position: got 2 values, expected 1, one for each"),
         ({"initial_velocity": [1, 2]}, "initial_velocity: got 2 values, expected 1, one for each"),
         ({"goal_position": [1, 2]}, "goal_position: got 2 values, expected 1, one for each"),
@@ -195,7 +195,7 @@ def test_a_start_and_a_goal_on_two_sides_of_a_thin_wall_are_refused(
     write_model: ModelWriter,
 ) -> None:
     message = (
-        r"goal_position is inside, behind .*The wall is the face that the sphere faces at "
+        r"goal_position is inside or behind .*The wall is the face that the sphere faces at "
         r"q = \[-1\.0\]; start and goal must both be in front of it"
     )
     with pytest.raises(ScenarioError, match=message):

@@ -89,7 +89,9 @@ def listed_sequences(question: Question, first: int = 0) -> Attempts:
     shares = _middles(scenario_of(question).num_steps)
     for rng in _generators(question, first):
         guess = random_control(question, rng, shares)
-        problem = pose(question, list_phases(question, rng))
+        world = WORLDS[question.world]
+        listed = scenario_of(question), world.mechanism.walls, world.touches
+        problem = pose(question, list_phases(*listed, rng))
         for promised, control in shoot([problem], [guess]):
             is_found = np.isfinite(promised)
             yield Attempt(judge(question, control).score if is_found else np.inf, control)

@@ -22,7 +22,7 @@ from pydrake.solvers import MathematicalProgram, SnoptSolver, SolverOptions
 
 from benchmarks.robots.ipopt import MAX_ITERATIONS
 from benchmarks.robots.judge import Control
-from benchmarks.robots.worlds import WORLDS, Question, scenario_of
+from benchmarks.robots.worlds import Question, scenario_of
 from drake_aigto.contact import contact_law
 from drake_aigto.errors import AigtoError
 from drake_aigto.planning import Planner, PlanOptions
@@ -37,7 +37,7 @@ from drake_aigto.shooting import (
     make_memory,
 )
 from drake_aigto.simulation import replay_drake, state_scales
-from drake_aigto.world import Scales, TaskCost, World
+from drake_aigto.world import Scales, Scenario, TaskCost, World
 
 # They soon tell whether a start is any good.
 _COARSE = ShootingOptions(
@@ -114,15 +114,13 @@ def _finish(problem: ShootingProblem, found: ShootingResult) -> ShootingResult:
     return found
 
 
-def list_phases(question: Question, rng: np.random.Generator) -> Phases:
-    """Returns one of all sequences of so many touches, at random times."""
-    scenario, world = scenario_of(question), WORLDS[question.world]
+def list_phases(scenario: Scenario, walls: int, most: int, rng: np.random.Generator) -> Phases:
+    """Returns one of all sequences of at most so many touches, at random times."""
     N, T = scenario.num_steps, scenario.duration
-    walls = range(world.mechanism.walls)
     listed = [
         sequence
-        for touches in range(world.touches + 1)
-        for sequence in itertools.product(walls, repeat=touches)
+        for touches in range(most + 1)
+        for sequence in itertools.product(range(walls), repeat=touches)
     ]
     sequence = listed[rng.integers(len(listed))]
     shares = rng.dirichlet(np.full(len(sequence) + 1, 2.0))

@@ -178,9 +178,10 @@ def needs_shooting(world: World, scenario: Scenario) -> bool:
     """Returns whether a task is more than one of balls between rigid walls.
 
     It is where a joint turns or has limits, M or J depends on q, there is friction, contact is
-    compliant, nothing can touch, or the task is not AIGTO's (`Scenario.is_plain`).
+    compliant, nothing can touch, start or goal lies at a wall, or the task is not AIGTO's
+    (`Scenario.is_plain`).
     """
     is_ball = bool(world.contacts) and world.has_constant_inertia and not world.is_hinge.any()
-    is_free = is_ball and not world.limits.are_any
+    is_free = is_ball and not world.limits.are_any and not world.lies_at_wall(scenario)
     has_friction = scenario.contact == "rigid" and world.friction_coefficients(scenario).any()
     return not (is_free and not has_friction and scenario.is_plain)

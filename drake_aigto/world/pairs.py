@@ -173,16 +173,16 @@ def find_sphere_body(plant: MultibodyPlant, reachable: Sequence[ReachableFace]) 
 def refuse_inside(
     name: str, face: SphereAndFace, distance: float, num_faces: int, plant: MultibodyPlant
 ) -> ScenarioError:
-    """Returns the error of a position inside or against a solid."""
+    """Returns the error of a position inside a solid."""
     faced = np.round(plant.GetDefaultPositions(), 6).tolist()
     remedy = (
         f"The wall is the face that the sphere faces at q = {faced}; start and goal must both be "
         "in front of it."
     )
     return ScenarioError(
-        f"{name} is inside, behind or against the wall ({face.pair})",
+        f"{name} is inside or behind the wall ({face.pair})",
         got=f"a signed distance of {distance:g} m",
-        expected="more than 0 m",
+        expected="at least 0 m",
         remedy=remedy if num_faces == 1 else "Start and goal must both be outside.",
     )
 

@@ -430,6 +430,13 @@ class World(EquationsOfMotion):
             ModelError: there are limits or friction, or nothing can touch.
         """
         scenario.check_plain()
+        if self.lies_at_wall(scenario):
+            raise ScenarioError(
+                "initial_position or goal_position",
+                got="one against a wall",
+                expected="both away from walls, where balls are planned for by contact sequences",
+                remedy="A new Planner of this scenario plans for it by shooting.",
+            )
         self.check_frictionless(scenario)
         self.limits.check_none(self.plant)
         if not self.contacts:
@@ -439,6 +446,11 @@ class World(EquationsOfMotion):
                 expected="a sphere, and a box, half space or sphere that it can touch",
                 remedy="Add <collision> shapes to both links.",
             )
+
+    def lies_at_wall(self, scenario: Scenario) -> bool:
+        """Returns whether a contact is closed at the start, or at the goal."""
+        ends = np.array([scenario.initial_position, scenario.goal_position])
+        return bool(np.any(np.abs(self.calc_clearance(ends)) <= _TOUCHING))
 
     def check(self, scenario: Scenario) -> None:
         """Checks that a scenario can be asked of this world.
@@ -531,16 +543,14 @@ class World(EquationsOfMotion):
         """Refuses a position inside or against a solid, or beside the one face that it has.
 
         Compliant half spaces may be entered: they have no far side to be pushed out of. So may
-        boxes, while the sphere's center is outside, so that its side is known. With friction a
-        sphere may lie against a wall, to slide along it.
+        boxes, while the sphere's center is outside, so that its side is known. A sphere may lie
+        against a wall.
         """
-        friction = self.friction_coefficients(scenario)
         for faces, distance in zip(self.solids, self.calc_clearance(q), strict=True):
             face = self._reachable[faces[0]].face
             has_one_side = face.is_unbounded or distance > -face.radius
             is_soft = has_one_side and scenario.contact == "compliant"
-            lies = friction[list(faces)].any() and abs(distance) <= _TOUCHING
-            if distance <= 0 and not (is_soft or lies):
+            if distance <= 0 and not (is_soft or abs(distance) <= _TOUCHING):
                 raise refuse_inside(name, face, distance, len(faces), self.plant)
             if len(faces) == 1 and not self.is_on_face(q)[faces[0]]:
                 raise refuse_beside(name, face, self._lateral_map(q)[faces[0]])

@@ -220,7 +220,7 @@ def find_lacks(world: World, motion: ShootingResult, margin: float) -> Floats:
     """Returns by how much φ should be larger at knots not to fall below a margin between them.
 
     For solids, that is for the face which the sphere is in front of. It is zero next to a bounce
-    on it.
+    on it, and from the start to where a motion first leaves it by the margin.
 
     Returns:
         At least 0, shape (N + 1, m) [m].
@@ -235,6 +235,8 @@ def find_lacks(world: World, motion: ShootingResult, margin: float) -> Floats:
         there = of_solid[np.arange(N), lowest]
         foremost = there.argmax(axis=1)
         lacks[np.arange(N), np.array(faces)[foremost]] = margin - there.max(axis=1)
+        is_left = np.maximum.accumulate(there.max(axis=1) >= margin)
+        is_touched[:-1, faces] |= ~is_left[:, np.newaxis]
         touched = motion.phases.knots[np.isin(motion.phases.contacts, faces)]
         is_touched[touched[:, np.newaxis], faces] = True
         along = np.flatnonzero(motion.phases.held[:, faces].any(axis=1))

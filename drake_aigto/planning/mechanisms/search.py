@@ -47,6 +47,9 @@ _WAVE = 8
 _NOTHING = 1e-12
 # What is narrowed where a simulation exceeds it, and how often at most.
 _NARROWED, _MOST_NARROWED = {BOUNDS, CLEARANCE}, 2
+# A polish that costs more than this times the motion before it broke its promise: whirled by a
+# wall, a motion in short steps may cost twice as much, or no more, as in long ones.
+_BROKEN = 1.05
 # The polish of a motion diverged if it costs more than this times the best that holds.
 _DIVERGED = 2.0
 # Every second renewal is of the best motion, the others are of one of this many.
@@ -116,7 +119,7 @@ class MechanismSearch(Search):
         self._known: list[KeptMotion] = []  # Motions before and after their polish.
         self._not_simulated: list[tuple[KeptMotion, ShootingResult]] = []  # But polished.
         self._aim = Aim()
-        self._num_closed = self._num_of_use = 0
+        self._num_closed = self._num_of_use = self._num_broken = 0
         self._rigid = task if isinstance(task, RigidMechanismTask) else None
         self._tried: set[_Key] = set()
         self._branched: list[KeptMotion] = []
@@ -338,16 +341,19 @@ class MechanismSearch(Search):
     def _judge_best(self) -> None:
         """Polishes and judges the motions that remain, one of those that are near each other.
 
-        It ends once enough finalists hold, or cost more than one that holds.
+        It ends once enough finalists hold, or promise to cost more than one that holds. Those whose
+        polish broke a promise say nothing of the next ones, which have their turn, too.
         """
         for motion in self._tight:
-            is_full = len(self._holding) + len(self._not_simulated) >= self.task.finalists
+            enough = self.task.finalists + self._num_broken
+            is_full = len(self._holding) + len(self._not_simulated) >= enough
             is_ended = self.is_interrupted and self._known
             if is_full or is_ended or self._is_hopeless(motion):
                 return
             if not any(self._are_same(motion, other) for other in self._known):
                 polished = self._polish(motion)
                 rank = self.task.rank(polished)
+                self._num_broken += rank > (motion.rank[0], scaled(_BROKEN, motion.cost))
                 self._known += [motion, KeptMotion(motion.origin, polished, rank)]
 
     def _tighten(self) -> list[KeptMotion]:

@@ -1,0 +1,392 @@
+"""Questions that nobody shipped: each world's scenarios with another task, drawn by seed.
+
+    python -m benchmarks.questions --tuning --count 2 --json tuning.json     # to tune on
+    python -m benchmarks.questions --json questions.json --resume            # reported, once each
+    python -m benchmarks.questions cart_pole/soft_06 spinner/two_radians --count 20
+
+A question changes some of: start, goal (as far as beyond a turn), horizon, weight of the control,
+stiffness, mass, friction, restitution. What the world refuses is drawn again. Rivals, together with
+ten times the plan's CPU seconds, are shooting from random controls, with listed touches where walls
+are rigid, and between balls cross-entropy; each motion costs what our replay of its control does.
+The best that any run has found of a question is kept in `known_questions.json` if asked.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+import math
+import sys
+import time
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from benchmarks.__main__ import main
+from benchmarks.baselines import run_baseline
+from benchmarks.robots.shooting import list_phases, shoot
+from benchmarks.script import is_met
+from benchmarks.study import StudyQuestion
+from benchmarks.study.flags import add_running, run_asked
+from benchmarks.study.study import Call, Study, round_to
+from drake_aigto import AigtoError, Planner, PlanOptions, Scenario, World, scenario_names
+from drake_aigto.cli import Parser, add_common, positive
+from drake_aigto.contact import contact_law
+from drake_aigto.errors import OptionsError
+from drake_aigto.output import write_text
+from drake_aigto.planning import needs_shooting
+from drake_aigto.progress import Count
+from drake_aigto.shooting import Mechanism, ShootingProblem
+from drake_aigto.simulation import replay_event_driven, state_scales
+
+PATH = Path(__file__).with_name("known_questions.json")
+NEAR, WIDE = 0.01, 0.10
+# Each kind of change is made with this probability, and questions without any are drawn again.
+_SHARE, _MOST_DRAWS = 0.4, 200
+_HORIZON, _MOST_STEPS = (0.3, 4.0), 400
+_FRICTION, _MOST_TOUCHES = (0.01, 5.0), 2
+_MOST_SECONDS = 60.0  # of CPU time of rivals
+# What promises more than this times the best is not replayed; costs have so many digits.
+_PROMISING, _DIGITS = 1.05, 8
+
+Changes = dict[str, Any]
+_Draw = Callable[[np.random.Generator, Scenario, World], Changes]
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(low * (high / low) ** rng.uniform())
+
+
+def _draw_start(rng: np.random.Generator, scenario: Scenario, world: World) -> Changes:
+    q, v = np.split(state_scales(world, scenario), 2)
+    size = 10 ** rng.uniform(-1.5, 0.0)
+    return {
+        "initial_position": scenario.initial_position + size * q * rng.normal(size=len(q)),
+        "initial_velocity": scenario.initial_velocity + size * v * rng.normal(size=len(v)),
+    }
+
+
+def _draw_goal(rng: np.random.Generator, scenario: Scenario, world: World) -> Changes:
+    """Near, or far: of a hinge as far as one and a half turns; a reference goes along with it."""
+    units = state_scales(world, scenario)[: world.num_positions]
+    change = 10 ** rng.uniform(-1.5, 0.0) * units * rng.normal(size=len(units))
+    if world.is_hinge.any() and rng.uniform() < 0.3:
+        change[world.is_hinge] = rng.uniform(-1.5 * np.pi, 1.5 * np.pi, world.is_hinge.sum())
+    changes: Changes = {"goal_position": scenario.goal_position + change}
+    if scenario.reference_positions is not None and scenario.reference_times is not None:
+        share = scenario.reference_times / scenario.duration
+        changes["reference_positions"] = scenario.reference_positions + np.outer(share, change)
+    return changes
+
+
+def _draw_horizon(rng: np.random.Generator, scenario: Scenario, _: World) -> Changes:
+    factor = _log_uniform(rng, *_HORIZON)
+    steps = int(np.clip(round(scenario.num_steps * factor), 10, _MOST_STEPS))
+    duration = scenario.duration * factor
+    changes: Changes = {"duration": duration, "time_step": duration / steps}
+    if scenario.reference_times is not None:
+        changes["reference_times"] = factor * scenario.reference_times
+    if scenario.duration_range is not None:
+        changes["duration_range"] = [factor * each for each in scenario.duration_range]
+    return changes
+
+
+def _draw_effort(rng: np.random.Generator, scenario: Scenario, _: World) -> Changes:
+    return {"control_weight": _log_uniform(rng, 0.1, 10.0) * np.asarray(scenario.control_weight)}
+
+
+def _draw_mass(rng: np.random.Generator, _: Scenario, world: World) -> Changes:
+    return {"mass": _log_uniform(rng, 0.1, 10.0) * world.sphere_mass}
+
+
+def _draw_contact(rng: np.random.Generator, scenario: Scenario, world: World) -> Changes:
+    """Of compliant walls the stiffness, of rigid ones the restitution; and friction."""
+    changes: Changes = {}
+    if scenario.contact == "compliant":
+        stiffness = 2 * float(np.mean(world.stiffness)) * _log_uniform(rng, 0.1, 10.0)
+        changes["material"] = {"*": {"stiffness": stiffness}}
+    else:
+        changes["restitution"] = float(rng.uniform(0.3, 1.0))
+    if world.friction_coefficients(scenario).any():
+        changes["friction"] = _log_uniform(rng, *_FRICTION)
+    return changes
+
+
+_DRAWS: tuple[_Draw, ...] = (
+    *(_draw_start, _draw_goal, _draw_horizon),
+    *(_draw_effort, _draw_mass, _draw_contact),
+)
+
+
+@cache
+def draw(name: str, number: int, is_tuning: bool) -> Scenario:
+    """Returns a question of a shipped scenario, which its world accepts.
+
+    Raises:
+        OptionsError: of many draws the world accepts none.
+    """
+    shipped = Scenario.named(name)
+    world = World.from_scenario(shipped)
+    rng = np.random.default_rng([is_tuning, number, *name.encode()])
+    for _ in range(_MOST_DRAWS):
+        changes: Changes = {}
+        for each in _DRAWS:
+            if rng.uniform() < _SHARE:
+                try:
+                    changes |= each(rng, shipped, world)
+                except AigtoError:
+                    continue
+        try:
+            scenario = dataclasses.replace(shipped, **changes)
+            if changes:
+                World.from_scenario(scenario).check(scenario)
+                return scenario
+        except AigtoError:
+            continue
+    raise OptionsError(name, got=f"no question in {_MOST_DRAWS} draws", expected="one that fits")
+
+
+@dataclass(frozen=True)
+class Asked(StudyQuestion):
+    """What is asked.
+
+    Attributes:
+        worlds: shipped scenarios; (): all.
+        count: questions of each.
+        times: how many times the plan's CPU seconds rivals have, together; 60 s at most.
+        is_tuning: those to tune on, and not those that are reported.
+    """
+
+    worlds: tuple[str, ...] = ()
+    count: int = 20
+    times: float = 10.0
+    is_tuning: bool = False
+
+    kind: ClassVar[str] = "questions"
+    command: ClassVar[str] = "python -m benchmarks.questions"
+
+    def __post_init__(self) -> None:
+        """Checks the names."""
+        for each in self.worlds:
+            Scenario.named(each)
+
+
+@dataclass(frozen=True)
+class Row:
+    """What came of one question.
+
+    Attributes:
+        world: the shipped scenario.
+        number: of the question.
+        cost: the plan's replay; infinite if there is no plan.
+        promised: by the plan.
+        idle: what doing nothing costs.
+        rival: the best replay of a rival's control.
+        known: the best that was known before.
+        is_idle: whether the plan does nothing.
+        searches: of the plan.
+        found: how often these found its motion.
+        seconds: CPU seconds of the plan.
+        error: why there is no plan.
+    """
+
+    world: str
+    number: int
+    cost: float
+    promised: float
+    idle: float
+    rival: float
+    known: float
+    is_idle: bool
+    searches: int
+    found: int
+    seconds: float
+    error: str = ""
+
+    @property
+    def best(self) -> float:
+        """The best that is known now."""
+        return min(self.cost, self.rival, self.known, self.idle)
+
+    def is_within(self, part: float) -> bool:
+        """Returns whether the plan costs at most this part more than the best known."""
+        return self.cost <= self.best + part * abs(self.best) or not math.isfinite(self.best)
+
+
+def _key(scenario: Scenario) -> str:
+    return f"{zlib.crc32(repr(scenario).encode()):08x}"
+
+
+def load_known() -> dict[str, float]:
+    """Returns the best costs that are known, by question."""
+    return json.loads(PATH.read_text(encoding="utf-8")) if PATH.exists() else {}
+
+
+def answer(name: str, number: int, is_tuning: bool, times: float, known: float) -> Row:
+    """Returns what the plan and its rivals make of a question."""
+    scenario = draw(name, number, is_tuning)
+    world, cpu = World.from_scenario(scenario), time.process_time()
+    options = PlanOptions(confirm=False, threads=1)
+    cost = promised = idle = np.inf
+    is_idle, searches, found, error = False, 0, 0, ""
+    try:
+        plan = Planner(scenario, options, world).plan()
+        cost, promised, is_idle = plan.best.replay.cost, plan.cost, plan.best.is_idle
+        idle = min((each.replay.cost for each in plan.candidates if each.is_idle), default=np.inf)
+        searches, found = plan.stats.searches, plan.stats.found
+    except AigtoError as raised:
+        error = str(raised)
+    seconds = time.process_time() - cpu
+    rival = _ask_rivals(world, scenario, min(times * seconds, _MOST_SECONDS), min(cost, known))
+    cost, promised, idle, rival = (round_to(x, _DIGITS) for x in (cost, promised, idle, rival))
+    figures = cost, promised, idle, rival, known
+    return Row(name, number, *figures, is_idle, searches, found, round(seconds, 3), error)
+
+
+def _ask_rivals(world: World, scenario: Scenario, seconds: float, best: float) -> float:
+    """Returns the least cost of what rivals find in CPU seconds, infinite if there is nothing."""
+    if not needs_shooting(world, scenario):
+        try:
+            return run_baseline("cross-entropy", world, scenario, seconds).cost
+        except AigtoError:  # Flight is no parabola there.
+            return np.inf
+    end, found = time.process_time() + seconds, np.inf
+    for promised, control in _shoot(world, scenario):
+        if promised < _PROMISING * min(best, found):
+            try:
+                replay = replay_event_driven(world, scenario, *control)
+                found = found if replay.broken else min(found, replay.cost)
+            except AigtoError:
+                pass
+        if time.process_time() > end:
+            break
+    return found
+
+
+def _shoot(world: World, scenario: Scenario) -> Iterator[tuple[float, Any]]:
+    """Yields J and the control of shooting from random controls."""
+    rng, N = np.random.default_rng(0), scenario.num_steps
+    mechanism = Mechanism.of(world, contact_law(world, scenario))
+    times = np.linspace(0.0, scenario.duration, N + 1)
+    problem = ShootingProblem.of(world, scenario, mechanism, times)
+    is_rigid = scenario.contact == "rigid" and bool(world.contacts)
+
+    def draw_problem() -> ShootingProblem:
+        if not is_rigid:
+            return problem
+        phases = list_phases(scenario, world.num_contacts, _MOST_TOUCHES, rng)
+        return dataclasses.replace(problem, phases=phases)
+
+    def draw_controls() -> np.ndarray:
+        knots = rng.normal(size=(int(rng.integers(3, 9)), world.num_actuators))
+        scale = 10 ** rng.uniform(-1.0, 0.7) * problem.control_scales
+        shares, middles = np.linspace(0, 1, len(knots)), (np.arange(N) + 0.5) / N
+        return scale * np.column_stack([np.interp(middles, shares, each) for each in knots.T])
+
+    problems = (draw_problem() for _ in itertools.count())
+    return shoot(problems, (draw_controls() for _ in itertools.count()))
+
+
+@dataclass(frozen=True)
+class QuestionStudy(Study[Asked, Row]):
+    """Plans and rivals on all questions.
+
+    Attributes:
+        refresh: whether what is better than the best known takes its place.
+    """
+
+    refresh: bool = False
+
+    question_type: ClassVar[Any] = Asked
+    result_type: ClassVar[Any] = Row
+
+    def order(self) -> list[tuple[str, int]]:
+        """Returns the questions, world by world."""
+        worlds = self.question.worlds or tuple(scenario_names())
+        return [(name, number) for name in worlds for number in range(self.question.count)]
+
+    def first_keys(self) -> list[tuple[str, int]]:
+        """Returns one question of each world at first: time may be up."""
+        return sorted(self.order(), key=lambda key: key[1])
+
+    def key_of(self, result: Row) -> tuple[str, int]:
+        """Returns whose question a row is about, and which."""
+        return result.world, result.number
+
+    def calls(self, key: tuple[str, int], result: Row | None) -> Iterator[Call]:
+        """Yields the job of a question that is not answered."""
+        asked = self.question
+        if result is None:
+            known = load_known().get(_key(draw(*key, asked.is_tuning)), math.inf)
+            yield Call("", answer, (*key, asked.is_tuning, asked.times, known))
+
+    def taken(self, key: Any, result: Row | None, name: str, future: Future[Row]) -> Row:
+        """Returns the row; what is better than the best known is kept if asked."""
+        row = future.result()
+        if self.refresh and row.best < row.known:
+            known = load_known() | {_key(draw(*key, self.question.is_tuning)): row.best}
+            write_text(PATH, json.dumps(dict(sorted(known.items())), indent=0) + "\n")
+        return row
+
+    def progress(self) -> Count:
+        """Returns how many questions are answered."""
+        return Count(len(self.results), len(self.order()), "questions answered")
+
+
+def format_results(rows: Sequence[Row]) -> str:
+    """Returns a table with a line for each world."""
+    head = "questions", "1 %", "10 %", "worst", "no plan", "idle, wrongly", "CPU s"
+    lines = [f"{'world':24}" + "".join(f"{name:>15}" for name in head)]
+    for world in dict.fromkeys(row.world for row in rows):
+        own = [row for row in rows if row.world == world]
+        ratios = [row.cost / row.best if row.best > 0 else 1.0 for row in own]
+        values = (
+            len(own),
+            f"{100 * np.mean([row.is_within(NEAR) for row in own]):.0f}",
+            f"{100 * np.mean([row.is_within(WIDE) for row in own]):.0f}",
+            f"{max(ratios):.4g}",
+            sum(math.isinf(row.cost) for row in own),
+            sum(row.is_idle and not row.is_within(NEAR) for row in own),
+            f"{np.median([row.seconds for row in own]):.2f}",
+        )
+        lines.append(f"{world:24}" + "".join(f"{value:>15}" for value in values))
+    return "\n".join(lines)
+
+
+def make_parser(_: Sequence[str] = ()) -> Parser:
+    """Returns the parser."""
+    parser = Parser(prog="python -m benchmarks.questions", description="Plans of changed tasks.")
+    add_common(parser)
+    text = "shipped scenarios (default: all)"
+    parser.add_argument("worlds", nargs="*", metavar="SCENARIO", default=[], help=text)
+    text = "questions of each (default: %(default)s)"
+    parser.add_argument("--count", type=positive, metavar="N", default=Asked.count, help=text)
+    text = "as many times the plan's CPU seconds for rivals (default: %(default)s)"
+    parser.add_argument("--times", type=float, metavar="X", default=Asked.times, help=text)
+    text = "questions to tune on, and not those that are reported"
+    parser.add_argument("--tuning", action="store_true", help=text)
+    text = "let what is better take the place of the best known"
+    parser.add_argument("--refresh", action="store_true", help=text)
+    add_running(parser)
+    parser.set_defaults(run=_run)
+    return parser
+
+
+def _run(options: Any) -> int:
+    asked = Asked(tuple(options.worlds), options.count, options.times, options.tuning)
+    rows = run_asked(options, QuestionStudy(asked, refresh=options.refresh)).results
+    print(format_results(rows), end="\n\n")
+    off = {near: float(np.mean([not row.is_within(near) for row in rows])) for near in (NEAR, WIDE)}
+    met = is_met("plans more than 1 % above the best known", off[NEAR], 0.05)
+    return int(not (is_met("plans more than 10 % above it", off[WIDE], 0.01) and met))
+
+
+if __name__ == "__main__":
+    sys.exit(main(make=make_parser))
