@@ -217,7 +217,7 @@ def interpolate(
     example = function(np.zeros(len(q)))
     result = np.empty(example.size, dtype=object)
     degrees = _find_degrees(function, [_Basis.of(hinge, degree) for hinge in is_hinge])
-    bases = [_Basis.of(*each) for each in zip(is_hinge, degrees.max(axis=0), strict=True)]
+    bases = _choose_bases(is_hinge, degrees)
     depends = degrees > 0
     patterns = np.unique(depends, axis=0)
     sampled: list[tuple[list[int], Floats]] = []
@@ -317,10 +317,19 @@ class _Basis:
         return [Expression(1.0), *itertools.chain(*waves)]
 
 
+def _choose_bases(is_hinge: Sequence[bool] | Bools, degrees: Ints) -> list[_Basis]:
+    """Returns functions of each coordinate up to the degree that values have in it."""
+    return [_Basis.of(*each) for each in zip(is_hinge, degrees.max(axis=0), strict=True)]
+
+
 def _find_degrees(function: Function, bases: Sequence[_Basis]) -> Ints:
-    """Returns the degree of each value in each coordinate alone, (values, nq)."""
+    """Returns the degree of each value in each coordinate alone, (values, nq).
+
+    Raises:
+        TooManySamples: at the first of several positions one value depends on too many of them.
+    """
     rng, size = np.random.default_rng(0), len(bases)
-    found = []
+    found: list[Ints] = []
     for q in rng.uniform(-1.0, 1.0, (_NUM_PROBES, size)):
         least = _ROUNDING * np.abs(function(q)).max(initial=0.0)
         columns = []
@@ -330,6 +339,14 @@ def _find_degrees(function: Function, bases: Sequence[_Basis]) -> Ints:
             terms = np.abs(basis.weights @ values) > least
             columns.append(np.max(terms * basis.degrees[:, np.newaxis], axis=0))
         found.append(np.array(columns).T)
+        if len(found) == 1:
+            sizes = [
+                each.nodes.size for each in _choose_bases([b.is_hinge for b in bases], found[0])
+            ]
+            counts = np.log(np.where(found[0] > 0, sizes, 1)).sum(axis=1)
+            if counts.max(initial=0.0) > math.log(MAX_SAMPLES):
+                most = np.flatnonzero(found[0][np.argmax(counts)])
+                raise _refuse_many(np.unique(found[0] > 0, axis=0), [], most.tolist())
     return np.maximum.reduce(found)
 
 
