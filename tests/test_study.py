@@ -343,7 +343,7 @@ def test_a_question_is_the_same_after_json() -> None:
             ScenarioError,
             "start -0.1:1.0: initial_position is inside",
         ),
-        ({"goal": "0:1"}, ScenarioError, "goal 0.0:1.0: goal_position is inside or behind"),
+        ({"goal": "-1:1"}, ScenarioError, "goal -1.0:1.0: goal_position is inside or behind"),
         ({"goal": "1 -2"}, ScenarioError, "goal 1.0 -2.0: goal_position is inside or behind"),
         ({"restitution": "0.5:1.5"}, ScenarioError, "restitution 0.5:1.5: restitution: got 1.5"),
         ({"mass": "0:1"}, ScenarioError, "mass 0.0:1.0: mass: got 0"),

@@ -208,19 +208,20 @@ def test_the_shapes_of_a_body_that_has_several_are_told_apart() -> None:
         ("initial_position", [0.9, 0.1], r"initial_position is inside.*\(ball against block\): .*"),
         (
             "goal_position",
-            [0.625, 0.1],
-            r"goal_position is inside.* distance of 0 m, .* be outside",
+            [0.626, 0.1],
+            r"goal_position is inside.* distance of -0.001 m, .* be outside",
         ),
         ("goal_position", [0.0, -5.0], r"goal_position is inside.* \(ball against ground\)"),
     ],
 )
-def test_a_start_or_goal_inside_or_against_a_solid_is_refused(
+def test_a_start_or_goal_inside_a_solid_is_refused(
     field: str, place: list[float], message: str
 ) -> None:
     world = pose_world("xz", [BLOCK, GROUND], [0.0, 0.0])
     ends: dict[str, Any] = {"initial_position": [0.0, 0.0], "goal_position": [2.0, 0.9]}
-    # Past a corner, so beside every face.
-    world.check(Scenario(**ends, initial_velocity=[0.0, 0.0]))
+    # Past a corner, so beside every face; and against one.
+    for fine in (ends, {**ends, "goal_position": [0.625, 0.1]}):
+        world.check(Scenario(**fine, initial_velocity=[0.0, 0.0]))
     with pytest.raises(ScenarioError, match=message):
         world.check(Scenario(**{**ends, field: place}, initial_velocity=[0.0, 0.0]))
 

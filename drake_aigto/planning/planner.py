@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from drake_aigto.certify import bound_plans, out_of_reach
 from drake_aigto.contact import contact_delay
-from drake_aigto.errors import ModelError, OptionsError, TrajectoryError
+from drake_aigto.errors import ModelError, OptionsError, ScenarioError, TrajectoryError
 from drake_aigto.planning.balls.phases import transcribe
 from drake_aigto.planning.balls.search import BallSearch
 from drake_aigto.planning.balls.task import BallTask
@@ -230,6 +230,13 @@ class Planner:
         scenario = dataclasses.replace(self.scenario, **changed) if changed else self.scenario
         scenario = self.world.place(scenario)
         self.world.check(scenario)
+        if self.is_of_balls and self.world.lies_at_wall(scenario):
+            raise ScenarioError(
+                "initial_position or goal_position",
+                got="one against a wall",
+                expected="both away from walls, where balls are planned for by contact sequences",
+                remedy="A new Planner of this scenario plans for it by shooting.",
+            )
         if initial_guess is not None:
             _check_guess(self.world, scenario, initial_guess)
         _check_reach(self.world, scenario)

@@ -430,13 +430,6 @@ class World(EquationsOfMotion):
             ModelError: there are limits or friction, or nothing can touch.
         """
         scenario.check_plain()
-        if self.lies_at_wall(scenario):
-            raise ScenarioError(
-                "initial_position or goal_position",
-                got="one against a wall",
-                expected="both away from walls, where balls are planned for by contact sequences",
-                remedy="A new Planner of this scenario plans for it by shooting.",
-            )
         self.check_frictionless(scenario)
         self.limits.check_none(self.plant)
         if not self.contacts:
@@ -448,9 +441,10 @@ class World(EquationsOfMotion):
             )
 
     def lies_at_wall(self, scenario: Scenario) -> bool:
-        """Returns whether a contact is closed at the start, or at the goal."""
+        """Returns whether the start or the goal is at a wall, with no distance at all."""
         ends = np.array([scenario.initial_position, scenario.goal_position])
-        return bool(np.any(np.abs(self.calc_clearance(ends)) <= _TOUCHING))
+        distances = self.calc_clearance(ends)
+        return bool(np.any((distances <= 0) & (distances >= -_TOUCHING)))
 
     def check(self, scenario: Scenario) -> None:
         """Checks that a scenario can be asked of this world.
