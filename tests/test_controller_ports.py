@@ -217,6 +217,7 @@ def test_a_goal_that_is_told_is_planned_for() -> None:
         assert end == pytest.approx(expected, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_pole_on_a_cart_is_told_where_to_go() -> None:
     asked = dataclasses.replace(
         POLE, initial_position=[0.0, np.pi], initial_velocity=[0.0, 0.0], duration=1.0
