@@ -238,18 +238,6 @@ def test_a_hand_reaches_where_it_pushes_the_object_along_and_sticks_to_it(tmp_pa
     assert replay.positions[-1, ball] > 0.1  # Contact does the rest.
 
 
-@pytest.mark.slow  # Shooting over trees is compiled. Notebook 08 plans for the box.
-def test_a_shipped_plan_in_space_brings_a_ball_to_its_goal() -> None:
-    scenario = Scenario.named("finger_and_ball/roll")
-    planner = Planner(scenario, PlanOptions(renewals=16, finalists=1))
-    plan, cost = planner.plan(), TaskCost.of(planner.world, planner.scenario)
-    assert plan.holds and len(list(plan.replay)) == 2
-    for positions in (plan.trajectory.positions, *(r.positions for r in plan.replay)):
-        off = np.abs(cost.goal_errors(positions[-1])) * cost.is_asked
-        assert np.max(off[~planner.world.turns]) < 0.02  # [m]
-        assert np.max(off[planner.world.turns]) < 0.1  # [rad]
-
-
 @pytest.mark.slow  # Shooting over trees is compiled.
 def test_a_ball_is_pushed_to_its_goal_by_a_plan_that_both_replays_confirm(tmp_path: Path) -> None:
     scenario = make_scenario(tmp_path)
