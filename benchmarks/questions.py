@@ -53,7 +53,7 @@ _SHARE, _MOST_DRAWS = 0.4, 200
 _HORIZON, _MOST_STEPS = (0.3, 4.0), 400
 _FRICTION, _MOST_TOUCHES = (0.01, 5.0), 2
 _MOST_SECONDS = 60.0  # of CPU time of rivals
-# What promises more than this times the best is not replayed; costs have so many digits.
+# What promises more than this times the best is not replayed; costs are stored with as many digits.
 _PROMISING, _DIGITS = 1.05, 8
 
 Changes = dict[str, Any]

@@ -58,7 +58,7 @@ def make_controller(method: str, **options: Any) -> LoopController:
 
 
 class Told:
-    """A controller that is told states which nothing moves."""
+    """A controller in a Diagram whose states are given, as nothing moves."""
 
     def __init__(self, controller: LoopController, told: Any, goal: Any = None) -> None:
         """Takes states that are told from times on."""

@@ -115,7 +115,7 @@ def _finish(problem: ShootingProblem, found: ShootingResult) -> ShootingResult:
 
 
 def list_phases(scenario: Scenario, walls: int, most: int, rng: np.random.Generator) -> Phases:
-    """Returns one of all sequences of at most so many touches, at random times."""
+    """Returns a sequence of at most `most` touches, drawn evenly, at random times."""
     N, T = scenario.num_steps, scenario.duration
     listed = [
         sequence

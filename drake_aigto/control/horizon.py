@@ -30,7 +30,7 @@ from drake_aigto.planning import (
     make_ball_task,
 )
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import Touch, TouchSequence
+from drake_aigto.transcription import TouchSequence
 from drake_aigto.world import Scales, Scenario
 
 _ASKED = "the planner of a controller that plans again"
@@ -299,8 +299,7 @@ class BallHorizon(Horizon):
             raise KeyboardInterrupt
         if not best.is_confirmed:
             return None
-        touches = tuple(Touch(each.time, each.last_time, each.index) for each in best.contacts)
-        return PlannedMotion(best.trajectory, best.cost, touches).later(now)
+        return PlannedMotion.of(best).later(now)
 
 
 def _polish(

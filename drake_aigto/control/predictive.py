@@ -150,7 +150,9 @@ class ModelPredictiveController(LoopController):
         if feedback_period is not None:
             name, most = "feedback_period", self.period
             self.feedback_period = check_seconds(name, feedback_period, is_positive=True, most=most)
-        self._first = None if plan is None else PlannedMotion.of(plan, planner.world)
+        if plan is not None:
+            plan.find_world(planner.world)  # Refuses another world's.
+        self._first = None if plan is None else PlannedMotion.of(plan.best)
         self._margin, self._learns = margin, learns
         posed = planner, horizon == "receding", iterations, self.period
         self._horizon = self._aside = make_horizon(*posed)

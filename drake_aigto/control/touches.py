@@ -12,7 +12,7 @@ import numpy as np
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
-from drake_aigto.planning import Plan
+from drake_aigto.planning import Candidate
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import World
@@ -53,15 +53,10 @@ class PlannedMotion:
         return np.array(controls[min(max(k, 0), len(controls) - 1)])
 
     @classmethod
-    def of(cls, plan: Plan, world: World) -> PlannedMotion:
-        """Returns a plan as a motion.
-
-        Raises:
-            ModelError: it is none of this world.
-        """
-        plan.find_world(world)
-        touches = (Touch(each.time, each.last_time, each.index) for each in plan.best.contacts)
-        return cls(plan.trajectory, plan.cost, tuple(touches))
+    def of(cls, found: Candidate) -> PlannedMotion:
+        """Returns a candidate as a motion."""
+        touches = (Touch(each.time, each.last_time, each.index) for each in found.contacts)
+        return cls(found.trajectory, found.cost, tuple(touches))
 
     @cached_property
     def _path(self) -> PiecewisePolynomial:

@@ -131,7 +131,7 @@ class TrackingController(LoopController):
         hits = [each for each in self.feedback.stretches if each.cut == Cut.HIT]
         # The slowest impact of each contact that is planned.
         self._speeds = {each.contact: each.speed for each in sorted(hits, key=lambda s: -s.speed)}
-        self._motion = PlannedMotion.of(plan, world)
+        self._motion = PlannedMotion.of(plan.best)
         self._never = np.append(-np.inf, np.zeros(2 * n))
         groups = self._no_commands.ravel(), np.zeros(m), np.zeros(m), self._never, np.zeros(6)
         self._groups = _Groups(*map(self.DeclareDiscreteState, groups))

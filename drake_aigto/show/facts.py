@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -41,9 +40,6 @@ from drake_aigto.show.text import (
 from drake_aigto.simulation import Replay
 from drake_aigto.transcription import UNITS
 from drake_aigto.world import Scenario, TaskCost, World
-
-if TYPE_CHECKING:
-    pass
 
 Fact = tuple[str, str]
 

@@ -79,7 +79,7 @@ class Live:
     def __init__(
         self, scenario: Scenario, say: Callable[[str], None] | None = None, port: int | None = None
     ) -> None:
-        """Reads the scenario's world; `say` is told each message. Nothing is opened yet.
+        """Reads the scenario's world; `say` gets each message. Nothing is opened yet.
 
         Raises:
             OptionsError: bodies of the scenario float.
