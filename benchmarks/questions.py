@@ -35,14 +35,13 @@ from benchmarks.robots.shooting import list_phases, shoot
 from benchmarks.script import is_met
 from benchmarks.study import StudyQuestion
 from benchmarks.study.flags import add_running, run_asked
-from benchmarks.study.study import Call, Study, round_to
+from benchmarks.study.study import Call, WorldStudy, round_to
 from drake_aigto import AigtoError, Planner, PlanOptions, Scenario, World, scenario_names
 from drake_aigto.cli import Parser, add_common, positive
 from drake_aigto.contact import contact_law
 from drake_aigto.errors import OptionsError
 from drake_aigto.output import write_text
 from drake_aigto.planning import needs_shooting
-from drake_aigto.progress import Count
 from drake_aigto.shooting import Mechanism, ShootingProblem
 from drake_aigto.simulation import replay_event_driven, state_scales
 
@@ -295,14 +294,8 @@ def _shoot(world: World, scenario: Scenario) -> Iterator[tuple[float, Any]]:
 
 
 @dataclass(frozen=True)
-class QuestionStudy(Study[Asked, Row]):
-    """Plans and rivals on all questions.
-
-    Attributes:
-        refresh: whether what is better than the best known takes its place.
-    """
-
-    refresh: bool = False
+class QuestionStudy(WorldStudy[Asked, Row]):
+    """Plans and rivals on all questions."""
 
     question_type: ClassVar[Any] = Asked
     result_type: ClassVar[Any] = Row
@@ -311,14 +304,6 @@ class QuestionStudy(Study[Asked, Row]):
         """Returns the questions, world by world."""
         worlds = self.question.worlds or tuple(scenario_names())
         return [(name, number) for name in worlds for number in range(self.question.count)]
-
-    def first_keys(self) -> list[tuple[str, int]]:
-        """Returns one question of each world at first: time may be up."""
-        return sorted(self.order(), key=lambda key: key[1])
-
-    def key_of(self, result: Row) -> tuple[str, int]:
-        """Returns whose question a row is about, and which."""
-        return result.world, result.number
 
     def calls(self, key: tuple[str, int], result: Row | None) -> Iterator[Call]:
         """Yields the job of a question that is not answered."""
@@ -334,10 +319,6 @@ class QuestionStudy(Study[Asked, Row]):
             known = load_known() | {_key(draw(*key, self.question.is_tuning)): row.best}
             write_text(PATH, json.dumps(dict(sorted(known.items())), indent=0) + "\n")
         return row
-
-    def progress(self) -> Count:
-        """Returns how many questions are answered."""
-        return Count(len(self.results), len(self.order()), "questions answered")
 
 
 def format_results(rows: Sequence[Row]) -> str:

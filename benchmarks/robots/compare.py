@@ -21,10 +21,9 @@ from benchmarks.robots.methods import METHODS, PLANS, Attempt, is_installed
 from benchmarks.robots.shooting import replay_in_drake
 from benchmarks.robots.worlds import WORLDS, Question, make_questions
 from benchmarks.study import StudyQuestion
-from benchmarks.study.study import Call, Study, round_to
+from benchmarks.study.study import Call, WorldStudy, round_to
 from drake_aigto.errors import OptionsError
 from drake_aigto.plain import from_plain
-from drake_aigto.progress import Count
 
 
 @dataclass(frozen=True)
@@ -166,14 +165,8 @@ class Found(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RobotStudy(Study[Comparison, Row]):
-    """All methods on all questions.
-
-    Attributes:
-        refresh: whether what is better than the best known takes its place.
-    """
-
-    refresh: bool = False
+class RobotStudy(WorldStudy[Comparison, Row]):
+    """All methods on all questions."""
 
     question_type: ClassVar[Any] = Comparison
     result_type: ClassVar[Any] = Row
@@ -190,14 +183,6 @@ class RobotStudy(Study[Comparison, Row]):
     def order(self) -> list[_Key]:
         """Returns the questions, world by world."""
         return list(self._questions)
-
-    def first_keys(self) -> list[_Key]:
-        """Returns one question of each world at first: time may be up."""
-        return sorted(self.order(), key=lambda key: key[1])
-
-    def key_of(self, result: Row) -> _Key:
-        """Returns whose question a row is about, and which."""
-        return result.world, result.number
 
     def calls(self, key: _Key, result: Row | None) -> Iterator[Call]:
         """Yields the job of a question that is not answered."""
@@ -217,10 +202,6 @@ class RobotStudy(Study[Comparison, Row]):
             if known is not before:
                 keep(question, known)
         return row
-
-    def progress(self) -> Count:
-        """Returns how many questions are answered."""
-        return Count(len(self.results), len(self._questions), "questions answered")
 
 
 def answer(

@@ -198,6 +198,35 @@ class Study(ABC, Generic[_Question, _Result]):
         return so_far()
 
 
+@dataclass(frozen=True)
+class WorldStudy(Study[_Question, _Result]):
+    """Study of numbered questions about worlds, with a best known cost of each.
+
+    Results have the world and the number of their question.
+
+    Attributes:
+        refresh: whether what is better than the best known takes its place.
+    """
+
+    refresh: bool = False
+
+    @abstractmethod
+    def order(self) -> list[tuple[str, int]]:
+        """Returns the questions, world by world."""
+
+    def first_keys(self) -> list[tuple[str, int]]:
+        """Returns one question of each world at first: time may be up."""
+        return sorted(self.order(), key=lambda key: key[1])
+
+    def key_of(self, result: Any) -> tuple[str, int]:
+        """Returns whose question a result is about, and which."""
+        return result.world, result.number
+
+    def progress(self) -> Count:
+        """Returns how many questions are answered."""
+        return Count(len(self.results), len(self.order()), "questions answered")
+
+
 def command_of(question: StudyQuestion) -> str:
     """Returns the command line that asks a question."""
     words = [question.command]
