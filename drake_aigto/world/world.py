@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from pkgutil import resolve_name
 from types import MappingProxyType
 from typing import Any
@@ -195,7 +195,9 @@ class World(EquationsOfMotion):
     def _check_plant(scenario: Scenario, diagram: Diagram) -> list[ModelError]:
         """Returns what is wrong with contacts, and with the joints that M depends on."""
         plant, scene_graph = find_plant(diagram)
-        pairs = partial(choose_pairs, plant, scene_graph, scenario.ignored_shapes, order_pair)
+        pairs = cache(
+            partial(choose_pairs, plant, scene_graph, scenario.ignored_shapes, order_pair)
+        )
         return find_errors(pairs, PlantReader(plant).read_mass_matrix) or find_errors(
             lambda: check_work(plant, scene_graph, pairs())
         )

@@ -267,10 +267,21 @@ class MechanismTask:
 
     def close(self, guess: Guess, aim: Aim) -> ShootingResult:
         """Returns the motion after a few steps from a guess."""
+        options = begin_at(self._closing, guess.width)
+        return self._close_on_springs(guess, aim.limit(options), aim.is_patient)
+
+    @cached_property
+    def _closing(self) -> ShootingOptions:
+        """Options for closing guesses."""
         q, is_aimed = self.scenario.initial_position, self.scenario.hard_goal
         time_step = self.scenario.duration / self.search_steps
-        options = begin_at(find_closing(self.world, self.law, q, time_step, is_aimed), guess.width)
-        return self._close_on_springs(guess, aim.limit(options), aim.is_patient)
+        return find_closing(self.world, self.law, q, time_step, is_aimed)
+
+    @cached_property
+    def _tightening(self) -> ShootingOptions:
+        """Options for refining closed motions."""
+        scenario = self.scenario
+        return find_tight(self.world, scenario.initial_position, scenario.time_step)
 
     def _close_on_springs(
         self, guess: Guess, options: ShootingOptions, is_patient: bool = True
@@ -298,9 +309,7 @@ class MechanismTask:
         controls = motion.controls[np.searchsorted(motion.times, (times[1:] + times[:-1]) / 2) - 1]
         q, v = self.world.split(motion.states)
         states = sample_cubic(self.world, motion.times, q, v, times)
-        start, time_step = self.scenario.initial_position, self.scenario.time_step
-        options = find_tight(self.world, start, time_step)
-        return close_gaps(problem, motion, controls, states, options)
+        return close_gaps(problem, motion, controls, states, self._tightening)
 
     def polish(self, motion: ShootingResult, most: float = np.inf) -> ShootingResult:
         """Returns the local optimum near a motion, its time steps halved until they agree.
