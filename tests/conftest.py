@@ -12,12 +12,14 @@ import logging
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
+from other_models import ARM, GANTRY, make, write
 from world_models import ModelWriter
 
-from drake_aigto import Planner, PlanOptions, Scenario
+from drake_aigto import Planner, PlanOptions, Scenario, World
 
 # No deadlines: Numba compiles in whichever example comes first, and machines stall. The same
 # examples every time: a test that fails fails again.
@@ -56,3 +58,23 @@ def quiet_drake() -> Iterator[None]:
     logger.setLevel(logging.ERROR)
     yield
     logger.setLevel(level)
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Any:
+    """Makes the world of an MJCF of an arm, of these parts."""
+
+    def make_arm(fields: dict[str, Any] | None = None, **parts: str) -> World:
+        return make(write(tmp_path / "arm.xml", ARM, **parts), **(fields or {}))
+
+    return make_arm
+
+
+@pytest.fixture
+def gantry(tmp_path: Path) -> Any:
+    """Makes the world of a URDF of a gantry, of these parts."""
+
+    def make_gantry(fields: dict[str, Any] | None = None, **parts: str) -> World:
+        return make(write(tmp_path / "gantry.urdf", GANTRY, **parts), **(fields or {}))
+
+    return make_gantry

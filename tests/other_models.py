@@ -1,12 +1,13 @@
-"""Small models in MJCF, as other people write them, and tasks for them."""
+"""Small models in MJCF and URDF, as other people write them, and tasks for them."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from drake_aigto import Scenario
+from drake_aigto import Scenario, World
 
 # A cart with two poles above each other, in the masses and gears of common benchmarks: ±500 N.
 DOUBLE_PENDULUM = """<mujoco model="double_pendulum">
@@ -45,3 +46,88 @@ def carry_double_pendulum(folder: Path) -> Scenario:
         time_step=0.04,
         ignored_shapes="all",
     )
+
+
+GRAVITY = 9.81
+
+
+ARM = """<mujoco model="arm">
+  <compiler angle="degree"/>
+  <default>
+    <joint damping="0.5"/>
+    <geom contype="0" conaffinity="0"/>
+    <default class="strong"><motor gear="5" ctrlrange="-2 3"/></default>
+  </default>
+  <option timestep="0.002" integrator="RK4" OPTION/>
+  FLAGS
+  <worldbody>
+    <light pos="0 0 3"/>
+    <geom name="floor" type="plane" size="1 1 1"/>
+    <body name="upper" pos="0 0 2">
+      <joint name="shoulder" axis="0 1 0" JOINT/>
+      <geom name="rod" type="capsule" fromto="0 0 0 0 0 -1" size="0.05" mass="2"/>
+      <body name="lower" pos="0 0 -1">
+        <joint name="elbow" axis="0 1 0" limited="true" range="-90 120"/>
+        <geom name="stick" type="capsule" fromto="0 0 0 0 0 -0.5" size="0.04" mass="1"/>
+        <site name="tip" pos="0 0 -0.5"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    ACTUATORS
+  </actuator>
+  <sensor><jointpos joint="elbow"/></sensor>
+</mujoco>
+"""
+
+
+MOTOR = '<motor name="motor" joint="shoulder" class="strong"/>'
+
+
+GANTRY = """<robot name="gantry">
+  <link name="world"/>
+  <link name="bridge">INERTIAL</link>
+  <link name="trolley">INERTIAL COLLISION</link>
+  <joint name="x" type="prismatic">
+    <parent link="world"/><child link="bridge"/><axis xyz="1 0 0"/>
+    <limit effort="EFFORT" lower="-2" upper="2" velocity="9"/>
+    <dynamics damping="0.3" friction="0.7"/>
+  </joint>
+  <joint name="y" type="prismatic">
+    <parent link="bridge"/><child link="trolley"/><axis xyz="0 1 0"/>
+    <limit effort="8" lower="-2" upper="2" velocity="9"/>
+  </joint>
+  MORE
+</robot>
+"""
+
+
+INERTIAL = (
+    '<inertial><mass value="MASS"/>'
+    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
+
+
+TRANSMISSION = (
+    '<transmission name="t"><type>transmission_interface/SimpleTransmission</type>'
+    '<joint name="x"/><actuator name="drive"/></transmission>'
+)
+
+
+MESH = '<collision name="NAME"><geometry><mesh filename="FILE"/></geometry></collision>'
+
+
+def write(path: Path, text: str, **parts: str) -> str:
+    defaults = {"OPTION": "", "FLAGS": "", "JOINT": "", "ACTUATORS": MOTOR}
+    defaults |= {"MORE": TRANSMISSION, "INERTIAL": INERTIAL, "EFFORT": "5", "COLLISION": ""}
+    defaults |= {"MASS": "2"}
+    for name, part in {**defaults, **parts, "MASS": parts.get("MASS", "2")}.items():
+        text = text.replace(name, part)
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def make(model: str, size: int = 2, **fields: Any) -> World:
+    ends = {"initial_position": np.zeros(size), "initial_velocity": np.zeros(size)}
+    fields = {"ignored_shapes": "all", "goal_position": np.full(size, 0.1), **ends, **fields}
+    return World.from_scenario(Scenario(model=model, **fields))
