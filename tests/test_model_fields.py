@@ -139,6 +139,11 @@ def test_look_tells_what_is_understood(tmp_path: Path, capsys: pytest.CaptureFix
     text = capsys.readouterr().out
     assert "_rail from -20 (model) to 5 (scenario) N" in text
     assert "pole against left_wall   2e+09 | 200" in text
+    assert main(["look", "finger_and_box/push"]) == 0
+    floating = [line.split() for line in capsys.readouterr().out.splitlines() if "floating" in line]
+    assert [line[2:5] for line in floating] == 3 * [["rad", "-inf", "inf"]] + 3 * [
+        ["m", "-inf", "inf"]
+    ]
     assert main(["look", model]) == 2
     assert "allow_ignored: [fluid]" in capsys.readouterr().err
 

@@ -34,6 +34,8 @@ _MOST_ROUNDS = 4  # over all sides
 _INNER = 0.2  # A side is cut at no less than this part of it.
 _SPENT = 0.1  # of a side: a round over all sides that cuts off less is the last one
 _TINY = 1e-300
+# Beyond it the dual simplex of HiGHS may go on for ever from the basis of another cell.
+_LARGE = 1e15
 
 # Σ c_j w_j as column ↦ c_j, and a number.
 _Linear = tuple[dict[int, Fraction], Fraction]
@@ -331,7 +333,9 @@ class Relaxation:
             cell.values,
             self._integrality,
         )
-        if self._basis is not None:
+        numbers = np.concatenate((box[0], box[1], cell.lower, cell.upper))
+        is_moderate = np.max(np.abs(numbers), where=np.isfinite(numbers), initial=0.0) < _LARGE
+        if self._basis is not None and is_moderate:
             solver.setBasis(self._basis)
         solver.run()
         solution = solver.getSolution()

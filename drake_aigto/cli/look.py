@@ -121,13 +121,17 @@ def _joints(world: World) -> Iterator[tuple[str, ...]]:
     """Yields a row for each coordinate."""
     plant, (lower, upper) = world.plant, world.limits.position
     for joint in map(plant.get_joint, plant.GetJointIndices()):
-        first, damping = joint.velocity_start(), joint.default_damping_vector()
+        q, v, damping = (
+            joint.position_start(),
+            joint.velocity_start(),
+            joint.default_damping_vector(),
+        )
+        is_vector = joint.num_positions() == joint.num_velocities()  # Else it has no limits.
         for k in range(joint.num_velocities()):
-            i = first + k
-            dry = 0.0 if world.dry_friction is None else world.dry_friction[i]
-            numbers = lower[i], upper[i], damping[k], dry
-            unit = "rad" if world.is_hinge[i] else "m"
-            yield joint.name(), joint.type_name(), unit, *(f"{number:.4g}" for number in numbers)
+            ends = (lower[q + k], upper[q + k]) if is_vector else (-np.inf, np.inf)
+            dry = 0.0 if world.dry_friction is None else world.dry_friction[v + k]
+            numbers = (f"{number:.4g}" for number in (*ends, damping[k], dry))
+            yield joint.name(), joint.type_name(), world.units[v + k], *numbers
 
 
 def _contacts(world: World, scenario: Scenario) -> Iterator[tuple[str, ...]]:

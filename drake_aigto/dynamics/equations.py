@@ -109,9 +109,12 @@ class EquationsOfMotion:
     @property
     def position_unit(self) -> str:
         """The unit of positions, "m" or "rad", or both as "m, rad"."""
-        return ", ".join(
-            unit for unit, found in (("m", ~self.is_hinge), ("rad", self.is_hinge)) if found.any()
-        )
+        return ", ".join(unit for unit in ("m", "rad") if unit in self.units)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The unit of each coordinate's way, "m" or "rad", nv of them."""
+        return tuple("rad" if turns else "m" for turns in self.turns)
 
     @property
     def num_velocities(self) -> int:

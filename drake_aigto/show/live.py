@@ -145,10 +145,8 @@ class Live:
         self.url = meshcat.web_url()
         self._sliders, scenario = list(self._find_sliders()), self.planner.scenario
         for each in self._sliders:
-            step, value = (
-                (each.high - each.low) / _PARTS,
-                getattr(scenario, each.field)[each.coordinate],
-            )
+            value = getattr(scenario, each.field)[each.coordinate]
+            step = (each.high - each.low) / _PARTS
             meshcat.AddSlider(each.name, each.low, each.high, step, value)
         for button in (_KICK, _AGAIN):
             meshcat.AddButton(button)
@@ -200,8 +198,7 @@ class Live:
         fast = np.maximum(fast, 1.5 * np.abs(scenario.initial_velocity))
         slow, fast = np.maximum(-fast, limits.velocity[0]), np.minimum(fast, limits.velocity[1])
         asked = has_goal(world, scenario)
-        for i, name in enumerate(coordinate_names(world)):
-            unit = "rad" if world.is_hinge[i] else "m"
+        for i, (name, unit) in enumerate(zip(coordinate_names(world), world.units, strict=True)):
             yield _Slider(f"start {name} [{unit}]", "initial_position", i, low[i], high[i])
             yield _Slider(f"speed {name} [{unit}/s]", "initial_velocity", i, slow[i], fast[i])
             if asked[i]:

@@ -97,8 +97,7 @@ def list_numbers(motion: Motion, world: World, scenario: Scenario) -> dict[str, 
     """Returns a motion's coordinates and controls over time, with their names and units."""
     times = np.linspace(motion.times[0], motion.times[-1], _MOST_NUMBERS)
     names = [
-        f"{name} [{'rad' if is_hinge else 'm'}]"
-        for name, is_hinge in zip(coordinate_names(world), world.turns, strict=True)
+        f"{name} [{unit}]" for name, unit in zip(coordinate_names(world), world.units, strict=True)
     ]
     read = read_coordinates(world, scenario, motion.positions)
     columns = list(interpolate(times, motion.times, read).T)

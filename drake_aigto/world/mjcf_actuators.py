@@ -34,10 +34,8 @@ def read_actuators(
     ]
     names = {joint.get("name", ""): joint for joint in joints}
     off_groups = file.option.get("actuatorgroupdisable", "").split()
-    driven, labels = (
-        dict[str, str](),
-        {each.get("name") for each in file.root.iterfind("actuator/*")},
-    )
+    driven = dict[str, str]()
+    labels = {each.get("name") for each in file.root.iterfind("actuator/*")}
     for group in file.root.findall("actuator"):
         for motor in list(group):
             values = file.resolve(motor, "main")
