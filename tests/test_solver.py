@@ -336,6 +336,16 @@ def test_a_cost_that_falls_without_end_is_said_to_be_so(falling: Formula) -> Non
     assert result.get_solver_details().status is AigoStatus.FALLS_WITHOUT_END
 
 
+@pytest.mark.parametrize("certify", [False, True])
+def test_a_cost_that_falls_along_a_bent_row_is_said_to_be_so(certify: bool) -> None:
+    """So far out that local solves lose the row, which leaves |y| = 8.5^¼ there."""
+    prog, (x, y) = make_program(2, lambda x: 4.9 * x[0] * x[1] ** 2 - 16.4 * x[0] ** 4)
+    prog.AddConstraint(0.5 + x + 0.25 * x**2 * y**4 - 2.1 * x**2 == 0.0)
+    prog.AddBoundingBoxConstraint(-np.inf, 4.6, x)
+    result = solve(prog, rounds=4, certify=certify, cells=500)
+    assert result.get_solver_details().status is AigoStatus.FALLS_WITHOUT_END
+
+
 def test_cancelled_residuals_far_out_are_no_fall() -> None:
     """x = 1e20, y = −1e-20 leaves exponentials of 1, and of both terms with x nothing."""
     data = ((8, 0.49), (10, 0.475), (14, 0.45), (20, 0.42), (26, 0.405), (32, 0.405), (40, 0.4))

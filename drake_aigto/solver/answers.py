@@ -9,7 +9,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.linear import Storage
-from drake_aigto.local import InteriorPoint, solve_with_drake
+from drake_aigto.local import InteriorPoint, PolynomialNlp, solve_with_drake
 from drake_aigto.solver.details import AigoOptions
 from drake_aigto.solver.program import AigoProgram
 from drake_aigto.solver.staged import StagedProgram
@@ -23,7 +23,9 @@ _ROUNDING = 1e-14
 # A point farther out than this, in a variable without bounds, is where a cost falls without end;
 # and one that is lower than this, which exponentials are well before they are far out.
 FAR, _LOW = 1e8, -1e20
-_OUT = 1e-2 * FAR
+_OUT, _REACH = 1e-2 * FAR, 10.0 * FAR
+# As many local solves that lose the rows so far out are brought back within reach.
+_MOST_RETURNS = 5
 # Such a point costs less than nearer ones by this part of their cost, or of 1.
 _PLAIN = 1e-6
 
@@ -61,7 +63,7 @@ class Answers:
         self._best_cost: tuple[CheckedPoint, float] | None = None  # by the program's own formulas
         is_unbounded = np.isinf(program.given.lower) | np.isinf(program.given.upper)
         self.is_unbounded = is_unbounded[: program.source.num_vars()]
-        self.polishes = 0
+        self.polishes = self._returns = 0
         self.kkt_storage: Storage | None = None
 
     @property
@@ -136,11 +138,33 @@ class Answers:
             self.polishes += 1
             local = InteriorPoint(max_iterations=_POLISH_STEPS)
             found = local.solve(program.nlp, program.with_slacks(y))
+            if self._is_lost(program.answer(found.x)):
+                self._returns += 1
+                near = self._within_reach()
+                start = program.answer(np.clip(found.x, near.lower, near.upper))
+                found = local.solve(near, program.with_slacks(program.reduce(start)))
             z, self.kkt_storage = found.x, found.storage
         else:
             z = self._solve_with_drake(program, y)
         self.offer(z, f"polish{name}")
         return program.with_slacks(z)
+
+    def _is_lost(self, x: Floats) -> bool:
+        """Whether x (n,) is so far out that rows no longer steer it: it violates them."""
+        if self._returns >= _MOST_RETURNS or not (self._is_beyond(x) and np.all(np.isfinite(x))):
+            return False
+        return self.program.violation(x) > self._options.feasibility
+
+    def _within_reach(self) -> PolynomialNlp:
+        """Returns the program with bounds of variables without, beyond which costs have fallen."""
+        nlp, kept = self.program.nlp, self.program.kept
+        is_open = np.zeros(nlp.num_variables, dtype=bool)
+        is_open[: kept.size] = np.isin(kept, np.flatnonzero(self.is_unbounded))
+        low, high = np.minimum(nlp.upper, 0.0) - _REACH, np.maximum(nlp.lower, 0.0) + _REACH
+        return nlp.with_bounds(
+            np.where(is_open & np.isinf(nlp.lower), low, nlp.lower),
+            np.where(is_open & np.isinf(nlp.upper), high, nlp.upper),
+        )
 
     def _solve_with_drake(self, program: AigoProgram, y: Floats) -> Floats:
         """Returns the point z where IPOPT, if that polishes, or SNOPT ends on the given program."""
