@@ -1,89 +1,183 @@
-"""Programs with rows that are proven in a few seconds of one thread: ours, and SCIP's.
+"""Programs with rows that are proven in a few seconds of one thread: ours, SCIP's and Gurobi's.
 
-    python -m benchmarks.provers [--seconds 4] [--most 24]
+    python -m benchmarks.provers [--seconds 4] [--most 24] [--only HS] [--workers 1]
+        [--minutes 9] [--keep FILE]
 
 All of `constrained_problems()` with up to 24 variables, a rule that was fixed before the first run.
 Proven is a gap of 1e-6, relative to max(1, |cost|), within the seconds of the processor, search for
-the answer included. A claim is wrong if a bound is above the known optimum by more than 1e-6.
+the answer included; wall time counts for nothing. A claim is wrong if a bound is above the known
+optimum by more than 1e-6. Gurobi runs where its package is, with the free licence that comes along.
 """
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import signal
 import time
 from collections.abc import Callable
-from functools import partial
+from dataclasses import dataclass
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram
 
 from benchmarks.collections.constrained_programs import constrained_problems
-from benchmarks.script import machine, read_flags
-from drake_aigto.certify import certify
+from benchmarks.collections.known_optimum import ConstrainedProblem
+from benchmarks.script import machine, read_flags, run_all, run_as
+from drake_aigto.certify import Operation, certify, read_formulas, write_sum
+from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.solver import AigoOptions, AigoSolver
 
 PROVEN = 1e-6
+_LATE = 1.1  # of the seconds: what ends by then counts
+QUICK, SLOW = 0.1, 1.0  # [s]: what all peers prove in the first should take us no more
+_WARM_UP = AigoOptions(certify=True, cells=1000, rounds=1, starts=1)
+
+Prover = Callable[[MathematicalProgram, float], tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one program with one prover.
+
+    Attributes:
+        gap: (cost − bound) / max(1, |cost|); inf where one is missing.
+        seconds: of the processor.
+        is_proven: in time.
+        is_wrong: whether the bound is above the known optimum.
+    """
+
+    gap: float
+    seconds: float
+    is_proven: bool
+    is_wrong: bool
 
 
 def main() -> None:
     arguments = read_flags(
         __doc__,
-        workers=None,
+        only=("", "programs whose name has this in it"),
         seconds=(4.0, "of the processor, for each program"),
         most=(24, "variables"),
     )
     print(machine(), flush=True)
-    problems = [each for each in constrained_problems() if each.num_variables <= arguments.most]
-    warm_up = next(each for each in problems if each.num_variables == 2)
-    ours(warm_up.prog(), 10.0)
-    provers = {"ours": ours, "SCIP": scip}
-    proven, spent, wrong = dict.fromkeys(provers, 0), dict.fromkeys(provers, 0.0), 0
-    for problem in problems:
-        line = f"{problem.name:24} n = {problem.num_variables:2}"
-        for name, prover in provers.items():
-            start = time.process_time()
-            cost, bound = within(arguments.seconds, partial(prover, problem.prog()))
-            seconds = time.process_time() - start
-            gap = (cost - bound) / max(1.0, abs(cost)) if np.isfinite(cost + bound) else np.inf
-            is_proven = gap <= 1.01 * PROVEN and seconds <= 1.1 * arguments.seconds
-            is_wrong = bound > problem.minimum + PROVEN * max(1.0, abs(problem.minimum))
-            proven[name] += is_proven
-            wrong += is_wrong and name == "ours"
-            spent[name] += seconds
-            outcome = "proven" if is_proven else f"{gap:6.0e}"
-            line += f"  {name} {outcome}{'!' * is_wrong} {seconds:5.2f} s"
-        print(line, flush=True)
-    for name in provers:
-        print(f"{name}: {proven[name]} of {len(problems)} proven, {spent[name]:.0f} CPU s in all")
-    print(f"bounds of ours that were wrong: {wrong}")
+    chosen = [each for each in problems().values() if each.num_variables <= arguments.most]
+    names = [each.name for each in chosen if arguments.only in each.name]
+    found = run_all(partial(run, seconds=arguments.seconds), names, arguments)
+    for outcomes in zip(*(each.items() for each in found), strict=True):
+        name, own = outcomes[0][0], [outcome for _, outcome in outcomes]
+        print(
+            f"{name}: {sum(each.is_proven for each in own)} of {len(own)} proven, "
+            f"{sum(each.seconds for each in own):.0f} CPU s in all, "
+            f"bounds above the optimum {sum(each.is_wrong for each in own)}"
+        )
+    late = [name for name, each in zip(names, found, strict=False) if is_late(each)]
+    print(f"proven by all peers in {QUICK:g} s, by us in more than {SLOW:g}: {late or 'none'}")
 
 
-def within(seconds: float, run: Callable[[float], tuple[float, float]]) -> tuple[float, float]:
-    """Returns a prover's cost and bound; nothing if it takes longer."""
+def is_late(outcomes: dict[str, Outcome]) -> bool:
+    """Whether all peers are quick where we are slow."""
+    ours, *peers = outcomes.values()
+    is_easy = all(each.is_proven and each.seconds <= QUICK for each in peers)
+    return is_easy and not (ours.is_proven and ours.seconds <= SLOW)
 
-    def stop(*_: Any) -> None:
-        raise TimeoutError
 
-    signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, 1.1 * seconds)
+@cache
+def problems() -> dict[str, ConstrainedProblem]:
+    return {each.name: each for each in constrained_problems()}
+
+
+@cache
+def warm_up(most: int) -> None:
+    """Has all machine code compiled or loaded in this process, before anything is timed."""
+    for problem in problems().values():
+        if problem.num_variables <= most:
+            AigoSolver(_WARM_UP).Solve(problem.prog())
+
+
+def run(name: str, *, seconds: float) -> dict[str, Outcome]:
+    """Runs all provers on a program, prints a line, and returns what came of each."""
+    problem = problems()[name]
+    warm_up(max(10, problem.num_variables))
+    provers: dict[str, Prover] = {"ours": ours, "SCIP": scip}
+    if importlib.util.find_spec("gurobipy"):
+        provers["Gurobi"] = gurobi
+    found = {each: judge(problem, provers[each], seconds) for each in provers}
+    line = f"{problem.name:24} n = {problem.num_variables:2}"
+    for each, own in found.items():
+        told = "proven" if own.is_proven else f"{own.gap:6.0e}"
+        line += f"  {each} {told}{'!' * own.is_wrong} {own.seconds:5.2f} s"
+    print(line, flush=True)
+    return found
+
+
+def judge(problem: ConstrainedProblem, prover: Prover, most: float) -> Outcome:
+    """Runs a prover for as many seconds of the processor."""
+    prog, start = problem.prog(), time.process_time()
     try:
-        return run(seconds)
-    except TimeoutError:
-        return np.inf, -np.inf
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        cost, bound = prover(prog, _LATE * most)
+    except (UnsupportedTermError, KeyboardInterrupt):  # A function that it lacks; between steps.
+        cost, bound = np.inf, -np.inf
+    seconds = time.process_time() - start
+    gap = (cost - bound) / max(1.0, abs(cost)) if np.isfinite(cost + bound) else np.inf
+    return Outcome(
+        gap=gap,
+        seconds=seconds,
+        is_proven=gap <= 1.01 * PROVEN and seconds <= _LATE * most,
+        is_wrong=bound > problem.minimum + PROVEN * max(1.0, abs(problem.minimum)),
+    )
 
 
 def ours(prog: MathematicalProgram, seconds: float) -> tuple[float, float]:
-    result = AigoSolver(AigoOptions(certify=True)).Solve(prog)
-    return result.get_optimal_cost(), result.get_solver_details().lower_bound
+    """Ends as by Ctrl-C once the processor's time is up, which keeps the bound so far."""
+
+    def stop(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        result = AigoSolver(AigoOptions(certify=True)).Solve(prog)
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+    details = result.get_solver_details()
+    is_feasible = details.violation <= 1e-6
+    return (result.get_optimal_cost() if is_feasible else np.inf), details.lower_bound
 
 
 def scip(prog: MathematicalProgram, seconds: float) -> tuple[float, float]:
-    found = certify(prog, prover="scip", seconds=seconds, gap=PROVEN)
+    found = certify(prog, prover="scip", seconds=seconds / _LATE, gap=PROVEN)
     return found.best_cost, found.lower_bound
 
 
+def gurobi(prog: MathematicalProgram, seconds: float) -> tuple[float, float]:
+    """Writes functions as Gurobi's nonlinear constraints, and asks the clock of the processor."""
+    gurobipy: Any = importlib.import_module("gurobipy")
+    formulas, nl, end = read_formulas(prog), gurobipy.nlfunc, time.process_time() + seconds
+    functions = {
+        Operation.EXP: nl.exp,
+        Operation.LOG: nl.log,
+        Operation.SIN: nl.sin,
+        Operation.COS: nl.cos,
+        Operation.TANH: nl.tanh,
+    }
+    with gurobipy.Env(params={"OutputFlag": 0}) as env, gurobipy.Model(env=env) as model:
+        sides = zip(formulas.lower, formulas.upper, strict=True)
+        x = [model.addVar(lb=low, ub=high) for low, high in sides]
+        cost = model.addVar(lb=-np.inf)
+        model.addConstr(cost == write_sum(formulas.summands, x, functions))
+        for row in formulas.rows:
+            own = model.addVar(lb=row.lower, ub=row.upper)
+            model.addConstr(own == write_sum((row,), x, functions))
+        model.setObjective(cost)
+        model.setParam("Threads", 1)
+        model.setParam("MIPGap", 0.5 * PROVEN)
+        model.optimize(lambda own, _: own.terminate() if time.process_time() > end else None)
+        cost, bound = (model.ObjVal if model.SolCount else np.inf), model.ObjBound
+    return cost, bound
+
+
 if __name__ == "__main__":
-    main()
+    run_as("benchmarks.provers")

@@ -15,6 +15,7 @@ from drake_aigto.certify.formulas import Operation, Tape, formula_of, make_tape,
 from drake_aigto.certify.plans import PlanBound, bound_plans, fold, out_of_reach
 from drake_aigto.certify.relaxation import Relaxation
 from drake_aigto.certify.relaxation_kernels import safe_bound
+from drake_aigto.certify.scip import write_sum
 from drake_aigto.certify.touches import bound_line
 
 __all__ = [
@@ -41,4 +42,5 @@ __all__ = [
     "read_formulas",
     "relative_gap",
     "safe_bound",
+    "write_sum",
 ]

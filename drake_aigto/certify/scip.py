@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -52,12 +52,18 @@ def bound_by_scip(
     model.hideOutput()
     names = [(float(a), float(b)) for a, b in zip(formulas.lower, formulas.upper, strict=True)]
     x = [model.addVar(lb=_end(low), ub=_end(high)) for low, high in names]
-    everything = range(len(x))
+    functions = {
+        Operation.EXP: scip.exp,
+        Operation.LOG: scip.log,
+        Operation.SIN: scip.sin,
+        Operation.COS: scip.cos,
+        Operation.ABS: abs,
+    }
     cost = model.addVar(lb=None, ub=None)
-    model.addCons(cost >= _expression(scip, formulas.summands, everything, x))
+    model.addCons(cost >= write_sum(formulas.summands, x, functions))
     model.setObjective(cost)
     for row in formulas.rows:
-        own = _expression(scip, (row,), everything, x)
+        own = write_sum((row,), x, functions)
         if row.lower == row.upper:
             model.addCons(own == row.lower)
             continue
@@ -83,27 +89,36 @@ def _end(bound: float) -> float | None:
     return bound if math.isfinite(bound) else None
 
 
-def _expression(
-    scip: Any, parts: Sequence[Summand], variables: Sequence[int], x: Sequence[Any]
+def write_sum(
+    parts: Sequence[Summand],
+    x: Sequence[Any],
+    functions: Mapping[Operation, Callable[[Any], Any]],
 ) -> Any:
-    """Returns the sum of some summands as SCIP writes it."""
+    """Returns the sum of some summands in another program's expressions.
+
+    Args:
+        parts: the summands.
+        x: its variables (n,).
+        functions: those that it has, but for arithmetic and powers.
+
+    Raises:
+        UnsupportedTermError: a function that it lacks, by name.
+    """
     values: list[Any] = []
-    for entry in formula_of(parts, variables):
-        values.append(_apply(scip, entry, values, x))
+    for entry in formula_of(parts, range(len(x))):
+        values.append(_apply(entry, values, x, functions))
     return 0.0 * x[0] + values[-1]
 
 
-def _apply(scip: Any, entry: Entry, values: Sequence[Any], x: Sequence[Any]) -> Any:
+def _apply(
+    entry: Entry,
+    values: Sequence[Any],
+    x: Sequence[Any],
+    functions: Mapping[Operation, Callable[[Any], Any]],
+) -> Any:
     operation, a, b, p = Operation(entry[0]), *entry[1:]
-    known = {
-        Operation.EXP: scip.exp,
-        Operation.LOG: scip.log,
-        Operation.SIN: scip.sin,
-        Operation.COS: scip.cos,
-        Operation.ABS: abs,
-    }
-    if operation in known:
-        return known[operation](values[a])
+    if operation in functions:
+        return functions[operation](values[a])
     match operation:
         case Operation.NUMBER:
             return p
@@ -125,5 +140,7 @@ def _apply(scip: Any, entry: Entry, values: Sequence[Any], x: Sequence[Any]) -> 
         case Operation.REAL_POWER:
             return values[a] ** p
     raise UnsupportedTermError(
-        "SCIP has no such function", got=operation.name.lower(), remedy="Use the other prover."
+        "the prover has no such function",
+        got=operation.name.lower(),
+        remedy="Use the package's own prover.",
     )
