@@ -1,8 +1,10 @@
 """AIGO on constrained programs whose global optimum is known, and multistart SNOPT beside it.
 
-    python -m benchmarks.constrained_programs [--only HS] [--factor 1] [--aigo-seed 0]
-        [--workers 1] [--minutes 9] [--out DIR]
+    python -m benchmarks.constrained_programs [--only HS] [--moves 201 202] [--factor 1]
+        [--aigo-seed 0] [--workers 1] [--minutes 9] [--out DIR]
 
+With `--moves`, programs are rewritten by seeds: in another order of variables, some of them
+mirrored, all shifted, with bounds cut, so that none is the program that anything was tuned on.
 Global: constraints and bounds hold to 1e-6, and f − f* ≤ 1e-5 max(1, |f*|). A success that is not
 feasible to 1e-6 is counted apart: there must be none. SNOPT starts from random points of the box
 for as many seconds as ours took, times `--factor`. Writes constrained_programs.csv, in which inf is
@@ -14,6 +16,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
 from pydrake.solvers import SnoptSolver
@@ -27,6 +30,9 @@ from drake_aigto.solver import AigoOptions
 FEASIBLE = 1e-6
 GLOBAL = 1e-5
 PEER = "SNOPT, multistart"
+MOVED = " moved by "
+CUT = 0.8  # of the way to a minimizer, that a bound is moved by at most
+FARTHEST = 10.0  # from a minimizer, of a variable without bounds
 WARM_UPS = ("HS 43", "planted n=5 seed=0")
 
 
@@ -34,9 +40,11 @@ def main() -> None:
     arguments = read_flags(
         __doc__,
         only=("", "programs whose name has this in it"),
+        moves=((0,), "seeds by which programs are rewritten; 0: as they are"),
         **PEER_FLAGS,
     )
     names = [name for name in problems_by_name() if arguments.only in name]
+    names = [f"{name}{MOVED}{seed}" if seed else name for seed in arguments.moves for name in names]
     work = partial(run, factor=arguments.factor, aigo_seed=arguments.aigo_seed)
     summarise(collect(work, names, effort, tell, "constrained_programs.csv", arguments))
 
@@ -46,8 +54,45 @@ def problems_by_name() -> dict[str, ConstrainedProblem]:
     return {problem.name: problem for problem in constrained_problems()}
 
 
+def find_problem(name: str) -> ConstrainedProblem:
+    own, _, seed = name.partition(MOVED)
+    return move(problems_by_name()[own], int(seed)) if seed else problems_by_name()[own]
+
+
+def move(problem: ConstrainedProblem, seed: int) -> ConstrainedProblem:
+    """Returns a program in z, x_i = s_i (z_p(i) − t_i), with bounds cut towards a minimizer."""
+    rng = np.random.default_rng([seed, *problem.name.encode()])
+    n = problem.num_variables
+    order, signs, cut = rng.permutation(n), rng.choice([-1.0, 1.0], n), CUT * rng.random((2, n))
+    shifts = rng.uniform(-1.0, 1.0, n)
+    best = rng.choice(problem.minimizers)
+    lower = np.where(np.isfinite(problem.lower), problem.lower, best - FARTHEST)
+    upper = np.where(np.isfinite(problem.upper), problem.upper, best + FARTHEST)
+    lower, upper = lower + cut[0] * (best - lower), upper + cut[1] * (best - upper)
+
+    def back(z: Any) -> list[Any]:
+        return [s * (z[p] - t) for s, p, t in zip(signs, order, shifts, strict=True)]
+
+    def ahead(x: Any) -> Any:
+        z = np.empty(n)
+        z[order] = signs * x + shifts
+        return z
+
+    ends = ahead(lower), ahead(upper)
+    return ConstrainedProblem(
+        f"{problem.name}{MOVED}{seed}",
+        (np.minimum(*ends), np.maximum(*ends)),
+        problem.minimum,
+        ahead(best),
+        lambda *z: problem.summands(back(z)),
+        equalities=lambda *z: problem.equalities(*back(z)),
+        inequalities=lambda *z: problem.inequalities(*back(z)),
+        source=problem.source,
+    )
+
+
 def effort(name: str) -> int:
-    return problems_by_name()[name].num_variables
+    return find_problem(name).num_variables
 
 
 @cache
@@ -62,7 +107,7 @@ def warm_up() -> None:
 def run(name: str, *, factor: float, aigo_seed: int) -> list[Record]:
     """Runs ours, and then SNOPT."""
     warm_up()
-    problem = problems_by_name()[name]
+    problem = find_problem(name)
     ours = run_ours(problem, aigo_seed)
     return [ours, run_snopt(problem, factor * ours.seconds)]
 

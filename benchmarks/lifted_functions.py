@@ -1,9 +1,10 @@
-"""AIGO on test functions that are written with auxiliary variables, with presolve and without.
+"""AIGO on test functions as they are, and with auxiliary variables, with presolve and without.
 
     python -m benchmarks.lifted_functions [--only Levy] [--lift-seeds 11 12] [--workers 1]
 
 A part of every formula has, with probability 0.6, a variable of its own and an equality that
-defines it; bounds are cut, so that no minimizer is in the middle of the box. Solved: the answer is
+defines it; none has where it is solved directly. Bounds are cut, the same ones for all three ways,
+so that no minimizer is in the middle of the box. Solved: the answer is
 feasible to 1e-6, and f − f* ≤ 1e-6 max(1, |f*|).
 """
 
@@ -35,7 +36,7 @@ def lifted_problems() -> Iterator[GlobalProblem]:
             yield problem
 
 
-def lift(problem: GlobalProblem, seed: int) -> MathematicalProgram:
+def lift(problem: GlobalProblem, seed: int, share: float = _SHARE) -> MathematicalProgram:
     """Returns a program of a function, lifted and cut as the seed has it."""
     rng = np.random.default_rng([seed, *problem.name.encode()])
     prog = MathematicalProgram()
@@ -45,7 +46,7 @@ def lift(problem: GlobalProblem, seed: int) -> MathematicalProgram:
     lower = problem.lower + part[0] * (minimizer - problem.lower)
     upper = problem.upper + part[1] * (minimizer - problem.upper)
     prog.AddBoundingBoxConstraint(lower, upper, x)
-    cost = ExpressionCost(_Lift(prog, rng).replace(problem.evaluate(x)))
+    cost = ExpressionCost(_Lift(prog, rng, share).replace(problem.evaluate(x)))
     prog.AddCost(cost, vars=cost.vars())
     return prog
 
@@ -53,8 +54,8 @@ def lift(problem: GlobalProblem, seed: int) -> MathematicalProgram:
 class _Lift:
     """Replaces parts of formulas from the leaves up; equal ones by the same variable."""
 
-    def __init__(self, prog: MathematicalProgram, rng: np.random.Generator) -> None:
-        self._prog, self._rng = prog, rng
+    def __init__(self, prog: MathematicalProgram, rng: np.random.Generator, share: float) -> None:
+        self._prog, self._rng, self._share = prog, rng, share
         self._known: dict[str, Any] = {}
 
     def replace(self, formula: Any) -> Any:
@@ -72,7 +73,7 @@ class _Lift:
             return part
         if (text := str(part)) not in self._known:
             inner = self._rebuild(part)
-            if self._rng.random() < _SHARE:
+            if self._rng.random() < self._share:
                 (own,) = self._prog.NewContinuousVariables(1, f"y{len(self._known)}")
                 self._prog.AddConstraint(own - inner == 0)
                 inner = Expression(own)
@@ -85,7 +86,7 @@ def _expression(operand: Any) -> Expression:
 
 
 TOLERANCE = 1e-6
-METHODS = ("presolve", "without")
+METHODS = ("presolve", "without", "direct")
 
 
 def main() -> None:
@@ -98,12 +99,12 @@ def main() -> None:
     print(machine())
     names = [each.name for each in lifted_problems() if arguments.only in each.name]
     jobs = [(name, seed) for seed in arguments.lift_seeds for name in names]
-    pairs = run_all(solve_both, jobs, arguments)
-    for runs in pairs:
+    found = run_all(solve_all, jobs, arguments)
+    for runs in found:
         if not all(map(is_solved, runs)):
             told = "   ".join(f"{run.cost:12.6g}{run.seconds:8.2f} s" for run in runs)
             print(f"{f'{runs[0].problem} seed={runs[0].seed}':32}{told}")
-    for which, runs in zip(METHODS, zip(*pairs, strict=True), strict=True):
+    for which, runs in zip(METHODS, zip(*found, strict=True), strict=True):
         solved, broken = sum(map(is_solved, runs)), sum(map(is_broken, runs))
         median = np.median([run.seconds for run in runs])
         print(f"{which:9} solved {solved} of {len(runs)}, broken {broken}, median {median:.2f} s")
@@ -120,16 +121,17 @@ def is_broken(run: Record) -> bool:
     return bool(np.isnan(run.cost) or below > 10 * TOLERANCE)
 
 
-def solve_both(job: tuple[str, int]) -> tuple[Record, ...]:
-    """Returns runs with presolve and without."""
+def solve_all(job: tuple[str, int]) -> tuple[Record, ...]:
+    """Returns runs with presolve and without, and of the function itself."""
     return tuple(solve(*job, method) for method in METHODS)
 
 
 def solve(name: str, seed: int, method: str) -> Record:
     """Returns one run; its cost is inf if it is not feasible, nan if that is called a success."""
     (problem,) = (each for each in lifted_problems() if each.name == name)
-    options = AigoOptions(presolve=method == "presolve")
-    result, seconds = time_solve(lift(problem, seed), options)
+    options = AigoOptions(presolve=method != "without")
+    share = 0.0 if method == "direct" else _SHARE
+    result, seconds = time_solve(lift(problem, seed, share), options)
     cost = result.get_optimal_cost()
     if result.get_solver_details().violation > TOLERANCE:
         cost = np.nan if result.is_success() else np.inf

@@ -1,7 +1,7 @@
 """AIGO on chains of stages with contact, and multistarts of IPOPT and SNOPT beside it.
 
-    python -m benchmarks.staged_programs [--only push_bot/0.6] [--random 50] [--seeds 3]
-        [--workers 1] [--minutes 60]
+    python -m benchmarks.staged_programs [--only push_bot/0.6] [--random 50] [--start-seed 17]
+        [--seeds 3] [--workers 1] [--minutes 60]
 
 Every peer has as many seconds of the processor as ours took, one start at least. IPOPT runs through
 CasADi on the same rows, with exact Hessians and complementarities λ s ≤ ε that are relaxed and
@@ -68,12 +68,13 @@ def main() -> None:
         __doc__,
         only=("", "programs whose name has this in it"),
         random=(50, "random starts of the push-bot"),
+        start_seed=(17, "of these"),
         seeds=(3, "of ours, for the best known"),
     )
     print(machine())
-    problems = staged_problems(arguments.random)
+    problems = staged_problems(arguments.random, arguments.start_seed)
     names = [each.name for each in problems if arguments.only in each.name]
-    work = partial(run, num_random=arguments.random, num_seeds=arguments.seeds)
+    work = partial(run, starts=(arguments.random, arguments.start_seed), num_seeds=arguments.seeds)
     runs = run_all(work, names, arguments)
     for family in sorted({each.problem.rpartition("/")[0] for each in runs}):
         summarise(family, [each for each in runs if each.problem.startswith(f"{family}/")])
@@ -92,10 +93,10 @@ def summarise(family: str, runs: list[Run]) -> None:
         print(f"  {name:6} within 1 % of the best known {best}, feasible {feasible}")
 
 
-def run(name: str, *, num_random: int, num_seeds: int) -> Run:
+def run(name: str, *, starts: tuple[int, int], num_seeds: int) -> Run:
     """Runs ours, the peers, and ours from other seeds."""
     warm_up()
-    (problem,) = (each for each in staged_problems(num_random) if each.name == name)
+    (problem,) = (each for each in staged_problems(*starts) if each.name == name)
     program = read_program(problem.prog())
     cost, seconds = run_ours(problem, 0)
     others = tuple(run_ours(problem, seed)[0] for seed in range(1, num_seeds + 1))

@@ -52,27 +52,28 @@ class StagedProblem:
     guess: Callable[[], np.ndarray] | None = None
 
 
-def staged_problems(num_random: int = 50) -> Iterator[StagedProblem]:
+def staged_problems(num_random: int = 50, seed: int = 17) -> Iterator[StagedProblem]:
     """Yields push-bots between far and near walls.
 
     Args:
         num_random: how many random starts of the push-bot there are, at each distance of the walls.
+        seed: of these.
     """
     for wall in (1.0, 0.6):
-        for i, start in enumerate(push_bot_starts(wall, num_random)):
+        for i, start in enumerate(push_bot_starts(wall, num_random, seed)):
             form: Form = ("equalities", "inequalities", "variables")[i % 3]
             name = f"push_bot/{wall:g}/{i}"
             roll_out = partial(push_bot_roll_out, start, wall, form)
             yield StagedProblem(name, partial(push_bot, start, wall, form), roll_out)
 
 
-def push_bot_starts(wall: float, num_random: int) -> list[tuple[float, ...]]:
+def push_bot_starts(wall: float, num_random: int, seed: int) -> list[tuple[float, ...]]:
     """Returns SPOT's ten starts, and random ones of its distribution.
 
     Starts whose first knots are so deep in a wall that its force is above the bound on forces are
     left out, and drawn again.
     """
-    rng = np.random.default_rng(17)
+    rng = np.random.default_rng(seed)
     starts: list[tuple[float, ...]] = [each for each in SPOT_STARTS if _is_possible(each, wall)]
     last = len(starts) + num_random
     while len(starts) < last:
