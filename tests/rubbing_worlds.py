@@ -19,6 +19,11 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
+from drake_aigto import World
+from drake_aigto.arrays import Floats
+from drake_aigto.contact import CompliantLaw, ContactLaw, calc_pushes, calc_tangents
+from drake_aigto.dynamics import calc_friction_share
+
 RADIUS = 0.1  # [m]
 
 
@@ -95,3 +100,17 @@ def make_discs(
     starts = [[3.0 * i * max(radii), 2 * radius, *rest] for i, radius in enumerate(radii)]
     plant.SetDefaultPositions(np.append(np.ravel(starts), np.zeros(int(tilts))))
     return builder.Build()
+
+
+def calc_drag(world: World, law: ContactLaw, q: Floats, v: Floats, forces: Floats) -> Floats:
+    """Returns friction of compliant contacts as forces on q, −Tᵀ μ f σ(s / v_s), shape (n,)."""
+    assert isinstance(law, CompliantLaw)
+    T, levers = calc_tangents(world, law, q)
+    shares = calc_friction_share((T @ v) * levers, world.stiction_speed)
+    return np.asarray(-(law.friction * forces * shares) @ T)
+
+
+def accelerate(world: World, law: ContactLaw, q: Floats, v: Floats, u: Floats) -> Floats:
+    """Returns v̇ with the forces and the friction of compliant contacts, shape (n,)."""
+    forces = calc_pushes(world, law, q, v)
+    return world.calc_acceleration(q, v, u, forces, calc_drag(world, law, q, v, forces))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pydrake.solvers import MathematicalProgram
+from rubbing_worlds import accelerate
 
 from benchmarks import friction_peer
 from benchmarks.collections.peer_programs import payload, push_circle
@@ -18,7 +19,7 @@ from benchmarks.friction_worlds import Run, ask_payload, list_circle, list_paylo
 from benchmarks.local_peers import casadi
 from drake_aigto import Scenario, World
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import calc_drag, calc_pushes, contact_law
+from drake_aigto.contact import calc_pushes, contact_law
 from drake_aigto.errors import MissingExtraError
 from drake_aigto.planning import Aim, MechanismTask, PlanOptions
 
@@ -130,8 +131,7 @@ def test_the_gradient_peer_has_the_worlds_equations(name: str) -> None:
         u = rng.normal(size=world.num_actuators)
         forces = calc_pushes(world, law, q, v)
         touched += int(forces.any())
-        drag = calc_drag(world, law, q, v, forces)
-        rate = world.calc_acceleration(q, v, u, forces, drag)
+        rate = accelerate(world, law, q, v, u)
         off = np.array(balance(q, v, u, rate)).ravel()
         assert np.abs(off).max() <= 1e-9 * (1 + np.abs(forces).max())
     assert touched > 5

@@ -23,7 +23,6 @@ from .laws import ContactLaw as ContactLaw
 from .laws import RigidLaw as RigidLaw
 from .laws import calc_deeper as calc_deeper
 from .laws import calc_dissipation as calc_dissipation
-from .laws import calc_drag as calc_drag
 from .laws import calc_levers as calc_levers
 from .laws import calc_pushes as calc_pushes
 from .laws import calc_share as calc_share
@@ -45,6 +44,11 @@ from .motion import dot as dot
 from .motion import find_size as find_size
 from .motion import read_clearances as read_clearances
 from .motion import support as support
+from .springs import Springs as Springs
+from .springs import SpringsMemory as SpringsMemory
+from .springs import accelerate_springs as accelerate_springs
+from .springs import evaluate_springs as evaluate_springs
+from .springs import make_springs_memory as make_springs_memory
 from .touching import TouchRoom as TouchRoom
 from .touching import TouchTable as TouchTable
 from .touching import evaluate_push as evaluate_push

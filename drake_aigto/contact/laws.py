@@ -10,7 +10,7 @@ import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
-from drake_aigto.dynamics import calc_friction_share, smooth_sign
+from drake_aigto.dynamics import smooth_sign
 from drake_aigto.kernels import borrowing
 from drake_aigto.world import Scenario, SpaceWorld, World
 
@@ -176,27 +176,6 @@ def calc_slips(world: World, law: ContactLaw, q: Floats, v: Floats) -> Floats:
         return world.rubbing.calc_slips(q, v)
     T, levers = calc_tangents(world, law, q)
     return (T @ v[..., np.newaxis])[..., 0] * levers
-
-
-def calc_drag(world: World, law: ContactLaw, q: Floats, v: Floats, forces: Floats) -> Floats | None:
-    """Returns friction of compliant contacts as forces on q, −Tᵀ μ f σ(s / v_s), shape (…, n) [N].
-
-    None where no such contact has friction. T is that of `calc_tangents`, s of `calc_slips`, σ of
-    `calc_friction_share`.
-
-    Args:
-        world: has T.
-        law: of contact.
-        q: shape (…, nq) [m].
-        v: shape (…, n) [m/s].
-        forces: f of contacts (`calc_pushes`), shape (…, m) [N].
-    """
-    if isinstance(law, RigidLaw) or not law.has_friction:
-        return None
-    T, levers = calc_tangents(world, law, q)
-    slips = (T @ v[..., np.newaxis])[..., 0] * levers
-    shares = calc_friction_share(slips, world.stiction_speed)
-    return -((law.friction * forces * shares)[..., np.newaxis, :] @ T)[..., 0, :]
 
 
 def calc_dissipation(restitution: float, speed: float) -> float:

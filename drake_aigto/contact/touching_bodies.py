@@ -16,7 +16,7 @@ from drake_aigto.dynamics import (
     move_tree,
     push_tree,
 )
-from drake_aigto.kernels import inner
+from drake_aigto.kernels import borrowing
 from drake_aigto.world import SpaceWorld
 
 # Part of the width of contacts that counts where bodies are moved by no actuator; and the force of
@@ -91,7 +91,7 @@ def _find_widths(world: SpaceWorld, law: CompliantLaw) -> tuple[Floats, Floats]:
     return share, _WEIGHTS * weight if np.any(g) else np.full(len(share), np.inf)
 
 
-@inner
+@borrowing
 def accelerate_bodies(
     bodies: Bodies,
     q: Floats,

@@ -334,7 +334,7 @@ class EquationsOfMotion:
             v: shape (…, nv) [m/s].
             u: shape (…, nu) [N].
             forces: f of contacts, shape (…, m) [N]; None: no contact.
-            drag: d, friction of contacts, shape (…, nv) [N, N m] (`calc_drag`); None: none.
+            drag: d, friction of contacts, shape (…, nv) [N, N m]; None: none.
         """
         force = u @ self.actuation.T - self.calc_bias(q, v)
         if forces is not None:

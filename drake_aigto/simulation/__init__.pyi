@@ -1,6 +1,7 @@
 from .arrival import Arrival as Arrival
-from .bodies import FINE as FINE
-from .bodies import BodyMotion as BodyMotion
+from .compliant import FINE as FINE
+from .compliant import Compliant as Compliant
+from .compliant import CompliantMotion as CompliantMotion
 from .drake_judge import ContactTrace as ContactTrace
 from .drake_judge import StepEnd as StepEnd
 from .drake_judge import StepTrace as StepTrace
@@ -30,7 +31,6 @@ from .simulator import ContactMonitor as ContactMonitor
 from .simulator import make_simulator as make_simulator
 from .simulator import set_stiffness as set_stiffness
 from .simulator import start_plant as start_plant
-from .springs import compile_springs as compile_springs
 from .verdict import BOUNDS as BOUNDS
 from .verdict import CLEARANCE as CLEARANCE
 from .verdict import HARD_GOAL as HARD_GOAL

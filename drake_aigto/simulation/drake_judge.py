@@ -18,7 +18,7 @@ from drake_aigto.contact import (
     calc_time_to_wall,
     read_clearances,
 )
-from drake_aigto.simulation.bodies import read_touches, sample_motion
+from drake_aigto.simulation.compliant import find_depth, measure_steps, read_touches
 from drake_aigto.simulation.recording import (
     Controller,
     Held,
@@ -32,9 +32,8 @@ from drake_aigto.simulation.simulator import (
     calc_acceleration,
     start_plant,
 )
-from drake_aigto.simulation.springs import find_depth, read_touch
 from drake_aigto.simulation.verdict import calc_compliance_error, calc_lateness
-from drake_aigto.world import Scenario, SpaceWorld, World
+from drake_aigto.world import Scenario, World
 
 
 class DrakeJudge:
@@ -160,13 +159,7 @@ class StepTrace:
         """Returns the states whenever the control changed, at the end, and about contacts."""
         recording = self._recording
         columns = (np.array([sample[k] for sample in self._samples]) for k in range(3))
-        if isinstance(self._world, SpaceWorld):
-            times, states, controls = columns
-            q, v = np.split(states, [self._world.num_positions], axis=1)
-            ahead = np.vstack([controls[1:], controls[-1:]])
-            recording.samples.append(sample_motion(self._world, times, q, v, ahead))
-        else:
-            recording.samples.append(sample_steps(*columns))
+        recording.samples.append(sample_steps(self._world, *columns))
         kept = {*recording.control_times, end}
         rows = [(row.time, row.x) for row in self._samples if self._keeps_all or row.time in kept]
         rows += self._read_contacts(recording)
@@ -181,25 +174,11 @@ class StepTrace:
         """Adds contacts and depth, and returns the times and states that are kept of them."""
         world, rows = self._world, self._samples
         times, states = np.array([row.time for row in rows]), np.array([row.x for row in rows])
-        q, v = np.split(states, [world.num_positions], axis=1)
-        if isinstance(world, SpaceWorld):
-            recording.impacts, recording.max_penetration = read_touches(world, times, q, v)
-            return []
-        distances, rates = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
+        distances, rates = measure_steps(world, states)
         recording.max_penetration = find_depth(times, distances, rates)
-        outside = distances > 0
-        for before, contact in np.argwhere(outside[:-1] & ~outside[1:]).tolist():
-            a, b = rows[before], rows[before + 1]
-            step, (q, v), (_, later) = b.time - a.time, np.split(a.x, 2), np.split(b.x, 2)
-            push = (rates[before + 1, contact] - rates[before, contact]) / step
-            wait = calc_time_to_wall(distances[before, contact], rates[before, contact], push)
-            t, acceleration = min(wait, step), (later - v) / step
-            x = np.concatenate([q + t * (v + t / 2 * acceleration), v + t * acceleration])
-            touch = read_touch(world, a.time + t, x, contact, b.control)
-            after = np.flatnonzero(outside[before + 1 :, contact])
-            end = rows[before + 1 + after[0]] if len(after) else rows[-1]
-            energy = float(world.calc_kinetic_energy(*np.split(end.x, 2)))
-            recording.impacts.append(touch._replace(energy_after=energy))
+        # A step's end belongs to the control that led there.
+        ahead = np.array([row.control for row in (*rows[1:], rows[-1])])
+        recording.impacts, _ = read_touches(world, times, states, ahead, distances)
         return []
 
 

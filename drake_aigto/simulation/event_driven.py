@@ -8,7 +8,7 @@ from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact import CompliantLaw, Walls, calc_depth, contact_law
 from drake_aigto.dynamics import ConstantDynamics
 from drake_aigto.kernels import kernel
-from drake_aigto.simulation.bodies import simulate_bodies
+from drake_aigto.simulation.compliant import simulate_compliant
 from drake_aigto.simulation.flights import (
     STATE,
     TIME,
@@ -24,8 +24,7 @@ from drake_aigto.simulation.flights import (
 )
 from drake_aigto.simulation.recording import Controller, HeldControl, Recording, list_impacts
 from drake_aigto.simulation.rigid import Flights, RigidMotion, SlidingMotion
-from drake_aigto.simulation.springs import SpringMotion
-from drake_aigto.world import Scenario, SpaceWorld, World
+from drake_aigto.world import Scenario, World
 
 # Of the first log; what has more impacts runs a second time.
 _USUAL_IMPACTS = 64
@@ -127,7 +126,8 @@ class EventDriven:
     rounding, by roots alone (`Parabolas`, `Flights`); only hops too short to follow become rest.
     Elsewhere it is integrated nearly to rounding (`RigidMotion` has the equations), and so it is
     with friction (`SlidingMotion`): what sticks, slips or rolls, and until when, is found by roots,
-    too. Compliant walls are springs that may be entered (`SpringMotion`).
+    too. Compliant walls are springs that may be entered (`CompliantMotion`, which takes mechanisms
+    that touch nothing, too).
     """
 
     def simulate(
@@ -145,15 +145,13 @@ class EventDriven:
         """
         law, span = contact_law(world, scenario), (controller.start, controller.end)
         start = state or (scenario.initial_position, scenario.initial_velocity)
-        if isinstance(world, SpaceWorld):
-            assert isinstance(law, CompliantLaw), "else the world refuses the scenario"
-            return simulate_bodies(world, law, start, controller)
         if isinstance(law, CompliantLaw):
-            recording = SpringMotion(world, law, start, controller.start).run(controller)
-            recording.simulator = "integrated"
-            return recording
+            return simulate_compliant(world, law, start, controller)
         is_parabola = world.has_constant_dynamics and not law.has_friction
-        if is_parabola and isinstance(controller, HeldControl) and controller.is_open_loop:
+        if not (world.contacts or is_parabola):
+            nothing = CompliantLaw(np.zeros(0), np.zeros(0))
+            recording = simulate_compliant(world, nothing, start, controller)
+        elif is_parabola and isinstance(controller, HeldControl) and controller.is_open_loop:
             flights = Parabolas(world.constant_dynamics, law.restitution, start, controller.times)
             recording = flights.record(controller.controls)
         else:

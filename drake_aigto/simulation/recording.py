@@ -12,6 +12,7 @@ from numpy.polynomial import legendre
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.simulation.flights import CONTACT, PUSH, SPEED, STATE, TIME
+from drake_aigto.world import World
 
 # Of a quadrature between rows: the square of a cubic has degree 6, so that it is exact.
 _NODES, _WEIGHTS = legendre.leggauss(4)
@@ -222,16 +223,40 @@ def find_impacts(times: Floats, velocities: Floats, count: int) -> Ints:
     return np.sort(at_once[np.argsort(-jumps, kind="stable")[:count]])
 
 
-def sample_steps(times: Floats, states: Floats, controls: Floats) -> tuple[MotionSamples, Floats]:
+def sample_steps(
+    world: World, times: Floats, states: Floats, controls: Floats
+) -> tuple[MotionSamples, Floats]:
     """Returns samples between the ends of steps, and the control at each.
 
     Args:
+        world: of the motion.
         times: of the ends, shape (K,) [s].
-        states: (q, v) there, shape (K, 2 nv).
+        states: (q, v) there, shape (K, nx).
         controls: that led there, shape (K, nu) [N, N m].
     """
-    held = controls[1:][np.diff(times) > 0]
-    return sample_cubics(times, states), np.repeat(held, len(_NODES), axis=0)
+    if world.num_positions == world.num_velocities:
+        held = controls[1:][np.diff(times) > 0]
+        return sample_cubics(times, states), np.repeat(held, len(_NODES), axis=0)
+    lasts = np.append(True, np.diff(times) > 0)
+    (q, v), times = world.split(states[lasts]), times[lasts]
+    rates = np.hstack([world.calc_position_rate(q, v), np.gradient(v, times, axis=0)])
+    return sample_rates(times, states[lasts], rates, controls[lasts][1:])
+
+
+def sample_rates(
+    times: Floats, states: Floats, rates: Floats, controls: Floats
+) -> tuple[MotionSamples, Floats]:
+    """Returns samples along cubics of states, and the control at each.
+
+    Args:
+        times: of K states [s].
+        states: (q, v), shape (K, nx).
+        rates: of the same, shape (K, nx).
+        controls: from each to the next, shape (K − 1, nu).
+    """
+    samples = sample_cubics(times, np.hstack([states, rates]))
+    held = np.repeat(controls[np.diff(times) > 0], len(_NODES), axis=0)
+    return samples._replace(states=samples.states[:, : states.shape[1]]), held
 
 
 def sample_cubics(times: Floats, states: Floats) -> MotionSamples:

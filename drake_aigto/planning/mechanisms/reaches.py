@@ -8,7 +8,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact import CompliantLaw
-from drake_aigto.simulation import BodyMotion, Held, HeldControl
+from drake_aigto.simulation import Compliant, CompliantMotion, Held, HeldControl
 from drake_aigto.world import SpaceWorld, TaskCost
 
 # Configurations of which the one is taken that pushes the object the best way along; powers of ten
@@ -104,7 +104,8 @@ class Reaches:
         """
         path = self.find_path(times, state[0], stretch, rng)
         follows = _Following(self._world, times, path, bounds)
-        BodyMotion(self._world, self._law, state, float(times[0]), _TOLERANCE).run(follows)
+        dynamics = Compliant(self._world, self._law)
+        CompliantMotion(dynamics, state, float(times[0]), _TOLERANCE).run(follows)
         return follows.controls
 
     def find_path(

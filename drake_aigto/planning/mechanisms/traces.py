@@ -16,20 +16,17 @@ from drake_aigto.contact import (
     ContactLaw,
     Mode,
     RigidLaw,
-    calc_drag,
-    calc_pushes,
 )
 from drake_aigto.simulation import (
     FINE,
-    BodyMotion,
-    HeldControl,
+    Compliant,
     PlannedContact,
     Replay,
     find_impacts,
     replay_event_driven,
 )
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.world import Scenario, SpaceWorld, World
+from drake_aigto.world import Scenario, World
 
 # Runge-Kutta steps between two rows of a replay, where contacts neither begin nor end; more while
 # gaps are above this part of the states, until steps do not cause them.
@@ -49,9 +46,10 @@ def trace(
 ) -> tuple[Trajectory, Floats]:
     """Returns the trajectory of a replay, and its defects of the equations of motion.
 
-    From each row of the replay a Runge-Kutta method of order 4 leads to the next. Between rigid
-    walls, contacts that rest at a row are held while they press, those with friction in the mode of
-    the replay, and slow hops end as rest begins; impacts are added by `add_impulses`.
+    Between compliant walls, steps of another size lead from each knot to the next. Between rigid
+    ones a Runge-Kutta method of order 4 leads from each row of the replay to the next: contacts
+    that rest at a row are held while they press, those with friction in the mode of the replay, and
+    slow hops end as rest begins; impacts are added by `add_impulses`.
 
     Args:
         world: the mechanism.
@@ -64,8 +62,8 @@ def trace(
         The trajectory at the knots, with the mean forces between them; and the largest difference
         of (q, v) to the integration from the row before, shape (2n,).
     """
-    if isinstance(world, SpaceWorld):
-        return _trace_bodies(world, law, replay, times, controls)
+    if isinstance(law, CompliantLaw):
+        return _trace_compliant(Compliant(world, law), replay, times, controls)
     is_step = np.diff(replay.times) > 0
     starts, h = replay.times[:-1][is_step], np.diff(replay.times)[is_step]
     knots = np.clip(np.searchsorted(times, starts + h / 2) - 1, 0, len(controls) - 1)
@@ -75,8 +73,7 @@ def trace(
     sizes, steps = np.max(np.abs(x), axis=0), _STEPS
     while True:
         ends, pushes = integrate_rates(rates, x[:-1][is_step], h, steps)
-        if isinstance(law, RigidLaw):
-            _begin_rest(world, ends, x[1:][is_step])
+        _begin_rest(world, ends, x[1:][is_step])
         off = np.abs(ends - x[1:][is_step])
         gaps = np.max(np.where(np.isnan(off), np.inf, off), axis=0)
         if steps >= _MOST_STEPS or np.all(gaps <= _EXACT * sizes):
@@ -90,20 +87,20 @@ def trace(
     return Trajectory(times, q, v, controls, none, forces), gaps
 
 
-def _trace_bodies(
-    world: SpaceWorld, law: ContactLaw, replay: Replay, times: Floats, controls: Floats
+def _trace_compliant(
+    dynamics: Compliant, replay: Replay, times: Floats, controls: Floats
 ) -> tuple[Trajectory, Floats]:
-    """Returns the same of bodies in space, integrated again in finer steps from the start."""
-    assert isinstance(law, CompliantLaw)
-    start = replay.positions[0], replay.velocities[0]
-    motion = BodyMotion(world, law, start, float(times[0]), FINE)
-    recording = motion.run(HeldControl(times, controls))
+    """Returns the same between compliant walls, in other steps from each knot to the next."""
     q, v = replay.states_at(times)
-    finer = (np.array(getattr(recording, name)) for name in ("positions", "velocities"))
-    off = [np.abs(a - b).max(axis=0) for a, b in zip((q, v), finer, strict=True)]
-    none = np.zeros((len(times), world.num_contacts))
-    forces = motion.forces.reshape(len(controls), -1, world.num_contacts).mean(axis=1)
-    return Trajectory(times, q, v, controls, none, forces), np.concatenate(off)
+    x, forces = np.hstack([q, v]), np.zeros((len(controls), dynamics.world.num_contacts))
+    ends, step = x[:-1].copy(), np.inf
+    for k, u in enumerate(np.array(controls)):
+        span = float(times[k]), float(times[k + 1])
+        rows, step = dynamics.follow(ends[k], u, span, step, FINE)
+        forces[k] = dynamics.calc_mean_forces(rows)
+    none = np.zeros((len(times), dynamics.world.num_contacts))
+    gaps = np.abs(ends - x[1:]).max(axis=0)
+    return Trajectory(times, q, v, controls, none, forces), gaps
 
 
 def _read_modes(world: World, replay: Replay, times: Floats) -> Ints:
@@ -115,28 +112,25 @@ def _read_modes(world: World, replay: Replay, times: Floats) -> Ints:
     return modes
 
 
-def find_rates(world: World, law: ContactLaw, x: Floats, controls: Floats, modes: Ints) -> Rates:
+def find_rates(world: World, law: RigidLaw, x: Floats, controls: Floats, modes: Ints) -> Rates:
     """Returns the equations of motion of states (K, 2n), each under its control (K, nu).
 
-    Contacts with friction on rigid walls are held in modes, shape (K, m).
+    Contacts with friction are held in modes, shape (K, m).
     """
     n = world.num_positions
 
-    def compliant(x: Floats) -> tuple[Floats, Floats]:
+    def free(x: Floats) -> tuple[Floats, Floats]:
         q, v = x[:, :n], x[:, n:]
-        forces = calc_pushes(world, law, q, v)
-        drag = calc_drag(world, law, q, v, forces)
-        return np.hstack([v, world.calc_acceleration(q, v, controls, forces, drag)]), forces
+        rates = np.hstack([v, world.calc_acceleration(q, v, controls)])
+        return rates, np.zeros((len(x), world.num_contacts))
 
-    if not isinstance(law, RigidLaw):
-        return compliant
     is_smooth = law.friction == 0
     slides = _find_resting(world, x) & is_smooth
     modes = np.where(is_smooth, np.where(slides, Mode.FORWARD, Mode.OPEN), modes)
     kinds = np.unique(modes, axis=0)
 
     def rigid(x: Floats) -> tuple[Floats, Floats]:
-        rates, forces = compliant(x)
+        rates, forces = free(x)
         for kind in kinds[(kinds != Mode.OPEN).any(axis=1)]:
             rows = np.flatnonzero((modes == kind).all(axis=1) & np.isfinite(x).all(axis=1))
             _hold(world, law.friction, kind, x, controls, rows, rates, forces)
