@@ -53,7 +53,7 @@ _SHOVED = 0.05  # between jumps of velocities [s]
 _UPRIGHT, _SETTLED = np.pi / 4, 1.0
 # Of the estimate of q and v.
 _NOISE = np.array([1e-4, 1e-4, 1e-3, 1e-3])
-_OPTIONS = PlanOptions(renewals=8, patience=8, search_steps=STEPS, confirm=False)
+_OPTIONS = PlanOptions(renewals=8, search_steps=STEPS, confirm=False)
 
 
 class Regulator(LeafSystem):

@@ -5,16 +5,15 @@
     python -m benchmarks.questions cart_pole/soft_06 spinner/two_radians --count 20
 
 A question changes some of: start, goal (as far as beyond a turn), horizon, weight of the control,
-stiffness, mass, friction, restitution. What the world refuses is drawn again. Rivals, together with
-ten times the plan's CPU seconds, are shooting from random controls, with listed touches where walls
-are rigid, and between balls cross-entropy; each motion costs what our replay of its control does.
-The best that any run has found of a question is kept in `known_questions.json` if asked.
+stiffness, mass, friction, restitution. What the world refuses is drawn again. Rivals
+(`benchmarks.rivals`) have ten times the plan's CPU seconds, together; each motion costs what our
+replay of its control does. The best that any run has found of a question is kept in
+`known_questions.json` if asked.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import json
 import math
 import sys
@@ -30,30 +29,25 @@ from typing import Any, ClassVar
 import numpy as np
 
 from benchmarks.__main__ import main
-from benchmarks.baselines import run_baseline
-from benchmarks.robots.shooting import list_phases, shoot
+from benchmarks.rivals import ask_rivals
 from benchmarks.script import is_met
 from benchmarks.study import StudyQuestion
 from benchmarks.study.flags import add_running, run_asked
 from benchmarks.study.study import Call, WorldStudy, round_to
 from drake_aigto import AigtoError, Planner, PlanOptions, Scenario, World, scenario_names
 from drake_aigto.cli import Parser, add_common, positive
-from drake_aigto.contact import contact_law
 from drake_aigto.errors import OptionsError
 from drake_aigto.output import write_text
-from drake_aigto.planning import needs_shooting
-from drake_aigto.shooting import Mechanism, ShootingProblem
-from drake_aigto.simulation import replay_event_driven, state_scales
+from drake_aigto.simulation import state_scales
 
 PATH = Path(__file__).with_name("known_questions.json")
 NEAR, WIDE = 0.01, 0.10
 # Each kind of change is made with this probability, and questions without any are drawn again.
 _SHARE, _MOST_DRAWS = 0.4, 200
 _HORIZON, _MOST_STEPS = (0.3, 4.0), 400
-_FRICTION, _MOST_TOUCHES = (0.01, 5.0), 2
+_FRICTION = 0.01, 5.0
 _MOST_SECONDS = 60.0  # of CPU time of rivals
-# What promises more than this times the best is not replayed; costs are stored with as many digits.
-_PROMISING, _DIGITS = 1.05, 8
+_DIGITS = 8  # of costs that are stored
 
 Changes = dict[str, Any]
 _Draw = Callable[[np.random.Generator, Scenario, World], Changes]
@@ -243,54 +237,10 @@ def answer(name: str, number: int, is_tuning: bool, times: float, known: float) 
     except AigtoError as raised:
         error = str(raised)
     seconds = time.process_time() - cpu
-    rival = _ask_rivals(world, scenario, min(times * seconds, _MOST_SECONDS), min(cost, known))
+    rival = ask_rivals(world, scenario, min(times * seconds, _MOST_SECONDS), min(cost, known))
     cost, promised, idle, rival = (round_to(x, _DIGITS) for x in (cost, promised, idle, rival))
     figures = cost, promised, idle, rival, known
     return Row(name, number, *figures, is_idle, searches, found, round(seconds, 3), error)
-
-
-def _ask_rivals(world: World, scenario: Scenario, seconds: float, best: float) -> float:
-    """Returns the least cost of what rivals find in CPU seconds, infinite if there is nothing."""
-    if not needs_shooting(world, scenario):
-        try:
-            return run_baseline("cross-entropy", world, scenario, seconds).cost
-        except AigtoError:  # Flight is no parabola there.
-            return np.inf
-    end, found = time.process_time() + seconds, np.inf
-    for promised, control in _shoot(world, scenario):
-        if promised < _PROMISING * min(best, found):
-            try:
-                replay = replay_event_driven(world, scenario, *control)
-                found = found if replay.broken else min(found, replay.cost)
-            except AigtoError:
-                pass
-        if time.process_time() > end:
-            break
-    return found
-
-
-def _shoot(world: World, scenario: Scenario) -> Iterator[tuple[float, Any]]:
-    """Yields J and the control of shooting from random controls."""
-    rng, N = np.random.default_rng(0), scenario.num_steps
-    mechanism = Mechanism.of(world, contact_law(world, scenario))
-    times = np.linspace(0.0, scenario.duration, N + 1)
-    problem = ShootingProblem.of(world, scenario, mechanism, times)
-    is_rigid = scenario.contact == "rigid" and bool(world.contacts)
-
-    def draw_problem() -> ShootingProblem:
-        if not is_rigid:
-            return problem
-        phases = list_phases(scenario, world.num_contacts, _MOST_TOUCHES, rng)
-        return dataclasses.replace(problem, phases=phases)
-
-    def draw_controls() -> np.ndarray:
-        knots = rng.normal(size=(int(rng.integers(3, 9)), world.num_actuators))
-        scale = 10 ** rng.uniform(-1.0, 0.7) * problem.control_scales
-        shares, middles = np.linspace(0, 1, len(knots)), (np.arange(N) + 0.5) / N
-        return scale * np.column_stack([np.interp(middles, shares, each) for each in knots.T])
-
-    problems = (draw_problem() for _ in itertools.count())
-    return shoot(problems, (draw_controls() for _ in itertools.count()))
 
 
 @dataclass(frozen=True)

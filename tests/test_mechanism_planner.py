@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
@@ -25,6 +26,7 @@ from drake_aigto.planning import (
     MechanismSearch,
     MechanismTask,
     PlanOptions,
+    Proposal,
     Replays,
 )
 from drake_aigto.shooting import ShootingResult
@@ -237,6 +239,27 @@ def test_a_search_closes_what_may_be_kept_and_no_more_than_it_has_to() -> None:
     aims, starts = Watched.aims, QUICK.starts
     assert aims[:starts] == [Aim()] * starts
     assert not aims[-1].is_patient and search.motions[-1].cost <= aims[-1].most < np.inf
+
+
+def test_a_search_ends_the_later_the_less_often_its_best_motion_was_found() -> None:
+    waves: list[tuple[float, int]] = []
+
+    class Watched(MechanismSearch):
+        def vary(self) -> Iterator[Sequence[Proposal]]:
+            for wave in super().vary():
+                yield wave
+                waves.append((self.motions[0].cost, self.found))
+
+    scenario, options = Scenario.named("acrobot/swing_up"), PlanOptions(patience=96)
+    search = Watched(MechanismTask(World.from_scenario(scenario), scenario, options))
+    search.explore()
+    idle = [
+        sum(cost <= last * (1 + 1e-3) for cost, _ in waves[:end])
+        for end, (last, _) in enumerate(waves, 1)
+    ]
+    trust = [8 * (count - 1) * found for count, (_, found) in zip(idle, waves, strict=True)]
+    assert len(waves) < options.renewals / 8
+    assert trust[-1] >= options.patience > max(trust[:-1])
 
 
 @pytest.mark.parametrize(

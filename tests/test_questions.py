@@ -8,9 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.local_peers import casadi
 from benchmarks.questions import NEAR, WIDE, Asked, Row, draw, format_results
-from drake_aigto import Scenario, World
+from benchmarks.rivals import ask_rivals
+from benchmarks.shooting_ipopt import ShootingProgram
+from drake_aigto import PlanOptions, Scenario, World
 from drake_aigto.errors import ScenarioError
+from drake_aigto.planning import make_mechanism_task
 
 ROW = Row("cart_pole/soft_06", 0, 80.0, 80.0, 168.0, 79.0, math.inf, False, 60, 3, 1.0)
 
@@ -41,3 +45,33 @@ def test_plans_are_near_the_best_that_anything_has_found() -> None:
 def test_a_world_that_is_not_shipped_is_refused() -> None:
     with pytest.raises(ScenarioError, match="unknown scenario 'cart_pole/soft'"):
         Asked(("cart_pole/soft",))
+
+
+# Near its rest, where all methods have one optimum.
+SWAYING = replace(
+    Scenario.named("acrobot/swing_up"),
+    duration=0.5,
+    time_step=0.05,
+    initial_position=[0.3, -0.2],
+    goal_position=[0.0, 0.0],
+)
+
+
+@pytest.mark.skipif(casadi is None, reason="CasADi is not installed")
+def test_ipopt_has_the_optimum_of_our_shooting() -> None:
+    world = World.from_scenario(SWAYING)
+    problem = make_mechanism_task(world, SWAYING, PlanOptions()).shooting(SWAYING.num_steps)
+    controls = np.full((SWAYING.num_steps, 1), 0.1)
+    ours = problem.solve(controls, None)
+    promised, control = ShootingProgram(problem).solve(
+        problem.simulate(controls, 4).states, controls
+    )
+    assert promised == pytest.approx(ours.cost, rel=1e-4)
+    assert control.values == pytest.approx(ours.controls, abs=1e-2 * np.abs(ours.controls).max())
+
+
+def test_rivals_find_the_optimum_of_an_easy_task_and_no_less() -> None:
+    world = World.from_scenario(SWAYING)
+    problem = make_mechanism_task(world, SWAYING, PlanOptions()).shooting(SWAYING.num_steps)
+    least = problem.solve(np.zeros((SWAYING.num_steps, 1)), None).cost
+    assert ask_rivals(world, SWAYING, 0.3, np.inf) == pytest.approx(least, rel=1e-2)

@@ -24,7 +24,7 @@ _KINDS = {
 }
 # Options that count for one kind of task only.
 _OF_BALLS = ("ladder", "local_solver", "relaxation", "aigo_steps", "exhaustive", "branches")
-_OF_MECHANISMS = ("starts", "renewals", "patience", "repeats", "search_steps", "seed")
+_OF_MECHANISMS = ("starts", "renewals", "patience", "search_steps", "seed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,11 +109,9 @@ class PlanOptions(SearchOptions):
         starts: mechanisms: how many guesses of motions are closed first.
         renewals: mechanisms: how many more guesses are closed at most, near the best motions and
             around other starts in turn.
-        patience: mechanisms: renewals in a row that find nothing better, after which there are no
-            more.
-        repeats: mechanisms: how often the best motion is found anew, by searches that do not begin
-            with it, after which there are no more renewals: where a better one is found a third as
-            easily, it has been missed with a probability of exp(−repeats/3).
+        patience: mechanisms: renewals in a row that find nothing better, times how often the best
+            motion was found by searches that do not begin with it, after which there are no more.
+            A motion that was found once may have been luck, and is not trusted as soon.
         search_steps: mechanisms: number of time steps of candidates, at most; finalists have the
             scenario's.
         seed: mechanisms: of random draws.
@@ -127,8 +125,7 @@ class PlanOptions(SearchOptions):
     branches: int = 3
     starts: int = 12
     renewals: int = 240
-    patience: int = 72
-    repeats: int = 9
+    patience: int = 144
     search_steps: int = 60
     seed: int = 0
 
@@ -136,7 +133,7 @@ class PlanOptions(SearchOptions):
         """Checks what does not depend on the task."""
         super().__post_init__()
         check_counts(self, aigo_steps=1, branches=0, starts=1, renewals=0, patience=1, seed=0)
-        check_counts(self, search_steps=2, repeats=1)
+        check_counts(self, search_steps=2)
         if self.ladder is not None and not self.ladder:
             raise OptionsError("ladder", got="no rung", expected="at least one")
         if not 0 <= self.relaxation < float("inf"):

@@ -175,7 +175,7 @@ class MechanismSearch(Search):
             is_better = misses < best[0] or not cost + _SAME * abs(cost) >= best[1]
             best, idle = (rank, 0) if is_better else (best, idle + _WAVE)
             is_free = not self.task.additions and cost <= _NOTHING * self.task.scales.cost
-            if idle >= options.patience or self.found > options.repeats or is_free:
+            if idle * self.found >= options.patience or is_free:
                 break
             self.tell(f"renewal {first} of {options.renewals}; the best costs {cost:.6g}")
             last = min(first + _WAVE, options.renewals)

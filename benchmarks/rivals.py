@@ -1,0 +1,140 @@
+"""Rivals of plans on any task: IPOPT, shooting and cross-entropy, each from random controls.
+
+Where contact is compliant or none, IPOPT and our shooting start from roll-outs, with contact wide
+at first. Where walls are rigid, shooting has listed touches. The cross-entropy method samples
+controls that are linear between a few knots, for balls `baselines.sampling`'s.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import time
+from collections.abc import Callable, Iterator
+from typing import TypeAlias
+
+import numpy as np
+
+from benchmarks.baselines import run_baseline
+from benchmarks.local_peers import casadi
+from benchmarks.robots.judge import Control
+from benchmarks.robots.shooting import list_phases, shoot
+from benchmarks.shooting_ipopt import ShootingProgram
+from drake_aigto import AigtoError, PlanOptions, Scenario, World
+from drake_aigto.planning import make_mechanism_task, needs_shooting
+from drake_aigto.shooting import ShootingProblem
+from drake_aigto.simulation import replay_event_driven
+
+_Found: TypeAlias = Iterator[tuple[float, Control]]
+
+# What promises more than this times the best is not replayed.
+_PROMISING = 1.05
+_MOST_TOUCHES = 2
+# Of cross-entropy: knots, samples, those that are kept, the part of the spread that is kept, and
+# generations of a run.
+_KNOTS, _SAMPLES, _ELITE, _KEPT, _GENERATIONS = 8, 60, 10, 0.3, 20
+# Of bounds that a sample leaves by their scale, in the task's.
+_PRICE = 10.0
+
+
+def ask_rivals(world: World, scenario: Scenario, seconds: float, best: float) -> float:
+    """Returns the least cost that rivals find in CPU seconds, infinite if there is nothing.
+
+    They take turns, whoever had the least time so far first. A motion that promises more than the
+    best known is not replayed.
+    """
+    if not needs_shooting(world, scenario):
+        try:
+            return run_baseline("cross-entropy", world, scenario, seconds).cost
+        except AigtoError:  # Flight is no parabola there.
+            return np.inf
+    end, found = time.process_time() + seconds, np.inf
+    rivals = list(_list_rivals(world, scenario))
+    spent = [0.0] * len(rivals)
+    while (start := time.process_time()) < end:
+        turn = int(np.argmin(spent))
+        promised, control = next(rivals[turn])
+        if promised < _PROMISING * min(best, found):
+            found = min(found, _replay(world, scenario, control))
+        spent[turn] += time.process_time() - start
+    return found
+
+
+def _replay(world: World, scenario: Scenario, control: Control) -> float:
+    """Returns what a control costs in our simulation, infinite if it breaks bounds there."""
+    try:
+        replay = replay_event_driven(world, scenario, *control)
+    except AigtoError:
+        return np.inf
+    return np.inf if replay.broken else replay.cost
+
+
+def _list_rivals(world: World, scenario: Scenario) -> Iterator[_Found]:
+    """Yields the rivals of a task, each an endless stream of costs and controls."""
+    problem = make_mechanism_task(world, scenario, PlanOptions()).shooting(scenario.num_steps)
+    if scenario.contact == "rigid" and world.contacts:
+        yield _shoot(problem, lambda rng: _list_touches(world, scenario, problem, rng))
+        yield _sample(problem, lambda each: _replay(world, scenario, each))
+        return
+    yield _shoot(problem, lambda _: problem)
+    yield _sample(problem, lambda each: _roll_out(problem, each))
+    if casadi is not None and ShootingProgram.fits(problem):
+        yield _ask_ipopt(problem)
+
+
+def _list_touches(
+    world: World, scenario: Scenario, problem: ShootingProblem, rng: np.random.Generator
+) -> ShootingProblem:
+    phases = list_phases(scenario, world.num_contacts, _MOST_TOUCHES, rng)
+    return dataclasses.replace(problem, phases=phases)
+
+
+def draw_controls(problem: ShootingProblem, rng: np.random.Generator) -> np.ndarray:
+    """Returns controls that are linear between three to eight random values, shape (N, nu)."""
+    values = rng.normal(size=(int(rng.integers(3, 9)), len(problem.control_scales)))
+    return _hold(problem, 10 ** rng.uniform(-1.0, 0.7) * values)
+
+
+def _hold(problem: ShootingProblem, values: np.ndarray) -> np.ndarray:
+    """Returns controls between values (L, nu) in their units, held, shape (N, nu)."""
+    N = len(problem.times) - 1
+    shares, middles = np.linspace(0, 1, len(values)), (np.arange(N) + 0.5) / N
+    each = np.column_stack([np.interp(middles, shares, column) for column in values.T])
+    return np.clip(each * problem.control_scales, *problem.control_bounds)
+
+
+def _shoot(
+    problem: ShootingProblem, pose: Callable[[np.random.Generator], ShootingProblem]
+) -> _Found:
+    rng = np.random.default_rng(0)
+    problems = (pose(rng) for _ in itertools.count())
+    yield from shoot(problems, (draw_controls(problem, rng) for _ in itertools.count()))
+
+
+def _ask_ipopt(problem: ShootingProblem) -> _Found:
+    rng, program = np.random.default_rng(1), ShootingProgram(problem)
+    while True:
+        controls = draw_controls(problem, rng)
+        yield program.solve(problem.simulate(controls, substeps=2).states, controls)
+
+
+def _sample(problem: ShootingProblem, calc_cost: Callable[[Control], float]) -> _Found:
+    """Yields the best of each generation."""
+    rng, size = np.random.default_rng(2), (_KNOTS, len(problem.control_scales))
+    while True:
+        mean, spread = np.zeros(size), np.full(size, 10 ** rng.uniform(-1.0, 0.7))
+        for _ in range(_GENERATIONS):
+            points = mean + spread * rng.normal(size=(_SAMPLES, *size))
+            controls = [Control(problem.times, _hold(problem, each)) for each in points]
+            costs = np.array([calc_cost(each) for each in controls])
+            order = np.argsort(costs, kind="stable")[:_ELITE]
+            yield float(costs[order[0]]), controls[order[0]]
+            mean = _KEPT * mean + (1 - _KEPT) * points[order].mean(axis=0)
+            spread = _KEPT * spread + (1 - _KEPT) * points[order].std(axis=0)
+
+
+def _roll_out(problem: ShootingProblem, control: Control) -> float:
+    """Returns what the motion of a control costs, and a price for how far it leaves its bounds."""
+    motion = problem.simulate(control.values, substeps=4)
+    cost = motion.exact_cost + _PRICE * problem.cost_scale * motion.violation
+    return cost if np.isfinite(cost) else np.inf
