@@ -282,8 +282,7 @@ def test_bad_words_are_one_line_and_say_where_help_is(
 
 
 def test_who_reads_only_the_head_sees_no_traceback(plan_file: Path) -> None:
-    code = "import sys; from drake_aigto.cli import main; sys.exit(main(sys.argv[1:]))"
-    command = [sys.executable, "-c", code, "replay", str(plan_file)]
+    command = [sys.executable, "-m", "drake_aigto", "replay", str(plan_file)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()

@@ -313,8 +313,7 @@ def test_play_waits_for_ctrl_c_where_nobody_can_press_enter(
 
 def test_ctrl_c_on_a_terminal_leaves_nothing_behind(tmp_path: Path) -> None:
     out = tmp_path / "table.json"
-    code = "import sys; from drake_aigto.cli import main; sys.exit(main(sys.argv[1:]))"
-    command = [sys.executable, "-c", code, "table1", "--json", str(out)]
+    command = [sys.executable, "-m", "drake_aigto", "table1", "--json", str(out)]
     ours, theirs = pty.openpty()
     with subprocess.Popen(
         command, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True

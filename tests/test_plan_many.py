@@ -216,11 +216,10 @@ def test_bad_input_is_one_line_and_status_2(
 @pytest.mark.slow
 def test_ctrl_c_ends_the_work_and_what_is_done_is_kept(tmp_path: Path) -> None:
     folder = tmp_path / "plans"
-    command = "import sys; from drake_aigto.cli import main; sys.exit(main(sys.argv[1:]))"
     names = [*(f"table1/{row}" for row in (1, 2, 3, 4)), "acrobot/swing_up"]
     arguments = ["plan-many", *names, "--workers", "1", "--into", str(folder)]
     with subprocess.Popen(
-        [sys.executable, "-c", command, *arguments],
+        [sys.executable, "-m", "drake_aigto", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
