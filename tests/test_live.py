@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from meshcat_pages import objects
+from meshcat_pages import objects, position
 from space_models import make_scenario
 
 from drake_aigto import Plan, Scenario
 from drake_aigto.errors import OptionsError
 from drake_aigto.show import ROOT, Live
 
-GOAL, SPEED = "goal x [m]", "speed x [m/s]"
+GOAL, SPEED, WALL = "goal x [m]", "speed x [m/s]", "wall nearer [m]"
 BALL = f"{ROOT}/candidates/0/point_mass_and_wall/ball/ball_visual"
 
 
@@ -75,6 +75,29 @@ def test_a_kick_plans_on_from_where_the_motion_is_and_sliders_bring_it_back(live
     assert (
         drag(live, GOAL, 0.65).scenario.initial_position[0] == before.scenario.initial_position[0]
     )
+
+
+def test_a_wall_is_drawn_where_the_plan_has_it(live: Live) -> None:
+    drag(live, SPEED, -1.8)
+    drawn = f"{ROOT}/world/point_mass_and_wall/wall/wall_visual"
+    before = position(live.meshcat, drawn)
+    near = drag(live, WALL, 0.2)
+    at = np.interp(
+        near.best.contacts[0].time, near.trajectory.times, near.trajectory.positions[:, 0]
+    )
+    assert at == pytest.approx(live.meshcat.GetSliderValue(WALL), abs=1e-3)
+    moved = position(live.meshcat, drawn) - before
+    np.testing.assert_allclose(moved, [live.meshcat.GetSliderValue(WALL), 0, 0], atol=1e-12)
+    assert near.find_world(live.planner.world).calc_signed_distance(np.array([0.2]))[0] < 0.01
+    assert drag(live, WALL, 0.0).cost != near.cost
+
+
+def test_weights_are_powers_of_ten_of_the_scenarios(live: Live) -> None:
+    before = live.planner.scenario
+    planned = drag(live, "control weight × 10^", 1.0).scenario
+    assert planned.control_weight == pytest.approx(10 * before.control_weight)
+    assert planned.goal_weight == before.goal_weight
+    drag(live, "control weight × 10^", 0.0)
 
 
 def test_in_a_notebook_it_plays_in_the_background(in_background: Live) -> None:

@@ -171,7 +171,7 @@ def _report(options: argparse.Namespace) -> int:
 
 def add_live(commands: Any) -> None:
     """Adds the command whose plan follows sliders."""
-    text = "drag start, velocity and goal in Meshcat, and watch the plan follow"
+    text = "drag start, velocity, goal, walls and weights in Meshcat: the plan follows"
     live = add_command(commands, "live", _live, text, _LIVE_EXAMPLES)
     add_scenario(live)
     add_port(live)

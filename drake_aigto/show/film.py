@@ -45,7 +45,7 @@ ASPECT_RATIO, _SLACK = 1.4, 1.08
 
 # As parts of the window's size: the longest arrow, the radius of the largest arc, from a cone's tip
 # to its rim.
-LONGEST, _ARC, _CONE = 0.22, 0.085, 0.14
+LONGEST, _ARC, _CONE = 0.15, 0.085, 0.14
 # Of the longest arrow: its head, its head's and its shaft's radius.
 _POINT, _POINT_RADIUS, _SHAFT_RADIUS = 0.32, 0.1, 0.04
 # Of an arc with radius 1: half the thickness of its ring, the radius and the length of its head.

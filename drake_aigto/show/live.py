@@ -1,9 +1,10 @@
-"""A plan that changes as start, velocity and goal are dragged, in Drake's Meshcat."""
+"""A plan that follows as start, velocity, goal, walls and weights are dragged, in Meshcat."""
 
 from __future__ import annotations
 
 import atexit
 import contextlib
+import dataclasses
 import queue
 import threading
 import time
@@ -13,6 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.colors import to_rgb
 from pydrake.geometry import Meshcat, Rgba
+from pydrake.math import RigidTransform
+from pydrake.multibody.tree import BodyIndex
 
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.errors import AigtoError, OptionsError
@@ -32,18 +35,21 @@ _PARTS = 200  # of a slider's range
 # What sliders reach: beyond start and goal, in ways between them, and of angles [rad]; and of
 # velocities, in largest ways over the duration.
 _BEYOND, _AROUND, _FASTEST = 0.8, np.pi, 3.0
+_WALL, _DECADES = 0.5, 2.0  # how far walls move, in such ways; powers of ten that weights change by
 _GHOST, _LINE = 0.25, 3.0  # how much ghosts cover; width of ways [px]
 _VIEW, _TILT = np.deg2rad(12.0), np.deg2rad(8.0)
 _ENDS = {"start": Rgba(0.3, 0.3, 0.3, 0.25), "goal": Rgba(0.0, 0.62, 0.35, 0.3)}
 _KICK, _AGAIN = "kick", "start again"
+_ASKED = ("initial_position", "initial_velocity", "goal_position")
+_WEIGHTS = ("control_weight", "goal_weight")
 
 
 class _Slider(NamedTuple):
-    """One number of the question."""
+    """One number of the question: of an array, the one of this entry."""
 
     name: str
     field: str
-    coordinate: int
+    entry: int
     low: float
     high: float
 
@@ -54,10 +60,15 @@ class _Planned(NamedTuple):
     asked: float
     is_kicked: bool
     plan: Plan | AigtoError
+    planner: Planner
+    walls: Floats  # how much nearer each stands than in the model [m]
 
 
 class Live:
     """A scenario whose plan follows sliders in Meshcat.
+
+    Sliders are start, velocity and goal of each coordinate, how much nearer each flat wall stands,
+    and powers of ten that the weights of control and goal are multiplied by.
 
     The best candidate moves, solid; up to three others are ghosts, and labels name them all with
     their costs. Plans are made in a thread of their own: what stood stands until the next one is
@@ -69,7 +80,8 @@ class Live:
 
     Attributes:
         url: where Meshcat shows it, once it is open.
-        planner: without Drake's replay, which takes longer than most plans.
+        planner: without Drake's replay, which takes longer than most plans. Walls that moved have
+            a new one.
         plan: what is shown; None before the first plan.
         message: why there is no plan for what was asked last; "" if there is one.
         labels: of what is shown, the best candidate's first.
@@ -91,7 +103,7 @@ class Live:
         self.plan: Plan | None = None
         self.message, self.latency = "", np.nan
         self._say, self._port = say or (lambda text: None), port
-        self._questions: queue.Queue[tuple[float, bool, dict[str, Any]]] = queue.Queue()
+        self._questions: queue.Queue[tuple[float, bool, dict[str, Floats]]] = queue.Queue()
         self._answers: queue.Queue[_Planned] = queue.Queue()
         self._ended, self._opened = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
@@ -143,10 +155,21 @@ class Live:
         """
         self.meshcat = meshcat = open_meshcat(self._port)
         self.url = meshcat.web_url()
-        self._sliders, scenario = list(self._find_sliders()), self.planner.scenario
+        scenario, world = self.planner.scenario, self.planner.world
+        self._walls = [
+            faces[0]
+            for faces in world.solids
+            if len(faces) == 1
+            and world.plant.IsAnchored(world.plant.get_body(self._body_of(faces[0])))
+        ]
+        self._first = {
+            **{name: getattr(scenario, name) for name in _ASKED},
+            **{name: np.zeros(1) for name in _WEIGHTS},
+            "walls": np.zeros(len(self._walls)),
+        }
+        self._sliders = list(self._find_sliders())
         for each in self._sliders:
-            value = getattr(scenario, each.field)[each.coordinate]
-            step = (each.high - each.low) / _PARTS
+            step, value = (each.high - each.low) / _PARTS, self._first[each.field][each.entry]
             meshcat.AddSlider(each.name, each.low, each.high, step, value)
         for button in (_KICK, _AGAIN):
             meshcat.AddButton(button)
@@ -203,6 +226,12 @@ class Live:
             yield _Slider(f"speed {name} [{unit}/s]", "initial_velocity", i, slow[i], fast[i])
             if asked[i]:
                 yield _Slider(f"goal {name} [{unit}]", "goal_position", i, low[i], high[i])
+        names = touch_names(world)
+        for i, contact in enumerate(self._walls):
+            name = f"{names[contact]} nearer [m]"
+            yield _Slider(name, "walls", i, -_WALL * way, _WALL * way)
+        for field in _WEIGHTS:
+            yield _Slider(f"{field.replace('_', ' ')} × 10^", field, 0, -_DECADES, _DECADES)
 
     def _set_stage(self) -> None:
         """Shows what stands still, and has the camera see all that sliders can reach."""
@@ -211,24 +240,41 @@ class Live:
         for end in ("low", "high"):
             q = np.array(scenario.initial_position)
             for each in self._sliders:
-                if each.field == "initial_position" and not world.is_hinge[each.coordinate]:
-                    q[each.coordinate] = getattr(each, end)
+                if each.field == "initial_position" and not world.is_hinge[each.entry]:
+                    q[each.entry] = getattr(each, end)
             corners.append(q)
         self._stage = stage = Stage(world, np.array(corners))
-        for actor in stage.actors:
-            if not actor.moves:
-                path = f"{ROOT}/world/{actor.name}"
-                self.meshcat.SetObject(path, actor.shape, actor.color or Rgba(0.6, 0.6, 0.6))
-                self.meshcat.SetTransform(path, stage.pose(actor, corners[0]))
+        # Of what stands still: its path, its pose, and how that moves with each wall, (walls, 3).
+        self._still = []
+        for actor in (actor for actor in stage.actors if not actor.moves):
+            path = f"{ROOT}/world/{actor.name}"
+            self.meshcat.SetObject(path, actor.shape, actor.color or Rgba(0.6, 0.6, 0.6))
+            normals = [
+                (self._body_of(contact) == actor.index) * stage.touch(contact, corners[0])[1]
+                for contact in self._walls
+            ]
+            pose = stage.pose(actor, corners[0])
+            self._still.append((path, pose, np.reshape(normals, (-1, 3))))
+        self._put_walls(self._first["walls"])
         tilt = -_TILT if abs(stage.X_WT.rotation().matrix()[2, 2]) > 0.5 else _TILT
         look_at(self.meshcat, stage.X_WT, (stage.low, stage.high), (_VIEW, tilt, 0.0))
 
-    def _read(self) -> dict[str, Any]:
+    def _put_walls(self, nearer: Floats) -> None:
+        """Shows what stands still, walls nearer than in the model [m]."""
+        for path, pose, normals in self._still:
+            self.meshcat.SetTransform(path, RigidTransform(nearer @ normals) @ pose)
+
+    def _body_of(self, contact: int) -> BodyIndex:
+        """Returns which body has what is touched."""
+        world = self.planner.world
+        frame = world.scene_graph.model_inspector().GetFrameId(world.shapes[contact][1])
+        return world.plant.GetBodyFromFrameId(frame).index()
+
+    def _read(self) -> dict[str, Floats]:
         """Returns what the sliders say."""
-        fields = ("initial_position", "initial_velocity", "goal_position")
-        read = {name: np.array(getattr(self.planner.scenario, name)) for name in fields}
+        read = {name: np.array(values) for name, values in self._first.items()}
         for each in self._sliders:
-            read[each.field][each.coordinate] = self.meshcat.GetSliderValue(each.name)
+            read[each.field][each.entry] = self.meshcat.GetSliderValue(each.name)
         return read
 
     def _is_clicked(self, button: str) -> bool:
@@ -243,14 +289,27 @@ class Live:
 
     def _work(self) -> None:
         """Answers questions, until the process ends: a thread of its own."""
+        model, stood = self.planner, self._first["walls"]
+        planner = model
         while not self._ended.is_set():
             asked, is_kicked, question = self._questions.get()
+            walls, scenario = question["walls"], model.scenario
+            changed: dict[str, Any] = {name: question[name] for name in _ASKED}
+            for name in _WEIGHTS:
+                changed[name] = getattr(scenario, name) * 10.0 ** question[name][0]
             answer: Plan | AigtoError
             try:
-                answer = self.planner.plan(**question)
+                if np.any(walls != stood):
+                    world = model.world
+                    for wall in np.flatnonzero(walls):
+                        world = world.with_wall_moved(self._walls[wall], walls[wall])
+                    moved = dataclasses.replace(scenario, **changed)
+                    planner = Planner(moved, model.options, world)
+                    stood = walls
+                answer = planner.plan(**changed)
             except AigtoError as error:
                 answer = error
-            self._answers.put(_Planned(asked, is_kicked, answer))
+            self._answers.put(_Planned(asked, is_kicked, answer, planner, walls))
 
     def _show(self, answer: _Planned) -> None:
         """Shows an answer: a plan from its start, or a message beside what stands."""
@@ -260,8 +319,10 @@ class Live:
             self._label([*self._describe(), f"no plan: {self.message}"])
             self._say(f"no plan: {self.message}")
             return
-        plan, world = answer.plan, self.planner.world
+        self.planner, plan = answer.planner, answer.plan
+        world = self.planner.world
         self.plan, self.message = plan, ""
+        self._put_walls(answer.walls)
         shown = [plan.best, *self._rivals(plan)]
         self._motions = [Motion.from_trajectory(each.trajectory, world) for each in shown]
         ends = {

@@ -21,6 +21,7 @@ from drake_aigto.world import Scenario, World
 
 _APART = 1.06  # from one motion to the next when they stand side by side, in windows
 _MOST_NUMBERS = 400  # rows of the table of numbers
+_NOTHING = 1e-9  # of a column's largest number: rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,5 +111,6 @@ def list_numbers(motion: Motion, world: World, scenario: Scenario) -> dict[str, 
             f"control {name} [{'N m' if is_torque else 'N'}]".replace("_", " ")
             for name, is_torque in zip(driven, turns, strict=True)
         ]
-    rounded = [[float(f"{value:.4g}") for value in column] for column in columns]
+    seen = [np.where(np.abs(c) > _NOTHING * np.max(np.abs(c)), c, 0.0) for c in columns]
+    rounded = [[float(f"{value:.4g}") for value in column] for column in seen]
     return {"times": times.round(4).tolist(), "names": names, "columns": rounded}

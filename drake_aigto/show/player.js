@@ -7,7 +7,7 @@
   const buttons = [...document.querySelectorAll("[data-scene]")];
   const scenes = JSON.parse(find("player-beside").textContent);
   const MOST_HEIGHT = 600, LEAST_HEIGHT = 150; // of the frame [px]
-  const MARGIN = 0.94; // of half a window, that a scene may fill
+  const MARGIN = 0.97; // of half a window, that a scene may fill
   const HOLD = 0.5; // that the end stands before all repeats, which is no time of the motion [s]
   const STEP = 0.01; // of a frame [s]
   const DARK_STAGE = [0.66, 0.68, 0.71], LIGHT_STAGE = [1, 1, 1]; // behind the scene

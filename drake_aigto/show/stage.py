@@ -31,12 +31,12 @@ from drake_aigto.world import SpaceWorld, World
 _FLAT, _STRAIGHT, _LEVEL = 1e-6, 1e-3, 1 - 1e-3
 # As parts of the motion's size: how far off walls are looked at, what is seen around all, and the
 # thickness of half spaces.
-_REACH, _EDGE, _SLAB = 1.0, 0.04, 0.03
+_REACH, _EDGE, _SLAB = 0.15, 0.04, 0.03
 # Of motions in space: how far from above they are seen [rad]; ways along a line are this much
 # longer than across it.
 _ABOVE, _ALONG = np.deg2rad(25.0), 1.5
 # Seen above and below what moves along a level line, in its height; and below, in its depth.
-_LANE, _LEAN = 0.5, 0.25
+_LANE, _LEAN = 0.25, 0.25
 _SMALL = 0.02  # the radius of what touches where no sphere does, in sizes of the window
 _MOST_ROWS = 40  # of a motion, at which its directions are looked at
 _UP, _FORWARDS, _SIDE = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), np.array([1.0, 0, 0])
