@@ -89,6 +89,21 @@ def test_contacts_of_unequal_masses_that_nothing_but_the_motion_without_control_
     assert found.replay.event_driven.cost == pytest.approx(5.6154e-06, rel=1e-2)
 
 
+def test_masses_that_meet_in_front_of_a_wall_may_hit_it_first() -> None:
+    scenario = Scenario(
+        model="package://drake_aigto_models/two_masses.sdf",
+        initial_position=[0.13597, 0.788208],
+        initial_velocity=[1.224014, 0.220224],
+        goal_position=[0.262026, 0.80505],
+        duration=1.5,
+        time_step=0.03,
+    )
+    found = plan(scenario, QUICK, load_unequal(scenario, 3.0))
+    # Wall, mass, wall; mass, wall, mass cost 12 % more, all three at one moment.
+    assert [each.index for each in found.best.contacts] == [2, 1, 2]
+    assert found.cost == pytest.approx(2.639e-4, rel=1e-3)
+
+
 def test_a_block_that_the_motion_without_control_bounces_off_may_be_passed() -> None:
     scenario = next(islice(WORLDS["room_with_block"].draw(16, seed=0), 15, None))
     coarse = dataclasses.replace(scenario, time_step=0.03)

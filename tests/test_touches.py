@@ -70,6 +70,10 @@ def test_bounces_at_one_moment_change_places() -> None:
     assert contacts(other) == [0, 0, 1, 1]
     assert times(other) == times(sequence)
     assert swapped(sequence, 1e-5) == []
+    # In a corner, bounces off two walls in turn may begin with the other one.
+    corner = tuple(map(Touch.bounce, (0.2, 0.2001, 0.2002), (1, 2, 1)))
+    found = [contacts(each) for each in swapped(corner, 1e-3)]
+    assert found == [[2, 1, 1], [2, 1, 2], [1, 1, 2]]
     # Of one wall there is nothing to swap, and what lasts stays.
     assert swapped((Touch.bounce(0.2), Touch.bounce(0.2001)), 1e-3) == []
     assert swapped((Touch(0.2, 0.3, 1), Touch.bounce(0.2001)), 1e-3) == []

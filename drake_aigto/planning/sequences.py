@@ -104,18 +104,26 @@ def neighbors(sequence: TouchSequence, grazes: Iterable[Touch]) -> list[TouchSeq
 def swapped(sequence: TouchSequence, near: float) -> list[TouchSequence]:
     """Returns the sequences with simultaneous bounces off two walls in the other order.
 
-    The polish can't change their order, and stops where they meet if the other one is better.
+    The polish can't change their order, and stops where they meet if the other one is better. In a
+    corner of two walls, where a motion bounces off them in turn, a run of such bounces may begin
+    with the other wall as well.
 
     Args:
         sequence: as polished.
         near: bounces no farther apart are simultaneous [s].
     """
     found = []
-    for place, (one, other) in enumerate(pairwise(sequence)):
-        at_once = other.start - one.start <= near and not one.lasts and not other.lasts
-        if at_once and one.contact != other.contact:
-            pair = Touch.bounce(one.start, other.contact), Touch.bounce(other.start, one.contact)
-            found.append((*sequence[:place], *pair, *sequence[place + 2 :]))
+    for first in range(len(sequence)):
+        for end in range(first + 2, len(sequence) + 1):
+            run = sequence[first:end]
+            contacts = [touch.contact for touch in run]
+            at_once = all(later.start - each.start <= near for each, later in pairwise(run))
+            is_in_turn = contacts == (contacts[:2] * len(run))[: len(run)] and len({*contacts}) == 2
+            if not (at_once and is_in_turn) or any(touch.lasts for touch in run):
+                break
+            others = (contacts[1 - place % 2] for place in range(len(run)))
+            moved = (Touch.bounce(t.start, i) for t, i in zip(run, others, strict=True))
+            found.append((*sequence[:first], *moved, *sequence[end:]))
     return found
 
 

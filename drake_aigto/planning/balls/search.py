@@ -155,10 +155,10 @@ class BallSearch(BranchingSearch):
             self._given_up.append((origin, Shown(center, sequence, path)))
             return
         candidate = self.by_sequence[sequence]
-        if not self._is_promising(candidate) or self._chatters(sequence):
+        if not self._is_promising(candidate):
             return
         self._add_swapped(sequence)
-        if not candidate.is_confirmed:
+        if not (candidate.is_confirmed or self._chatters(sequence)):
             seen_path = candidate.replay.times, candidate.replay.positions
             for seen in self._with_unplanned_bounce(sequence):
                 if len(seen) <= MOST_TOUCHES and not self.is_known(seen):
