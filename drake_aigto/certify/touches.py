@@ -10,7 +10,7 @@ its touches, each a point (time, speed before it) of its wall. These planes are 
 an edge from one cell to another is the least cost of a flight between any two of their points.
 Hence no motion costs less than the shortest path from the start to the end. Its edges contain all
 that is needed: times, speeds and numbers of touches are bounded at once. Cells and edges that no
-path below a known cost goes through are dropped, the others are cut into four and sixteen.
+path below a known cost goes through are dropped, the others are cut along times and speeds in turn.
 
 So that a path gains little by leaving a cell elsewhere than it came, each cell has a slope p, near
 that of the cost to go. Edges cost f + p'(z' − c') − p (z − c), with z, z'
@@ -43,7 +43,7 @@ from drake_aigto.certify.flights import (
 
 _FIRST_BINS = 16  # of times, and of speeds
 _MOST = 200_000  # edges of one level, and cells
-_LEVELS = 16
+_LEVELS = 32
 _BISECTIONS = 6
 _ENOUGH = 1e-3  # of the largest cost of interest: a level that gains less is the last one
 _ROUNDING = 1e-13
@@ -258,9 +258,9 @@ def bound_line(line: Line, most: float) -> float:
 def _search(line: Line, most: float) -> float:
     """Returns a bound of the cost on a line, or the most if no motion costs less."""
     walls, cells = _LineFlights(line, most), _first_cells(line, most)
-    best, last, enough = 0.0, -math.inf, min(most, direct_cost(line))
+    best, before, last, enough = 0.0, -math.inf, -math.inf, min(most, direct_cost(line))
     edges = np.indices((cells.walls.size,) * 2).reshape(2, -1)
-    for _ in range(_LEVELS):
+    for level in range(_LEVELS):
         edges = edges[:, cells.high[edges[1], 0] > cells.low[edges[0], 0]]
         if max(edges.shape[1], cells.walls.size) > _MOST:
             break
@@ -273,11 +273,11 @@ def _search(line: Line, most: float) -> float:
         if first.least > paths.least:
             paths = paths._replace(least=first.least, followers=first.followers)
         least = min(enough, paths.least)
-        # Changes fall fourfold, so that all that are to come add up to less than the last one.
-        best, change, last = max(best, least), abs(least - last), least
+        # Changes of both cuts fall fourfold: all that are to come add up to less than the last.
+        best, change, before, last = max(best, least), abs(least - before), last, least
         if least >= enough or change < _ENOUGH * least:
             break
-        cells, edges = _cut(walls, cells, edges, paths)
+        cells, edges = _cut(walls, cells, edges, paths, level % 2)
     return best
 
 
@@ -326,23 +326,20 @@ def _relax(values: Floats, sources: Ints, targets: Ints, weights: Floats) -> Flo
         values = lower
 
 
-def _cut(walls: _LineFlights, cells: _Cells, edges: Ints, paths: _Paths) -> tuple[_Cells, Ints]:
-    """Returns a quarter each of the cells that are left, and the edges between them."""
+def _cut(
+    walls: _LineFlights, cells: _Cells, edges: Ints, paths: _Paths, axis: int
+) -> tuple[_Cells, Ints]:
+    """Returns both halves of the cells that are left, and the edges between them."""
     most = walls.most * (1.0 + 1e-12)
     alive, left = np.flatnonzero(paths.cells <= most), np.flatnonzero(paths.edges <= most)
     followers, middles = paths.followers[alive], cells.middles
     place = np.full(cells.walls.size, -1)
-    place[alive] = 4 * np.arange(alive.size)
-    low, high, middle = cells.low[alive], cells.high[alive], middles[alive]
-    halves = [np.array(half) for half in ((0, 0), (0, 1), (1, 0), (1, 1))]
-    parts = _Cells(
-        np.repeat(cells.walls[alive], 4),
-        np.stack([np.where(half, middle, low) for half in halves], axis=1).reshape(-1, 2),
-        np.stack([np.where(half, high, middle) for half in halves], axis=1).reshape(-1, 2),
-        np.zeros((4 * alive.size, 2)),
-    )
+    place[alive] = 2 * np.arange(alive.size)
+    low, high = (np.repeat(ends[alive], 2, axis=0) for ends in (cells.low, cells.high))
+    high[::2, axis] = low[1::2, axis] = middles[alive, axis]
+    parts = _Cells(np.repeat(cells.walls[alive], 2), low, high, np.zeros_like(low))
     next_walls = np.where(followers < 0, -1, cells.walls[followers])
-    next_touches = np.repeat(middles[followers], 4, axis=0)
-    parts = walls.with_slopes(parts, np.repeat(next_walls, 4), next_touches)
-    pairs = np.indices((4, 4)).reshape(2, 1, -1)
+    next_touches = np.repeat(middles[followers], 2, axis=0)
+    parts = walls.with_slopes(parts, np.repeat(next_walls, 2), next_touches)
+    pairs = np.indices((2, 2)).reshape(2, 1, -1)
     return parts, (place[edges[:, left]][..., None] + pairs).reshape(2, -1)
