@@ -25,7 +25,7 @@ from pydrake.solvers import MathematicalProgram
 
 from benchmarks.collections.constrained_programs import constrained_problems
 from benchmarks.collections.known_optimum import ConstrainedProblem
-from benchmarks.script import machine, read_flags, run_all, run_as
+from benchmarks.script import machine, read_flags, run_as, run_jobs
 from drake_aigto.certify import Operation, certify, read_formulas, write_sum
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.solver import AigoOptions, AigoSolver
@@ -65,16 +65,28 @@ def main() -> None:
     print(machine(), flush=True)
     chosen = [each for each in problems().values() if each.num_variables <= arguments.most]
     names = [each.name for each in chosen if arguments.only in each.name]
-    found = run_all(partial(run, seconds=arguments.seconds), names, arguments)
-    for outcomes in zip(*(each.items() for each in found), strict=True):
-        name, own = outcomes[0][0], [outcome for _, outcome in outcomes]
+    found: dict[str, dict[str, Outcome]] = {}
+    for number, future in run_jobs(partial(run, seconds=arguments.seconds), names, arguments):
+        found[names[number]] = future.result()
+        tell(problems()[names[number]], future.result())
+    for prover in next(iter(found.values()), {}):
+        own = [outcomes[prover] for outcomes in found.values()]
         print(
-            f"{name}: {sum(each.is_proven for each in own)} of {len(own)} proven, "
+            f"{prover}: {sum(each.is_proven for each in own)} of {len(own)} proven, "
             f"{sum(each.seconds for each in own):.0f} CPU s in all, "
             f"bounds above the optimum {sum(each.is_wrong for each in own)}"
         )
-    late = [name for name, each in zip(names, found, strict=False) if is_late(each)]
+    late = ", ".join(name for name, outcomes in found.items() if is_late(outcomes))
     print(f"proven by all peers in {QUICK:g} s, by us in more than {SLOW:g}: {late or 'none'}")
+
+
+def tell(problem: ConstrainedProblem, outcomes: dict[str, Outcome]) -> None:
+    """Prints a line for a program."""
+    line = f"{problem.name:24} n = {problem.num_variables:2}"
+    for prover, own in outcomes.items():
+        told = "proven" if own.is_proven else f"{own.gap:6.0e}"
+        line += f"  {prover} {told}{'!' * own.is_wrong} {own.seconds:5.2f} s"
+    print(line, flush=True)
 
 
 def is_late(outcomes: dict[str, Outcome]) -> bool:
@@ -98,19 +110,13 @@ def warm_up(most: int) -> None:
 
 
 def run(name: str, *, seconds: float) -> dict[str, Outcome]:
-    """Runs all provers on a program, prints a line, and returns what came of each."""
+    """Runs all provers on a program."""
     problem = problems()[name]
     warm_up(max(10, problem.num_variables))
     provers: dict[str, Prover] = {"ours": ours, "SCIP": scip}
     if importlib.util.find_spec("gurobipy"):
         provers["Gurobi"] = gurobi
-    found = {each: judge(problem, provers[each], seconds) for each in provers}
-    line = f"{problem.name:24} n = {problem.num_variables:2}"
-    for each, own in found.items():
-        told = "proven" if own.is_proven else f"{own.gap:6.0e}"
-        line += f"  {each} {told}{'!' * own.is_wrong} {own.seconds:5.2f} s"
-    print(line, flush=True)
-    return found
+    return {each: judge(problem, provers[each], seconds) for each in provers}
 
 
 def judge(problem: ConstrainedProblem, prover: Prover, most: float) -> Outcome:

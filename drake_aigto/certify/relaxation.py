@@ -7,8 +7,7 @@ only its multipliers are used, by which bounds are proven (`relaxation_kernels`)
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from fractions import Fraction
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,8 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.expansions import middles
 from drake_aigto.certify.formulas import Formulas, JointTape, Operation, join
-from drake_aigto.certify.intervals import LARGEST, UNIT
 from drake_aigto.certify.relaxation_kernels import (
+    LARGEST_COEFFICIENT,
     ROWS_OF_ONE,
     ROWS_OF_TWO,
     LinearProgram,
@@ -28,166 +27,80 @@ from drake_aigto.certify.relaxation_kernels import (
     violations,
 )
 
+_LEAVES = (Operation.NUMBER, Operation.VARIABLE)
+_SUMS = (Operation.ADD, Operation.SHIFT, Operation.SCALE)
 _OF_TWO = (Operation.MULTIPLY, Operation.MAX, Operation.MIN)
 _MOST_ITERATIONS = 2000
 _MOST_ROUNDS = 4  # over all sides
 _INNER = 0.2  # A side is cut at no less than this part of it.
 _SPENT = 0.1  # of a side: a round over all sides that cuts off less is the last one
-_TINY = 1e-300
 # Beyond it the dual simplex of HiGHS may go on for ever from the basis of another cell.
 _LARGE = 1e15
 
-# Σ c_j w_j as column ↦ c_j, and a number.
-_Linear = tuple[dict[int, Fraction], Fraction]
-
-
-@dataclass
-class _RowLists:
-    """Rows as they are read: columns, coefficients and their errors, and bounds."""
-
-    columns: list[list[int]] = field(default_factory=list)
-    values: list[list[float]] = field(default_factory=list)
-    errors: list[list[float]] = field(default_factory=list)
-    bounds: list[tuple[float, float]] = field(default_factory=list)
-
-    def add(self, linear: _Linear, lower: float, upper: float) -> None:
-        """Adds lower ≤ Σ c_j w_j + constant ≤ upper."""
-        terms, constant = linear
-        try:
-            values, errors = [float(c) for c in terms.values()], [_error(c) for c in terms.values()]
-            ends = [_shifted(end, constant) for end in (lower, upper)]
-        except OverflowError:  # Without a number in range, the row says nothing.
-            terms, values, errors, ends = {}, [], [], [-math.inf, math.inf]
-        self.columns.append(list(terms))
-        self.values.append(values)
-        self.errors.append(errors)
-        self.bounds.append((_below(ends[0]), -_below(-ends[1])))
-
-
-def _shifted(end: float, constant: Fraction) -> float:
-    return float(Fraction(end) - constant) if math.isfinite(end) else end
-
-
-def _below(x: float) -> float:
-    return float(np.nextafter(x, -np.inf)) if math.isfinite(x) and x else x
-
-
-def _error(c: Fraction) -> float:
-    """Returns what a coefficient is off by as a floating number, at most."""
-    return 0.0 if Fraction(float(c)) == c else abs(float(c)) * UNIT + _TINY
-
-
-class _StructureReader:
-    """Reads the linear structure of formulas that share their entries.
-
-    Args:
-        joint: the formulas.
-        num_variables: n.
-    """
-
-    def __init__(self, joint: JointTape, num_variables: int) -> None:
-        self.entries = list(range(num_variables))
-        self.functions: list[tuple[int, int, int, int]] = []
-        self.rows = _RowLists()
-        self._joint = joint
-        self._linear: list[_Linear] = []
-        self._columns: dict[int, int] = {}
-        for entry in range(joint.tape.operations.size):
-            self._linear.append(self._read(entry))
-
-    def form(self, entry: int) -> _Linear:
-        """Returns an entry in terms of columns."""
-        return self._linear[entry]
-
-    def _read(self, entry: int) -> _Linear:
-        tape = self._joint.tape
-        operation, a, b = Operation(tape.operations[entry]), int(tape.a[entry]), int(tape.b[entry])
-        p = Fraction(float(tape.numbers[entry]))
-        match operation:
-            case Operation.NUMBER:
-                return {}, p
-            case Operation.VARIABLE:
-                return {a: Fraction(1)}, Fraction(0)
-            case Operation.SHIFT:
-                terms, constant = self.form(a)
-                return terms, constant + p
-            case Operation.SCALE:
-                return _sum(({}, Fraction(0)), self.form(a), p)
-            case Operation.ADD:
-                return _sum(self.form(a), self.form(b), Fraction(1))
-            case Operation.POWER if b == 1:
-                return self.form(a)
-            case Operation.MULTIPLY if not self.form(a)[0]:
-                return _sum(({}, Fraction(0)), self.form(b), self.form(a)[1])
-            case Operation.MULTIPLY if not self.form(b)[0]:
-                return _sum(({}, Fraction(0)), self.form(a), self.form(b)[1])
-        first = self._column(a)
-        second = self._column(b) if operation in _OF_TWO else -1
-        column = self._new_column(entry)
-        self.functions.append((entry, column, first, second))
-        return {column: Fraction(1)}, Fraction(0)
-
-    def _new_column(self, entry: int) -> int:
-        self.entries.append(entry)
-        return len(self.entries) - 1
-
-    def _column(self, entry: int) -> int:
-        """Returns the column of an entry, with a row that defines it if it is a new one."""
-        terms, constant = self.form(entry)
-        if len(terms) == 1 and not constant and next(iter(terms.values())) == 1:
-            return next(iter(terms))
-        if entry not in self._columns:
-            column = self._columns[entry] = self._new_column(entry)
-            self.rows.add(({**terms, column: Fraction(-1)}, constant), 0.0, 0.0)
-        return self._columns[entry]
-
-
-def _sum(one: _Linear, other: _Linear, factor: Fraction) -> _Linear:
-    """Returns one + factor · other."""
-    terms = dict(one[0])
-    for column, c in other[0].items():
-        terms[column] = terms.get(column, Fraction(0)) + factor * c
-    return {i: c for i, c in terms.items() if c}, one[1] + factor * other[1]
+# Column ↦ coefficient, and lower and upper bound of a row.
+_Sum = tuple[dict[int, float], tuple[float, float]]
 
 
 def read_structure(formulas: Formulas) -> Structure:
-    """Returns the columns and rows of a program's relaxation; row 0 is the cost."""
-    size = formulas.lower.size
-    joint = join([formulas.summands, *((row,) for row in formulas.rows)], size, is_nested=False)
-    reader = _StructureReader(joint, size)
-    rows, cost = reader.rows, reader.form(joint.roots[0])
-    own = _RowLists()
-    is_in_range = max(map(abs, (*cost[0].values(), cost[1]))) < Fraction(LARGEST)
-    own.add(cost, -np.inf, np.inf)
-    for row, root in zip(formulas.rows, joint.roots[1:], strict=True):
-        own.add(reader.form(root), row.lower, row.upper)
-    bounds = own.bounds + rows.bounds
-    columns, values = own.columns + rows.columns, own.values + rows.values
-    errors, functions = own.errors + rows.errors, []
-    for entry, column, first, second in reader.functions:
-        functions.append((entry, column, first, second, len(columns)))
-        read = [column, first] if second < 0 else [column, first, second]
-        count = ROWS_OF_ONE if second < 0 else ROWS_OF_TWO
-        columns += [read] * count
-        values += [[0.0] * len(read)] * count
-        errors += [[0.0] * len(read)] * count
-        bounds += [(-np.inf, np.inf)] * count
-    enclosed = np.zeros((len(reader.entries), 2))
-    for column, value, error in zip(own.columns[0], own.values[0], own.errors[0], strict=True):
-        enclosed[column] = value - error, value + error
+    """Returns the columns and rows of a program's relaxation; the first root is the cost."""
+    summands = [formulas.summands, *((row,) for row in formulas.rows)]
+    joint = join(summands, formulas.lower.size, is_nested=False)
+    sums, first, rows = _read_sums(joint), [0], []
+    for k, (operation, a, b, _) in enumerate(zip(*joint.tape[:4], strict=True)):
+        if operation in _OF_TWO and a != b:
+            rows += [({k: 1.0, a: 0.0, b: 0.0}, (-math.inf, math.inf))] * ROWS_OF_TWO
+        elif k in sums:
+            rows.append(sums[k])
+        elif operation not in (*_LEAVES, *_SUMS, *_OF_TWO):
+            rows += [({k: 1.0, a: 0.0}, (-math.inf, math.inf))] * ROWS_OF_ONE
+        first.append(len(rows))
     return Structure(
         joint=joint,
-        entries=np.array(reader.entries, dtype=np.int64),
-        functions=np.array(functions, dtype=np.int64).reshape(-1, 5),
-        starts=np.cumsum([0, *map(len, columns)], dtype=np.int64),
-        columns=np.array([c for row in columns for c in row], dtype=np.int64),
-        values=np.array([v for row in values for v in row], dtype=float),
-        errors=np.array([e for row in errors for e in row], dtype=float),
-        lower=np.array([low for low, _ in bounds]),
-        upper=np.array([high for _, high in bounds]),
-        cost=enclosed,
-        constant=_below(float(cost[1])) if is_in_range else -math.inf,
+        first=np.array(first),
+        starts=np.cumsum([0, *(len(row) for row, _ in rows)], dtype=np.int64),
+        columns=np.array([column for row, _ in rows for column in row], dtype=np.int64),
+        values=np.array([value for row, _ in rows for value in row.values()], dtype=float),
+        lower=np.array([low for _, (low, _) in rows]),
+        upper=np.array([high for _, (_, high) in rows]),
     )
+
+
+def _read_sums(joint: JointTape) -> dict[int, _Sum]:
+    """Returns w − Σ c w' and what it is, of every sum w that is no part of another one.
+
+    Coefficients are exact: a part is taken in as it is, once.
+    """
+    operations, first, last, numbers, _ = joint.tape
+    uses = np.bincount(joint.roots, minlength=operations.size) * 2
+    for k, operation in enumerate(operations.tolist()):
+        if operation not in _LEAVES:
+            uses[first[k]] += 1
+            uses[last[k]] += operation == Operation.ADD or operation in _OF_TWO
+    sums: dict[int, _Sum] = {}
+    for k, operation in enumerate(operations.tolist()):
+        if operation not in _SUMS:
+            continue
+        p, own = float(numbers[k]), [int(first[k])]
+        own += [int(last[k])] if operation == Operation.ADD else []
+        scale, shift = (p, 0.0) if operation == Operation.SCALE else (1.0, p)
+        terms, low, high = {k: 1.0}, shift, shift
+        for j in own:
+            part, ends = sums.get(j, ({}, (0.0, 0.0)))
+            others = part.keys() - {j}
+            is_part = bool(others) and uses[j] == 1 and scale == 1.0
+            if is_part and not others & {*terms, *own}:
+                terms |= {column: part[column] for column in others}
+                low, high = (_sum(low, ends[0], -math.inf), _sum(high, ends[1], math.inf))
+                del sums[j]
+            else:
+                terms[j] = terms.get(j, 0.0) - scale
+        is_small = max(map(abs, terms.values())) <= LARGEST_COEFFICIENT
+        sums[k] = (terms, (low, high)) if is_small else ({k: 1.0}, (-math.inf, math.inf))
+    return sums
+
+
+def _sum(a: float, b: float, towards: float) -> float:
+    return math.nextafter(a + b, towards) if a and b else a + b
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,18 +134,16 @@ class Relaxation:
         self.structure = structure = read_structure(formulas)
         self._lower = np.array([-np.inf, *(row.lower for row in formulas.rows)])
         self._upper = np.array([np.inf, *(row.upper for row in formulas.rows)])
-        num_rows, num_columns = structure.lower.size, structure.entries.size
-        size, entries = formulas.lower.size, structure.joint.tape.operations.size
+        size, num_columns = formulas.lower.size, structure.first.size - 1
         self._cell = LinearProgram(
             structure.values.copy(),
-            np.empty(num_rows),
-            np.empty(num_rows),
+            structure.lower.copy(),
+            structure.upper.copy(),
             np.empty((2, num_columns)),
-            np.empty((entries, 1, 2)),
+            np.empty((num_columns, 1, 2)),
             np.empty((2, size)),
         )
-        self._residuals = np.empty((num_columns, 2))
-        self._scores = np.empty(len(structure.functions))
+        self._residuals, self._scores = np.empty((num_columns, 2)), np.empty(num_columns)
         self._reads = _readers(structure, size)
         self._starts = structure.starts.astype(np.int32)
         self._columns = structure.columns.astype(np.int32)
@@ -252,7 +163,7 @@ class Relaxation:
         ):
             self._highs.setOptionValue(name, value)
         self._basis: Any = None
-        self.effort = 1 + num_columns // 4
+        self.effort = 1 + int(np.count_nonzero(np.diff(structure.first) > 1)) // 4 + size // 4
 
     @property
     def linear_program(self) -> tuple[Structure, LinearProgram]:
@@ -267,11 +178,11 @@ class Relaxation:
             high: its upper ends.
             cutoff: a known value of the cost, above which a bound is of no interest.
         """
-        structure, nothing = self.structure, Relaxed(np.inf, np.clip(0.0, low, high))
+        nothing, root = Relaxed(np.inf, np.clip(0.0, low, high)), self.structure.joint.roots[0]
         if not self._fill(low, high, cutoff):
             return nothing
-        bound, w, y = self._solve(structure.cost, structure.constant)
-        bound = max(bound, float(self._cell.ranges[structure.joint.roots[0], 0, 0]))
+        bound, w, y = self._solve(root, 1.0)
+        bound = max(bound, float(self._cell.ranges[root, 0, 0]))
         if bound == np.inf:
             return nothing
         if math.isfinite(cutoff - bound):
@@ -296,15 +207,9 @@ class Relaxation:
 
     def _move(self, side: Floats, i: int, low: Floats, high: Floats, cutoff: float) -> bool:
         """Moves one end of a cell, low or high; returns if anything is left."""
-        structure = self.structure
-        structure.upper[0] = -_below(structure.constant - cutoff)
-        is_left = self._fill(low, high, cutoff)
-        structure.upper[0] = np.inf
-        if not is_left:
+        if not self._fill(low, high, cutoff):
             return False
-        cost = np.zeros_like(structure.cost)
-        cost[i] = 1.0 if side is low else -1.0
-        bound, *_ = self._solve(cost, 0.0)
+        bound, *_ = self._solve(i, 1.0 if side is low else -1.0)
         side[i] = max(low[i], bound) if side is low else min(high[i], -bound)
         return bool(bound < np.inf and low[i] <= high[i])
 
@@ -312,10 +217,11 @@ class Relaxation:
         self._upper[0] = cutoff
         return bool(relax(self.structure, self._lower, self._upper, low, high, self._cell))
 
-    def _solve(self, cost: Floats, constant: float) -> tuple[float, Floats, Floats]:
-        """Returns a bound of a cost, the point where the relaxation is least, and multipliers."""
+    def _solve(self, column: int, sign: float) -> tuple[float, Floats, Floats]:
+        """Returns a bound of ± a column, the point where that is least, and multipliers."""
         cell, solver, highs = self._cell, self._highs, self._core
-        box = cell.box
+        box, cost = cell.box, np.zeros(cell.box.shape[1])
+        cost[column] = sign
         solver.passModel(
             box.shape[1],
             cell.lower.size,
@@ -323,7 +229,7 @@ class Relaxation:
             int(highs.MatrixFormat.kRowwise),
             int(highs.ObjSense.kMinimize),
             0.0,
-            np.ascontiguousarray(0.5 * cost[:, 0] + 0.5 * cost[:, 1]),
+            cost,
             box[0],
             box[1],
             cell.lower,
@@ -342,7 +248,7 @@ class Relaxation:
         status = solver.getModelStatus()
         if status == highs.HighsModelStatus.kInfeasible:
             _, is_known, ray = solver.getDualRay()
-            if is_known and self._bound(np.zeros_like(cost), 0.0, np.array(ray)) > 0.0:
+            if is_known and self._bound(column, 0.0, np.array(ray)) > 0.0:
                 return np.inf, np.empty(0), np.empty(0)
         elif status == highs.HighsModelStatus.kOptimal:
             self._basis = solver.getBasis()
@@ -352,10 +258,10 @@ class Relaxation:
         if w.size != box.shape[1] or not np.all(np.isfinite(w)):
             with np.errstate(invalid="ignore"):
                 w = np.nan_to_num(0.5 * box[0] + 0.5 * box[1])
-        return self._bound(cost, constant, y), w, y
+        return self._bound(column, sign, y), w, y
 
-    def _bound(self, cost: Floats, constant: float, y: Floats) -> float:
-        return float(safe_bound(self.structure, self._cell, cost, constant, y, self._residuals))
+    def _bound(self, column: int, sign: float, y: Floats) -> float:
+        return float(safe_bound(self.structure, self._cell, (column, sign), y, self._residuals))
 
     def _choose_cut(
         self, w: Floats, y: Floats, x: Floats, low: Floats, high: Floats
@@ -386,7 +292,7 @@ def sides_of(formulas: Formulas) -> Floats:
 
 
 def _readers(structure: Structure, size: int) -> Floats:
-    """Returns 1 where a function reads a variable, else 0 (K, n)."""
+    """Returns 1 where an entry reads a variable, else 0 (E, n)."""
     tape = structure.joint.tape
     reads = np.zeros((tape.operations.size, size), dtype=bool)
     for entry, operation in enumerate(tape.operations.tolist()):
@@ -397,4 +303,4 @@ def _readers(structure: Structure, size: int) -> Floats:
             reads[entry] = reads[a]
             if operation == Operation.ADD or operation in _OF_TWO:
                 reads[entry] |= reads[b]
-    return reads[structure.functions[:, 0]].astype(float).reshape(-1, size)
+    return reads.astype(float)

@@ -1,9 +1,10 @@
 """Rows of linear relaxations over cells, and bounds by their multipliers, rounded outward.
 
-Every row holds for all x of a cell, whatever is rounded: of a product, McCormick's four (1976,
-Math. Program. 10:147); of a convex or concave function of one variable, its secant and tangents; of
-any other one, lines through its ends with its least and its largest slope, and its secant, moved by
-an eighth of its curvature times the width squared.
+Every entry of a tape is a column. Its rows hold for all x of a cell, whatever is rounded: of a sum,
+its definition; of a product, McCormick's four (1976, Math. Program. 10:147); of a convex or concave
+function of one variable, its secant and tangents; of any other one, lines through its ends with its
+least and its largest slope, and its secant, moved by an eighth of its curvature times the width
+squared.
 """
 
 from __future__ import annotations
@@ -30,40 +31,32 @@ from drake_aigto.certify.intervals import (
 from drake_aigto.kernels import inner, kernel
 
 ROWS_OF_ONE, ROWS_OF_TWO = 6, 4  # of a function of one argument, and of two
-_LARGEST = 1e12  # coefficient of a row; larger ones are left out
+LARGEST_COEFFICIENT = 1e12  # coefficient of a row; larger ones are left out
 
 
 class Structure(NamedTuple):
-    """Columns and rows of the linear relaxation of a program.
+    """Places of the coefficients of a program's linear relaxation; entries are columns.
 
-    A column is a variable, a function that is not linear, or the linear argument of one.
+    A row has coefficients of an entry and of its arguments, or of all that it sums up.
 
     Attributes:
-        joint: cost and rows as one tape.
-        entries: of the tape, that columns stand for; variables first (C,).
-        functions: entries that are not linear: entry, its column, those of its arguments, the
-            second one −1 if there is none, and its first row (K, 5).
+        joint: cost and rows as one tape; its entries are the columns (E).
+        first: first row of each entry, and their number M; a sum has one, or none if it is a part
+            of another (E + 1,).
         starts: first coefficient of each row, and their number (M + 1,).
         columns: of the coefficients.
-        values: the coefficients; those of functions are filled for each cell.
-        errors: what rounding may have changed of a coefficient.
-        lower: of rows (M,).
-        upper: of rows (M,).
-        cost: coefficients of the cost (C, 2), enclosed.
-        constant: of the cost, rounded down.
+        values: the coefficients of sums; those of functions are filled for each cell.
+        lower: of rows of sums (M,).
+        upper: shape (M,).
     """
 
     joint: JointTape
-    entries: Ints
-    functions: Ints
+    first: Ints
     starts: Ints
     columns: Ints
     values: Floats
-    errors: Floats
     lower: Floats
     upper: Floats
-    cost: Floats
-    constant: float
 
 
 class LinearProgram(NamedTuple):
@@ -73,7 +66,7 @@ class LinearProgram(NamedTuple):
         values: coefficients of A.
         lower: of its rows (M,).
         upper: shape (M,).
-        box: ends of columns (2, C).
+        box: ends of columns (2, E).
         ranges: of the tape's entries (E, 1, 2).
         old: room (2, n).
     """
@@ -93,7 +86,7 @@ def _put_row(
     """Sets ends ≤ w − s a − t b ≤; leaves the row out where a number is too large, or is none."""
     first, last = structure.starts[row], structure.starts[row + 1]
     (s, t), (low, high) = slopes, ends
-    is_finite = abs(s) <= _LARGEST and abs(t) <= _LARGEST
+    is_finite = abs(s) <= LARGEST_COEFFICIENT and abs(t) <= LARGEST_COEFFICIENT
     if not (is_finite and low < np.inf and high > -np.inf):
         s = t = 0.0
         low, high = -np.inf, np.inf
@@ -121,9 +114,8 @@ def _tangent(operation: int, b: int, p: float, x: Interval, t: float) -> tuple[f
 @inner
 def _put_function(structure: Structure, cell: LinearProgram, k: int) -> None:
     """Fills the rows of a function of one argument."""
-    entry, _, argument, _, row = structure.functions[k]
-    tape = structure.joint.tape
-    operation, b, p = tape.operations[entry], tape.b[entry], tape.numbers[entry]
+    tape, row = structure.joint.tape, structure.first[k]
+    operation, argument, b, p = tape.operations[k], tape.a[k], tape.b[k], tape.numbers[k]
     x = cell.box[0, argument], cell.box[1, argument]
     _, first, second = derivatives(operation, x, b, p, 2)
     is_convex = second[0] >= 0.0 or operation == Operation.ABS
@@ -173,9 +165,8 @@ def _put_function(structure: Structure, cell: LinearProgram, k: int) -> None:
 @inner
 def _put_pair(structure: Structure, cell: LinearProgram, k: int) -> None:
     """Fills the rows of a product, or of the larger or smaller one of two."""
-    entry, _, i, j, row = structure.functions[k]
-    operation = structure.joint.tape.operations[entry]
-    box = cell.box
+    tape, row, box = structure.joint.tape, structure.first[k], cell.box
+    operation, i, j = tape.operations[k], tape.a[k], tape.b[k]
     for n in range(ROWS_OF_TWO):
         if operation == Operation.MULTIPLY:
             # (a − a₀)(b − b₀) is 0 or more at two corners, and 0 or less at the others.
@@ -214,56 +205,52 @@ def relax(
         high: upper ends.
         cell: filled.
     """
-    joint, entries = structure.joint, structure.entries
+    joint = structure.joint
     if not contract(joint, lower, upper, low, high, cell.ranges, cell.old):
         return False
-    for c in range(entries.size):
-        cell.box[0, c], cell.box[1, c] = at(cell.ranges, entries[c], 0)
-    for c in range(low.size):
-        cell.box[0, c], cell.box[1, c] = low[c], high[c]
-    num_linear = structure.starts.size - 1
-    if structure.functions.shape[0]:
-        num_linear = structure.functions[0, 4]
-    for row in range(num_linear):
-        slack = 0.0
-        for k in range(structure.starts[row], structure.starts[row + 1]):
-            if structure.errors[k] > 0.0:
-                a, b = cell.box[0, structure.columns[k]], cell.box[1, structure.columns[k]]
-                slack = up(slack + up_product(structure.errors[k], max(-a, b)))
-        cell.lower[row] = down(structure.lower[row] - slack)
-        cell.upper[row] = up(structure.upper[row] + slack)
-    for k in range(structure.functions.shape[0]):
-        if structure.functions[k, 3] >= 0:
+    for k in range(cell.box.shape[1]):
+        cell.box[0, k], cell.box[1, k] = at(cell.ranges, k, 0)
+    for i in range(low.size):
+        cell.box[0, i], cell.box[1, i] = low[i], high[i]
+    for k in range(cell.box.shape[1]):
+        count = structure.first[k + 1] - structure.first[k]
+        if count == ROWS_OF_TWO:
             _put_pair(structure, cell, k)
-        else:
+        elif count == ROWS_OF_ONE:
             _put_function(structure, cell, k)
     return True
+
+
+@inner
+def _add_to(residuals: Floats, column: int, x: Interval) -> None:
+    total = plus((residuals[column, 0], residuals[column, 1]), x)
+    residuals[column, 0], residuals[column, 1] = total
 
 
 @kernel
 def safe_bound(
     structure: Structure,
     cell: LinearProgram,
-    cost: Floats,
-    constant: float,
+    cost: tuple[int, float],
     multipliers: Floats,
     residuals: Floats,
 ) -> float:
-    """Returns a bound of constant + cost · w, by any multipliers of the rows.
+    """Returns a bound of a column times 1 or −1, by any multipliers of the rows.
 
     y · (A w) ≥ Σ y_i lower_i or y_i upper_i, and the rest (cost − Aᵀy) · w is least at ends of
-    columns (Neumaier & Shcherbina 2004, Math. Program. 99:283).
+    columns (Neumaier & Shcherbina 2004, Math. Program. 99:283). What is left of a sum without such
+    an end is passed on to its summands.
 
     Args:
         structure: of the program.
         cell: its linear program.
-        cost: enclosed (C, 2).
-        constant: rounded down.
+        cost: the column and its sign.
         multipliers: y (M,); those of rows without an end on their side are left out.
-        residuals: filled with cost − Aᵀy (C, 2).
+        residuals: filled with cost − Aᵀy (E, 2).
     """
-    residuals[:] = cost
-    total = constant
+    total = 0.0
+    residuals[:] = 0.0
+    residuals[cost[0]] = cost[1]
     for row in range(multipliers.size):
         y = multipliers[row]
         end = cell.lower[row] if y > 0.0 else cell.upper[row]
@@ -271,12 +258,20 @@ def safe_bound(
             continue
         total = down(total + times((y, y), (end, end))[0])
         for k in range(structure.starts[row], structure.starts[row + 1]):
-            c, a = structure.columns[k], cell.values[k]
-            taken = plus((residuals[c, 0], residuals[c, 1]), minus(times((y, y), (a, a))))
-            residuals[c, 0], residuals[c, 1] = taken
-    for c in range(residuals.shape[0]):
-        own = times((residuals[c, 0], residuals[c, 1]), (cell.box[0, c], cell.box[1, c]))
-        total = down(total + own[0])
+            a = cell.values[k]
+            _add_to(residuals, structure.columns[k], minus(times((y, y), (a, a))))
+    for c in range(residuals.shape[0] - 1, -1, -1):
+        left = residuals[c, 0], residuals[c, 1]
+        own = times(left, (cell.box[0, c], cell.box[1, c]))[0]
+        row = structure.first[c]
+        is_sum = structure.first[c + 1] - row == 1 and math.isfinite(cell.lower[row])
+        if is_sum and not math.isfinite(own):
+            own = times(left, (cell.lower[row], cell.upper[row]))[0]
+            residuals[c] = 0.0
+            for k in range(structure.starts[row] + 1, structure.starts[row + 1]):
+                a = -cell.values[k]
+                _add_to(residuals, structure.columns[k], times((a, a), left))
+        total = down(total + own)
     return total if not math.isnan(total) else -np.inf
 
 
@@ -301,32 +296,31 @@ def cut_by_residuals(
 def violations(
     structure: Structure, cell: LinearProgram, w: Floats, multipliers: Floats, scores: Floats
 ) -> None:
-    """Fills how far functions are from their columns at a point, in the cost's unit (K,).
+    """Fills how far functions are from their columns at a point, in the cost's unit (E,).
 
     Args:
         structure: of the program.
         cell: its linear program.
-        w: the point (C,).
+        w: the point (E,).
         multipliers: of the rows (M,).
         scores: filled.
     """
     tape = structure.joint.tape
     for k in range(scores.size):
-        entry, column, i, j, row = structure.functions[k]
-        operation = tape.operations[entry]
-        a = w[i]
-        if j >= 0:
-            b = w[j]
+        operation, a = tape.operations[k], w[tape.a[k]]
+        count = structure.first[k + 1] - structure.first[k]
+        scores[k] = 0.0
+        if count == ROWS_OF_TWO:
+            b = w[tape.b[k]]
             value = a * b
             if operation != Operation.MULTIPLY:
                 value = max(a, b) if operation == Operation.MAX else min(a, b)
-        else:
-            x = min(max(a, cell.box[0, i]), cell.box[1, i])
-            own, _, _ = derivatives(operation, (x, x), tape.b[entry], tape.numbers[entry], 0)
+        elif count == ROWS_OF_ONE:
+            x = min(max(a, cell.box[0, tape.a[k]]), cell.box[1, tape.a[k]])
+            own, _, _ = derivatives(operation, (x, x), tape.b[k], tape.numbers[k], 0)
             value = 0.5 * own[0] + 0.5 * own[1]
-        weight = 0.0
-        for r in range(row, row + (ROWS_OF_TWO if j >= 0 else ROWS_OF_ONE)):
-            weight += abs(multipliers[r])
-        scores[k] = weight * abs(w[column] - value)
-        if not math.isfinite(scores[k]):
-            scores[k] = 0.0
+        else:
+            continue
+        weight = np.sum(np.abs(multipliers[structure.first[k] : structure.first[k + 1]]))
+        score = weight * abs(w[k] - value)
+        scores[k] = score if math.isfinite(score) else 0.0
