@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from pathlib import Path
 from typing import Any
@@ -24,10 +25,12 @@ from drake_aigto import (
 )
 from drake_aigto.cli import FINE, main
 from drake_aigto.contact import CompliantLaw, contact_law
-from drake_aigto.errors import ControlError, ModelError, ProgramError, ScenarioError
-from drake_aigto.planning import Reaches
+from drake_aigto.control import Disturbance, run_in_loop
+from drake_aigto.errors import ModelError, ProgramError, ScenarioError
+from drake_aigto.planning import Feedback, FeedbackPhase, Reaches
 from drake_aigto.show import ROOT, Motion, Stage, draw_mechanism, motions_of_plan, publish
 from drake_aigto.simulation import replay_drake, replay_event_driven
+from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import SpaceWorld, TaskCost
 
 BOX = "<box><size>0.1 0.1 0.1</size></box>"
@@ -261,9 +264,42 @@ def test_a_ball_is_pushed_to_its_goal_by_a_plan_that_both_replays_confirm(tmp_pa
     assert Plan.load(path) == plan
     assert main(["replay", str(path), "--quiet"]) == FINE
     assert len(motions_of_plan(plan)) == 3
-    for make in (TrackingController, lambda _: ModelPredictiveController(Planner(scenario), 0.02)):
-        with pytest.raises(ControlError, match=r"the world to control: got one in space"):
-            make(plan)
+    # The ball lies 1 cm farther away: its plan's control alone leaves it there.
+    asked, off = plan.scenario, np.zeros(9)
+    off[world.plant.GetJointByName("thing").velocity_start() + 3] = 0.01
+    moved = dataclasses.replace(asked, initial_position=world.add(placed.initial_position, off))
+    motion = plan.trajectory
+    alone = replay_drake(world, moved, motion.times, motion.controls).positions[-1]
+    planner = Planner(asked, PlanOptions(renewals=4, finalists=1), world)
+    replans = ModelPredictiveController(planner, 0.1, horizon="shrinking", plan=plan)
+    for controller in (TrackingController(plan), replans):
+        run = run_in_loop(controller, asked, world, Disturbance(start_offset=off))
+        end, along = run.replay.positions[-1], first + 4
+        missed = [abs(q[along] - placed.goal_position[along]) for q in (end, alone)]
+        assert missed[0] < 0.5 * missed[1]
+
+
+def test_feedback_answers_turns_along_the_manifold_whatever_the_sign_of_a_quaternion(
+    tmp_path: Path,
+) -> None:
+    world, scenario = build(make_scenario(tmp_path))
+    rng, n, m = np.random.default_rng(2), world.num_velocities, world.num_contacts
+    turned = 0.3 * rng.normal(size=n)
+    path = world.add(np.tile(scenario.initial_position, (3, 1)), np.outer([0, 1, 2], turned))
+    times, v, u = np.array([0.0, 0.1, 0.2]), np.zeros((3, n)), rng.normal(size=(2, 3))
+    plan = Trajectory(times, path, v, u, np.zeros((3, m)), np.zeros((2, m)))
+    gains = 0.1 * rng.normal(size=(2, 3, 2 * n))
+    phase = FeedbackPhase(times, np.hstack([path, v]), u, gains)
+    feedback, delta = Feedback(world, scenario, plan, [phase]), rng.normal(size=2 * n)
+    q, first = world.add(path[1], delta[:n]), world.plant.GetJointByName("thing").position_start()
+    expected = np.clip(u[1] + gains[1] @ delta, *world.bounds(scenario).control)
+    for sign in (1.0, -1.0):
+        q[first : first + 4] *= sign
+        got = feedback.sample(0.1, np.concatenate([q, delta[n:]]), ()).control
+        np.testing.assert_allclose(got, expected, atol=1e-9)
+        nearest = world.take_nearest(q, path[1])
+        assert nearest[first : first + 4] @ path[1, first : first + 4] > 0
+        np.testing.assert_allclose(world.subtract(nearest, q), 0.0, atol=1e-12)
 
 
 def test_what_is_not_planned_for_in_space_is_refused_by_name(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.ports import check_plane
 from drake_aigto.control.touches import (
     WALL_DOUBT,
     PlannedMotion,
@@ -126,7 +125,7 @@ class Horizon(ABC):
         """Returns no control, as far as bounds allow, where nothing better is known."""
         count, m = self.num_steps, self.world.num_contacts
         times = np.linspace(now, max(self.end(now), now + self._step), count + 1)
-        q, v = (np.tile(part, (count + 1, 1)) for part in np.split(x, 2))
+        q, v = (np.tile(part, (count + 1, 1)) for part in self.world.split(x))
         none = np.zeros((count, self.world.num_actuators))
         controls = np.clip(none, *self.world.bounds(self.scenario).control)
         impulses, forces = np.zeros((count + 1, m)), np.zeros((count, m))
@@ -142,12 +141,12 @@ class Horizon(ABC):
     def _ask(self, now: float, x: Floats) -> Scenario:
         """Returns the task from a state on."""
         # No plan may start beyond its bounds, where an estimate may be.
-        bounds, (q, v) = self.world.bounds(self.scenario), np.split(x, 2)
+        bounds, (q, v) = self.world.bounds(self.scenario), self.world.split(x)
         left, clock = self.end(now) - now, self.scenario.reference_times
         return dataclasses.replace(
             self.scenario,
             reference_times=None if clock is None else clock - now,
-            initial_position=np.clip(q, *bounds.position),
+            initial_position=self.world.normalized(np.clip(q, *bounds.position)),
             initial_velocity=np.clip(v, *bounds.velocity),
             duration=left,
             time_step=left / self.scenario.num_steps,
@@ -162,7 +161,7 @@ class Horizon(ABC):
         k = int(np.searchsorted(last.times, now + _OVER * self._step, side="right")) - 1
         added = k if self.is_receding else 0
         ahead = last.times[-1] + self._step * np.arange(1, added + 1)
-        q, v = np.split(x, 2)
+        q, v = self.world.split(x)
 
         def go_on(first: Floats, rows: Floats) -> Floats:
             return np.vstack([first, rows[k + 1 :], *[rows[-1:]] * added])
@@ -192,11 +191,11 @@ class Horizon(ABC):
         return self
 
     def toward(self, goal: Floats) -> Horizon:
-        """Returns the same task with another goal, q and v, shape (2n,), within bounds.
+        """Returns the same task with another goal, q and v, shape (nq + n,), within bounds.
 
         Its velocity counts where the scenario has one.
         """
-        other, (q, v) = copy.copy(self), np.split(goal, 2)
+        other, (q, v) = copy.copy(self), self.world.split(goal)
         asked = {"goal_position": np.clip(q, *self.world.bounds(self.scenario).position)}
         if self.scenario.goal_velocity is not None:
             asked["goal_velocity"] = v
@@ -321,7 +320,6 @@ def _check(planner: Planner) -> None:
     Raises:
         ControlError: says what it is.
     """
-    check_plane(planner.world)
     if planner.scenario.duration_range is not None:
         raise ControlError(
             _ASKED,

@@ -48,7 +48,7 @@ class Disturbance(ArrayRecord):
         friction_factor: of all friction, where contacts have one μ, and of that in joints.
         kick: by how much v jumps, shape (n,) [m/s, rad/s].
         kick_time: when it does, before the run ends [s].
-        noise: standard deviations of the estimate of q and v, shape (2n,), drawn anew
+        noise: standard deviations of the estimate of q and v, shape (nq + n,), drawn anew
             at each of the controller's periods [m, rad, 1/s].
         seed: of the noise.
         delay: from a command of the controller to its acting on the plant, within a millisecond;
@@ -97,7 +97,7 @@ class Disturbance(ArrayRecord):
         self._check_sizes(world)
         changes: dict[str, object] = {}
         if self.start_offset.any():
-            changes["initial_position"] = scenario.initial_position + self.start_offset
+            changes["initial_position"] = world.add(scenario.initial_position, self.start_offset)
         if self.restitution_factor != 1:
             changes["restitution"] = self._find_restitution(world, scenario)
         if self.friction_factor != 1:
@@ -108,8 +108,9 @@ class Disturbance(ArrayRecord):
         return (self._move_walls(world) if self.wall_shift else world), true
 
     def _check_sizes(self, world: World) -> None:
-        n = world.num_positions
-        for name, size in (("start_offset", n), ("kick", n), ("noise", 2 * n)):
+        n = world.num_velocities
+        sizes = {"start_offset": n, "kick": n, "noise": world.num_positions + n}
+        for name, size in sizes.items():
             got = len(getattr(self, name))
             if got not in (0, size):
                 raise ControlError(

@@ -174,7 +174,7 @@ class CompliantHorizon(_ShootingHorizon):
         """Returns a result as a motion; None if it leads nowhere."""
         if not (np.isfinite(found.cost) and np.all(np.isfinite(found.states))):
             return None
-        q, v = np.split(found.states, 2, axis=1)
+        q, v = self.world.split(found.states)
         none = np.zeros((len(q), self.world.num_contacts))
         motion = Trajectory(found.times, q, v, found.controls, none, none[1:])
         inside = self.world.calc_signed_distance(q) <= 0

@@ -22,7 +22,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.errors import ControlError, FrictionError, TrajectoryError
 from drake_aigto.simulation import EVENT_DRIVEN, HeldControl, state_scales
-from drake_aigto.world import Scenario, SpaceWorld, World, take_nearest_turn
+from drake_aigto.world import Scenario, World
 
 Mode: TypeAlias = Literal["waiting", "running", "holding", "fallback"]
 Sample: TypeAlias = Literal["none", "valid", "not finite", "off limits", "far off"]
@@ -90,7 +90,7 @@ class Safety(ArrayRecord):
     Attributes:
         control: |u_i| at most, within the scenario's bounds, shape (nu,) [N, N m].
         rate: |du_i/dt| at most, from one sample to the next, shape (nu,) [N/s, N m/s].
-        lower, upper: of q and v, shape (2n,) [m, rad, 1/s]; a sample beyond is of no use.
+        lower, upper: of q and v, shape (nq + n,) [m, rad, 1/s]; a sample beyond is of no use.
         far: nor is one that is farther off the plan (`TickStatus.deviation`).
         fallback: the command then: the plan's ("plan"), the last one ("hold"), none ("zero"), or
             ("brake") what leads to M v̇ = −M v / τ as nearly as actuators can, with τ a tenth of the
@@ -130,7 +130,7 @@ class Safety(ArrayRecord):
         Raises:
             ControlError: one has the wrong length.
         """
-        states, found = 2 * world.num_positions, dict[str, Floats]()
+        states, found = world.num_positions + world.num_velocities, dict[str, Floats]()
         sizes = {"lower": states, "upper": states}
         for name in ("control", "rate", "lower", "upper"):
             value, size = np.asarray(getattr(self, name)), sizes.get(name, world.num_actuators)
@@ -170,10 +170,9 @@ class LoopController(LeafSystem):
         """Declares the input port; heirs declare their state, then the others.
 
         Raises:
-            ControlError: an argument is out of its range, or the world is in space.
+            ControlError: an argument is out of its range.
         """
         super().__init__()
-        check_plane(world)
         T, self._world, self._scenario = scenario.duration, world, scenario
         self.period = check_seconds("period", period, is_positive=True, most=T)
         self.delay = check_seconds("delay", delay, most=T)
@@ -182,16 +181,16 @@ class LoopController(LeafSystem):
         self._units = state_scales(world, scenario)
         low, high = world.bounds(scenario).control
         self._most = np.maximum(low, -self.safety.control), np.minimum(high, self.safety.control)
-        self._estimate = self.DeclareVectorInputPort("estimated_state", 2 * world.num_positions)
+        self._estimate = self.DeclareVectorInputPort("estimated_state", len(self._units))
         count = 2 + _COMMANDS * int(np.ceil(self.delay / self.period))
         self._no_commands = np.zeros((count, 1 + world.num_actuators))
         self._no_commands[:, 0] = -np.inf
 
     def _declare_outputs(self, held: set[DependencyTicket]) -> None:
         """Declares the output ports, of a state."""
-        n, nu, later = self._world.num_positions, self._world.num_actuators, {self.time_ticket()}
+        nx, nu, later = len(self._units), self._world.num_actuators, {self.time_ticket()}
         self.DeclareVectorOutputPort("control", nu, self._write_control, held)
-        self.DeclareVectorOutputPort("desired_state", 2 * n, self._write_state, held | later)
+        self.DeclareVectorOutputPort("desired_state", nx, self._write_state, held | later)
         empty = TickStatus(-np.inf, np.inf, (), "", 0.0)
         for name, value, write in (
             ("planned_state", PiecewisePolynomial(), self._write_path),
@@ -230,7 +229,7 @@ class LoopController(LeafSystem):
 
     @abstractmethod
     def _find_desired(self, context: Context) -> Floats:
-        """Returns q and v of the plan when the present command acts, shape (2n,)."""
+        """Returns q and v of the plan when the present command acts, shape (nq + n,)."""
 
     @abstractmethod
     def _find_path(self, context: Context) -> PiecewisePolynomial:
@@ -242,7 +241,7 @@ class LoopController(LeafSystem):
         Args:
             x: the sample, angles as near to the plan as turns bring them (`_unwrap`).
             planned: the plan's state now.
-            reach: the largest |q| and |v| of the plan, shape (2n,).
+            reach: the largest |q| and |v| of the plan, shape (nq + n,).
         """
         if not np.all(np.isfinite(x)):
             return "not finite", np.inf
@@ -252,12 +251,11 @@ class LoopController(LeafSystem):
         return ("far off" if off > self.safety.far else "valid"), off
 
     def _unwrap(self, x: Floats, planned: Floats) -> Floats:
-        """Returns a state with hinges as many turns on as bring them nearest to the plan."""
+        """Returns a state with turns written as is nearest to the plan."""
         if not np.all(np.isfinite(x)):
             return x
-        (q, v), (about, _) = np.split(x, 2), np.split(planned, 2)
-        turns = q - about - take_nearest_turn(q - about, self._world.is_hinge)
-        return np.concatenate([q - turns, v])
+        (q, v), (about, _) = map(self._world.split, (x, planned))
+        return np.concatenate([self._world.take_nearest(q, about), v])
 
     def _limit(self, u: Floats, commands: Floats, time: float) -> tuple[Floats, bool]:
         """Returns a command within all limits, and whether they changed it."""
@@ -274,7 +272,8 @@ class LoopController(LeafSystem):
             return np.array(commands[-1, 1:])
         if self.safety.fallback == "zero":
             return np.zeros_like(u)
-        world, (q, v) = self._world, np.split(x if np.all(np.isfinite(x)) else planned, 2)
+        world, is_known = self._world, np.all(np.isfinite(x))
+        q, v = world.split(x if is_known else planned)
         slowing = world.calc_mass_matrix(q) @ v / (_BRAKE * self._scenario.duration)
         return np.asarray(world.inverse_actuation @ (world.calc_bias(q, v) - slowing))
 
@@ -297,7 +296,7 @@ class LoopController(LeafSystem):
         coming = commands[(acts > time) & (acts < end)]
         knots = np.concatenate([[time], coming[:, 0] + self.delay, [end]])
         controls = np.vstack([self._find_acting(commands, time), coming[:, 1:]])
-        start: Any = tuple(np.split(x, 2))
+        start = self._world.split(x)
         judge: Any = EVENT_DRIVEN
         try:
             found = judge.simulate(
@@ -311,7 +310,8 @@ class LoopController(LeafSystem):
         output.SetFromVector(self._read_commands(context)[-1, 1:])
 
     def _write_state(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._find_desired(context))
+        q, v = self._world.split(self._find_desired(context))
+        output.SetFromVector(np.concatenate([self._world.normalized(q), v]))
 
     def _write_path(self, context: Context, output: AbstractValue) -> None:
         output.set_value(self._find_path(context))
@@ -350,21 +350,6 @@ def append_command(commands: Floats, time: float, u: Floats) -> Floats:
 def may_be_unsampled(x: Floats, expected: Floats) -> bool:
     """Returns whether all of a state is zero where another one is expected."""
     return bool(np.any(expected) and not np.any(x))
-
-
-def check_plane(world: World) -> None:
-    """Refuses worlds in space, for which no controller is made.
-
-    Raises:
-        ControlError: it is one.
-    """
-    if isinstance(world, SpaceWorld):
-        raise ControlError(
-            "the world to control",
-            got="one in space, whose positions and velocities differ in number or kind",
-            expected="one in a plane, of hinges and sliders",
-            remedy="Play the plan's control: TrajectorySource(plan.trajectory.to_piecewise()[1]).",
-        )
 
 
 def check_seconds(

@@ -159,12 +159,13 @@ class ModelPredictiveController(LoopController):
         if search_ticks is not None:  # In its thread it shares nothing that changes.
             self._aside = make_horizon(*posed)
         self._searches = Searches(self.period, search_every, surprise, search_ticks, waits)
-        never, n = (-np.inf, np.zeros(2 * self._world.num_positions)), self._world.num_positions
+        nx = len(self._units)
+        never = -np.inf, np.zeros(nx)
         nowhere = TickQuestion(*never, SeenBounces(), self._horizon, never)
         rest = TickChoice(self._horizon.rest(0.0, nowhere.x), "")
         status = TickStatus(-np.inf, np.inf, (), "", 0.0, restitution=self._horizon.restitution)
         none = TickMemory(rest, self._no_commands, status, 0, nowhere, nowhere.seen)
-        self._reference = self.DeclareVectorInputPort("reference", 2 * n)
+        self._reference = self.DeclareVectorInputPort("reference", nx)
         self._aimed: tuple[Floats, tuple[Horizon, Horizon]] | None = None
         self._moment = self.DeclareAbstractState(AbstractValue.Make(none))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._start)

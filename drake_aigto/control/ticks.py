@@ -105,7 +105,7 @@ class TickMemory:
             return []
         contact, world = stretches[0].contact, question.horizon.world
         is_near = abs(stretches[0].end - question.now) <= _NEAR * period
-        rate = world.calc_contact_rate(*np.split(question.x, 2))[contact]
+        rate = world.calc_contact_rate(*world.split(question.x))[contact]
         return [contact] if is_near and rate > 0 else []
 
     def __deepcopy__(self, memo: object) -> TickMemory:

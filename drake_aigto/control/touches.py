@@ -65,12 +65,12 @@ class PlannedMotion:
 
     @cached_property
     def reach(self) -> Floats:
-        """The largest |q| and |v| at knots, shape (2n,)."""
+        """The largest |q| and |v| at knots, shape (nq + n,)."""
         states = np.hstack([self.trajectory.positions, self.trajectory.velocities])
         return np.asarray(np.max(np.abs(states), axis=0))
 
     def calc_state(self, time: float) -> Floats:
-        """Returns q and v at a time, shape (2n,); beyond the horizon its first and last."""
+        """Returns q and v at a time, shape (nq + n,); beyond the horizon its first and last."""
         times = self.trajectory.times
         return np.array(self._path.value(min(max(time, times[0]), times[-1]))[:, 0])
 

@@ -55,7 +55,7 @@ class _Groups(NamedTuple):
     commands: DiscreteStateIndex  # rows (t, u), shape (k (1 + nu),)
     bounces: DiscreteStateIndex  # how many of each contact, shape (m,)
     touches: DiscreteStateIndex  # _TOUCHED, _LASTS or _APART, shape (m,)
-    last: DiscreteStateIndex  # the time of the last valid sample, q and v, shape (1 + 2n,)
+    last: DiscreteStateIndex  # the time of the last valid sample, q and v, shape (1 + nq + n,)
     told: DiscreteStateIndex  # time, mode, sample, deviation, is_limited, seconds, shape (6,)
 
 
@@ -116,7 +116,7 @@ class TrackingController(LoopController):
         Raises:
             ModelError: from `Plan.find_world`.
             TrajectoryError: no feedback is known for its contacts (`Feedback`).
-            ControlError: an argument is out of its range, or the plan is in space.
+            ControlError: an argument is out of its range.
         """
         world, usual = plan.find_world(world), plan.scenario.time_step / _SAMPLES
         period = usual if period is None else period
@@ -125,14 +125,14 @@ class TrackingController(LoopController):
         known, of = plan.best.gains, (world, plan.scenario, plan.trajectory)
         self.feedback = Feedback(*of, known, period=self.period)
         self._bodies = find_bodies(world)
-        n, m = world.num_positions, world.num_contacts
+        m = world.num_contacts
         self._results = self.DeclareAbstractInputPort("contact_results", Value(ContactResults()))
         self._doubt = WALL_DOUBT * Scales.of(world, plan.scenario).length
         hits = [each for each in self.feedback.stretches if each.cut == Cut.HIT]
         # The slowest impact of each contact that is planned.
         self._speeds = {each.contact: each.speed for each in sorted(hits, key=lambda s: -s.speed)}
         self._motion = PlannedMotion.of(plan.best)
-        self._never = np.append(-np.inf, np.zeros(2 * n))
+        self._never = np.append(-np.inf, np.zeros(len(self._units)))
         groups = self._no_commands.ravel(), np.zeros(m), np.zeros(m), self._never, np.zeros(6)
         self._groups = _Groups(*map(self.DeclareDiscreteState, groups))
         self.DeclareInitializationDiscreteUpdateEvent(self._start)
@@ -208,7 +208,7 @@ class TrackingController(LoopController):
         self, context: Context, values: DiscreteValues, x: Floats, commands: Floats
     ) -> EventStatus:
         """Takes the first sample: what is at rest on a wall has not bounced."""
-        none, (q, v) = np.zeros(self._world.num_contacts), np.split(x, 2)
+        none, (q, v) = np.zeros(self._world.num_contacts), self._world.split(x)
         lasts = is_at_rest_on(self._world, q, v)
         return self._hold(context, values, x, none, np.where(lasts, _LASTS, _APART), commands)
 
@@ -234,7 +234,7 @@ class TrackingController(LoopController):
         return *self._judge(x, planned, self._motion.reach), x
 
     def _find_planned(self, context: Context) -> Floats:
-        """Returns q and v of the plan now, shape (2n,)."""
+        """Returns q and v of the plan now, shape (nq + n,)."""
         bounces = _list_bounces(self._read(context, self._groups.bounces))
         return self.feedback.find_state(self._find_time(context), bounces)
 
@@ -293,7 +293,7 @@ class TrackingController(LoopController):
         Bodies are known by their names. Of several contacts between the same two bodies it is the
         nearest to its wall.
         """
-        phi = self._world.calc_signed_distance(np.split(x, 2)[0])
+        phi = self._world.calc_signed_distance(self._world.split(x)[0])
         if not self._results.HasValue(context):
             return np.asarray(phi <= 0)
         results: ContactResults = self._results.Eval(context)
@@ -318,8 +318,9 @@ class TrackingController(LoopController):
         """
         world, (time, *before) = self._world, self._read(context, self._groups.last)
         last, u = np.array(before), self._find_acting(self._read_commands(context), time)
-        elapsed, (q, v) = context.get_time() - time, np.split(last, 2)
-        ahead = q + elapsed * (v + elapsed / 2 * world.calc_acceleration(q, v, u))
+        elapsed, (q, v) = context.get_time() - time, world.split(last)
+        moved = elapsed * (v + elapsed / 2 * world.calc_acceleration(q, v, u))
+        ahead = world.add(q, moved)
         comes = world.calc_contact_rate(q, v) < 0
         reached = np.asarray(comes & (world.calc_signed_distance(ahead) <= 0))
         bounce = find_bounce(world, (last, x), elapsed, u, self._doubt) if self._speeds else None
@@ -348,7 +349,7 @@ class TrackingController(LoopController):
         """Counts what has left its wall, and holds another control unless a touch is new."""
         groups, before = self._groups, self._read(context, self._groups.touches)
         touches = np.where((before == _APART) & reached, _TOUCHED, before)
-        is_leaving = self._world.calc_contact_rate(*np.split(x, 2)) > 0
+        is_leaving = self._world.calc_contact_rate(*self._world.split(x)) > 0
         over = (touches != _APART) & ~pressed & is_leaving
         bounces = self._read(context, groups.bounces) + (over & (touches == _TOUCHED))
         left = np.where(over, _APART, touches)

@@ -142,6 +142,11 @@ class EquationsOfMotion:
         """Returns the difference of positions, shape (…, nv), a velocity for 1 s."""
         return np.subtract(after, before)
 
+    def take_nearest(self, q: Floats, about: Floats) -> Floats:
+        """Returns positions as many turns on as bring them nearest to others, shape (…, nq)."""
+        turns = np.where(self.is_hinge, 2 * np.pi * np.round((q - about) / (2 * np.pi)), 0.0)
+        return np.asarray(q - turns)
+
     def in_tangent(self, positions: Floats, turn: Floats) -> Floats:
         """Returns numbers of positions (…, nq) by velocities (…, nv); of turns in space `turn`."""
         return positions

@@ -20,7 +20,7 @@ from drake_aigto.planning.stretches import (
     is_at_rest_on,
     touches_walls,
 )
-from drake_aigto.shooting import Mechanism, ShootingProblem
+from drake_aigto.shooting import AnyMechanism, ShootingProblem, make_mechanism
 from drake_aigto.simulation import Controller, Growth, Held, calc_growth, tangent_scales
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World, take_nearest_turn
@@ -67,7 +67,7 @@ class Feedback(Controller):
         scenario: Scenario,
         trajectory: Trajectory,
         phases: Sequence[FeedbackPhase] = (),
-        mechanism: Mechanism | None = None,
+        mechanism: AnyMechanism | None = None,
         period: float | None = None,
     ) -> None:
         """Computes the gains, or takes those that are given.
@@ -104,7 +104,7 @@ class Feedback(Controller):
                 self.phases = sweep.run()
                 self._transitions = np.array(sweep.transitions)
         elif not phases:
-            mechanism = mechanism or Mechanism.of(world, contact_law(world, scenario))
+            mechanism = mechanism or make_mechanism(world, contact_law(world, scenario))
             problem = ShootingProblem.of(world, scenario, mechanism, times)
             states = np.hstack([trajectory.positions, trajectory.velocities])
             u = trajectory.controls
@@ -148,7 +148,7 @@ class Feedback(Controller):
         return u * min(1.0, self._norm / size) if size else u
 
     def find_state(self, time: float, bounces: Sequence[int]) -> Floats:
-        """Returns the state that is planned for a time after such bounces, (q, v), shape (2n,).
+        """Returns the state that is planned for a time after such bounces, (q, v).
 
         After the end that is the regulator's, if there is one.
         Where the phase has ended, it is where that would lead. Whether a contact lasts, or has
@@ -175,7 +175,7 @@ class Feedback(Controller):
         is_early = time < (stretch.begin + stretch.end) / 2
         if x is None or is_early or not stretch.is_shown_by_state:
             return False
-        contact, (q, v) = stretch.contact, np.split(x, 2)
+        contact, (q, v) = stretch.contact, self._world.split(x)
         if stretch.cut == Cut.HIT:
             return bool(is_at_rest_on(self._world, q, v, stretch.speed / 2)[contact])
         slip = float(self._world.rubbing.calc_slips(q, v)[contact])

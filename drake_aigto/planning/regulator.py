@@ -27,7 +27,7 @@ class Regulator(NamedTuple):
     weights and 1/T of the final ones.
     """
 
-    state: Floats  # x* = (q*, 0), shape (2n,)
+    state: Floats  # x* = (q*, 0), shape (nq + n,)
     control: Floats  # u*, shape (nu,)
     gains: Floats  # K, shape (nu, 2n)
 
@@ -44,13 +44,12 @@ class Regulator(NamedTuple):
             end: q and v at the end of the plan, shape (2n,).
             period: h [s].
         """
-        cost, n = TaskCost.of(world, scenario), world.num_positions
-        q = end[:n] - np.where(cost.is_asked, cost.goal_errors(end[:n]), 0.0)
+        cost, (q, _) = TaskCost.of(world, scenario), world.split(end)
+        q = world.add(q, -np.where(cost.is_asked, cost.goal_errors(q), 0.0))
         u = _find_hold(world, scenario, q)
         if u is None:
             return None
-        x = np.concatenate([q, np.zeros(n)])
-        F, G = _discretize(*_linearize(world, x, u), period)
+        F, G = _discretize(*_linearize(world, q, u), period)
         W, R = period * _weigh(world, scenario, cost), period * np.diag(cost.R)
         try:  # Drake's solver ends the process where nothing stabilizes.
             value = solve_discrete_are(F, G, W, R)
@@ -58,7 +57,8 @@ class Regulator(NamedTuple):
             return None
         K = -np.linalg.solve(R + G.T @ value @ G, G.T @ value @ F)
         is_stable = np.max(np.abs(np.linalg.eigvals(F + G @ K))) < 1.0
-        return cls(x, u, K) if is_stable else None
+        still = np.zeros(world.num_velocities)
+        return cls(np.concatenate([q, still]), u, K) if is_stable else None
 
 
 def calc_divergence(world: World, scenario: Scenario) -> float:
@@ -71,7 +71,7 @@ def calc_divergence(world: World, scenario: Scenario) -> float:
     u = _find_hold(world, scenario, goal)
     if u is None:
         return 0.0
-    A, _ = _linearize(world, np.concatenate([goal, np.zeros(world.num_velocities)]), u)
+    A, _ = _linearize(world, goal, u)
     pace = float(np.max(np.linalg.eigvals(A).real))
     return pace if pace * scenario.duration > _SLOWLY else 0.0
 
@@ -90,7 +90,7 @@ def _find_hold(world: World, scenario: Scenario, q: Floats) -> Floats | None:
 
 def _weigh(world: World, scenario: Scenario, cost: TaskCost) -> Floats:
     """Returns W, shape (2n, 2n)."""
-    scales, n, T = Scales.of(world, scenario), world.num_positions, scenario.duration
+    scales, n, T = Scales.of(world, scenario), world.num_velocities, scenario.duration
     weights = np.zeros((2 * n, 2 * n))
     weights[:n, :n], weights[n:, n:] = cost.QT / T, cost.QTv / T
     weights += np.diag(np.concatenate([cost.Q, cost.Qv]))
@@ -99,13 +99,14 @@ def _weigh(world: World, scenario: Scenario, cost: TaskCost) -> Floats:
     return weights + np.diag(np.where(np.diag(weights) < least, least, 0.0))
 
 
-def _linearize(world: World, x: Floats, u: Floats) -> tuple[Floats, Floats]:
-    """Returns ∂ẋ/∂x and ∂ẋ/∂u, shapes (2n, 2n) and (2n, nu)."""
-    z, size = np.concatenate([x, u]), len(x)
-    steps = _DIFFERENCE * np.vstack([np.eye(len(z)), -np.eye(len(z))])
-    q, v, controls = np.split(z + steps, [size // 2, size], axis=1)
-    rates = np.hstack([v, world.calc_acceleration(q, v, controls)])
-    slopes = ((rates[: len(z)] - rates[len(z) :]) / (2 * _DIFFERENCE)).T
+def _linearize(world: World, q: Floats, u: Floats) -> tuple[Floats, Floats]:
+    """Returns ∂ẋ/∂x and ∂ẋ/∂u at rest at q, x = (δ, v), shapes (2n, 2n) and (2n, nu)."""
+    size, n = 2 * world.num_velocities + len(u), world.num_velocities
+    steps = _DIFFERENCE * np.vstack([np.eye(size), -np.eye(size)])
+    delta, v, change = np.split(steps, [n, 2 * n], axis=1)
+    rates = np.hstack([v, world.calc_acceleration(world.add(q, delta), v, u + change)])
+    slopes = ((rates[:size] - rates[size:]) / (2 * _DIFFERENCE)).T
+    size = 2 * n
     return slopes[:, :size], slopes[:, size:]
 
 

@@ -40,7 +40,7 @@ class FeedbackPhase(ArrayRecord):
 
     Attributes:
         times: of K + 1 knots, shape (K + 1,) [s].
-        states: q and v there, shape (K + 1, 2n).
+        states: q and v there, shape (K + 1, nq + n).
         controls: held between knots, shape (K, nu).
         gains: K_k, shape (K, nu, 2n).
     """
@@ -57,8 +57,9 @@ class FeedbackPhase(ArrayRecord):
 
     @cached_property
     def state(self) -> PiecewisePolynomial:
-        """q(t) and v(t), shape (2n, 1): cubics between knots."""
-        q, v = np.split(self.states, 2, axis=1)
+        """q(t) and v(t), shape (nq + n, 1): as those of a trajectory."""
+        n = self.gains.shape[2] // 2
+        q, v = self.states[:, :-n], self.states[:, -n:]
         none = np.zeros((len(self.times), 0))
         return Trajectory(self.times, q, v, self.controls, none, none[1:]).to_piecewise()[0]
 

@@ -12,11 +12,12 @@ from drake_aigto.shooting.optimal_control import Phases
 from drake_aigto.shooting.problem import ShootingProblem, limit_states
 from drake_aigto.shooting.solve import ShootingOptions, ShootingResult, Smoothing
 from drake_aigto.shooting.tables import make_memory
-from drake_aigto.shooting.tree_mechanism import TreeMechanism
+from drake_aigto.shooting.tree_mechanism import AnyMechanism, TreeMechanism, make_mechanism
 
 __all__ = [
     "NO_TERMS",
     "AddedTerms",
+    "AnyMechanism",
     "Mechanism",
     "Phases",
     "ShootingOptions",
@@ -26,5 +27,6 @@ __all__ = [
     "TreeMechanism",
     "expand_motion",
     "limit_states",
+    "make_mechanism",
     "make_memory",
 ]

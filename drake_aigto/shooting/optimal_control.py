@@ -11,9 +11,8 @@ import numpy as np
 from drake_aigto.arrays import ArrayRecord, Bools, Floats, Ints, read_only
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
-from drake_aigto.shooting.mechanism import Mechanism
 from drake_aigto.shooting.tables import FLOW, START
-from drake_aigto.shooting.tree_mechanism import TreeMechanism
+from drake_aigto.shooting.tree_mechanism import AnyMechanism
 from drake_aigto.world import TaskCost
 
 _FIELDS = {
@@ -178,7 +177,7 @@ class OptimalControlProblem:
         ProgramError: a shape or a number does not fit; says which.
     """
 
-    mechanism: Mechanism | TreeMechanism
+    mechanism: AnyMechanism
     cost: TaskCost
     times: Floats
     start: Floats

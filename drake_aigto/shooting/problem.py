@@ -9,7 +9,6 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
-from drake_aigto.shooting.mechanism import Mechanism
 from drake_aigto.shooting.optimal_control import OptimalControlProblem, StageLayout
 from drake_aigto.shooting.solve import (
     MotionExpansion,
@@ -30,7 +29,7 @@ from drake_aigto.shooting.tables import (
     Program,
     copy_writable,
 )
-from drake_aigto.shooting.tree_mechanism import TreeMechanism
+from drake_aigto.shooting.tree_mechanism import AnyMechanism
 from drake_aigto.simulation import MOST_GROWTH, calc_growth, tangent_scales
 from drake_aigto.world import Limits, Scales, Scenario, TaskCost, World
 
@@ -59,7 +58,7 @@ class ShootingProblem(OptimalControlProblem):
         cls,
         world: World,
         scenario: Scenario,
-        mechanism: Mechanism | TreeMechanism,
+        mechanism: AnyMechanism,
         times: Floats,
         added: AddedTerms = NO_TERMS,
     ) -> ShootingProblem:
@@ -281,9 +280,7 @@ def _make_program(problem: OptimalControlProblem, substeps: int, order: int) -> 
     return copy_writable(program)
 
 
-def _find_closed(
-    layout: StageLayout, mechanism: Mechanism | TreeMechanism
-) -> tuple[Bools, Floats, Floats]:
+def _find_closed(layout: StageLayout, mechanism: AnyMechanism) -> tuple[Bools, Floats, Floats]:
     """Returns which rows vanish in each stage, (K, m + R), how contacts lean, (K, m), and e, (K,).
 
     Contacts are held during flights, and struck at impacts.

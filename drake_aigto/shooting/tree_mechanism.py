@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import TouchTable
+from drake_aigto.contact import CompliantLaw, ContactLaw, TouchTable, make_touch_table
 from drake_aigto.dynamics import QUATERNION, Tree
 from drake_aigto.geometry import Shapes
+from drake_aigto.shooting.mechanism import Mechanism
 from drake_aigto.shooting.tables import TreeMechanics
+from drake_aigto.world import SpaceWorld, World
 
 
 def make_no_touch(num_velocities: int) -> TouchTable:
@@ -145,3 +148,18 @@ class TreeMechanism:
         nq = self.num_positions
         moved = self.tree.subtract(state[:nq], before[:nq])
         return np.concatenate([moved, state[nq:] - before[nq:]])
+
+
+AnyMechanism: TypeAlias = Mechanism | TreeMechanism
+
+
+def make_mechanism(world: World, law: ContactLaw) -> AnyMechanism:
+    """Returns the dynamics of a world with a contact law, by sums or, in space, by recursion.
+
+    Raises:
+        UnsupportedTermError: an equation is no sum of products of powers, sin and cos.
+    """
+    if not isinstance(world, SpaceWorld):
+        return Mechanism.of(world, law)
+    assert isinstance(law, CompliantLaw), "else the world refuses the scenario"
+    return TreeMechanism.of(world.tree, make_touch_table(world, law))

@@ -243,6 +243,18 @@ class SpaceWorld(World):
             turn *= np.sinc(angle / (2 * np.pi))
         return found
 
+    def take_nearest(self, q: Floats, about: Floats) -> Floats:
+        """Returns positions as many turns on as bring them nearest to others, shape (…, nq).
+
+        Of both quaternions of a turn that is the one on the other's side.
+        """
+        found = super().take_nearest(q, about)
+        for i in np.flatnonzero(self.tree.kinds == QUATERNION):
+            turn = slice(self.tree.positions[i], self.tree.positions[i] + 4)
+            dots = np.sum(found[..., turn] * about[..., turn], axis=-1, keepdims=True)
+            found[..., turn] *= np.where(dots < 0, -1.0, 1.0)
+        return found
+
     def in_tangent(self, positions: Floats, turn: Floats) -> Floats:
         """Returns numbers of positions (…, nq) by velocities (…, nv); of turns in space `turn`.
 

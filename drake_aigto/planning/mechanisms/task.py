@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, contact_law, make_touch_table
+from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, contact_law
 from drake_aigto.errors import ProgramError, ScenarioError
 from drake_aigto.planning.candidate import (
     NO_CONTROL,
@@ -49,13 +49,13 @@ from drake_aigto.planning.tracked import (
 from drake_aigto.shooting import (
     NO_TERMS,
     AddedTerms,
-    Mechanism,
+    AnyMechanism,
     Phases,
     ShootingOptions,
     ShootingProblem,
     ShootingResult,
-    TreeMechanism,
     limit_states,
+    make_mechanism,
 )
 from drake_aigto.simulation import (
     BOUNDS,
@@ -101,7 +101,7 @@ class Compiled:
         added: these, compiled for shooting.
     """
 
-    mechanism: Mechanism | TreeMechanism
+    mechanism: AnyMechanism
     additions: Additions = NO_ADDITIONS
     added: AddedTerms = NO_TERMS
 
@@ -116,11 +116,7 @@ class Compiled:
             remedy = "Weigh coordinates in the scenario."
             raise ProgramError("costs and constraints of users", "some, in space", "none", remedy)
         added = AddedTerms.of(world, additions) if additions else NO_TERMS
-        if isinstance(world, SpaceWorld):
-            assert isinstance(law, CompliantLaw)  # As the world has checked.
-            mechanism = TreeMechanism.of(world.tree, make_touch_table(world, law))
-            return cls(mechanism, additions, added)
-        return cls(Mechanism.of(world, law), additions, added)
+        return cls(make_mechanism(world, law), additions, added)
 
 
 class MechanismTask:
@@ -190,7 +186,7 @@ class MechanismTask:
         self.shooting = cache(self._pose)
 
     @property
-    def mechanism(self) -> Mechanism | TreeMechanism:
+    def mechanism(self) -> AnyMechanism:
         """The mechanism of motions during the search."""
         return self._compiled.mechanism
 
