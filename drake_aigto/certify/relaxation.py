@@ -144,7 +144,8 @@ class Relaxation:
             np.empty((2, size)),
         )
         self._residuals, self._scores = np.empty((num_columns, 2)), np.empty(num_columns)
-        self._reads = _readers(structure, size)
+        self._functions = np.flatnonzero(np.diff(structure.first) > 1)
+        self._reads = _readers(structure, size)[self._functions]
         self._starts = structure.starts.astype(np.int32)
         self._columns = structure.columns.astype(np.int32)
         self._sides = sides_of(formulas)
@@ -163,7 +164,7 @@ class Relaxation:
         ):
             self._highs.setOptionValue(name, value)
         self._basis: Any = None
-        self.effort = 1 + int(np.count_nonzero(np.diff(structure.first) > 1)) // 4 + size // 4
+        self.effort = 1 + self._functions.size // 4 + size // 4
 
     @property
     def linear_program(self) -> tuple[Structure, LinearProgram]:
@@ -271,7 +272,8 @@ class Relaxation:
         width = high - low
         shares = self._reads * np.where(np.isfinite(width), width, 1.0)
         total = np.sum(shares, axis=1)
-        parts = np.divide(self._scores, total, out=np.zeros_like(total), where=total > 0.0)
+        own = self._scores[self._functions]
+        parts = np.divide(own, total, out=np.zeros_like(total), where=total > 0.0)
         scores = parts @ shares
         widest = int(np.argmax(width / self._sides))
         i = int(np.argmax(scores)) if np.any(scores > 0.0) else widest
