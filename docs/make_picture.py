@@ -1,7 +1,7 @@
 """Draws the pictures of README into a folder.
 
 Row 1 of the paper's Table I, planned in three ways and simulated, also as an animation of two of
-them; and ways between several walls.
+them; ways between several walls; and a plan that is made again as its start is dragged.
 
 python docs/make_picture.py [docs/images]
 """
@@ -17,7 +17,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
 
-from drake_aigto import Planner, Scenario, World
+from drake_aigto import Planner, PlanOptions, Scenario, World
 from drake_aigto.paper import (
     LiteralOptions,
     gradient_from_zero,
@@ -39,6 +39,10 @@ _WAYS = {
 # The animation: how many frames, how many more at its end, how fast; how big a ball looks [m].
 _FRAMES, _REST, _FRAMES_PER_SECOND = 51, 20, 20
 _RADIUS = 0.02
+# Where the start of a ball in a room is dragged to and fro, from and to [m], its velocity [m/s],
+# and in how many moves each way; how long the ball takes for its motion, in moves.
+_DRAGGED, _VELOCITY, _MOVES = ((0.2, 0.92), (0.2, 0.45)), (0.6, -0.7), 30
+_ROUND = 15
 
 
 def make_runs(world: World, scenario: Scenario) -> Iterator[tuple[str, Candidate]]:
@@ -107,6 +111,48 @@ def animate(
     animation.save(path, PillowWriter(fps=_FRAMES_PER_SECOND), dpi=100)
 
 
+def animate_dragging(path: Path) -> None:
+    """Writes what `show.Live` does: as the start is dragged, braking becomes bouncing, and back.
+
+    The best candidate is a line with the ball on it, the next that touches something else a ghost.
+    """
+    planner = Planner(Scenario.named("room/bank_shot"), PlanOptions(confirm=False))
+    world, (first, last) = planner.world, np.array(_DRAGGED)
+    walls = [contact.name.split()[-1].replace("_", " ") for contact in world.contacts]
+    figure, axes = plt.subplots(figsize=(4.4, 4.6), layout="constrained")
+
+    def show(move: int) -> None:
+        part = (1 - np.cos(np.pi * move / _MOVES)) / 2
+        start = (1 - part) * first + part * last
+        found = planner.plan(initial_position=start, initial_velocity=_VELOCITY)
+        shown: dict[tuple[int, ...], Candidate] = {}
+        for each in found.candidates:
+            if each.is_feasible:
+                shown.setdefault(tuple(contact.index for contact in each.contacts), each)
+        motions = [Motion.from_trajectory(c.trajectory, world) for c in list(shown.values())[:2]]
+        axes.clear()
+        plot_path(axes, motions, world, found.scenario)
+        axes.get_legend().remove()
+        for line in axes.lines:
+            is_ghost = line.get_color() == color_of(1)
+            line.set(linewidth=1.5 if is_ghost else 3.0, alpha=0.5 if is_ghost else 1.0)
+        time = found.scenario.duration * (move % _ROUND) / (_ROUND - 1)
+        q = [np.interp(time, motions[0].times, each) for each in motions[0].positions.T]
+        axes.plot(*q, "o", color=color_of(0), markersize=15, zorder=6)
+        texts = []
+        for word, each in zip(("plan", "next best"), shown.values(), strict=False):
+            touched = " and ".join(walls[contact.index] for contact in each.contacts)
+            deed = f"bounces off {touched}" if touched else "brakes"
+            texts.append(f"{word}: {deed}, cost {each.cost:.1e}")
+        axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
+        for index, text in enumerate(texts):
+            look = {"transform": axes.transAxes, "color": color_of(index), "fontsize": "small"}
+            axes.text(0.06, 1.06 - 0.05 * index, text, **look)
+
+    animation = FuncAnimation(figure, show, range(2 * _MOVES), init_func=lambda: None)
+    animation.save(path, PillowWriter(fps=_FRAMES_PER_SECOND // 2), dpi=80)
+
+
 def draw_ways(path: Path) -> None:
     """Writes the picture of ways between walls."""
     figure, row = plt.subplots(1, len(_WAYS), figsize=(10, 3.7), layout="constrained")
@@ -134,3 +180,4 @@ if __name__ == "__main__":
     draw_row(three, wall, row, folder / "table1_row1.png")
     animate(three[-1][1], three[0][1], wall, row, folder / "plan_and_snopt.gif")
     draw_ways(folder / "ways_between_walls.png")
+    animate_dragging(folder / "live.gif")

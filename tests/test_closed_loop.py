@@ -165,7 +165,7 @@ def test_ctrl_c_keeps_what_is_there(tmp_path: Path) -> None:
         ({"kick": [1.0], "kick_time": 9.0}, r"^kick_time: got 9\.0, expected after the start, bef"),
         ({"kick": [1.0], "kick_time": 0.0}, r"^kick_time: got 0\.0, expected after the start, bef"),
         ({"restitution_factor": 1.2}, "^restitution_factor: got 1.2 times 1, expected"),
-        ({"friction_factor": 1.2}, "^friction_factor: got nothing that rubs, expected friction in"),
+        ({"friction_factor": 1.2}, "^friction_factor: got no friction, expected friction in"),
     ],
 )
 def test_disturbances_that_make_no_sense_are_refused(changes: dict[str, Any], message: str) -> None:
@@ -175,7 +175,7 @@ def test_disturbances_that_make_no_sense_are_refused(changes: dict[str, Any], me
 
 def test_walls_that_can_not_be_disturbed_so_are_refused() -> None:
     for scenario, disturbance, message in (
-        (POLE, Disturbance(restitution_factor=0.9), "walls that yield, which have none"),
+        (POLE, Disturbance(restitution_factor=0.9), "compliant walls, which have none"),
         (Scenario.named("acrobot/swing_up"), Disturbance(wall_shift=0.1), "got no wall"),
         (Scenario.named("room_with_block/around"), Disturbance(wall_shift=0.01), "of a block"),
     ):

@@ -19,6 +19,7 @@ import pkgutil
 import re
 import shlex
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_origin
 
@@ -35,7 +36,7 @@ from drake_aigto.world import scenario_summaries
 API = Path(__file__).resolve().parents[1] / "docs" / "api"
 
 # What people import; the others serve these.
-INTERNAL = {"arrays", "cli", "code_cache", "kernels", "output", "plain"}
+INTERNAL = {"__main__", "arrays", "cli", "code_cache", "kernels", "output", "plain"}
 
 
 def public_modules() -> list[str]:
@@ -325,3 +326,41 @@ def test_ci_reads_the_test_command_out_of_readme() -> None:
         check=True,
     )
     assert result.stdout.strip() == commands()["tests"]
+
+
+# Words of our own that readers could not make sense of; the field's are in their place.
+OLD_WORDS = re.compile(
+    r"\b(walls? (that )?yields?|yielding|rubs?|coast(s|ing)?|had again|so many|dearer|told|"
+    r"what lies|who of)\b",
+    re.IGNORECASE,
+)
+
+
+def read_prose(path: Path) -> Iterator[str]:
+    """Yields what people read in a file: its text, texts of cells, docstrings and messages."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".py":
+        nodes = ast.walk(ast.parse(text))
+        texts = (node.value for node in nodes if isinstance(node, ast.Constant))
+        yield from (each for each in texts if isinstance(each, str) and " " in each)
+    elif path.suffix == ".ipynb":
+        cells = json.loads(text)["cells"]
+        yield from ("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
+    else:
+        yield re.sub(r"^    .*$", "", text, flags=re.MULTILINE)
+
+
+def test_people_read_words_of_the_field() -> None:
+    paths = [records.CHECKOUT / "README.md", *(records.CHECKOUT / "notebooks").glob("*.ipynb")]
+    # The page of results is made of the names in its data.
+    paths += [path for path in (records.CHECKOUT / "docs").rglob("*.md") if path.stem != "results"]
+    paths += (records.CHECKOUT / "drake_aigto").rglob("*.py")
+    found = []
+    for path in paths:
+        for text in read_prose(path):
+            # Code, and names of arguments.
+            prose = re.sub(r"```.*?```|`[^`]*`|\n +\w+:", "", text, flags=re.DOTALL)
+            found += [
+                f"{path.relative_to(records.CHECKOUT)}: {m[0]}" for m in OLD_WORDS.finditer(prose)
+            ]
+    assert not found

@@ -85,7 +85,7 @@ def test_contacts_that_imply_each_other_are_refused() -> None:
     with pytest.raises(OptionsError) as error:
         JointImpact.of(load("corridor").constant_inertia, (0, 1), (1.0, 1.0))
     assert str(error.value) == (
-        "sequence: got 2 contacts at once that can't all be told apart, expected contacts with "
+        "sequence: got 2 contacts at once that can't all be distinguished, expected contacts with "
         "independent Jacobians. Leave out those that the others imply."
     )
 
@@ -214,7 +214,7 @@ def test_joint_times_are_in_order_and_once_each() -> None:
         ),
         (
             (Touch.bounce(0.5, 0), Touch.bounce(0.5, 1)),
-            "got 2 contacts at once that can't all be told apart, expected contacts with "
+            "got 2 contacts at once that can't all be distinguished, expected contacts with "
             "independent Jacobians. Leave out those that the others imply.",
         ),
     ],

@@ -120,7 +120,7 @@ def test_a_plan_that_fails_is_said_to_fail(plan: Plan) -> None:
     add_answer(page, failing, world)
     text = words(page.to_html())
     assert "✗ Fails: the control alone misses the plan's promise on a rigid wall." in text
-    assert "on a rigid wall: contradicts the plan, cost 1.000e+00 (+1.0e+00), ends 0.90 m" in text
+    assert "on a rigid wall: contradicts the plan, cost 1.000 (+1.0e+00), ends 0.90 m" in text
 
 
 def test_what_is_added_is_text() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from drake_aigto.paper import Cell, Entry, RigidCell, RigidOptimum, Table1, TableMethod
 from drake_aigto.planning import Candidate, Origin, Plan, Planner, Replays, Rung
-from drake_aigto.show import format_plan, format_replays, format_table1
+from drake_aigto.show import cost_text, format_plan, format_replays, format_table1
 from drake_aigto.simulation import PlannedContact, Replay
 from drake_aigto.world import Scenario, World
 
@@ -102,7 +102,7 @@ def test_a_plan_shows_no_rounding_noise_at_any_scale(
     assert cells[0] == "0" and cells.count("0") >= 2
     assert sum("cost 0" in line for line in lines) >= 3
     loud = with_best(quiet, dataclasses.replace(best, cost=2e-6 * scale))
-    assert f"cost {2e-6 * scale:.3e}" in format_plan(loud, world)
+    assert f"cost {cost_text(2e-6 * scale, 3)}" in format_plan(loud, world)
 
 
 def test_what_drake_did_not_simulate_is_not_compared(plan: Plan) -> None:

@@ -24,7 +24,7 @@ from drake_aigto import Scenario, World, plan
 from drake_aigto.cli import INTERRUPTED, main
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal, rigid_optimum
 from drake_aigto.planning import BallTask, Plan, Planner, PlanningError, ProgramTask
-from drake_aigto.show import Page, add_verdict, format_plan
+from drake_aigto.show import Page, add_verdict, cost_text, format_plan
 from drake_aigto.simulation import Replay, replay_event_driven
 
 MODELS = "package://drake_aigto_models"
@@ -77,7 +77,7 @@ def test_what_speaks_against_moving_is_said_where_a_plan_does_nothing() -> None:
     text = format_plan(idle)
     assert idle.idleness == "does nothing" and text.startswith("verdict     does nothing,")
     moving = min(each.cost for each in found.candidates if not each.is_idle)
-    assert f"that move costs {moving:.3e}" in text
+    assert f"that move costs {cost_text(moving, 3)}" in text
 
 
 def test_a_literal_plan_that_keeps_its_promise_is_no_success_where_doing_nothing_costs_less() -> (
@@ -100,7 +100,7 @@ def test_a_literal_plan_that_beats_doing_nothing_tells_what_that_costs() -> None
     found = plan_literal(table1(1, **COARSE), options)
     assert not found.best.is_idle
     assert found.holds == found.keeps_promise
-    assert "no control  it costs 7.290e-02" in format_plan(found)
+    assert "no control  it costs 0.07290" in format_plan(found)
 
 
 # What Drake contradicts.
@@ -147,7 +147,7 @@ def test_a_candidate_that_drake_contradicts_is_told_in_the_plan_and_wherever_it_
         words = " ".join(html.unescape(told).split())
         assert (
             "a candidate with contacts at 0.550 s promises 2.18e-04, but on Drake's plant costs "
-            "1.00e+00 and ends 1.00 m off the goal" in words
+            "1.00 and ends 1.00 m off the goal" in words
         )
     assert not bounce_plan().vetoes
 

@@ -18,7 +18,7 @@ from drake_aigto import Plan
 from drake_aigto.cli import FINE, main
 from drake_aigto.errors import ModelError, OptionsError, OutputFileError
 from drake_aigto.show import compare, to_csv
-from drake_aigto.world import scenario_names
+from drake_aigto.world import scenario_names, scenario_seconds
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,29 @@ def test_shipped_scenarios_are_listed_with_what_each_shows(
 ) -> None:
     assert main(["list", "corridor"]) == FINE
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 3 and lines[0].startswith("corridor/lossy          Each bounce keeps 0.8")
+    assert lines[0] == "scenario                CPU s  what it shows"
+    assert len(lines) == 4 and lines[1].startswith("corridor/lossy  ")
+    assert (
+        lines[1].split()[1] == f"{scenario_seconds()['corridor/lossy']:g}"
+        and "Each bounce keeps 0.8" in lines[1]
+    )
     assert main(["list"]) == FINE
-    assert len(capsys.readouterr().out.splitlines()) == len(scenario_names())
+    assert len(capsys.readouterr().out.splitlines()) == 1 + len(scenario_names())
+    assert set(scenario_seconds()) <= set(scenario_names())
     assert main(["list", "xyz"]) != FINE
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+@pytest.mark.parametrize(
+    ("typed", "completed"),
+    [("pl", "plan plan-many play"), ("plan table1/", "table1/1 table1/2 table1/3 table1/4")],
+)
+def test_bash_completes_commands_and_scenarios(
+    typed: str, completed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["completion"]) == FINE
+    words = f"drake-aigto {typed}"
+    ask = f"COMP_WORDS=({words}); COMP_CWORD={len(words.split()) - 1}; _drake_aigto"
+    program = f'{capsys.readouterr().out}\n{ask}; echo "${{COMPREPLY[*]}}"'
+    done = subprocess.run(["bash", "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == completed

@@ -41,6 +41,7 @@ _COMMANDS = {
     "compare": "drake_aigto.cli.play",
     "live": "drake_aigto.cli.play",
     "control": "drake_aigto.cli.play",
+    "completion": "drake_aigto.cli.look",
 }
 # Command that is gone → where it is now.
 _MOVED = {"bench": "python -m benchmarks, in a checkout of drake_aigto"}

@@ -53,17 +53,17 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exits with what was probably meant, what is wrong, and where help is."""
-        known = [*self._flags(), *(self.commands.choices if self.commands else ())]
+        known = [*self.flags(), *(self.commands.choices if self.commands else ())]
         words = re.findall(r"--[\w-]+|(?<=choice: ')[\w-]+", message)
         close = [name for word in words for name in difflib.get_close_matches(word, known, 1)]
         hint = f"did you mean {' and '.join(close)}? " if close else ""
         self.exit(BAD_INPUT, f"{self.prog}: {hint}{message}. Try {self.prog} --help.\n")
 
-    def _flags(self) -> Iterator[str]:
+    def flags(self) -> Iterator[str]:
         """Yields all flags, those of commands included."""
         yield from self._option_string_actions
         for command in self.commands.choices.values() if self.commands else ():
-            yield from command._flags()
+            yield from command.flags()
 
     def format_help(self) -> str:
         """Returns the help, with flags of rare groups by their names only."""

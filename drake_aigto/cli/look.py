@@ -21,6 +21,7 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.sensors import CameraInfo
 
+from drake_aigto.cli.command_line import make_parser
 from drake_aigto.cli.flags import FINE, add_command, add_scenario, load_scenario
 from drake_aigto.errors import OptionsError
 from drake_aigto.output import check_writable
@@ -30,6 +31,8 @@ from drake_aigto.world import (
     Scenario,
     World,
     read_property,
+    scenario_names,
+    scenario_seconds,
     scenario_summaries,
 )
 
@@ -39,6 +42,15 @@ drake-aigto look robot.urdf                                   # joints, actuator
 drake-aigto look robot.xml --collisions none --png robot.png  # and a picture
 drake-aigto look cart_pole/soft_06
 """
+_COMPLETION = """\
+_drake_aigto() {{
+  local words="{commands}"
+  case "${{COMP_WORDS[1]}}" in
+{cases}
+  esac
+  COMPREPLY=($(compgen -W "$words" -- "${{COMP_WORDS[COMP_CWORD]}}"))
+}}
+complete -o default -F _drake_aigto drake-aigto"""
 _PIXELS = 960, 720
 _VIEW = 0.8  # Angle of view [rad].
 _BACK = 1.6  # Distance of the camera, in sizes of the model: all of it is in the picture.
@@ -49,7 +61,7 @@ _LEAST_SIZE = 0.2  # Of a model of one point [m].
 def add_list(commands: Any) -> None:
     """Adds the command that lists what is shipped."""
     examples = "drake-aigto list           # then: drake-aigto plan NAME\ndrake-aigto list cart\n"
-    text = "list the shipped scenarios, and what each of them shows"
+    text = "list the shipped scenarios, how long a plan takes, and what each of them shows"
     command = add_command(commands, "list", _list, text, examples)
     command.add_argument("part", metavar="TEXT", nargs="?", default="", help="of a name")
 
@@ -60,7 +72,27 @@ def _list(options: argparse.Namespace) -> int:
     if not told:
         raise OptionsError("TEXT", got=repr(options.part), expected="a part of a scenario's name")
     width = max(map(len, told))
-    print("\n".join(f"{name:{width}}  {text}" for name, text in told.items()))
+    seconds = scenario_seconds()
+    print(f"{'scenario':{width}}  CPU s  what it shows")
+    for name, text in told.items():
+        print(f"{name:{width}}  {f'{seconds[name]:g}' if name in seconds else '-':>5}  {text}")
+    return FINE
+
+
+def add_completion(commands: Any) -> None:
+    """Adds the command that prints what a shell completes."""
+    examples = "source <(drake-aigto completion)   # in ~/.bashrc; zsh: after bashcompinit\n"
+    text = "print what makes bash complete commands, flags and scenarios"
+    add_command(commands, "completion", _complete, text, examples)
+
+
+def _complete(_: argparse.Namespace) -> int:
+    """Prints a function of bash with the words of each command."""
+    commands, names = make_parser().commands.choices, " ".join(scenario_names())
+    cases = [
+        f'    {name}) words="{" ".join(each.flags())} {names}";;' for name, each in commands.items()
+    ]
+    print(_COMPLETION.format(commands=" ".join(commands), cases="\n".join(cases)))
     return FINE
 
 

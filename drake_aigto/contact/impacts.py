@@ -203,7 +203,7 @@ class JointImpact:
         if np.linalg.eigvalsh(coupling)[0] < _DEPENDENT:
             raise OptionsError(
                 "sequence",
-                got=f"{len(J)} contacts at once that can't all be told apart",
+                got=f"{len(J)} contacts at once that can't all be distinguished",
                 expected="contacts with independent Jacobians",
                 remedy="Leave out those that the others imply.",
             )

@@ -90,7 +90,7 @@ class Disturbance(ArrayRecord):
 
         Raises:
             ControlError: sizes that are not the world's, a restitution that is not the scenario's
-                or would be above 1, contacts that rub differently, or walls that can't stand
+                or would be above 1, contacts of different friction, or walls that can't stand
                 nearer.
             ModelError: a wall moves (`World.with_wall_moved`).
         """
@@ -122,7 +122,7 @@ class Disturbance(ArrayRecord):
         own = [c.name for c in world.contacts if c.restitution is not None]
         got = None
         if scenario.contact == "compliant":
-            got = "walls that yield, which have none"
+            got = "compliant walls, which have none"
         elif own or not world.contacts:
             got = f"{own[0]}, which has its own" if own else "no wall"
         elif (e := self.restitution_factor * scenario.restitution) <= 1:
@@ -144,7 +144,7 @@ class Disturbance(ArrayRecord):
         if len(known) > 1 or not found:
             raise ControlError(
                 "friction_factor",
-                got=" and ".join(f"μ = {mu:g}" for mu in known) or "nothing that rubs",
+                got=" and ".join(f"μ = {mu:g}" for mu in known) or "no friction",
                 expected="friction in joints, or contacts with one μ",
             )
         return found

@@ -299,7 +299,7 @@ def _check_friction(world: World, scenario: Scenario) -> None:
         raise ModelError(
             f"contact {world.contacts[contact].name}",
             got=f"friction {friction[contact]:g} and a mechanism of one coordinate",
-            expected="bounces off rigid walls that rub in which slip ends or goes on",
+            expected="bounces off rigid walls with friction in which sliding ends or goes on",
             remedy="Ask for contact: compliant, or leave friction out by the scenario's "
             "friction: 0 (--friction 0).",
         )

@@ -23,8 +23,8 @@ class Rung:
         weights: constraint name → weight of its penalty r²/dt.
         others: weight of rows not named there, such as those of users.
         start: the center of the first box: "line", the straight line from start to goal, up to
-            the walls; or "coast", the uncontrolled motion in simulation, with a box that is narrow
-            at first and wider with time.
+            the walls; or `"coast"`, the uncontrolled motion in simulation, with a box that is
+            narrow at first and wider with time.
     """
 
     temperature: float

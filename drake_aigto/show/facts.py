@@ -30,6 +30,7 @@ from drake_aigto.show.text import (
     miss_texts,
     name_simulator,
     name_touch,
+    pi_text,
     question_facts,
     run_texts,
     sequence_text,
@@ -68,7 +69,7 @@ def format_plan(plan: Plan, world: World | None = None) -> str:
     header = ("cost", "defect", "in wall", "energy", "replayed", "off goal", "contacts")
     others = [("seconds", join_items(f"{k} {s:.2f}" for k, s in plan.stats.seconds.items()))]
     if (least := plan.stats.flight_left_out) is not None:
-        others.insert(0, ("", f"left out: free flight, which costs {least:.2e} at least"))
+        others.insert(0, ("", f"left out: free flight, which costs {cost_text(least)} at least"))
     if (more := len(plan.candidates) - _MOST_CANDIDATES) > 0:
         others.insert(0, ("", f"and {more} more"))
     return "\n".join([*lines, *_table(header, *table), *format_facts(others)])
@@ -121,7 +122,7 @@ def verdict_facts(plan: Plan, world: World) -> Iterator[Fact]:
         judge = ": its own feedback judges it, not the control alone" if best.gains else ""
         yield "growth", f"{best.describe_growth()} along the motion{judge}"
     if rate := calc_divergence(world, plan.scenario):
-        q = ", ".join(f"{each:.4g}" for each in plan.scenario.goal_position)
+        q = ", ".join(map(pi_text, plan.scenario.goal_position))
         yield (
             "holding",
             f"the goal, q = ({q}), is an unstable equilibrium, where errors grow e-fold in "
@@ -143,7 +144,7 @@ def verdict_facts(plan: Plan, world: World) -> Iterator[Fact]:
         ways = np.ptp(idle.positions, axis=0)[~world.is_hinge]
         if np.max(ways, initial=0.0) > _FAR * best.scales.length:
             miss = "flies or falls far away, which no wall of the model stops"
-        yield "no control", f"{less}it costs {idle.cost:.3e} and {miss}"
+        yield "no control", f"{less}it costs {cost_text(idle.cost, 3)} and {miss}"
     if plan.bound is not None:
         yield "bound", _describe_bound(plan)
 
@@ -244,8 +245,8 @@ def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
     times = list_some((f"{contact.time:.3f}" for contact in candidate.contacts), " s")
     contacts = f"contacts at {times}" if candidate.contacts else "no contact"
     text = (
-        f"a candidate with {contacts} promises {candidate.cost:.2e}, but "
-        f"{name_simulator(replay, names)} costs {replay.cost:.2e} and ends "
+        f"a candidate with {contacts} promises {cost_text(candidate.cost)}, but "
+        f"{name_simulator(replay, names)} costs {cost_text(replay.cost)} and ends "
         f"{miss_text(replay, scenario, world)} off the goal"
     )
     if replay.broken:
@@ -260,12 +261,12 @@ def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
 def _describe_bound(plan: Plan) -> str:
     """Returns how far a plan is above any other at most."""
     assert plan.bound is not None
-    if plan.gap is None:
+    if plan.gap is None or plan.bound.lower_bound is None:
         return f"no lower bound: {plan.bound.reason}"
     of = " of the task's scale" if plan.bound.is_nothing else ""
     return (
         f"at most {100 * plan.gap:.2g} %{of} above any plan, as simulated: no control does it for "
-        f"less than {plan.bound.lower_bound:.4e}"
+        f"less than {cost_text(plan.bound.lower_bound, 4)}"
     )
 
 
@@ -301,7 +302,7 @@ def _additions(plan: Plan) -> Iterator[str]:
     """Yields costs and constraints that users added, and what simulations make of them."""
     best = plan.best
     for name, cost in best.added_costs.items():
-        yield f"{name} {cost:.3e}"
+        yield f"{name} {cost_text(cost, 3)}"
     constraints = [name for name in plan.additions if name not in best.added_costs]
     known = best.added_costs.keys(), best.replay.violations.keys()
     if any((each.added_costs.keys(), each.violations.keys()) != known for each in plan.replay):

@@ -195,7 +195,7 @@ def _add_candidates(page: Page, plan: Plan, world: World) -> None:
     page.paragraph(f"Candidates: {count_candidates(plan)}.")
     if plan.stats.flight_left_out is not None:
         least = plan.stats.flight_left_out
-        page.paragraph(f"A free flight was left out, as it costs {least:.2e} at least.")
+        page.paragraph(f"A free flight was left out, as it costs {cost_text(least)} at least.")
     rows = []
     for number, candidate in enumerate(plan.candidates[:_MOST_CANDIDATES], 1):
         *numbers, touches = candidate_texts(candidate, plan.scenario, world)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from fractions import Fraction
 from string import ascii_lowercase
 from typing import Any
 
@@ -20,6 +21,9 @@ NO_COST = 1e-9
 _SAME_COST = 1e-4  # Costs that differ by this part or less are called the same.
 _MOST_TOUCHES, _MOST_CONTACTS = 6, 12
 _AGAINST = " against "
+# Between these, numbers are written without an exponent; what angles are multiples of, in π.
+_SMALLEST, _LARGEST, _PARTS_OF_PI = 1e-2, 1e6, 12
+_SAME_ANGLE = 1e-6  # as scenarios have π [rad]
 # What a task asks for, shown beside its start and goal; weights are shown elsewhere.
 _SHOWN = (
     *("hard_goal", "angles", "duration_range", "reference_times", "contact"),
@@ -242,7 +246,11 @@ def list_fact(label: str, items: Iterable[str]) -> Iterator[tuple[str, str]]:
 
 def cost_text(cost: float, digits: int = 2, scale: float = 1.0) -> str:
     """Returns a cost, or 0 where nothing but rounding is left of it at a task's scale."""
-    return f"{cost:.{digits}e}" if abs(cost) >= NO_COST * scale else "0"
+    if abs(cost) < NO_COST * scale:
+        return "0"
+    if not _SMALLEST <= abs(cost) < _LARGEST:
+        return f"{cost:.{digits}e}"
+    return f"{cost:.{max(0, digits - int(np.floor(np.log10(abs(cost)))))}f}"
 
 
 def describe_difference(cost: float, replay: Replay) -> str:
@@ -269,6 +277,15 @@ def length_text(meters: float) -> str:
 def angle_text(radians: float) -> str:
     """Returns an angle in the unit that it is best read in."""
     return f"{length_text(radians)[:-1]}rad"
+
+
+def pi_text(radians: float) -> str:
+    """Returns an angle as a number, or as a fraction of π if it is one to rounding."""
+    part = Fraction(radians / np.pi).limit_denominator(_PARTS_OF_PI)
+    if not part or abs(radians - part * np.pi) > _SAME_ANGLE:
+        return f"{radians:g}"
+    times = {1: "", -1: "-"}.get(part.numerator, str(part.numerator))
+    return f"{times}π" + (f"/{part.denominator}" if part.denominator > 1 else "")
 
 
 def way_text(way: float, world: World) -> str:
@@ -299,7 +316,10 @@ def run_texts(run: Candidate, digits: int = 2) -> tuple[str, str, str, str]:
 def _numbers(values: Iterable[float], is_hinge: Bools, per: str = "") -> str:
     """Returns numbers with their unit: one for all, or of each where they differ."""
     units = [f"rad{per}" if hinge else f"m{per}" for hinge in is_hinge]
-    texts = [f"{value:g}" for value in values]
+    texts = [
+        pi_text(value) if hinge and not per else f"{value:g}"
+        for value, hinge in zip(values, is_hinge, strict=True)
+    ]
     if len(texts) == 1:
         return f"{texts[0]} {units[0]}"
     if len(set(units)) == 1:

@@ -3,6 +3,7 @@ from .files import find_model as find_model
 from .files import models_directory as models_directory
 from .files import package_map as package_map
 from .files import scenario_names as scenario_names
+from .files import scenario_seconds as scenario_seconds
 from .files import scenario_summaries as scenario_summaries
 from .fingerprint import Fingerprint as Fingerprint
 from .limits import Limits as Limits

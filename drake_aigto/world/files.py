@@ -132,6 +132,12 @@ def scenario_names() -> list[str]:
     return sorted(path.relative_to(directory).with_suffix("").as_posix() for path in paths)
 
 
+def scenario_seconds() -> dict[str, float]:
+    """Returns how long a plan takes for shipped scenarios, by name, as measured [CPU s]."""
+    path = models_directory() / "seconds.yaml"
+    return yaml.safe_load(path.read_text("utf-8")) if path.exists() else {}
+
+
 def scenario_summaries() -> dict[str, str]:
     """Returns the names that `Scenario.named` knows, and what each shows: its file's first line."""
     directory = models_directory() / "scenarios"

@@ -2,7 +2,7 @@
 
 Drake's reader leaves out springs and friction of joints, gears of efforts, flags, masks of
 collision and more, or reads them otherwise. Here classes of defaults are resolved, and what Drake
-can't be told in the text becomes `ModelFacts`. What can't be planned for is refused by name.
+can't read in the text becomes `ModelFacts`. What can't be planned for is refused by name.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def read_mjcf(root: Element, path: Path, facts: ModelFacts) -> None:
     Args:
         root: <mujoco>.
         path: of its file, which includes and meshes are relative to.
-        facts: what Drake's reader can't be told in the text.
+        facts: what Drake's reader can't read in the text.
 
     Raises:
         ModelError: a file is missing, or something changes the physics that is not planned for.

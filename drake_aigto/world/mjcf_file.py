@@ -20,7 +20,7 @@ class MjcfFile:
     Attributes:
         root: <mujoco>.
         path: of its file.
-        facts: what Drake's reader can't be told in the text.
+        facts: what Drake's reader can't read in the text.
         compiler: attributes of all <compiler>.
         option: of all <option>.
         off: names of flags that are disabled, and of what they imply.

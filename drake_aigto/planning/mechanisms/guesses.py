@@ -82,11 +82,11 @@ def sample_cubic(
 class Guesses:
     """Guesses for a task: random ones around a few starts, and those near a motion.
 
-    Paths are standing still (rest), the uncontrolled motion (coast), and a move to the goal (line),
-    or to it from the other side where turns of a hinge do not count (turn). A move begins after a
-    wait and ends before the end, or not; it lasts from the mechanism's own period up to all of the
-    duration. Waves are added. In space a hand may reach for an object and push it to its goal, too
-    (push: `Reaches`). Inverse dynamics gives the controls of a path,
+    Paths are standing still (rest), the uncontrolled motion (`coast`), and a move to the goal
+    (line), or to it from the other side where turns of a hinge do not count (turn). A move begins
+    after a wait and ends before the end, or not; it lasts from the mechanism's own period up to all
+    of the duration. Waves are added. In space a hand may reach for an object and push it to its
+    goal, too (push: `Reaches`). Inverse dynamics gives the controls of a path,
 
         u = B⁺ (M(q) v̇ + h(q, v) − J(q)ᵀ f(q, v))   within bounds,
 

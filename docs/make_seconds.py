@@ -1,0 +1,45 @@
+"""Measures what `drake-aigto list` says of how long plans take, and writes it beside the scenarios.
+
+python -m docs.make_seconds [NAME …]
+
+CPU seconds of a plan with the default options, machine code and world ready: the second of two for
+what takes less than 20 s, else the only one. Scenarios that are not named keep what is written.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+
+import yaml
+
+from drake_aigto import Planner, Scenario, scenario_names
+from drake_aigto.world import models_directory, scenario_seconds
+
+_LONG = 20.0  # [s]
+
+
+def measure(name: str) -> float:
+    """Returns CPU seconds of a plan."""
+    planner, seconds = Planner(Scenario.named(name)), 0.0
+    for _ in range(2):
+        if seconds < _LONG:
+            begin = time.process_time()
+            planner.plan()
+            seconds = time.process_time() - begin
+    return float(f"{seconds:.2g}")
+
+
+def main(names: Sequence[str]) -> None:
+    """Measures, and writes after each: what was measured stays if it is ended."""
+    for name in names or scenario_names():
+        known = scenario_seconds() | {name: measure(name)}
+        print(f"{name}: {known[name]:g} s", flush=True)
+        text = yaml.safe_dump(dict(sorted(known.items())), default_flow_style=False)
+        path = models_directory() / "seconds.yaml"
+        path.write_text(f"# CPU seconds of a plan, by docs/make_seconds.py\n{text}", "utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
