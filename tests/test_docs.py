@@ -125,8 +125,11 @@ def test_a_page_says_what_the_records_say(page: Path) -> None:
     assert records.quote(text) == text, "run: python -m benchmarks.records quote"
 
 
-def test_all_seconds_and_shares_of_the_measured_page_are_quoted() -> None:
-    text = (records.CHECKOUT / "docs" / "measured.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize(
+    "page", [page for page in records.PAGES if "measured" in page.stem], ids=lambda page: page.name
+)
+def test_all_seconds_and_shares_of_measured_pages_are_quoted(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
     unquoted = records.MARKED.sub("", re.sub(r"`[^`]*`|^    .*$", "", text, flags=re.MULTILINE))
     assert re.findall(r"[\d.]+ ?(?:ms|s|%|×)(?!\w)", unquoted) == []
 
