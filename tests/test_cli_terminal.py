@@ -403,3 +403,8 @@ def test_what_was_probably_meant_is_said_first(
     with pytest.raises(SystemExit):
         main(words)
     assert capsys.readouterr().err.startswith(f"drake-aigto: did you mean {meant}? ")
+
+
+def test_the_first_line_waits_for_no_drake() -> None:
+    program = "import sys, drake_aigto.cli.command_line; sys.exit('pydrake' in sys.modules)"
+    subprocess.run([sys.executable, "-c", program], check=True)

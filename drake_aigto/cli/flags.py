@@ -21,7 +21,7 @@ from typing import Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 
 import yaml
 
-from drake_aigto.world import Scenario
+from drake_aigto import world  # Loaded when first used: the first line waits for no Drake.
 
 # Exit statuses.
 FINE, NOTHING_HOLDS, BAD_INPUT, INTERRUPTED, UNREAD = 0, 1, 2, 130, 141
@@ -146,12 +146,14 @@ def add_scenario(command: Any) -> None:
     text = "a YAML file, or the name of a shipped one (drake-aigto list)"
     command.add_argument("scenario", metavar="SCENARIO", help=text)
     notes = "A row of a matrix or a table is 1,2,3."
-    add_fields(command.add_argument_group(FIELDS, notes), Scenario)
+    add_fields(command.add_argument_group(FIELDS, notes), world.Scenario)
 
 
-def load_scenario(options: argparse.Namespace, scenario: Scenario | None = None) -> Scenario:
+def load_scenario(
+    options: argparse.Namespace, scenario: world.Scenario | None = None
+) -> world.Scenario:
     """Returns the named or loaded scenario, or one in its place, with what flags change."""
-    changes = read_fields(options, Scenario)
+    changes = read_fields(options, world.Scenario)
     for name, value in changes.items():  # All and none are no names.
         if value in (["all"], ["none"]):
             changes[name] = value[0]
@@ -163,9 +165,9 @@ def is_file(name: str) -> bool:
     return Path(name).suffix in (".yaml", ".yml")
 
 
-def read_scenario(name: str) -> Scenario:
+def read_scenario(name: str) -> world.Scenario:
     """Returns the scenario of a YAML file, or a shipped one."""
-    return Scenario.load(name) if is_file(name) else Scenario.named(name)
+    return world.Scenario.load(name) if is_file(name) else world.Scenario.named(name)
 
 
 def add_fields(group: Any, kind: type[Any], *skipped: str, note: str = "") -> None:
@@ -180,7 +182,7 @@ def add_fields(group: Any, kind: type[Any], *skipped: str, note: str = "") -> No
     for field in dataclasses.fields(kind):
         if field.name not in skipped:
             text, look = about.get(field.name, ""), _look(get_type_hints(kind)[field.name])
-            if isinstance(field.default, int | float | str) and kind is not Scenario:
+            if isinstance(field.default, int | float | str) and kind is not world.Scenario:
                 text = f"{text} (default: {field.default})"
             look |= {"help": f"{note}{text}", "default": argparse.SUPPRESS}
             group.add_argument(name_flag(field.name), **look)
