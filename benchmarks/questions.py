@@ -251,9 +251,9 @@ class QuestionStudy(WorldStudy[Asked, Row]):
     result_type: ClassVar[Any] = Row
 
     def order(self) -> list[tuple[str, int]]:
-        """Returns the questions, world by world."""
+        """Returns the questions, the first of each world first."""
         worlds = self.question.worlds or tuple(scenario_names())
-        return [(name, number) for name in worlds for number in range(self.question.count)]
+        return [(name, number) for number in range(self.question.count) for name in worlds]
 
     def calls(self, key: tuple[str, int], result: Row | None) -> Iterator[Call]:
         """Yields the job of a question that is not answered."""

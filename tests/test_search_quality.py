@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scaled_worlds import Factors, scale_scenario
 
 from drake_aigto import PlanOptions, Scenario, World, plan
 from drake_aigto.planning import MechanismSearch, make_mechanism_task
 
 pytestmark = pytest.mark.slow
 SPINNER = Scenario.named("spinner/two_radians")
-MODELS = Path(__file__).parents[1] / "models"
 
 
 @pytest.mark.parametrize(("angle", "most"), [(2.8, 4.9), (3.0, 4.9), (np.pi, 5.5)])
@@ -28,34 +27,8 @@ def test_a_spinner_is_turned_by_any_angle(angle: float, most: float) -> None:
     assert found.cost < most
 
 
-def scale_spinner(factor: float) -> str:
-    """Returns the shipped spinner with all lengths times a factor, and all masses as they are."""
-    text = (MODELS / "spinner.sdf").read_text(encoding="utf-8")
-
-    def scaled(values: str, power: int) -> str:
-        return " ".join(repr(float(each) * factor**power) for each in values.split())
-
-    text = re.sub(r"(<pose[^>]*>)\s*(\S+ \S+ \S+)", lambda m: f"{m[1]}{scaled(m[2], 1)}", text)
-    for names, power in (("radius|length", 1), ("ixx|iyy|izz|damping", 2)):
-        text = re.sub(
-            rf"<({names})>([^<]*)<",
-            lambda m, power=power: f"<{m[1]}>{scaled(m[2], power)}<",  # type: ignore[misc]
-            text,
-        )
-    return re.sub(
-        r"(hunt_crossley_dissipation>)([\d.]+)<", lambda m: f"{m[1]}{scaled(m[2], -1)}<", text
-    )
-
-
 def test_a_small_spinner_is_turned_as_a_large_one(tmp_path: Path) -> None:
-    (tmp_path / "spinner.sdf").write_text(scale_spinner(0.1), encoding="utf-8")
-    small = dataclasses.replace(
-        SPINNER,
-        model=str(tmp_path / "spinner.sdf"),
-        control_weight=[1e3, 1e3],
-        stiction_speed=0.005,
-    )
-    found = plan(small)
+    found = plan(scale_scenario("spinner/two_radians", tmp_path, Factors(0.1, 1.0, 1.0)))
     assert found.holds and found.best.contacts
     assert found.cost < 2.85  # idle: 42.667
 
