@@ -201,7 +201,7 @@ def _differentiate(
         δJ_i = ω_i × δC + (ω_j × J_i − ω_i × J_j  if j carries i)
     """
     near, J, vectors, n = room.closest, room.J, room.vectors, table.carries.shape[0]
-    f, turn, df = vectors[1], vectors[5], vectors[6]
+    f, moved, beyond, turn, df = vectors[1], vectors[3], vectors[4], vectors[5], vectors[6]
     dC, dn, dv, carried, lever = (vectors[7], vectors[8], vectors[9], vectors[10], vectors[11])
     first, last, swap = table.starts[pair], table.starts[pair + 1], near.numbers[1]
     for k in range(3):
@@ -216,23 +216,29 @@ def _differentiate(
         _move_witness(S[j], s, near, vectors)
         for k in range(3):
             dC[k] += (distance * near.n[k] + near.numbers[0] * dn[k]) / 2
-        cross(turn, dC, dv)
-        for a in range(first, last):
+            moved[k] = beyond[k] = 0.0
+        for a in range(first, last):  # Sums of v J and v ω that j carries.
             i = table.chain[a]
             if table.signs[a] == table.signs[b] and table.carries[j, i]:
-                cross(S[j], J[a - first], carried)
-                cross(S[i], row, lever)
                 for k in range(3):
-                    dv[k] += s * v[i] * (carried[k] - lever[k])
+                    moved[k] += s * v[i] * J[a - first, k]
+                    beyond[k] += s * v[i] * S[i, k]
+        cross(turn, dC, dv)
+        cross(S[j], moved, carried)
+        cross(beyond, row, lever)
+        for k in range(3):
+            dv[k] += carried[k] - lever[k]
         _change_force(distance, rate, law_slopes, near.n, True, vectors)
+        # f · δJ_i = ω_i · (δC × f) + J_i · (f × ω_j) − ω_i · (J_j × f)
+        cross(dC, f, moved)
+        cross(f, S[j], carried)
+        cross(row, f, lever)
         for a in range(first, last):
-            i, side = table.chain[a], swap * table.signs[a]
-            cross(S[i], dC, lever)
-            total = dot(J[a - first], df) + dot(f, lever)
+            i, side, total = table.chain[a], swap * table.signs[a], 0.0
+            for k in range(3):
+                total += J[a - first, k] * df[k] + S[i, k] * moved[k]
             if table.signs[a] == table.signs[b] and table.carries[j, i]:
-                cross(S[j], J[a - first], carried)
-                cross(S[i], row, lever)
-                total += dot(f, carried) - dot(f, lever)
+                total += dot(J[a - first], carried) - dot(S[i], lever)
             slopes[i, j] += side * total
         for k in range(3):
             dv[k] = s * row[k]

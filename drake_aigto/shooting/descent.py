@@ -21,8 +21,9 @@ _RISE, _SHORT = 3.0, 0.2
 _WARY_RISE, _WARY_SHORT = 0.3, 0.0
 # Damping, as a share of curvature: its start, its least value after growth, its growth, its limit.
 _DAMPING, _LEAST, _GROWTH, _MOST = 1e-6, 1e-2, 10.0, 1e3
-# Step lengths that are tried: 1, 1/2, ….
-_LENGTHS = 5
+# Step lengths that are tried: 1, 1/2, …; or where they are fitted to costs, at least this part of
+# the one before. In space, that halves the number of trials: 157 for 319 in 60 iterations.
+_LENGTHS, _LEAST_PART = 5, 0.1
 # Iterations in a row that gain less than the tolerance and end it.
 _PATIENCE = 3
 # A motion is left unfinished if this times the decrease that the expansion promises does not
@@ -118,16 +119,20 @@ def _search(
     length, eps = 1.0, settings.eps
     rise, short = (_WARY_RISE, _WARY_SHORT) if settings.is_wary else (_RISE, _SHORT)
     for _ in range(_LENGTHS):
-        most = cost - _SHARE * length * drop
+        most, part = cost - _SHARE * length * drop, 0.5
         if has_gaps:
             most = np.inf if length < short else rise * (abs(cost) + drop)
-        found = travel(program, states, controls, FOLLOW, length, eps, most, memory)
+        is_fitted = settings.fits_lengths and not has_gaps
+        limit = np.inf if is_fitted else most
+        found = travel(program, states, controls, FOLLOW, length, eps, limit, memory)
         if found < np.inf:
             penalty, trial = settings.penalty, memory.controls
             found += visit_bounds(program, memory.states, trial, penalty, PENALIZE, memory)
         if found <= most and found < np.inf:
             return length
-        length /= 2
+        if is_fitted and found < np.inf:  # A parabola through both costs, of the known slope.
+            part = drop * length / (found - cost + 2 * drop * length)
+        length *= min(max(part, _LEAST_PART), 0.5)
     return 0.0
 
 

@@ -95,6 +95,7 @@ def flow(
     nx, nz, n, columns = x.size, memory.sweep.V1.size, x.size // 2, by_column.size
     start, share = program.times[k], program.steps[k]
     duration, has_phases, holds = share, nz > nx, bool(closed.any())
+    is_measured = has_phases or bool(task.running.any())
     if has_phases:
         duration, start = share * float(z[z.size - 2]), float(z[z.size - 1])
     delta, unit, cost = duration / substeps, share / substeps, 0.0
@@ -129,7 +130,7 @@ def flow(
                 total[i] += part * slope[i]
                 for c in range(columns if has_slopes else 0):
                     sum_K[i, c] += part * K[i, c]
-            if part == 0.0:
+            if part == 0.0 or not is_measured:
                 continue
             rate = _measure(program, start + (s + ahead) * delta, z, y, room)
             cost += part * delta * rate

@@ -12,7 +12,14 @@ from drake_aigto.arrays import ArrayRecord, Floats, Ints, read_only
 from drake_aigto.errors import OptionsError, ProgramError, check_counts, check_positive
 from drake_aigto.shooting.descent import descend
 from drake_aigto.shooting.optimal_control import OptimalControlProblem, Phases
-from drake_aigto.shooting.tables import FLOW, Outcome, Pass, Program, make_memory
+from drake_aigto.shooting.tables import (
+    FLOW,
+    Outcome,
+    Pass,
+    Program,
+    TreeMechanics,
+    make_memory,
+)
 from drake_aigto.simulation import Replay
 from drake_aigto.transcription import Touch, TouchSequence
 
@@ -307,6 +314,7 @@ class ShootingRun:
             is_wary=self._options.is_wary,
             most=float(self._options.most_promised if is_last else np.inf),
             updates=updates,
+            fits_lengths=isinstance(self._program.mechanics, TreeMechanics),
         )
         has_gaps, memory = self._has_gaps, self._memory
         return descend(self._program, states, self._controls, has_gaps, settings, memory)

@@ -18,7 +18,7 @@ from drake_aigto.shooting import (
     TreeMechanism,
 )
 from drake_aigto.simulation import EVENT_DRIVEN, Held, HeldControl, has_knots, replay_with
-from drake_aigto.world import Scenario, World, find_anywhere
+from drake_aigto.world import Scenario, SpaceWorld, World, find_anywhere
 
 # Guesses are closed in a few steps, some from contact that is wide at first (`Guess.width`).
 COARSE = ShootingOptions(
@@ -44,6 +44,10 @@ NEAR = dataclasses.replace(COARSE, rungs=(*COARSE.rungs[:-1], Smoothing(1e-3, 23
 TIGHT = ShootingOptions(rungs=(Smoothing(1e-3, 40, 1e-3),), substeps=4)
 POLISH = ShootingOptions(rungs=(Smoothing(1e-4, 40, 1e-5), Smoothing(1e-6, 40, 1e-5)), substeps=4)
 WITH_FRICTION = dataclasses.replace(POLISH, rungs=(Smoothing(1e-6, 150, 1e-5),))
+
+# In space, ranking takes as few iterations, and the exact law says when steps are short enough.
+TIGHT_IN_SPACE = dataclasses.replace(TIGHT, rungs=(Smoothing(1e-3, 20, 1e-3),))
+IN_SPACE = Smoothing(1e-4, 40, 1e-4), Smoothing(1e-6, 60, 1e-5)
 
 # Friction stiffens from stiction speeds of one length per duration to a thousandth of that.
 COOLING = ShootingOptions(
@@ -78,6 +82,8 @@ _FROM_AFAR = tuple(Smoothing(each, 15, 1e-2) for each in (1.0, 0.3, 0.1, 0.03, 0
 _EXACT, _MOST_SUBSTEPS = 1e-3, 64
 # A motion that halved steps change by less is steady: its controls reproduce it closely.
 _STEADY = 0.1
+# In space steps are short enough if the exact law costs this many times more than them at most.
+_AGREES = 1.01
 # Times the cost of a motion that another one costs at most, which is as good.
 _HARDLY = 1.05
 # A motion that violates its bounds by more (relative to the scales) won't become a plan.
@@ -137,7 +143,8 @@ def find_tight(world: World, q: Floats, time_step: float) -> ShootingOptions:
     """Returns the options for refining closed motions; arguments are those of `find_closing`."""
     if world.dry_friction is not None:
         return TIGHT_DRY
-    return _resolve_dampers(TIGHT, world, q, time_step)
+    tight = TIGHT_IN_SPACE if isinstance(world, SpaceWorld) else TIGHT
+    return _resolve_dampers(tight, world, q, time_step)
 
 
 def _resolve_dampers(
@@ -311,3 +318,37 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult) -> ShootingRes
         substeps = motion.substeps * 2 ** (1 if has_friction else int(halvings))
         rungs = (WITH_FRICTION if has_friction else POLISH).rungs[-1:]
         options = dataclasses.replace(POLISH, rungs=rungs, substeps=min(substeps, _MOST_SUBSTEPS))
+
+
+def settle(
+    world: SpaceWorld,
+    scenario: Scenario,
+    problem: ShootingProblem,
+    motion: ShootingResult,
+    most: float,
+) -> ShootingResult:
+    """Returns the local optimum near a motion in space, corrected under the exact law (`steady`).
+
+    Its Runge-Kutta steps are halved until that confirms its cost.
+
+    Args:
+        world: its shapes touch with friction.
+        scenario: the task.
+        problem: in the motion's time steps.
+        motion: whose states are kept, and gaps between them closed, where steps change it.
+        most: motions that cost more are not followed up.
+    """
+    rough, sharp = IN_SPACE
+    options = dataclasses.replace(POLISH, rungs=(rough,), substeps=motion.substeps)
+    while True:
+        prices = motion.prices
+        motion = close_gaps(problem, motion, motion.controls, motion.states, options, prices)
+        is_finite = np.isfinite(motion.exact_cost)
+        if motion.violation > HOPELESS or motion.cost > most or not is_finite:
+            return motion
+        if options.rungs == (sharp,):
+            found = steady(world, scenario, problem, motion)
+            cost = np.inf if found.replay is None else found.replay.cost
+            if cost <= _AGREES * motion.exact_cost or motion.substeps >= _MOST_SUBSTEPS:
+                return found
+        options = dataclasses.replace(options, rungs=(sharp,), substeps=2 * motion.substeps)

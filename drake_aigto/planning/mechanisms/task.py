@@ -30,6 +30,7 @@ from drake_aigto.planning.mechanisms.closing import (
     find_closing,
     find_tight,
     halve_steps,
+    settle,
     soften,
     steady,
 )
@@ -82,9 +83,11 @@ from drake_aigto.world import Scales, Scenario, SpaceWorld, TaskCost, World
 _PRICE, _MUCH = 10.0, 1e-2
 # Horizons of more periods than this are searched at half their length first.
 _LONG = 4.0
-# With friction, costs fall by up to this factor as steps become shorter, and their order changes:
-# this many times more finalists are polished.
-_FALLS, _MORE = 1.2, 2
+# Costs fall by up to a factor as steps become shorter, and their order changes: so many times more
+# finalists are polished. Without friction; with it; and in space, where motions are ranked after
+# few iterations, and the first pass of a polish leaves those that are above the best times `_LEFT`.
+_PLAIN, _SLIDING, _IN_SPACE = (1.0, 1), (1.2, 2), (2.0, 4)
+_LEFT = 1.2
 # Motions that promise to cost more than this times the worst kept one are left unfinished. In 3,072
 # boxes around cart-poles between soft walls that saves 31 % of all iterations and loses 10 of 346
 # motions that would have been the best so far; 1.0 saves 37 % and loses 13, and 1.5 22 % and 8.
@@ -220,12 +223,19 @@ class MechanismTask:
     @property
     def polish_ratio(self) -> float:
         """Motions that cost more than this times the best finalist are not polished."""
-        return _FALLS if self.mechanism.has_friction else 1.0
+        return self._falls[0]
 
     @property
     def finalists(self) -> int:
         """How many of the best motions are polished, at most."""
-        return self.options.finalists * (_MORE if self.mechanism.has_friction else 1)
+        return self.options.finalists * self._falls[1]
+
+    @property
+    def _falls(self) -> tuple[float, int]:
+        """By how much costs may fall in a polish, and how many times more motions it is for."""
+        if not self.mechanism.has_friction:
+            return _PLAIN
+        return _IN_SPACE if isinstance(self.world, SpaceWorld) else _SLIDING
 
     @property
     def close_ratio(self) -> float:
@@ -315,7 +325,7 @@ class MechanismTask:
 
         Args:
             motion: the motion.
-            most: only counts between rigid walls.
+            most: in space and between rigid walls, motions that cost more are left as they are.
         """
         has_friction, num_steps = self.mechanism.has_friction, self.scenario.num_steps
         if len(motion.controls) < num_steps or motion.substeps < POLISH.substeps:
@@ -325,6 +335,9 @@ class MechanismTask:
             # While a joint sticks, only far smoother friction has slopes that show what moves it.
             cooled = problem.starting_from(motion).solve(motion.controls, None, COOLING)
             motion = min(motion, cooled, key=self.rank)
+        if isinstance(self.world, SpaceWorld) and has_friction:
+            most *= _LEFT / self.simulate_ratio
+            return settle(self.world, self.scenario, problem, motion, most)
         motion = halve_steps(problem, motion)
         if motion.violation > HOPELESS or not (has_friction and np.isfinite(motion.exact_cost)):
             return motion
