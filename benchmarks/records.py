@@ -96,6 +96,7 @@ RECORDS: Mapping[str, str] = {
     "chain": "python -m benchmarks.chain --workers 2 --first-seed 100 --patience 20 --minutes 60"
     f" {_SOLVER}",
     "certificates": "python -m benchmarks.certificates --worlds 50",
+    "provers": "python -m benchmarks.provers --workers 1",
     "push_bot_bounds": "python -m benchmarks.push_bot_bounds",
     "in_the_loop": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --workers 1",
     "in_more_loops": "python -m benchmarks.in_the_loop room/bank_shot floor/rebound"
@@ -257,6 +258,7 @@ FIGURES: Mapping[str, Figure] = {
     "cart_poles_table": Figure("cart_poles", r"(?s)\A[^\n]*\n(.*\S)"),
     "soak_lines": Figure("soak", r"(?s)\A(.*\S)"),
     "certificates_table": Figure("certificates", r"(?s)\A[^\n]*\n(.*\S)"),
+    "provers_table": Figure("provers", r"(?s)^(ours: .*\S)"),
     "push_bot_bounds_table": Figure("push_bot_bounds", r"(?s)\A[^\n]*\n(.*\S)"),
     "peer_tables": Figure("peer_programs", r"(?s)^(payload: .*\S)"),
     "loops_tables": Figure("loops", r"(?s)\A(.*\S)"),
