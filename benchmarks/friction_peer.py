@@ -142,7 +142,11 @@ class FrictionProgram:
         """Returns M v̇ + h − B u − Jᵀ f + Tᵀ μ f σ at a knot."""
         world, law = self._world, self._law
         n, m, eps = world.num_positions, world.num_contacts, relaxation[0]
-        values = write_sums(world.dynamics_map, casadi.vertcat(q, v))
+        entries = [world.mass_matrix.ravel(), world.bias]
+        entries.append(np.array([contact.signed_distance for contact in world.contacts]))
+        entries += [contact.jacobian for contact in world.contacts]
+        sums = SumMap(np.concatenate(entries), world.positions, world.velocities)
+        values = write_sums(sums, casadi.vertcat(q, v))
         mass, bias, gaps, normals = casadi.vertsplit(values, np.cumsum([0, n * n, n, m, m * n]))
         tangents = write_sums(world.rubbing.tangent_map, q)
         row = casadi.reshape(mass, n, n) @ rate + bias - casadi.DM(world.actuation) @ u

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import Closed
-from drake_aigto.shooting import Mechanism, ShootingProblem
+from drake_aigto.contact import Closed, Mechanism
+from drake_aigto.shooting import ShootingProblem
 from drake_aigto.world import TaskCost
 
 

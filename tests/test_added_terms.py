@@ -17,11 +17,10 @@ from test_shooting import soft, weigh
 from test_shooting_phases import RESTITUTION, ball
 from test_shooting_phases import pose as pose_phases
 
-from drake_aigto.contact import RigidLaw
+from drake_aigto.contact import Mechanism, RigidLaw
 from drake_aigto.errors import ProgramError, UnsupportedTermError
 from drake_aigto.shooting import (
     AddedTerms,
-    Mechanism,
     Phases,
     ShootingOptions,
     ShootingProblem,

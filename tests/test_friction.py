@@ -22,10 +22,9 @@ from refusals import refuse_work
 from shooting_problems import differ
 
 from drake_aigto import Planner, PlanOptions, Scenario, World, plan
-from drake_aigto.contact import contact_law
+from drake_aigto.contact import Mechanism, contact_law
 from drake_aigto.dynamics import calc_friction_share
 from drake_aigto.errors import ModelError, OptionsError, ScenarioError
-from drake_aigto.shooting import Mechanism
 from drake_aigto.show import format_plan
 from drake_aigto.simulation import replay_drake, replay_event_driven
 from drake_aigto.world import models_directory

@@ -14,16 +14,16 @@ from shooting_problems import pose as pose_shooting
 
 from drake_aigto import Scenario, World
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.contact import Closed, Mode, RigidLaw
+from drake_aigto.contact import Closed, Mechanism, Mode, RigidLaw, make_mechanics_memory
 from drake_aigto.errors import ProgramError
 from drake_aigto.planning import add_impulses, replay_at_knots, trace
 from drake_aigto.shooting import (
-    Mechanism,
     Phases,
     ShootingOptions,
     ShootingProblem,
     ShootingResult,
     Smoothing,
+    evaluate_hold,
 )
 from drake_aigto.simulation import confirms, replay_drake, replay_event_driven, set_stiffness
 from drake_aigto.world import STIFFNESS, Scales, TaskCost, read_material
@@ -38,7 +38,9 @@ def run(
     world: World, contacts: list[int], x: Floats, u: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Returns λ, v̇ and their derivatives by (q, v, u)."""
-    memory = mechanize(world).press(x, u, hold(world, contacts), np.zeros(world.num_contacts))
+    mechanics = mechanize(world).mechanics
+    memory, leans = make_mechanics_memory(mechanics), np.zeros(world.num_contacts)
+    evaluate_hold(hold(world, contacts), leans, x, u, mechanics, memory)
     forces, by_force = memory.grip[-1, contacts], memory.by_force[:, contacts].T
     return forces, memory.acceleration[0], by_force, memory.slopes.T
 

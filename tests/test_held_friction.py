@@ -13,7 +13,7 @@ from shooting_problems import pose as pose_shooting
 
 from drake_aigto import PlanOptions, Scenario, World, plan
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import Closed, Mode, RigidLaw
+from drake_aigto.contact import Closed, Mechanism, Mode, RigidLaw, make_mechanics_memory
 from drake_aigto.planning import (
     COASTING,
     Origin,
@@ -27,12 +27,12 @@ from drake_aigto.planning import (
     make_mechanism_task,
 )
 from drake_aigto.shooting import (
-    Mechanism,
     Phases,
     ShootingOptions,
     ShootingProblem,
     ShootingResult,
     Smoothing,
+    evaluate_hold,
 )
 from drake_aigto.simulation import replay_event_driven
 from drake_aigto.transcription import Touch
@@ -60,7 +60,8 @@ def press(
     """Returns f_n and f_t of all contacts in modes, v̇, and the derivatives of λ and v̇."""
     m, signs = len(modes), np.array(modes)
     closed = np.concatenate([np.ones(m, dtype=np.bool_), signs == 0])
-    memory = mechanism.press(x, u, closed, -MU * signs)
+    memory = make_mechanics_memory(mechanism.mechanics)
+    evaluate_hold(closed, -MU * signs, x, u, mechanism.mechanics, memory)
     normal, stuck = np.split(memory.grip[-1], 2)
     tangent = np.where(signs == 0, stuck, -MU * signs * normal)
     forces = np.concatenate([normal, tangent])

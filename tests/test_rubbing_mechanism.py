@@ -18,10 +18,10 @@ from shooting_problems import pose, weigh
 
 from drake_aigto import Plan, PlanOptions, Scenario, World, plan, replay_drake, replay_event_driven
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import Mobility, RigidLaw, calc_impulse
+from drake_aigto.contact import Mechanism, Mobility, RigidLaw, calc_impulse
 from drake_aigto.errors import FrictionError, ProgramError
 from drake_aigto.planning import RigidMechanismTask, make_mechanism_task
-from drake_aigto.shooting import Mechanism, Phases, ShootingProblem
+from drake_aigto.shooting import Phases, ShootingProblem
 from drake_aigto.show import motions_of_plan, plot_friction
 from drake_aigto.simulation import Replay
 from drake_aigto.transcription import Touch

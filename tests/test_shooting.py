@@ -14,14 +14,9 @@ from scipy.optimize import minimize
 from shooting_problems import differ, pose
 from shooting_problems import weigh as weigh_effort
 
-from drake_aigto.contact import CompliantLaw, RigidLaw
+from drake_aigto.contact import CompliantLaw, Mechanism, RigidLaw
 from drake_aigto.planning import MechanismTask, PlanOptions
-from drake_aigto.shooting import (
-    Mechanism,
-    ShootingOptions,
-    ShootingProblem,
-    Smoothing,
-)
+from drake_aigto.shooting import ShootingOptions, ShootingProblem, Smoothing
 from drake_aigto.world import Scenario, TaskCost, World
 
 STICTION = 2  # Which of the numbers of friction the stiction speed is.

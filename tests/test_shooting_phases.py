@@ -18,10 +18,10 @@ from shooting_problems import pose as pose_shooting
 from shooting_problems import weigh
 
 from drake_aigto import Plan, Planner, Scenario, World
-from drake_aigto.contact import RigidLaw
+from drake_aigto.contact import Mechanism, RigidLaw
 from drake_aigto.errors import ProgramError
 from drake_aigto.planning import PlanOptions
-from drake_aigto.shooting import Mechanism, Phases, ShootingOptions, ShootingProblem, ShootingResult
+from drake_aigto.shooting import Phases, ShootingOptions, ShootingProblem, ShootingResult
 from drake_aigto.show import format_plan
 
 RESTITUTION, TOTAL = 0.6, 2.0

@@ -15,15 +15,12 @@ from shooting_problems import differ
 from drake_aigto import Planner, Scenario, World
 from drake_aigto.contact import (
     CompliantLaw,
-    Springs,
+    Mechanism,
     calc_pushes,
     contact_law,
-    evaluate_springs,
-    make_springs_memory,
 )
 from drake_aigto.dynamics import calc_friction_share
 from drake_aigto.planning import MechanismTask, PlanOptions, steady
-from drake_aigto.shooting import Mechanism
 from drake_aigto.show import Motion, plot_friction
 from drake_aigto.simulation import replay_drake, replay_event_driven
 
@@ -96,15 +93,14 @@ def test_compiled_rates_are_those_of_the_world(name: str) -> None:
     world, rng = World.from_scenario(scenario), np.random.default_rng(0)
     law, n, touched = contact_law(world, scenario), world.num_positions, 0
     assert isinstance(law, CompliantLaw)
-    springs = Springs.of(world, law)
-    memory = make_springs_memory(springs)
+    mechanism = Mechanism.of(world, law)
     for _ in range(1000):
         q = scenario.initial_position + rng.uniform(-0.6, 0.6, n)
         v, u = 10 ** rng.uniform(-3, 0) * rng.normal(size=n), rng.normal(size=world.num_actuators)
         touched += int(calc_pushes(world, law, q, v).any())
         expected = accelerate(world, law, q, v, u)
-        evaluate_springs(springs, np.concatenate([q, v]), u, memory)
-        np.testing.assert_allclose(memory.force, expected, atol=1e-12 * np.abs(expected).max())
+        got, _ = mechanism.calc_acceleration(np.concatenate([q, v]), u)
+        np.testing.assert_allclose(got, expected, atol=1e-12 * np.abs(expected).max())
     assert touched > 50
 
 

@@ -15,13 +15,13 @@ from trees import AXIS, add_body, attach, sample_state
 
 from drake_aigto import Planner
 from drake_aigto.arrays import Floats
+from drake_aigto.contact import TreeMechanism
 from drake_aigto.dynamics import Tree
 from drake_aigto.planning import MechanismTask, PlanOptions
 from drake_aigto.shooting import (
     ShootingOptions,
     ShootingProblem,
     Smoothing,
-    TreeMechanism,
     expand_motion,
     make_memory,
 )

@@ -23,11 +23,10 @@ from pydrake.solvers import MathematicalProgram, SnoptSolver, SolverOptions
 from benchmarks.robots.ipopt import MAX_ITERATIONS
 from benchmarks.robots.judge import Control
 from benchmarks.robots.worlds import Question, scenario_of
-from drake_aigto.contact import contact_law
+from drake_aigto.contact import Mechanism, contact_law
 from drake_aigto.errors import AigtoError
 from drake_aigto.planning import Planner, PlanOptions
 from drake_aigto.shooting import (
-    Mechanism,
     Phases,
     ShootingOptions,
     ShootingProblem,

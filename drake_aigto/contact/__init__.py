@@ -1,4 +1,8 @@
-"""Contact: laws, impact maps, forces of closed contacts and saltation, as numbers and kernels."""
+"""Contact: laws, impact maps, forces of closed contacts and saltation, as numbers and kernels.
+
+Dynamics with the forces of a law are a `Mechanism`, by sums of products, or a `TreeMechanism`, by
+recursion (`make_mechanism`): simulations evaluate their tables, and shooting differentiates them.
+"""
 
 import lazy_loader
 

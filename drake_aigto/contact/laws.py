@@ -10,7 +10,6 @@ import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
-from drake_aigto.dynamics import smooth_sign
 from drake_aigto.kernels import borrowing
 from drake_aigto.world import Scenario, SpaceWorld, World
 
@@ -200,13 +199,7 @@ def calc_dissipation(restitution: float, speed: float) -> float:
     return -math.expm1(-z) / e / speed
 
 
-_bend, _deepen = borrowing(smooth_sign), borrowing(_calc_deeper)
-
-
-@borrowing
-def find_share(y: float) -> float:
-    """Returns σ of a speed y in parts of the stiction speed (`calc_friction_share`)."""
-    return _bend(min(max(y, -1.0), 1.0))
+_deepen = borrowing(_calc_deeper)
 
 
 @borrowing

@@ -2,51 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact.laws import CompliantLaw
-from drake_aigto.contact.touching import TouchRoom, TouchTable, make_touch_room, push
-from drake_aigto.dynamics import (
-    TreeMemory,
-    TreeTables,
-    make_tree_memory,
-    move_tree,
-    push_tree,
-)
+from drake_aigto.contact.tables import TreeMechanics, TreeMechanicsMemory
+from drake_aigto.contact.touching import TouchTable, push
+from drake_aigto.dynamics import move_tree, push_tree
 from drake_aigto.kernels import borrowing
 from drake_aigto.world import SpaceWorld
 
 # Part of the width of contacts that counts where bodies are moved by no actuator; and the force of
 # springs from afar, in weights of what they move.
 _RESTING, _WEIGHTS = 0.03, 3.0
-
-
-class Bodies(NamedTuple):
-    """A tree and its pairs of shapes."""
-
-    tree: TreeTables
-    table: TouchTable
-    pace: float  # of smoothed friction: v_s² + (ε pace)² in place of v_s² [1/s]
-
-    @classmethod
-    def of(cls, world: SpaceWorld, law: CompliantLaw, duration: float) -> Bodies:
-        """Returns those of a world, with a duration that is the unit of smoothed slips [s]."""
-        return cls(TreeTables(*world.tree), make_touch_table(world, law), 1.0 / duration)
-
-
-class BodiesMemory(NamedTuple):
-    """Room for one state."""
-
-    tree: TreeMemory
-    touch: TouchRoom
-
-
-def make_bodies_memory(bodies: Bodies) -> BodiesMemory:
-    """Returns room for evaluations."""
-    return BodiesMemory(make_tree_memory(bodies.tree), make_touch_room(bodies.table))
 
 
 def make_touch_table(world: SpaceWorld, law: CompliantLaw) -> TouchTable:
@@ -93,20 +61,20 @@ def _find_widths(world: SpaceWorld, law: CompliantLaw) -> tuple[Floats, Floats]:
 
 @borrowing
 def accelerate_bodies(
-    bodies: Bodies,
+    mechanics: TreeMechanics,
     q: Floats,
     v: Floats,
     u: Floats,
     eps: float,
     has_slopes: bool,
-    memory: BodiesMemory,
+    memory: TreeMechanicsMemory,
 ) -> None:
-    """Computes v̇ in the tree's `force`, and ∂v̇/∂(δ, v, u) in its `slopes` if asked.
-
-    Both are by degrees of freedom, whose place in v is `velocities` of the tree.
-    """
-    tree, room = bodies.tree, memory.tree
+    """Computes v̇, and in the tree's `slopes` ∂v̇/∂(δ, v, u) if asked, by degrees of freedom."""
+    tree, touch, room = mechanics.tree, mechanics.touch, memory.tree
     push_tree(tree, q, v, u, eps, has_slopes, room)
-    push(bodies.table, room.poses, room.motions, room.v, eps, bodies.pace, has_slopes,
-         memory.touch, room.force, room.slopes)  # fmt: skip
+    if touch.pairs.shape[0] > 0:
+        push(touch, room.poses, room.motions, room.v, eps, mechanics.pace, has_slopes,
+             memory.touch, room.force, room.slopes)  # fmt: skip
     move_tree(tree, has_slopes, room)
+    for s in range(tree.up.size):
+        memory.acceleration[0, tree.velocities[s]] = room.force[s]

@@ -18,8 +18,6 @@ from .recursions import spread as spread
 from .spatial import multiply_quaternions as multiply_quaternions
 from .sum_kernels import divide_by_masses as divide_by_masses
 from .sum_kernels import evaluate_sums as evaluate_sums
-from .sum_kernels import factor_masses as factor_masses
-from .sum_kernels import sum_products as sum_products
 from .sums import SumMap as SumMap
 from .sums import calc_turning as calc_turning
 from .sums import evaluate as evaluate

@@ -386,12 +386,6 @@ class EquationsOfMotion:
         return np.array(rows, dtype=object).reshape(-1, self.num_velocities)
 
     @cached_property
-    def dynamics_map(self) -> SumMap:
-        """M, h, φ and J of (q, v), row by row, for compiled code that needs all of them."""
-        rows = self.mass_matrix.ravel(), self.bias, self._distances, self._jacobian.ravel()
-        return SumMap(np.concatenate(rows), self.positions, self.velocities)
-
-    @cached_property
     def _mass_map(self) -> SumMap:
         return SumMap(self.mass_matrix, self.positions)
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import contact_law
+from drake_aigto.contact import AnyMechanism, contact_law, make_mechanism
 from drake_aigto.planning.options import needs_shooting
 from drake_aigto.planning.regulator import Regulator
 from drake_aigto.planning.riccati import FeedbackPhase, Sweep
@@ -20,7 +20,7 @@ from drake_aigto.planning.stretches import (
     is_at_rest_on,
     touches_walls,
 )
-from drake_aigto.shooting import AnyMechanism, ShootingProblem, make_mechanism
+from drake_aigto.shooting import ShootingProblem
 from drake_aigto.simulation import Controller, Growth, Held, calc_growth, tangent_scales
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World, take_nearest_turn

@@ -7,26 +7,22 @@ all other bounds. NumPy and Numba only.
 
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.descent import expand_motion
-from drake_aigto.shooting.mechanism import Mechanism
+from drake_aigto.shooting.hold import evaluate_hold
 from drake_aigto.shooting.optimal_control import Phases
 from drake_aigto.shooting.problem import ShootingProblem, limit_states
 from drake_aigto.shooting.solve import ShootingOptions, ShootingResult, Smoothing
 from drake_aigto.shooting.tables import make_memory
-from drake_aigto.shooting.tree_mechanism import AnyMechanism, TreeMechanism, make_mechanism
 
 __all__ = [
     "NO_TERMS",
     "AddedTerms",
-    "AnyMechanism",
-    "Mechanism",
     "Phases",
     "ShootingOptions",
     "ShootingProblem",
     "ShootingResult",
     "Smoothing",
-    "TreeMechanism",
+    "evaluate_hold",
     "expand_motion",
     "limit_states",
-    "make_mechanism",
     "make_memory",
 ]

@@ -10,10 +10,9 @@ import numpy as np
 from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.arrays import Floats, Ints
+from drake_aigto.contact import Sum, SumTape, TapeBuilder, evaluate_tape
 from drake_aigto.dynamics import EquationsOfMotion
 from drake_aigto.errors import ProgramError
-from drake_aigto.shooting.acceleration import evaluate_tape
-from drake_aigto.shooting.mechanism import Sum, SumTape, TapeBuilder
 from drake_aigto.shooting.tables import FLOW, Added
 from drake_aigto.terms import parse_costs, parse_rows
 from drake_aigto.transcription import Addition, Additions

@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.kernels import borrowing, inner
-from drake_aigto.shooting.acceleration import (
+from drake_aigto.contact import (
+    Mechanics,
+    TreeMechanics,
     find_foremost,
     find_row,
     find_slope,
     run_tape,
     triangle,
 )
+from drake_aigto.kernels import borrowing, inner
 from drake_aigto.shooting.flow import clear
 from drake_aigto.shooting.hold import measure_modes
 from drake_aigto.shooting.stages import of_tree, read_coordinate
@@ -20,10 +22,8 @@ from drake_aigto.shooting.tables import (
     FLOW,
     Added,
     Bounds,
-    Mechanics,
     Memory,
     Program,
-    TreeMechanics,
 )
 
 # Returns the penalties, adds their derivatives to the expansion, or returns the largest violation

@@ -9,9 +9,12 @@ each contact, shape (m,), 0 for sticking contacts and without friction.
 from __future__ import annotations
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.kernels import borrowing
-from drake_aigto.linear import factor_in_place, solve_factors
-from drake_aigto.shooting.acceleration import (
+from drake_aigto.contact import (
+    COEFFICIENT,
+    Mechanics,
+    MechanicsMemory,
+    TreeMechanics,
+    TreeMechanicsMemory,
     accelerate,
     divide_by_mass,
     factor_mass,
@@ -20,17 +23,10 @@ from drake_aigto.shooting.acceleration import (
     find_slope,
     run_tape,
 )
+from drake_aigto.kernels import borrowing, kernel
+from drake_aigto.linear import factor_in_place, solve_factors
 from drake_aigto.shooting.stages import of_tree
-from drake_aigto.shooting.tables import (
-    COEFFICIENT,
-    FLOW,
-    Mechanics,
-    MechanicsMemory,
-    Memory,
-    Program,
-    TreeMechanics,
-    TreeMechanicsMemory,
-)
+from drake_aigto.shooting.tables import FLOW, Memory, Program
 
 # Pivots of C M⁻¹ Dᵀ are at least this part of its diagonal: contacts may be redundant.
 _RIDGE = 1e-12
@@ -139,6 +135,21 @@ def hold(
     if has_slopes:
         _turn(closed, leans, n, mechanics, memory)
         _differentiate_hold(closed, m, x, memory)
+
+
+@kernel
+def evaluate_hold(
+    closed: Bools,
+    leans: Floats,
+    x: Floats,
+    u: Floats,
+    mechanics: Mechanics,
+    memory: MechanicsMemory,
+) -> None:
+    """Computes v̇ with held contacts, and all derivatives, for Python."""
+    accelerate(mechanics, x, u, 0.0, True, memory)
+    if closed.any():
+        hold(closed, leans, x, True, mechanics, memory)
 
 
 @borrowing

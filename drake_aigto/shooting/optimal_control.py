@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from drake_aigto.arrays import ArrayRecord, Bools, Floats, Ints, read_only
+from drake_aigto.contact import AnyMechanism
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.tables import FLOW, START
-from drake_aigto.shooting.tree_mechanism import AnyMechanism
 from drake_aigto.world import TaskCost
 
 _FIELDS = {

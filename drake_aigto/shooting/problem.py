@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
+from drake_aigto.contact import COEFFICIENT, SOURCE, AnyMechanism, copy_writable
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.optimal_control import OptimalControlProblem, StageLayout
 from drake_aigto.shooting.solve import (
@@ -19,17 +20,13 @@ from drake_aigto.shooting.solve import (
 )
 from drake_aigto.shooting.tables import (
     CHORDAL,
-    COEFFICIENT,
     EXACT,
     FLOW,
     MODULO,
-    SOURCE,
     Bounds,
     CostTable,
     Program,
-    copy_writable,
 )
-from drake_aigto.shooting.tree_mechanism import AnyMechanism
 from drake_aigto.simulation import MOST_GROWTH, calc_growth, tangent_scales
 from drake_aigto.world import Limits, Scales, Scenario, TaskCost, World
 

@@ -9,17 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import ArrayRecord, Floats, Ints, read_only
+from drake_aigto.contact import TreeMechanics
 from drake_aigto.errors import OptionsError, ProgramError, check_counts, check_positive
 from drake_aigto.shooting.descent import descend
 from drake_aigto.shooting.optimal_control import OptimalControlProblem, Phases
-from drake_aigto.shooting.tables import (
-    FLOW,
-    Outcome,
-    Pass,
-    Program,
-    TreeMechanics,
-    make_memory,
-)
+from drake_aigto.shooting.tables import FLOW, Outcome, Pass, Program, make_memory
 from drake_aigto.simulation import Replay
 from drake_aigto.transcription import Touch, TouchSequence
 

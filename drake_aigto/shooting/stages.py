@@ -11,9 +11,8 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from drake_aigto.arrays import Floats
+from drake_aigto.contact import Mechanics, MechanicsMemory, TreeMechanics, accelerate
 from drake_aigto.kernels import chosen
-from drake_aigto.shooting.acceleration import accelerate
-from drake_aigto.shooting.tables import Mechanics, MechanicsMemory, TreeMechanics
 from drake_aigto.shooting.tree_stages import (
     accelerate_tree,
     align_tree,

@@ -14,21 +14,18 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import push
+from drake_aigto.contact import TreeMechanics, TreeMechanicsMemory, accelerate_bodies
 from drake_aigto.dynamics import (
     QUATERNION,
     TreeTables,
     add_tangent,
     find_rate,
     find_turning,
-    move_tree,
     multiply_quaternions,
-    push_tree,
     read_turn,
     subtract_positions,
 )
 from drake_aigto.kernels import borrowing
-from drake_aigto.shooting.tables import TreeMechanics, TreeMechanicsMemory
 
 
 def accelerate_tree(
@@ -41,18 +38,10 @@ def accelerate_tree(
     memory: TreeMechanicsMemory,
 ) -> None:
     """Computes v̇ at y = (δ, v) about z, and ∂v̇/∂(δ, v, u) if asked, as the plant orders them."""
-    tree, touch, room = mechanics.tree, mechanics.touch, memory.tree
-    n, velocities, found = tree.up.size, tree.velocities, memory.tree.slopes
+    tree, found = mechanics.tree, memory.tree.slopes
+    n, velocities = tree.up.size, tree.velocities
     add_tangent(tree, z, y, memory.position)
-    push_tree(tree, memory.position, y[n:], u, eps, has_slopes, room)
-    if touch.pairs.shape[0] > 0:
-        push(
-            touch, room.poses, room.motions, room.v, eps, mechanics.pace, has_slopes,
-            memory.touch, room.force, found,
-        )  # fmt: skip
-    move_tree(tree, has_slopes, room)
-    for s in range(n):
-        memory.acceleration[0, velocities[s]] = room.force[s]
+    accelerate_bodies(mechanics, memory.position, y[n:], u, eps, has_slopes, memory)
     if not has_slopes:
         return
     for c in range(found.shape[1]):

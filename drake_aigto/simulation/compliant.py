@@ -9,16 +9,16 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import (
-    Bodies,
-    BodiesMemory,
     CompliantLaw,
-    Springs,
-    SpringsMemory,
+    Mechanics,
+    MechanicsMemory,
+    TreeMechanics,
+    TreeMechanicsMemory,
+    accelerate,
     accelerate_bodies,
-    accelerate_springs,
     calc_time_to_wall,
-    make_bodies_memory,
-    make_springs_memory,
+    make_mechanics_memory,
+    make_mechanism,
 )
 from drake_aigto.dynamics import turn_positions
 from drake_aigto.errors import TrajectoryError
@@ -79,14 +79,8 @@ class Compliant:
     def __init__(self, world: World, law: CompliantLaw) -> None:
         """Reads the tables of compiled code."""
         self.world, self.law = world, law
-        self._tables: Springs | Bodies
-        self._memory: SpringsMemory | BodiesMemory
-        if isinstance(world, SpaceWorld):
-            self._tables = Bodies.of(world, law, 1.0)
-            self._memory = make_bodies_memory(self._tables)
-        else:
-            self._tables = Springs.of(world, law)
-            self._memory = make_springs_memory(self._tables)
+        self._tables = make_mechanism(world, law).fit(0.0, 1.0, 0.0)  # The law as it is.
+        self._memory = make_mechanics_memory(self._tables)
         self._room = np.empty((_BLOCK, 1 + 2 * (world.num_positions + world.num_velocities)))
 
     def follow(
@@ -282,32 +276,30 @@ def find_depth(times: Floats, distances: Floats, rates: Floats) -> float:
 
 
 def _find_rates_of_bodies(
-    bodies: Bodies, x: Floats, u: Floats, rates: Floats, memory: BodiesMemory
+    mechanics: TreeMechanics, x: Floats, u: Floats, rates: Floats, memory: TreeMechanicsMemory
 ) -> None:
     """Computes ẋ of a state x = (q, v) of a tree."""
-    tree = bodies.tree
-    n = tree.up.size
-    nq = x.size - n
-    accelerate_bodies(bodies, x[:nq], x[nq:], u, 0.0, False, memory)
-    turn_positions(tree, x[:nq], x[nq:], rates[:nq])
-    for s in range(n):
-        rates[nq + tree.velocities[s]] = memory.tree.force[s]
+    n, nq = mechanics.tree.up.size, mechanics.num_positions
+    accelerate_bodies(mechanics, x[:nq], x[nq:], u, 0.0, False, memory)
+    turn_positions(mechanics.tree, x[:nq], x[nq:], rates[:nq])
+    for i in range(n):
+        rates[nq + i] = memory.acceleration[0, i]
 
 
-def _choose(tables: Any, *_: Any) -> Callable[..., Any]:
-    is_tree = getattr(tables, "instance_class", None) is Bodies
+def _choose(mechanics: Any, *_: Any) -> Callable[..., Any]:
+    is_tree = getattr(mechanics, "instance_class", None) is TreeMechanics
     return _find_rates_of_bodies if is_tree else _find_rates
 
 
 @chosen(_choose)
 def _find_rates(
-    springs: Springs, x: Floats, u: Floats, rates: Floats, memory: SpringsMemory
+    mechanics: Mechanics, x: Floats, u: Floats, rates: Floats, memory: MechanicsMemory
 ) -> None:
     """Computes ẋ of a state x = (q, v), of sums or of a tree."""
     n = x.size // 2
-    accelerate_springs(springs, x, u, memory)
+    accelerate(mechanics, x, u, 0.0, False, memory)
     for i in range(n):
-        rates[i], rates[n + i] = x[n + i], memory.force[i]
+        rates[i], rates[n + i] = x[n + i], memory.acceleration[0, i]
 
 
 @kernel

@@ -9,13 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, calc_dissipation
+from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, TreeMechanism, calc_dissipation
 from drake_aigto.shooting import (
     ShootingOptions,
     ShootingProblem,
     ShootingResult,
     Smoothing,
-    TreeMechanism,
 )
 from drake_aigto.simulation import EVENT_DRIVEN, Held, HeldControl, has_knots, replay_with
 from drake_aigto.world import Scenario, SpaceWorld, World, find_anywhere

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import RigidLaw
+from drake_aigto.contact import Mechanism, RigidLaw
 from drake_aigto.planning.candidate import Candidate, ChangeName, Origin
 from drake_aigto.planning.mechanisms.closing import COARSE, Aim, begin_at
 from drake_aigto.planning.mechanisms.guesses import Guess
@@ -37,7 +37,6 @@ from drake_aigto.planning.mechanisms.traces import add_impulses, replay_at_knots
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.search import scaled
 from drake_aigto.shooting import (
-    Mechanism,
     Phases,
     ShootingOptions,
     ShootingProblem,

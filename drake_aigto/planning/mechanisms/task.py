@@ -9,7 +9,14 @@ from typing import ClassVar
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, contact_law
+from drake_aigto.contact import (
+    AnyMechanism,
+    CompliantLaw,
+    ContactLaw,
+    RigidLaw,
+    contact_law,
+    make_mechanism,
+)
 from drake_aigto.errors import ProgramError, ScenarioError
 from drake_aigto.planning.candidate import (
     NO_CONTROL,
@@ -50,13 +57,11 @@ from drake_aigto.planning.tracked import (
 from drake_aigto.shooting import (
     NO_TERMS,
     AddedTerms,
-    AnyMechanism,
     Phases,
     ShootingOptions,
     ShootingProblem,
     ShootingResult,
     limit_states,
-    make_mechanism,
 )
 from drake_aigto.simulation import (
     BOUNDS,

@@ -8,11 +8,13 @@ from typing import TypeAlias
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import CompliantLaw, ContactLaw, TouchTable, make_touch_table
+from drake_aigto.contact.laws import CompliantLaw, ContactLaw
+from drake_aigto.contact.mechanism import Mechanism
+from drake_aigto.contact.tables import TreeMechanics
+from drake_aigto.contact.touching import TouchTable
+from drake_aigto.contact.touching_bodies import make_touch_table
 from drake_aigto.dynamics import QUATERNION, Tree
 from drake_aigto.geometry import Shapes
-from drake_aigto.shooting.mechanism import Mechanism
-from drake_aigto.shooting.tables import TreeMechanics
 from drake_aigto.world import SpaceWorld, World
 
 
@@ -42,6 +44,10 @@ class TreeMechanism:
     tree: Tree
     touch: TouchTable
 
+    # Nothing is rigid: no contact is held or hit, or is bounded by its distance or beside edges.
+    num_contacts = 0
+    frictions, contacts, edges = (np.zeros(shape) for shape in ((0, 1), (0, 4), (0, 0)))
+
     @classmethod
     def of(cls, tree: Tree, touch: TouchTable | None = None) -> TreeMechanism:
         """Returns the dynamics of a tree; without pairs, nothing touches."""
@@ -63,31 +69,11 @@ class TreeMechanism:
         return self.tree.actuation.shape[1]
 
     @property
-    def num_contacts(self) -> int:
-        """The number of contacts with bounds of distances: none."""
-        return 0
-
-    @property
     def actuation(self) -> Floats:
         """B, shape (n, nu)."""
         found = np.empty_like(self.tree.actuation)
         found[self.tree.velocities] = self.tree.actuation
         return found
-
-    @property
-    def frictions(self) -> Floats:
-        """Friction of held contacts: none."""
-        return np.zeros((0, 1))
-
-    @property
-    def edges(self) -> Floats:
-        """Limits of distances beside edges: none."""
-        return np.zeros((0, 0))
-
-    @property
-    def contacts(self) -> Floats:
-        """Rigid contacts: none."""
-        return np.zeros((0, 4))
 
     @property
     def has_friction(self) -> bool:

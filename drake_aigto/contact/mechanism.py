@@ -8,20 +8,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Bools, Floats, Ints, read_only
-from drake_aigto.contact import ContactLaw, RigidLaw
-from drake_aigto.dynamics import EquationsOfMotion
-from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.kernels import kernel
-from drake_aigto.shooting.acceleration import (
+from drake_aigto.arrays import Floats, Ints, read_only
+from drake_aigto.contact.acceleration import (
     Row,
     accelerate,
     evaluate_tape,
     fit_to_steps,
     list_friction,
 )
-from drake_aigto.shooting.hold import hold
-from drake_aigto.shooting.tables import (
+from drake_aigto.contact.laws import ContactLaw, RigidLaw
+from drake_aigto.contact.tables import (
     COEFFICIENT,
     SOURCE,
     SPIN,
@@ -31,6 +27,9 @@ from drake_aigto.shooting.tables import (
     copy_writable,
     make_mechanics_memory,
 )
+from drake_aigto.dynamics import EquationsOfMotion
+from drake_aigto.errors import UnsupportedTermError
+from drake_aigto.kernels import kernel
 from drake_aigto.terms import Factor, FunctionKind, Term, expression_terms
 from drake_aigto.world import World
 
@@ -285,27 +284,10 @@ class Mechanism:
             control: u, shape (nu,).
             smoothing: ε [m].
         """
-        m, R = self.num_contacts, len(self.mechanics.frictions)
-        none = np.zeros(m + R, dtype=bool), np.zeros(m)
-        memory = self.press(state, control, *none, smoothing)
-        return memory.acceleration[0], memory.slopes.T
-
-    def press(
-        self, state: Floats, control: Floats, closed: Bools, leans: Floats, smoothing: float = 0.0
-    ) -> MechanicsMemory:
-        """Returns v̇ and forces of contacts that are held, with derivatives.
-
-        Args:
-            state: q and v, shape (2n,).
-            control: u, shape (nu,).
-            closed: which rows of contacts are held, see `hold`.
-            leans: how contacts slip, see `hold`.
-            smoothing: ε [m].
-        """
         memory = make_mechanics_memory(self.mechanics)
         x, u = np.array(state, dtype=float), np.array(control, dtype=float)
-        _press(self.mechanics, closed, leans, x, u, float(smoothing), memory)
-        return memory
+        _accelerate(self.mechanics, x, u, float(smoothing), memory)
+        return memory.acceleration[0], memory.slopes.T
 
     def calc_inertia(self, q: Floats) -> tuple[Floats, Floats]:
         """Returns M(q), shape (n, n), and h(q, 0), shape (n,)."""
@@ -396,15 +378,7 @@ def _contract(bends: Sequence[Sum], places: Sequence[Sequence[int]], n: int) -> 
 
 
 @kernel
-def _press(
-    mechanics: Mechanics,
-    closed: Bools,
-    leans: Floats,
-    x: Floats,
-    u: Floats,
-    eps: float,
-    memory: MechanicsMemory,
+def _accelerate(
+    mechanics: Mechanics, x: Floats, u: Floats, eps: float, memory: MechanicsMemory
 ) -> None:
     accelerate(mechanics, x, u, eps, True, memory)
-    if closed.any():
-        hold(closed, leans, x, True, mechanics, memory)

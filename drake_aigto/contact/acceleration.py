@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydrake.symbolic import Expression
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.contact import (
+from drake_aigto.contact.laws import (
     CompliantLaw,
     ContactLaw,
     calc_deeper,
@@ -18,8 +18,7 @@ from drake_aigto.contact import (
     calc_tangents,
     find_gap,
 )
-from drake_aigto.kernels import borrowing, kernel, pasted
-from drake_aigto.shooting.tables import (
+from drake_aigto.contact.tables import (
     BRAKE,
     COEFFICIENT,
     PACE,
@@ -30,6 +29,7 @@ from drake_aigto.shooting.tables import (
     Mechanics,
     MechanicsMemory,
 )
+from drake_aigto.kernels import borrowing, kernel, pasted
 from drake_aigto.world import World
 
 # Expressions of q, shape (n,).
