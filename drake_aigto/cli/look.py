@@ -81,7 +81,7 @@ def _list(options: argparse.Namespace) -> int:
 
 def add_completion(commands: Any) -> None:
     """Adds the command that prints what a shell completes."""
-    examples = "source <(drake-aigto completion)   # in ~/.bashrc; zsh: after bashcompinit\n"
+    examples = "drake-aigto completion >> ~/.bashrc   # zsh: ~/.zshrc, after bashcompinit\n"
     text = "print what makes bash complete commands, flags and scenarios"
     add_command(commands, "completion", _complete, text, examples)
 
