@@ -206,6 +206,8 @@ SMALL, TINY = -8.437660688527946e-86, -3.8056667485585995e-75
         ),
         # A root that is 0 at an end: its slope there has no value.
         (lambda x: x, (lambda x: sym.sqrt(sym.abs(sym.cos(x))), 0.5, 0.9), 0.0, 3.0, 0.63),
+        # A power above the number of operations.
+        (lambda x: x, (lambda x: sym.sqrt(0.5 + x**18), -np.inf, 2.5), -16.0, 1.1, -1.0),
     ],
 )
 def test_edges_of_numbers_and_of_domains_bring_no_false_claim(

@@ -16,15 +16,17 @@ PENDULUM = Scenario.named("pendulum/off_the_wall")
 
 
 @pytest.mark.parametrize(
-    "name", ["cart_pole/soft_06", pytest.param("cart_pole/rigid_06", marks=pytest.mark.slow)]
+    ("name", "share"),
+    [("cart_pole/soft_06", 0.95), pytest.param("cart_pole/rigid_10", 1.0, marks=pytest.mark.slow)],
 )
-def test_a_motion_that_is_known_is_led_on(name: str) -> None:
+def test_a_motion_that_is_known_is_led_on(name: str, share: float) -> None:
+    """One start alone finds less."""
     scenario = Scenario.named(name)
     known = plan(scenario, PlanOptions(renewals=8, confirm=False))
     found = plan(scenario, PlanOptions(**FEW), initial_guess=known.trajectory)
     assert str(found.best.origin) == "the given guess"
     assert found.cost < known.cost * (1 + 1e-3)
-    assert found.cost < 0.95 * plan(scenario, PlanOptions(**FEW)).cost
+    assert found.cost < share * plan(scenario, PlanOptions(**FEW)).cost
 
 
 def test_the_touches_of_a_guess_are_a_candidate_of_balls() -> None:

@@ -75,7 +75,8 @@ def _read_sums(joint: JointTape) -> dict[int, _Sum]:
     for k, operation in enumerate(operations.tolist()):
         if operation not in _LEAVES:
             uses[first[k]] += 1
-            uses[last[k]] += operation == Operation.ADD or operation in _OF_TWO
+            if operation == Operation.ADD or operation in _OF_TWO:
+                uses[last[k]] += 1
     sums: dict[int, _Sum] = {}
     for k, operation in enumerate(operations.tolist()):
         if operation not in _SUMS:

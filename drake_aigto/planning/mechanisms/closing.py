@@ -81,8 +81,9 @@ _FROM_AFAR = tuple(Smoothing(each, 15, 1e-2) for each in (1.0, 0.3, 0.1, 0.03, 0
 _EXACT, _MOST_SUBSTEPS = 1e-3, 64
 # A motion that halved steps change by less is steady: its controls reproduce it closely.
 _STEADY = 0.1
-# In space steps are short enough if the exact law costs this many times more than them at most.
-_AGREES = 1.01
+# In space steps are short enough if the exact law costs this many times more than them at most:
+# plans promise their costs to 1e-3.
+_AGREES = 1.0005
 # Times the cost of a motion that another one costs at most, which is as good.
 _HARDLY = 1.05
 # A motion that violates its bounds by more (relative to the scales) won't become a plan.
