@@ -290,7 +290,7 @@ def test_an_interruption_keeps_the_bound_so_far() -> None:
         ({"seconds": 0.0}, "seconds: got 0.0, expected a number above 0"),
         ({"seconds": math.nan}, "seconds: got nan, expected a number above 0"),
         ({"cells": 0}, "cells: got 0, expected a number above 0"),
-        ({"point": np.zeros(3)}, "point: got [0.0, 0.0, 0.0], expected shape (1,), no NaN"),
+        ({"point": [0, 0, 0]}, "point: got [0.0, 0.0, 0.0], expected shape (1,), no NaN"),
         ({"point": np.array([math.nan])}, "point: got [nan], expected shape (1,), no NaN"),
         ({"prover": "gurobi"}, "prover: got 'gurobi', expected one of own, scip"),
     ],

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.arrays import Floats
@@ -104,7 +105,7 @@ def relative_gap(cost: float, bound: float, scale: float) -> float:
 
 def certify(
     prog: MathematicalProgram,
-    point: Floats | None = None,
+    point: ArrayLike | None = None,
     *,
     gap: float = 1e-6,
     cells: int = 1_000_000,
@@ -132,19 +133,20 @@ def certify(
             that is unknown or not installed.
         UnsupportedTermError: a function without an enclosure, or an integer variable, by name.
     """
-    if prover not in (known := get_args(Prover)):
-        raise OptionsError("prover", got=repr(prover), expected=f"one of {', '.join(known)}")
+    if prover not in (provers := get_args(Prover)):
+        raise OptionsError("prover", got=repr(prover), expected=f"one of {', '.join(provers)}")
     for name, limit in (("gap", gap), ("cells", cells), ("seconds", seconds)):
         if limit is not None and not limit > 0:
             raise OptionsError(name, got=limit, expected="a number above 0")
-    if point is not None and (point.shape != (prog.num_vars(),) or np.any(np.isnan(point))):
+    known = None if point is None else np.asarray(point, dtype=float)
+    if known is not None and (known.shape != (prog.num_vars(),) or np.any(np.isnan(known))):
         expected = f"shape ({prog.num_vars()},), no NaN"
-        raise OptionsError("point", got=repr(point.tolist()), expected=expected)
+        raise OptionsError("point", got=repr(known.tolist()), expected=expected)
     if prover == "scip":
         return _certify_with_scip(prog, gap, seconds)
     certifier = Certifier(prog, gap=gap, seconds=seconds, progress=progress)
-    if point is not None:
-        certifier.offer(point)
+    if known is not None:
+        certifier.offer(known)
     try:
         return certifier.run(cells)
     except KeyboardInterrupt:
