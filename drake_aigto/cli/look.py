@@ -153,11 +153,8 @@ def _joints(world: World) -> Iterator[tuple[str, ...]]:
     """Yields a row for each coordinate."""
     plant, (lower, upper) = world.plant, world.limits.position
     for joint in map(plant.get_joint, plant.GetJointIndices()):
-        q, v, damping = (
-            joint.position_start(),
-            joint.velocity_start(),
-            joint.default_damping_vector(),
-        )
+        q, v = joint.position_start(), joint.velocity_start()
+        damping = joint.default_damping_vector()
         is_vector = joint.num_positions() == joint.num_velocities()  # Else it has no limits.
         for k in range(joint.num_velocities()):
             ends = (lower[q + k], upper[q + k]) if is_vector else (-np.inf, np.inf)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact.touching import TouchRoom, TouchTable, make_touch_room
 from drake_aigto.dynamics import Tree, TreeMemory, make_tree_memory
+from drake_aigto.kernels import chosen
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 # In `FrictionTerm.numbers` and `Mechanics.frictions`.
 # Radius and spins are those of `CompliantLaw`, n of them.
@@ -77,6 +81,22 @@ class TreeMechanicsMemory(NamedTuple):
     by_delta: Floats  # derivatives of D⁻¹ v, shape (9,)
     by_turn: Floats  # the same, shape (9,)
     errors: Floats  # of links that turn, derivatives of errors by δ, by rows, shape (L, 9)
+
+
+def of_tree(other: Callable[..., Any]) -> Callable[[_Function], _Function]:
+    """Returns a decorator: compiled code calls the other function where the tables are a tree's.
+
+    Both have the same parameters, of which the first one is the tables.
+    """
+
+    def register(function: _Function) -> _Function:
+        def choose(mechanics: Any, *_: Any) -> Callable[..., Any]:
+            is_tree = getattr(mechanics, "instance_class", None) is TreeMechanics
+            return other if is_tree else function
+
+        return chosen(choose)(function)
+
+    return register
 
 
 def copy_writable(table: Any) -> Any:

@@ -11,13 +11,14 @@ from drake_aigto.contact import (
     find_foremost,
     find_row,
     find_slope,
+    of_tree,
     run_tape,
     triangle,
 )
 from drake_aigto.kernels import borrowing, inner
 from drake_aigto.shooting.flow import clear
 from drake_aigto.shooting.hold import measure_modes
-from drake_aigto.shooting.stages import of_tree, read_coordinate
+from drake_aigto.shooting.stages import read_coordinate
 from drake_aigto.shooting.tables import (
     FLOW,
     Added,

@@ -21,11 +21,11 @@ from drake_aigto.contact import (
     find_friction,
     find_row,
     find_slope,
+    of_tree,
     run_tape,
 )
 from drake_aigto.kernels import borrowing, kernel
 from drake_aigto.linear import factor_in_place, solve_factors
-from drake_aigto.shooting.stages import of_tree
 from drake_aigto.shooting.tables import FLOW, Memory, Program
 
 # Pivots of C M⁻¹ Dᵀ are at least this part of its diagonal: contacts may be redundant.

@@ -7,12 +7,8 @@ n positions and as many velocities.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar
-
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import Mechanics, MechanicsMemory, TreeMechanics, accelerate
-from drake_aigto.kernels import chosen
+from drake_aigto.contact import Mechanics, MechanicsMemory, accelerate, of_tree
 from drake_aigto.shooting.tree_stages import (
     accelerate_tree,
     align_tree,
@@ -26,25 +22,6 @@ from drake_aigto.shooting.tree_stages import (
     turn_end_of_tree,
     turn_rows_of_tree,
 )
-
-_Function = TypeVar("_Function", bound=Callable[..., Any])
-
-
-def of_tree(other: Callable[..., Any]) -> Callable[[_Function], _Function]:
-    """Returns a decorator: compiled code calls the other function where the tables are a tree's.
-
-    Both have the same parameters, of which the first one is the tables.
-    """
-
-    def register(function: _Function) -> _Function:
-        def choose(mechanics: Any, *_: Any) -> Callable[..., Any]:
-            return (
-                other if getattr(mechanics, "instance_class", None) is TreeMechanics else function
-            )
-
-        return chosen(choose)(function)
-
-    return register
 
 
 @of_tree(accelerate_tree)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,10 +18,11 @@ from drake_aigto.contact import (
     calc_time_to_wall,
     make_mechanics_memory,
     make_mechanism,
+    of_tree,
 )
 from drake_aigto.dynamics import turn_positions
 from drake_aigto.errors import TrajectoryError
-from drake_aigto.kernels import borrow, chosen, kernel
+from drake_aigto.kernels import borrow, kernel
 from drake_aigto.simulation.recording import Controller, Impact, Recording, sample_rates
 from drake_aigto.world import SpaceWorld, World
 
@@ -241,13 +241,13 @@ def read_touches(
     """
     outside, found, beside = distances > 0, list[Impact](), list[tuple[float, Floats]]()
 
-    def calc_rate(q: Floats, v: Floats) -> float:
+    def calc_rate(contact: int, q: Floats, v: Floats) -> float:
         return float(world.calc_contact_rate(q, v)[contact])
 
     for k, contact in np.argwhere(outside[:-1] & ~outside[1:]).tolist():
         step, (q, v), later = times[k + 1] - times[k], *map(world.split, states[k : k + 2])
-        acceleration, rate = (later[1] - v) / step, calc_rate(q, v)
-        bend = (calc_rate(*later) - rate) / step
+        acceleration, rate = (later[1] - v) / step, calc_rate(contact, q, v)
+        bend = (calc_rate(contact, *later) - rate) / step
         t = min(calc_time_to_wall(float(distances[k, contact]), rate, bend), step)
         q, v = world.add(q, t * (v + t / 2 * acceleration)), v + t * acceleration
         leaves = np.flatnonzero(outside[k + 1 :, contact])
@@ -255,9 +255,9 @@ def read_touches(
         before, after = (
             float(world.calc_kinetic_energy(*each)) for each in ((q, v), world.split(states[last]))
         )
-        free, rate = world.calc_acceleration(q, v, controls[k]), calc_rate(q, v)
+        free, rate = world.calc_acceleration(q, v, controls[k]), calc_rate(contact, q, v)
         ahead = world.add(q, _DIFFERENCE * v), v + _DIFFERENCE * free
-        push, time = (calc_rate(*ahead) - rate) / _DIFFERENCE, float(times[k] + t)
+        push, time = (calc_rate(contact, *ahead) - rate) / _DIFFERENCE, float(times[k] + t)
         found.append(Impact(time, contact, -rate, push, before, after))
         beside += [(time, np.concatenate([q, v])), (float(times[last]), states[last])]
     found.sort(key=lambda impact: (impact.time, impact.contact))
@@ -286,12 +286,7 @@ def _find_rates_of_bodies(
         rates[nq + i] = memory.acceleration[0, i]
 
 
-def _choose(mechanics: Any, *_: Any) -> Callable[..., Any]:
-    is_tree = getattr(mechanics, "instance_class", None) is TreeMechanics
-    return _find_rates_of_bodies if is_tree else _find_rates
-
-
-@chosen(_choose)
+@of_tree(_find_rates_of_bodies)
 def _find_rates(
     mechanics: Mechanics, x: Floats, u: Floats, rates: Floats, memory: MechanicsMemory
 ) -> None:

@@ -1,4 +1,4 @@
-"""From a model's file to a diagram: parsed by Drake, with what Drake leaves out put in."""
+"""From a model's file to a diagram, parsed by Drake, with what Drake leaves out; or one's own."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import logging
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
@@ -33,11 +34,17 @@ from pydrake.systems.primitives import SymbolicVectorSystem
 from drake_aigto.arrays import Floats, read_only
 from drake_aigto.dynamics import STICTION_SPEED, smooth_sign
 from drake_aigto.errors import ModelError
-from drake_aigto.world.diagram import check_plant, refuse_loop
+from drake_aigto.world.diagram import (
+    check_friction_acts,
+    check_plant,
+    copy_diagram,
+    find_plant,
+    refuse_loop,
+)
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
 from drake_aigto.world.model_facts import MESHES, FixableError, ModelFacts, pick
-from drake_aigto.world.model_fields import ModelFields
+from drake_aigto.world.model_fields import Limited, ModelFields
 from drake_aigto.world.model_shapes import (
     add_ends,
     choose_ends,
@@ -351,3 +358,27 @@ def hear_drake() -> Iterator[list[str]]:
         yield heard
     finally:
         logger.removeFilter(hear)
+
+
+def open_diagram(
+    diagram: Diagram,
+    limits: Limited,
+    material: Mapping[str, Any],
+    dry_friction: Floats | None,
+    in_space: bool = False,
+) -> tuple[ModelFields, Diagram, MultibodyPlant, SceneGraph]:
+    """Returns how a diagram is read, it or a copy with other materials, its plant and scene graph.
+
+    Raises:
+        ModelError: the plant is not one that is planned for (`check_plant`), or no system of the
+            diagram makes friction act.
+    """
+    given: Any = material
+    fields = ModelFields(limits=limits, material=given)
+    diagram = copy_diagram(diagram) if fields.material else diagram
+    plant, scene_graph = find_plant(diagram)
+    set_materials(plant, scene_graph, fields.material)
+    check_plant(plant, in_space)
+    if dry_friction is not None:
+        check_friction_acts(plant, diagram)
+    return fields, diagram, plant, scene_graph

@@ -8,7 +8,7 @@ face.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -145,6 +145,40 @@ def find_reach(
             found.append(ReachableFace(face, places[i][:2], contact, reach))
         solid += bool(chosen)
     return tuple(found), tuple(stuck)
+
+
+def leave_out_far(
+    reachable: Sequence[ReachableFace],
+    solids: Sequence[Sequence[int]],
+    least: Floats,
+    lateral: Floats,
+) -> tuple[tuple[ReachableFace, ...], dict[str, float]]:
+    """Returns the faces that joints within their limits reach, and how far off other pairs stay.
+
+    Of a box before one face of which a sphere always stays, the other faces are left out.
+
+    Args:
+        reachable: all faces, m of them.
+        solids: which of them are of one shape.
+        least: the least φ of each within the limits, shape (m,) [m].
+        lateral: how far along each edge the sphere's center gets, shape (m, 2) [m].
+    """
+    far: dict[str, float] = {}
+    for faces in solids:
+        if (distance := max(least[i] for i in faces)) > 0:
+            far |= {reachable[i].face.pair: distance for i in faces}
+    halves = np.array([each.face.half_extents for each in reachable]).reshape(-1, 2)
+    radii = np.array([each.face.radius for each in reachable])
+    inside = np.all(lateral <= halves, axis=1) & (least > -radii)
+    near = []
+    for faces in solids:
+        first = next((i for i in faces if inside[i]), None)
+        for each in (reachable[i] for i in (faces if first is None else (first,))):
+            name = each.contact.name if first is None else each.face.pair
+            contact = replace(each.contact, name=name)
+            if each.face.pair not in far:
+                near.append(each._replace(contact=contact))
+    return tuple(near), far
 
 
 def find_sphere_body(plant: MultibodyPlant, reachable: Sequence[ReachableFace]) -> RigidBody:

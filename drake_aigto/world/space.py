@@ -31,6 +31,7 @@ from drake_aigto.world.diagram import find_plant
 from drake_aigto.world.limits import Limits, check_sizes
 from drake_aigto.world.material import SpringMaterial, combine_springs
 from drake_aigto.world.model_fields import Limited, as_globs
+from drake_aigto.world.model_reader import open_diagram
 from drake_aigto.world.model_shapes import choose_pairs
 from drake_aigto.world.pair_errors import explain_no_contact, name_pair
 from drake_aigto.world.scenario import Scenario
@@ -43,7 +44,7 @@ from drake_aigto.world.space_pairs import (
     read_shapes,
 )
 from drake_aigto.world.task_cost import TaskCost
-from drake_aigto.world.world import World, open_diagram
+from drake_aigto.world.world import World
 
 # Bodies that are deeper in each other than this part of the smaller one overlap at the start.
 _OVERLAP = 0.1

@@ -22,9 +22,6 @@ from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.answers import find_errors, gather
 from drake_aigto.world.clearance import check_clearance, find_least_distances
 from drake_aigto.world.diagram import (
-    check_friction_acts,
-    check_plant,
-    copy_diagram,
     exclude_shapes,
     find_hinges,
     find_plant,
@@ -37,12 +34,11 @@ from drake_aigto.world.limits import Limits, check_sizes
 from drake_aigto.world.material import SpringMaterial, read_materials, read_springs, read_stiffness
 from drake_aigto.world.model_facts import FixableError
 from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
-from drake_aigto.world.model_reader import read_model
+from drake_aigto.world.model_reader import open_diagram, read_model
 from drake_aigto.world.model_shapes import (
     choose_pairs,
     name_shapes,
     pick_shapes,
-    set_materials,
 )
 from drake_aigto.world.pair_errors import check_work, explain_no_contact
 from drake_aigto.world.pairs import (
@@ -50,6 +46,7 @@ from drake_aigto.world.pairs import (
     SphereAndFace,
     find_reach,
     find_sphere_body,
+    leave_out_far,
     order_pair,
     refuse_beside,
     refuse_inside,
@@ -510,29 +507,17 @@ class World(EquationsOfMotion):
         Of a box before one face of which a sphere always stays, the other faces are left out. All
         of that is known where the model's joints have limits.
         """
-        least, _ = self._signed_distance_map.calc_range(*self.limits.position)
-        far: dict[str, float] = {}
-        for faces in self.solids:
-            if (distance := max(least[i] for i in faces)) > 0:
-                far |= {self._reachable[i].face.pair: distance for i in faces}
-        lateral = np.abs(self._lateral_map.calc_range(*self.limits.position)).max(axis=0)
-        radii = np.array([each.face.radius for each in self._reachable])
-        inside = np.all(lateral.reshape(-1, 2) <= self._half_extents, axis=1) & (least > -radii)
-        near = []
-        for faces in self.solids:
-            first = next((i for i in faces if inside[i]), None)
-            for each in (self._reachable[i] for i in (faces if first is None else (first,))):
-                name = each.contact.name if first is None else each.face.pair
-                contact = dataclasses.replace(each.contact, name=name)
-                if each.face.pair not in far:
-                    near.append(each._replace(contact=contact))
+        limits = self.limits.position
+        least, _ = self._signed_distance_map.calc_range(*limits)
+        lateral = np.abs(self._lateral_map.calc_range(*limits)).max(axis=0).reshape(-1, 2)
+        near, far = leave_out_far(self._reachable, self.solids, least, lateral)
         notes = [f"{pair} can't touch: they stay {gap:.3g} m apart" for pair, gap in far.items()]
         why = explain_no_contact(self.scene_graph, bool(self.ignored_shapes))
         if not self._reachable and why:
             notes.append(why)
         contacts = tuple(each.contact for each in near)
         return dataclasses.replace(
-            self, _reachable=tuple(near), contacts=contacts, notes=(*self.notes, *notes)
+            self, _reachable=near, contacts=contacts, notes=(*self.notes, *notes)
         )
 
     def _check_place(self, name: str, q: Floats, scenario: Scenario) -> None:
@@ -560,27 +545,3 @@ class World(EquationsOfMotion):
     @cached_property
     def _half_extents(self) -> Floats:
         return np.array([each.face.half_extents for each in self._reachable]).reshape(-1, 2)
-
-
-def open_diagram(
-    diagram: Diagram,
-    limits: Limited,
-    material: Mapping[str, Any],
-    dry_friction: Floats | None,
-    in_space: bool = False,
-) -> tuple[ModelFields, Diagram, MultibodyPlant, SceneGraph]:
-    """Returns how a diagram is read, it or a copy with other materials, its plant and scene graph.
-
-    Raises:
-        ModelError: the plant is not one that is planned for (`check_plant`), or no system of the
-            diagram makes friction act.
-    """
-    given: Any = material
-    fields = ModelFields(limits=limits, material=given)
-    diagram = copy_diagram(diagram) if fields.material else diagram
-    plant, scene_graph = find_plant(diagram)
-    set_materials(plant, scene_graph, fields.material)
-    check_plant(plant, in_space)
-    if dry_friction is not None:
-        check_friction_acts(plant, diagram)
-    return fields, diagram, plant, scene_graph

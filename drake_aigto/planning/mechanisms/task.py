@@ -88,9 +88,10 @@ from drake_aigto.world import Scales, Scenario, SpaceWorld, TaskCost, World
 _PRICE, _MUCH = 10.0, 1e-2
 # Horizons of more periods than this are searched at half their length first.
 _LONG = 4.0
-# Costs fall by up to a factor as steps become shorter, and their order changes: so many times more
-# finalists are polished. Without friction; with it; and in space, where motions are ranked after
-# few iterations, and the first pass of a polish leaves those that are above the best times `_LEFT`.
+# The factor by which costs fall at most as steps become shorter, which changes their order, and how
+# many times as many finalists are polished for that: without friction; with it; and in space, where
+# motions are ranked after few iterations, and a polish leaves those that cost more than the best
+# times `_LEFT` after its first pass.
 _PLAIN, _SLIDING, _IN_SPACE = (1.0, 1), (1.2, 2), (2.0, 4)
 _LEFT = 1.2
 # Motions that promise to cost more than this times the worst kept one are left unfinished. In 3,072
