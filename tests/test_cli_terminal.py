@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import hashlib
 import io
 import logging
 import os
@@ -350,19 +351,72 @@ def test_a_terminal_is_told_at_once_what_it_waits_for(
     assert stream.shown()[0] == "loading Drake …"
 
 
-def test_ctrl_c_is_answered_and_the_next_one_is_heard_as_usual(
+POLISHING = "drake-aigto: stopping: polishing the best so far; again to drop it\n"
+KEEPING = "drake-aigto: stopping: showing what happened so far; again to drop it\n"
+
+
+def test_ctrl_c_is_answered_once_and_the_next_one_is_heard_as_usual(
     monkeypatch: pytest.MonkeyPatch, plan_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def plan(planner: Planner, progress: Callable[[str], None] | None = None) -> Plan:
-        with contextlib.suppress(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        for _ in range(2):
+            with contextlib.suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
         return dataclasses.replace(Plan.load(plan_file), is_interrupted=True)
 
     monkeypatch.setattr(Planner, "plan", plan)
     assert main(FLIGHT) == INTERRUPTED
-    assert "stopping with the best so far; Ctrl-C again skips" in capsys.readouterr().err
+    assert capsys.readouterr().err == POLISHING
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.set_wakeup_fd(-1) == -1
+
+
+def test_ctrl_c_is_answered_while_compiled_code_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python's handler waits until that returns."""
+    seen, is_busy = list[bool](), threading.Event()
+
+    class Watched(io.StringIO):
+        def write(self, text: str) -> int:
+            seen.append(is_busy.is_set())
+            return super().write(text)
+
+    def plan(*_: object, **__: object) -> NoReturn:
+        is_busy.set()
+        threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
+        try:
+            hashlib.pbkdf2_hmac("sha256", b"", b"", 1_000_000)  # Half a second.
+        finally:
+            is_busy.clear()
+        raise AssertionError("Ctrl-C was not heard")
+
+    stream = Watched()
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr(Planner, "plan", plan)
+    assert main(FLIGHT) == INTERRUPTED
+    assert stream.getvalue() == f"{POLISHING}drake-aigto: interrupted\n" and seen[0]
+
+
+@pytest.mark.parametrize(
+    ("words", "called", "answer"),
+    [
+        (["table1"], "drake_aigto.cli.plan.run_table1", KEEPING),
+        (["plan-many", "table1/1"], "drake_aigto.jobs.plan_many", "drake-aigto: stopping: plans"),
+        (["control", "table1/1"], "drake_aigto.cli.play.run_in_loop", KEEPING),
+        (["control", "table1/1"], "drake_aigto.cli.play._make_controller", POLISHING),
+        (["live", "table1/1"], "drake_aigto.show.Live.run", "drake-aigto: stopping: the scene is"),
+    ],
+)
+def test_every_long_command_answers_ctrl_c(
+    words: list[str],
+    called: str,
+    answer: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(called, lambda *_, **__: signal.raise_signal(signal.SIGINT))
+    assert main(words) == INTERRUPTED
+    shown = capsys.readouterr().err
+    assert shown.startswith(answer) and shown.endswith("drake-aigto: interrupted\n")
 
 
 def test_verdicts_have_colors_on_a_terminal_alone(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from meshcat_pages import objects, position
 from space_models import make_scenario
 
-from drake_aigto import Plan, Scenario
+from drake_aigto import Plan, PlanOptions, Scenario
 from drake_aigto.errors import OptionsError
 from drake_aigto.show import ROOT, Live
 
@@ -56,6 +57,51 @@ def test_the_plan_follows_from_bounce_to_brake(live: Live) -> None:
     assert BALL in objects(live.meshcat)
 
 
+def test_a_plan_near_the_last_comes_first_and_the_whole_search_once_sliders_rest(
+    live: Live,
+) -> None:
+    first = drag(live, GOAL, 0.62)
+    assert live.is_searching and first.options is not None
+    live.look()
+    assert live.labels[-1] == "searching: a better plan may follow"
+    wait_for(live, lambda: not live.is_searching)
+    live.look()
+    best = live.plan
+    assert best is not None and best is not first and best.options != first.options
+    assert best.scenario.goal_position == first.scenario.goal_position
+    assert best.cost <= 1.001 * first.cost
+    assert not any("searching" in label for label in live.labels)
+
+
+def test_another_question_ends_the_search_for_the_one_before() -> None:
+    live = Live(Scenario.named("room/two_walls"))
+    live.open()
+    wait_for(live, lambda: live.plan is not None)
+    weight = "control weight × 10^"
+    drag(live, weight, 0.3)
+    wait_for(live, lambda: live.is_searching)
+    asked, seen = drag(live, weight, 0.0).scenario.control_weight, set[float]()
+
+    def is_over() -> bool:
+        assert live.plan is not None
+        seen.add(live.plan.scenario.control_weight)
+        return not live.is_searching
+
+    wait_for(live, is_over)
+    live.stop()
+    assert seen == {asked} and asked == pytest.approx(live.planner.scenario.control_weight)
+
+
+def test_a_mechanism_s_first_plan_is_of_few_starts_beside_the_last_motion() -> None:
+    live = Live(dataclasses.replace(Scenario.named("table1/1"), control_upper=[2.0]))
+    live.open()
+    wait_for(live, lambda: live.plan is not None)
+    first = drag(live, GOAL, 0.7)
+    live.stop()
+    assert isinstance(first.options, PlanOptions)
+    assert (first.options.starts, first.options.renewals, first.stats.searches < 20) == (1, 0, True)
+
+
 def test_a_goal_inside_a_wall_is_told_and_the_plan_stands(live: Live) -> None:
     before = drag(live, GOAL, 0.7)
     live.meshcat.SetSliderValue(GOAL, -0.07)
@@ -89,6 +135,8 @@ def test_a_wall_is_drawn_where_the_plan_has_it(live: Live) -> None:
     moved = position(live.meshcat, drawn) - before
     np.testing.assert_allclose(moved, [live.meshcat.GetSliderValue(WALL), 0, 0], atol=1e-12)
     assert near.find_world(live.planner.world).calc_signed_distance(np.array([0.2]))[0] < 0.01
+    wait_for(live, lambda: not live.is_searching)
+    assert live.plan is not None and live.plan.replayed().holds  # Drake's wall stands there, too.
     assert drag(live, WALL, 0.0).cost != near.cost
 
 

@@ -29,7 +29,7 @@ from drake_aigto.cli.flags import (
     read_scenario,
     read_workers,
 )
-from drake_aigto.cli.progress import hear_ctrl_c, paint, show_progress
+from drake_aigto.cli.progress import KEEPING, hear_ctrl_c, paint, show_progress
 from drake_aigto.errors import OptionsError
 from drake_aigto.output import check_writable, write_text
 from drake_aigto.paper import ROWS, LiteralOptions, plan_literal, run_table1
@@ -68,6 +68,7 @@ Plans are written as they come: --into plans has plans/table1/1.json for `play` 
 plans/answers.jsonl about all. A question without a plan, or whose process dies, does not keep the
 others from theirs. Exit status: 0 all plans hold, 1 some do not, 2 bad input, 130 interrupted.
 """
+_ENDED = "plans that are done are kept, others dropped"
 _TABLE_EXAMPLES = """\
 drake-aigto table1                            # all four rows
 drake-aigto table1 --rows 4 --guesses 2       # a first impression
@@ -193,7 +194,7 @@ def _plan_many(options: argparse.Namespace) -> int:
     where = {"workers": options.workers, "scheduler": options.scheduler}
     width, status = max(map(len, questions)), FINE
     try:
-        with show_progress(options, "checking the questions") as progress:
+        with show_progress(options, "checking the questions") as progress, hear_ctrl_c(_ENDED):
             kept = {"folder": options.into, "resume": options.resume}
             for answer in plan_many(questions, **where, **kept, progress=progress):
                 text = f"failed  {' '.join((answer.error or '').split())}"
@@ -245,7 +246,7 @@ def add_table1(commands: Any) -> None:
 def _table1(options: argparse.Namespace) -> int:
     check_writable(options.json)
     check_writable(options.html)
-    with show_progress(options, "working on the first cells") as progress:
+    with show_progress(options, "working on the first cells") as progress, hear_ctrl_c(KEEPING):
         table = run_table1(
             rows=options.rows,
             num_guesses=options.guesses,

@@ -26,7 +26,7 @@ from drake_aigto.cli.flags import (
     read_fields,
     seconds,
 )
-from drake_aigto.cli.progress import paint, show_progress
+from drake_aigto.cli.progress import KEEPING, hear_ctrl_c, paint, show_progress
 from drake_aigto.control import (
     ClosedLoopRun,
     Disturbance,
@@ -179,7 +179,9 @@ def add_live(commands: Any) -> None:
 
 def _live(options: argparse.Namespace) -> int:
     tell = partial(print, flush=True)
-    show.Live(load_scenario(options), tell, options.port).run()
+    live = show.Live(load_scenario(options), tell, options.port)
+    with hear_ctrl_c("the scene is closed"):
+        live.run()
     return FINE
 
 
@@ -252,11 +254,13 @@ def _control(options: argparse.Namespace) -> int:
         meshcat = show.open_meshcat(options.port)
         print(f"Meshcat shows it at {meshcat.web_url()}", flush=True)
     with show_progress(options, "planning") as progress:
-        controller = _make_controller(options, planner)
+        with hear_ctrl_c():
+            controller = _make_controller(options, planner)
         duration = options.seconds or scenario.duration
         if options.seconds is None and isinstance(controller, TrackingController):
             duration = float(controller.plan.trajectory.times[-1])
-        run = run_in_loop(controller, scenario, world, disturbance, duration, meshcat, progress)
+        with hear_ctrl_c(KEEPING):
+            run = run_in_loop(controller, scenario, world, disturbance, duration, meshcat, progress)
     status = _answer_run(options, run, meshcat)
     if isinstance(controller, TrackingController) and controller.plan.is_interrupted:
         print(f"of the plan: {show.INTERRUPTED}", flush=True)

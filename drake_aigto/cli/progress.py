@@ -19,6 +19,9 @@ from drake_aigto.progress import Count, Notice
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+# Answers to Ctrl-C, after "stopping: ".
+POLISHING = "polishing the best so far; again to drop it"
+KEEPING = "showing what happened so far; again to drop it"
 _BAR_WIDTH = 20
 # ANSI colors: green, red, yellow.
 _COLORS = {
@@ -73,24 +76,33 @@ def show_progress(
 
 
 @contextmanager
-def hear_ctrl_c() -> Iterator[None]:
-    """Answers Ctrl-C at once, and has it end the search as usual; what was found is shown."""
+def hear_ctrl_c(text: str = POLISHING) -> Iterator[None]:
+    """Answers the first Ctrl-C at once; it ends what runs as usual, and so does the next one.
+
+    A thread answers: Python's own handler waits until compiled code returns.
+    """
     is_usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if not is_usual or threading.current_thread() is not threading.main_thread():
         yield
         return
+    ours, theirs = os.pipe()
+    os.set_blocking(theirs, False)
 
-    def hear(*_: object) -> None:
-        text = "stopping with the best so far; Ctrl-C again skips what is left"
-        print(f"drake-aigto: {text}", file=sys.stderr, flush=True)
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        raise KeyboardInterrupt
+    def answer() -> None:
+        while heard := os.read(ours, 1):
+            if heard[0] == signal.SIGINT:
+                print(f"drake-aigto: stopping: {text}", file=sys.stderr, flush=True)
+                return
 
-    signal.signal(signal.SIGINT, hear)
+    thread, before = threading.Thread(target=answer, daemon=True), signal.set_wakeup_fd(theirs)
+    thread.start()
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.set_wakeup_fd(before)
+        os.close(theirs)  # Which ends the thread.
+        thread.join()
+        os.close(ours)
 
 
 def paint(text: str) -> str:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import dataclasses
-import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from matplotlib.colors import to_rgb
@@ -20,6 +18,7 @@ from pydrake.multibody.tree import BodyIndex
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.errors import AigtoError, OptionsError
 from drake_aigto.planning import Candidate, Plan, Planner, PlanOptions
+from drake_aigto.show.background import BackgroundPlanner, LiveAnswer, LiveQuestion
 from drake_aigto.show.film import ROOT, look_at, open_meshcat
 from drake_aigto.show.motion import Motion, color_of, positions_at
 from drake_aigto.show.shapes import coordinate_names, find_goal, has_goal, moves_straight
@@ -27,7 +26,6 @@ from drake_aigto.show.stage import Stage
 from drake_aigto.show.text import cost_text, touch_names
 from drake_aigto.world import Scales, Scenario
 
-_PERIOD = 0.02  # from look to look at the sliders [s]
 _MOST_GHOSTS = 3  # candidates beside the best
 _PAUSE = 0.7  # that the end stands before the motion starts again [s]
 _KICKED = -0.5  # what a kick leaves of each velocity
@@ -40,6 +38,7 @@ _GHOST, _LINE = 0.25, 3.0  # how much ghosts cover; width of ways [px]
 _VIEW, _TILT = np.deg2rad(12.0), np.deg2rad(8.0)
 _ENDS = {"start": Rgba(0.3, 0.3, 0.3, 0.25), "goal": Rgba(0.0, 0.62, 0.35, 0.3)}
 _KICK, _AGAIN = "kick", "start again"
+_SEARCHING = "searching: a better plan may follow"
 _ASKED = ("initial_position", "initial_velocity", "goal_position")
 _WEIGHTS = ("control_weight", "goal_weight")
 
@@ -54,16 +53,6 @@ class _Slider(NamedTuple):
     high: float
 
 
-class _Planned(NamedTuple):
-    """A plan, or why there is none; asked when [s], and whether because of a kick."""
-
-    asked: float
-    is_kicked: bool
-    plan: Plan | AigtoError
-    planner: Planner
-    walls: Floats  # how much nearer each stands than in the model [m]
-
-
 class Live:
     """A scenario whose plan follows sliders in Meshcat.
 
@@ -72,8 +61,9 @@ class Live:
 
     The best candidate moves, solid; up to three others are ghosts, and labels name them all with
     their costs. Plans are made in a thread of their own: what stood stands until the next one is
-    there; where there is none, a label says why. The button "kick" is `kick`; "start again" goes
-    back to what the sliders say.
+    there; where there is none, a label says why. While sliders move, each plan is found near the
+    last one; once they rest, the whole search follows, as a label says. The button "kick" is
+    `kick`; "start again" goes back to what the sliders say.
 
     On a terminal, `run` plays until Ctrl-C; in a notebook, `start` plays in the background until
     `stop`, and the cell shows the scene.
@@ -85,8 +75,11 @@ class Live:
         plan: what is shown; None before the first plan.
         message: why there is no plan for what was asked last; "" if there is one.
         labels: of what is shown, the best candidate's first.
-        latency: from when the sliders asked for the plan until it was shown [s].
+        latency: from when the sliders asked until the first plan was shown [s].
+        PERIOD: from look to look at the sliders [s].
     """
+
+    PERIOD: ClassVar[float] = 0.02
 
     def __init__(
         self, scenario: Scenario, say: Callable[[str], None] | None = None, port: int | None = None
@@ -97,21 +90,29 @@ class Live:
             OptionsError: bodies of the scenario float.
         """
         self.planner = Planner(scenario, PlanOptions(confirm=False))
-        if self.planner.world.num_positions != self.planner.world.num_velocities:
+        world = self.planner.world
+        if world.num_positions != world.num_velocities:
             got, expected = "bodies that float", "coordinates that sliders can set"
             raise OptionsError("the scenario", got=got, expected=expected)
+        alone = [faces[0] for faces in world.solids if len(faces) == 1]
+        bodies = [world.plant.get_body(self._body_of(contact)) for contact in alone]
+        fixed = map(world.plant.IsAnchored, bodies)
+        # One contact of each: several balls may touch a wall.
+        walls = {world.shapes[c][1]: c for c, is_so in zip(alone, fixed, strict=True) if is_so}
+        self._walls = list(walls.values())
+        self._background = BackgroundPlanner(self.planner, self._walls)
         self.plan: Plan | None = None
         self.message, self.latency = "", np.nan
         self._say, self._port = say or (lambda text: None), port
-        self._questions: queue.Queue[tuple[float, bool, dict[str, Floats]]] = queue.Queue()
-        self._answers: queue.Queue[_Planned] = queue.Queue()
         self._ended, self._opened = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
-        self._is_waiting = self._is_behind = self._is_kicked = False
         self._clicks: dict[str, int] = {}
         self._began = time.monotonic()
         self._motions: list[Motion] = []
         self.labels: list[str] = []
+        self._shown: LiveQuestion | None = None
+        self._texts: list[str] = []  # About what is shown.
+        self._drawn: dict[str, Rgba] = {}  # By path.
 
     def run(self, seconds: float = np.inf) -> None:
         """Plays until Ctrl-C, `stop`, or for some time [s].
@@ -123,9 +124,9 @@ class Live:
         self._say(f"Sliders are in the controls at {self.url}; press Ctrl-C to stop.")
         end = time.monotonic() + seconds
         with contextlib.suppress(KeyboardInterrupt):
-            while not self._ended.wait(_PERIOD) and time.monotonic() < end:
+            while not self._ended.wait(self.PERIOD) and time.monotonic() < end:
                 self.look()
-        self._ended.set()
+        self.stop()
         del self.meshcat  # In its own thread.
 
     def start(self) -> Live:
@@ -139,7 +140,8 @@ class Live:
     def stop(self) -> None:
         """Ends it, and waits until nothing is shown any more."""
         self._ended.set()
-        if self._thread:
+        self._background.stop()
+        if self._thread and self._thread is not threading.current_thread():
             self._thread.join()
 
     def _repr_html_(self) -> str:
@@ -155,13 +157,8 @@ class Live:
         """
         self.meshcat = meshcat = open_meshcat(self._port)
         self.url = meshcat.web_url()
-        scenario, world = self.planner.scenario, self.planner.world
-        self._walls = [
-            faces[0]
-            for faces in world.solids
-            if len(faces) == 1
-            and world.plant.IsAnchored(world.plant.get_body(self._body_of(faces[0])))
-        ]
+        scenario = self.planner.scenario
+        self._weights = {name: getattr(scenario, name) for name in _WEIGHTS}
         self._first = {
             **{name: getattr(scenario, name) for name in _ASKED},
             **{name: np.zeros(1) for name in _WEIGHTS},
@@ -176,25 +173,30 @@ class Live:
         for path in ("/Background", "/Grid", "/Axes"):
             meshcat.SetProperty(path, "visible", False)
         self._set_stage()
-        self._question = self._slid = self._read()
-        threading.Thread(target=self._work, daemon=True).start()
-        self._ask()
+        self._slid = self._read()
+        self._ask(self._slid)
         self._opened.set()
         return meshcat
 
     def look(self) -> None:
         """Looks once at sliders, buttons and answers, and moves what moves."""
-        while not self._answers.empty():
-            self._show(self._answers.get())
+        while not self._background.answers.empty():
+            self._show(self._background.answers.get())
         asked = self._read()
         if self._is_clicked(_AGAIN) or any(np.any(asked[k] != self._slid[k]) for k in asked):
-            self._question, self._is_behind, self._is_kicked = asked, True, False
+            self._ask(asked)
         elif self._is_clicked(_KICK):
             self.kick()
         self._slid = asked
-        if self._is_behind and not self._is_waiting:
-            self._ask()
+        more = [f"no plan: {self.message}"] if self.message else []
+        more += [_SEARCHING] if self.is_searching else []
+        self._label([*self._texts, *more])
         self._move()
+
+    @property
+    def is_searching(self) -> bool:
+        """Whether a plan, or a better one, may follow without another question."""
+        return self._background.is_searching
 
     def kick(self) -> None:
         """Turns velocities round and halves them where the motion is now, and plans from there."""
@@ -203,8 +205,7 @@ class Live:
             rows = (motion.positions, motion.velocities)
             (q,), (v,) = (interpolate(now, motion.times, each) for each in rows)
             kicked = {"initial_position": q, "initial_velocity": _KICKED * v}
-            self._question = {**self._question, **kicked}
-            self._is_behind = self._is_kicked = True
+            self._ask({**self._slid, **kicked}, is_kicked=True)
 
     def _find_sliders(self) -> Iterator[_Slider]:
         """Yields a slider for each coordinate's start and velocity, and for goals that count."""
@@ -283,46 +284,23 @@ class Live:
         self._clicks[button] = self.meshcat.GetButtonClicks(button)
         return self._clicks[button] > before
 
-    def _ask(self) -> None:
-        self._is_waiting, self._is_behind = True, False
-        self._questions.put((time.monotonic(), self._is_kicked, self._question))
+    def _ask(self, read: dict[str, Floats], is_kicked: bool = False) -> None:
+        """Asks for a plan of what the sliders say."""
+        changed: dict[str, Any] = {name: read[name] for name in _ASKED}
+        for name in _WEIGHTS:
+            changed[name] = self._weights[name] * 10.0 ** read[name][0]
+        self._background.ask(changed, read["walls"], is_kicked)
 
-    def _work(self) -> None:
-        """Answers questions, until the process ends: a thread of its own."""
-        model, stood = self.planner, self._first["walls"]
-        planner = model
-        while not self._ended.is_set():
-            asked, is_kicked, question = self._questions.get()
-            walls, scenario = question["walls"], model.scenario
-            changed: dict[str, Any] = {name: question[name] for name in _ASKED}
-            for name in _WEIGHTS:
-                changed[name] = getattr(scenario, name) * 10.0 ** question[name][0]
-            answer: Plan | AigtoError
-            try:
-                if np.any(walls != stood):
-                    world = model.world
-                    for wall in np.flatnonzero(walls):
-                        world = world.with_wall_moved(self._walls[wall], walls[wall])
-                    moved = dataclasses.replace(scenario, **changed)
-                    planner = Planner(moved, model.options, world)
-                    stood = walls
-                answer = planner.plan(**changed)
-            except AigtoError as error:
-                answer = error
-            self._answers.put(_Planned(asked, is_kicked, answer, planner, walls))
-
-    def _show(self, answer: _Planned) -> None:
+    def _show(self, answer: LiveAnswer) -> None:
         """Shows an answer: a plan from its start, or a message beside what stands."""
-        self._is_waiting = False
         if isinstance(answer.plan, AigtoError):
             self.message = str(answer.plan)
-            self._label([*self._describe(), f"no plan: {self.message}"])
             self._say(f"no plan: {self.message}")
             return
         self.planner, plan = answer.planner, answer.plan
         world = self.planner.world
         self.plan, self.message = plan, ""
-        self._put_walls(answer.walls)
+        self._put_walls(answer.question.walls)
         shown = [plan.best, *self._rivals(plan)]
         self._motions = [Motion.from_trajectory(each.trajectory, world) for each in shown]
         ends = {
@@ -333,19 +311,21 @@ class Live:
             self._put(name, q, _ENDS[name])
         for number in range(1 + _MOST_GHOSTS):
             path = f"candidates/{number}"
-            if number >= len(self._motions):
-                self.meshcat.Delete(f"{ROOT}/{path}")
+            is_there = number < len(self._motions)
+            self.meshcat.SetProperty(f"{ROOT}/{path}", "visible", is_there)
+            if not is_there:
                 continue
             color = Rgba(*to_rgb(color_of(number)), _GHOST if number else 1.0)
             self._put(path, self._motions[number].positions[0], color)
             for k, way in enumerate(self._stage.trace(self._motions[number].positions)):
                 line = self._stage.X_WT.multiply(way.T)
                 self.meshcat.SetLine(f"{ROOT}/{path}/ways/{k}", line, _LINE, color)
-        self._label(self._describe())
-        now = time.monotonic()
-        if answer.is_kicked:  # Else it goes on from where it was: sliders are dragged.
-            self._began = now
-        self.latency = now - answer.asked
+        self._texts = self._describe(plan)
+        if answer.question is not self._shown:
+            self._shown, now = answer.question, time.monotonic()
+            self.latency = now - self._shown.asked
+            # Else it goes on from where it was: sliders are dragged.
+            self._began = now if self._shown.is_kicked else self._began
 
     def _rivals(self, plan: Plan) -> list[Candidate]:
         """Returns the best candidates that are feasible and touch something else."""
@@ -357,16 +337,14 @@ class Live:
                 seen.append(touches)
         return found[:_MOST_GHOSTS]
 
-    def _describe(self) -> list[str]:
+    def _describe(self, plan: Plan) -> list[str]:
         """Returns the cost and the touches of what is shown, and whether it reaches the goal."""
-        if self.plan is None:
-            return []
         names, texts = touch_names(self.planner.world), []
-        for number, each in enumerate((self.plan.best, *self._rivals(self.plan))):
+        for number, each in enumerate((plan.best, *self._rivals(plan))):
             touches = ", ".join(dict.fromkeys(names[c.index] for c in each.contacts))
             kind, cost = "ghost" if number else "plan", cost_text(each.cost, 2, each.scales.cost)
             texts.append(f"{kind}: cost {cost}, touches {touches or 'nothing'}")
-        return texts if self.plan.reached else [*texts, "the plan does not reach its goal"]
+        return texts if plan.reached else [*texts, "the plan does not reach its goal"]
 
     def _label(self, texts: list[str]) -> None:
         """Shows texts among the sliders, as buttons that do nothing."""
@@ -381,8 +359,10 @@ class Live:
         """Shows all that moves at q, in a color; solid links keep their own."""
         for actor in (actor for actor in self._stage.actors if actor.moves):
             own = color.a() == 1.0 and not moves_straight(self.planner.world)
-            place = f"{ROOT}/{path}/{actor.name}"
-            self.meshcat.SetObject(place, actor.shape, (own and actor.color) or color)
+            place, seen = f"{ROOT}/{path}/{actor.name}", (own and actor.color) or color
+            if self._drawn.get(place) != seen:
+                self.meshcat.SetObject(place, actor.shape, seen)
+                self._drawn[place] = seen
             self.meshcat.SetTransform(place, self._stage.pose(actor, q))
 
     def _now(self) -> float:
