@@ -199,7 +199,10 @@ class CliqueSearch:
     def step(self) -> Floats:
         """Bounds all cells, and returns a point of the lowest ones; see `drop`."""
         self._drop_by_slopes()
-        bins = self._bins()
+        best = np.repeat(self.best, np.diff(self._starts))
+        points = 0.5 * self._low + 0.5 * self._high
+        points = np.where((self._low <= best) & (best <= self._high), best, points)
+        bins = Bins(self._starts, self._low, self._high, points)
         with np.errstate(invalid="ignore"):
             self._pass_up(self._fill(bins), bins)
             if math.isfinite(self._total):
@@ -269,12 +272,6 @@ class CliqueSearch:
         kept = np.add.reduceat(keep, self._starts[:-1], dtype=np.int64)
         self._starts = np.concatenate([[0], np.cumsum(times * kept)])
         self._low, self._high = (np.repeat(ends[keep], times) for ends in (self._low, self._high))
-
-    def _bins(self) -> Bins:
-        best = np.repeat(self.best, np.diff(self._starts))
-        points = 0.5 * self._low + 0.5 * self._high
-        points = np.where((self._low <= best) & (best <= self._high), best, points)
-        return Bins(self._starts, self._low, self._high, points)
 
     def _fill(self, bins: Bins) -> list[Floats]:
         """Returns a table of bounds for each formula, an axis for each variable."""

@@ -94,7 +94,9 @@ class TreeMechanism:
             speed: of contacts [m/s], which those of a tree do not need.
         """
         tree = self.tree
-        mobility = np.diag(np.linalg.inv(tree.calc_mass_matrix(self._rest)))[tree.velocities]
+        q = np.zeros(self.num_positions)  # No link is turned.
+        q[tree.positions[tree.kinds == QUATERNION]] = 1.0
+        mobility = np.diag(np.linalg.inv(tree.calc_mass_matrix(q)))[tree.velocities]
         slow = np.maximum(tree.stiction, tree.friction * mobility * step)
         places = np.full(self.num_velocities, -1)
         for i, kind in enumerate(tree.kinds):
@@ -103,13 +105,6 @@ class TreeMechanism:
                 places[of_link] = tree.positions[i] + np.arange(len(of_link))
         fitted = tree._replace(stiction=slow, pace=np.full(len(slow), 1 / duration))
         return TreeMechanics(fitted, self.touch, 1 / duration, places, self.num_positions)
-
-    @property
-    def _rest(self) -> Floats:
-        """Positions with no turn, shape (nq,)."""
-        q = np.zeros(self.num_positions)
-        q[self.tree.positions[self.tree.kinds == QUATERNION]] = 1.0
-        return q
 
     def count_substeps(self, step: float, duration: float, speed: float) -> int:
         """Returns the number of Runge-Kutta steps in one of this length that resolves friction."""

@@ -93,7 +93,9 @@ class Jobs:
             call = self._under_way.pop(future)
             if future.cancelled():
                 raise BrokenExecutor("jobs that were dropped, as by a scheduler that is gone")
-            if not _has_died(future.exception()):
+            dask = sys.modules.get("distributed")  # Without it, nothing of it was raised.
+            died = BrokenExecutor if dask is None else (BrokenExecutor, dask.KilledWorker)
+            if not isinstance(future.exception(), died):
                 yield call.name, future
             elif call.is_alone:
                 yield call.name, _died(call.name)
@@ -120,14 +122,6 @@ def _run(version: str, function: Callable[..., Any], arguments: tuple[Any, ...])
             remedy="Install the same there.",
         )
     return function(*arguments)
-
-
-def _has_died(error: BaseException | None) -> bool:
-    """Returns whether it was the process that failed, not the job."""
-    dask = sys.modules.get("distributed")  # Without it, nothing of it was raised.
-    return isinstance(
-        error, BrokenExecutor if dask is None else (BrokenExecutor, dask.KilledWorker)
-    )
 
 
 def _died(name: object) -> Future[Any]:

@@ -288,15 +288,13 @@ class KktStructure:
         if orders and self._order is None:
             return orders
         kept = position if self._order is None else position[self._order]
-        return [*orders, self._by_stages(kept[kept >= 0], incidence)]
-
-    def _by_stages(self, order: Ints, incidence: Ints) -> Ints:
-        """Returns variables as given, each row in the middle of those that it reads."""
+        # Variables as given, each row in the middle of those that it reads.
+        order = kept[kept >= 0]
         first, last = np.full(self.size, self.size), np.zeros(self.size, dtype=np.int64)
         first[: order.size] = last[: order.size] = rank = np.argsort(order)
         np.minimum.at(first, incidence[0], rank[incidence[1]])
         np.maximum.at(last, incidence[0], rank[incidence[1]])
-        return np.argsort(np.argsort(first + last, kind="stable"))
+        return [*orders, np.argsort(np.argsort(first + last, kind="stable"))]
 
     def assemble(
         self, x: Floats, scales: Floats, multipliers: Floats, values: Floats | None = None

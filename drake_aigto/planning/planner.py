@@ -327,20 +327,15 @@ def _conclude(search: Search, scenario: Scenario) -> Plan:
     found = search.make_plan(scenario, _choose(search))
     options = search.task.options
     if isinstance(options, PlanOptions) and options.certify:
-        found = _bounded(found, search.task.world)
+        cost = found.replay.event_driven.cost
+        bound = bound_plans(search.task.world, found.scenario, cost)
+        if found.best.added_costs:
+            reason = "costs of your own may be of any sign"
+            bound = dataclasses.replace(bound, lower_bound=None, reason=reason)
+        found = dataclasses.replace(found, bound=bound)
     if not found.holds:
         raise _nothing_holds(found, search.task.sources)
     return found
-
-
-def _bounded(found: Plan, world: World) -> Plan:
-    """Returns a plan with a lower bound of the cost of any plan."""
-    cost = found.replay.event_driven.cost
-    bound = bound_plans(world, found.scenario, cost)
-    if found.best.added_costs:
-        reason = "costs of your own may be of any sign"
-        bound = dataclasses.replace(bound, lower_bound=None, reason=reason)
-    return dataclasses.replace(found, bound=bound)
 
 
 def _check_reach(world: World, scenario: Scenario) -> None:

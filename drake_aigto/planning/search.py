@@ -179,8 +179,10 @@ class Search(ABC):
     def so_far(self: _Self) -> _Self:
         """Returns the search as it stands, to be judged while this one goes on."""
         other = copy.copy(self)
-        state = {name: copy.copy(value) for name, value in vars(self).items() if _grows(value)}
-        vars(other).update(state, clock=Stopwatch())
+        for name, value in vars(self).items():
+            if isinstance(value, list | dict | set):  # A search changes it in place.
+                setattr(other, name, copy.copy(value))
+        other.clock = Stopwatch()
         other.clock.seconds.update(self.clock.seconds)
         return other
 
@@ -363,11 +365,6 @@ class Search(ABC):
     @abstractmethod
     def rank(self, candidate: Candidate) -> tuple[float, ...]:
         """Returns the sorting key of candidates, the best first."""
-
-
-def _grows(value: Any) -> bool:
-    """Returns whether a search may change this part of its state in place."""
-    return isinstance(value, list | dict | set)
 
 
 def scaled(factor: float, cost: float) -> float:

@@ -131,12 +131,6 @@ class StageLayout:
         modes[:, : phases.modes.shape[1]] = phases.modes[phase]
         return cls(np.array(kinds), held, modes, np.flatnonzero(is_flight), np.array(shares))
 
-    def calc_times(self, durations: Floats) -> Floats:
-        """Returns times of knots, shape (N + 1,) [s], given durations of phases, shape (P,)."""
-        of_phase = np.cumsum(self.kinds != FLOW) - 1
-        steps = (self.shares * durations[of_phase])[self.flights]
-        return np.concatenate([[0.0], np.cumsum(steps)])
-
     @property
     def starts(self) -> Ints:
         """Which stages start a phase, shape (P,); none without phases."""
@@ -282,4 +276,6 @@ class OptimalControlProblem:
         """Times of knots [s], shape (N + 1,), with the guessed durations of phases."""
         if self.phases is None:
             return self.times
-        return self.layout.calc_times(self.phases.durations)
+        of_phase = np.cumsum(self.layout.kinds != FLOW) - 1
+        steps = (self.layout.shares * self.phases.durations[of_phase])[self.layout.flights]
+        return np.concatenate([[0.0], np.cumsum(steps)])

@@ -185,7 +185,11 @@ def _expand(e: Expression, index: LocalIndex) -> Sum:
     if kind == ExpressionKind.Mul:
         return functools.reduce(multiply, (_expand(operand, index) for operand in operands(e)))
     if kind == ExpressionKind.Div:
-        return _expand_quotient(e, index)
+        dividend, divisor = operands(e)
+        if divisor.GetVariables():
+            raise NoClosedFormError(f"the divisor {divisor} is not constant")
+        number = divisor.Evaluate()
+        return {parts: a / number for parts, a in _expand(dividend, index).items()}
     if kind == ExpressionKind.Pow:
         return _expand_power(e, index)
     if kind in _WAVES:
@@ -196,14 +200,6 @@ def _expand(e: Expression, index: LocalIndex) -> Sum:
     if kind == ExpressionKind.Max:
         raise NoClosedFormError(f"{e} is not the square of a max(0, y)")
     raise NoClosedFormError(f"{e} has no closed-form mean")
-
-
-def _expand_quotient(e: Expression, index: LocalIndex) -> Sum:
-    dividend, divisor = operands(e)
-    if divisor.GetVariables():
-        raise NoClosedFormError(f"the divisor {divisor} is not constant")
-    number = divisor.Evaluate()
-    return {parts: a / number for parts, a in _expand(dividend, index).items()}
 
 
 def _expand_power(e: Expression, index: LocalIndex) -> Sum:

@@ -66,7 +66,15 @@ class _Reader:
         self._rng = np.random.default_rng(_SEED)
         self._held = self._draw(1)[0]
         self._total_degree = self._degree(slice(None))
-        self._neighbors = self._find_neighbors()
+        # Which variables (n, n) share a monomial: one changes the other's slope.
+        changed = self._held + np.diag(self._draw(1)[0])
+        slopes, *found = (
+            ExtractGradient(self._cost.Eval(InitializeAutoDiff(x)))[0]
+            for x in (self._held, *changed)
+        )
+        sizes = np.abs(found) + np.abs(slopes)
+        near: Bools = np.abs(found - slopes) > _PRESENT * sizes
+        self._neighbors = near | near.T
 
     def run(self) -> tuple[Term, ...]:
         """Returns the terms."""
@@ -109,17 +117,6 @@ class _Reader:
         points[::2] *= 10.0 ** self._rng.uniform(*_MAGNITUDES, size)
         points[count:] *= powers[self._rng.integers(len(powers), size=count)] > 0
         return points
-
-    def _find_neighbors(self) -> Bools:
-        """Returns which variables (n, n) share a monomial: one changes the other's slope."""
-        changed = self._held + np.diag(self._draw(1)[0])
-        slopes, *found = (
-            ExtractGradient(self._cost.Eval(InitializeAutoDiff(x)))[0]
-            for x in (self._held, *changed)
-        )
-        sizes = np.abs(found) + np.abs(slopes)
-        near: Bools = np.abs(found - slopes) > _PRESENT * sizes
-        return near | near.T
 
     def _degree(self, variables: slice | int) -> int:
         """Returns the degree in some variables together, from how fast values grow with them."""

@@ -180,16 +180,12 @@ class Additions:
         found: dict[str, float] = {}
         for each in self.constraints:
             missed = (self._violation(each, motion, k) for k in each.knots(len(motion.u)))
-            off = self._lateness(each, motion.times)
+            knots = {place.knot for place in each.places if place.knot is not None}
+            late = [abs(motion.times[self._row(k, motion.times)] - self.times[k]) for k in knots]
+            parts = max(late, default=0.0) / float(self.times[-1])
+            off = parts if parts > _LATE else 0.0
             found[each.name] = max(found.get(each.name, 0.0), off, *missed)
         return found
-
-    def _lateness(self, addition: Addition, times: Floats) -> float:
-        """Returns the largest distance of an addition's knots to a motion's, per duration."""
-        knots = {place.knot for place in addition.places if place.knot is not None}
-        late = [abs(times[self._row(k, times)] - self.times[k]) for k in knots]
-        parts = max(late, default=0.0) / float(self.times[-1])
-        return parts if parts > _LATE else 0.0
 
     def miss_at_start(self, addition: Addition, state: Floats) -> float:
         """Returns the initial state's violation of a constraint, as in `violations`."""

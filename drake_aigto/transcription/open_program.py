@@ -189,7 +189,9 @@ class OpenProgram(KnotProgram):
         for each in additions.constraints:
             knots = each.knots(len(self._u))
             reads = np.array([self._indices(each, k) for k in knots])
-            stages = np.array([self._stage_of(each, k) for k in knots])
+            stages = np.array(
+                [max(k if p.knot is None else p.knot for p in each.places) for k in knots]
+            )
             new = partial(self._layout.new, SLACK)
             self._rows += make_rows(each, additions, reads, stages, new)
 
@@ -280,10 +282,6 @@ class OpenProgram(KnotProgram):
         last = self.num_samples() - 1
         for each in (*additions.final, *filter(lambda each: each.is_cost, additions.at_knots)):
             self._attach(each.evaluator, self._variables_at(self._indices(each, last)))
-
-    def _stage_of(self, addition: Addition, k: int) -> int:
-        """Returns the last knot that an addition reads, places of any knot at k."""
-        return max(k if p.knot is None else p.knot for p in addition.places)
 
     def _indices(self, addition: Addition, k: int) -> Ints:
         """Returns the decision variables that an addition reads, places of any knot at k."""

@@ -79,7 +79,12 @@ class ImpulseDirections:
     def of(cls, inertia: ConstantInertia) -> ImpulseDirections:
         """Returns the directions of all contacts."""
         J, inverse = inertia.jacobian, inertia.inverse_mass
-        D = _distinct(J)
+        kept: list[Floats] = []  # Rows that are not parallel to earlier ones.
+        for row in J:
+            unit = row / np.linalg.norm(row)
+            if all(abs(unit @ other) < np.linalg.norm(other) * (1 - _PARALLEL) for other in kept):
+                kept.append(row)
+        D = np.array(kept)
         _, sizes, basis = np.linalg.svd(J)
         rank = int(np.sum(sizes > _PARALLEL * sizes[0]))
         are_independent = len(D) == rank
@@ -134,16 +139,6 @@ def _readers(directions: Floats, inverse: Floats, rank: int) -> Floats:
         if not any(np.allclose(reader, other, atol=_PARALLEL) for other in found):
             found.append(reader)
     return np.array(found)
-
-
-def _distinct(jacobians: Floats) -> Floats:
-    """Returns the rows that are not parallel to earlier ones."""
-    kept: list[Floats] = []
-    for row in jacobians:
-        unit = row / np.linalg.norm(row)
-        if all(abs(unit @ other) < np.linalg.norm(other) * (1 - _PARALLEL) for other in kept):
-            kept.append(row)
-    return np.array(kept)
 
 
 class RigidTranscription(Transcription):
@@ -235,7 +230,12 @@ class RigidTranscription(Transcription):
         jumps = ways.readers @ impulse / ways.masses
         for direction, jump in enumerate(jumps):
             self._bind(shared_constraint(as_expression(jump * per_speed), CONTACT), 0)
-            for members, knots in self._knots_by_members(direction).items():
+            # The contacts in force that show in a direction → at which knots 1 … N−1.
+            in_force = self._fronts & (self.impulse_directions.shares[direction] != 0)
+            found: dict[tuple[int, ...], list[int]] = {}
+            for k in range(1, len(self._u)):
+                found.setdefault(tuple(np.flatnonzero(in_force[k]).tolist()), []).append(k)
+            for members, knots in found.items():
                 pushed = self._pushed_row(direction, members, jump)
                 self._bind_each(shared_constraint(pushed, CONTACT), knots)
         for row in self._restitution_rows(jumps, impulse, after):
@@ -260,14 +260,6 @@ class RigidTranscription(Transcription):
     def _per_speed(self) -> Any:
         """T/L, the factor of speeds in rows [s/m]."""
         return self.scenario.num_steps * self._given.time_step * self._given.per_length
-
-    def _knots_by_members(self, direction: int) -> dict[tuple[int, ...], list[int]]:
-        """Returns the contacts in force that show in a direction → at which knots 1 … N−1."""
-        in_force = self._fronts & (self.impulse_directions.shares[direction] != 0)
-        found: dict[tuple[int, ...], list[int]] = {}
-        for k in range(1, len(self._u)):
-            found.setdefault(tuple(np.flatnonzero(in_force[k]).tolist()), []).append(k)
-        return found
 
     def _pushed_row(self, direction: int, members: tuple[int, ...], jump: Any) -> Expression:
         """Returns π_a ∏ φ_i − dt ε Σ G_ai ∏_{l≠i} φ_l of one direction, without unit.

@@ -86,7 +86,9 @@ class Transcription(OpenProgram):
             miss = as_expression(given.goal_weight * error.dot(error))
             self._bind(shared_cost(miss, "goal"), self.num_samples() - 1)
             for column, contact in enumerate(self._clearance_contacts):
-                self._add_clearance(column, contact)
+                distance = self.world.contacts[contact].signed_distance
+                row = shared_constraint(Expression(self._clearance[column]) - distance, CLEARANCE)
+                self._bind_each(row, range(len(self._q)))
             self._add_rows()
 
     @abstractmethod
@@ -107,12 +109,6 @@ class Transcription(OpenProgram):
         if contact not in self._clearance_contacts:
             return self.world.contacts[contact].signed_distance
         return Expression(self._clearance[self._clearance_contacts.index(contact)])
-
-    def _add_clearance(self, column: int, contact: int) -> None:
-        """Adds rows s_k = φ(q_k)."""
-        distance = self.world.contacts[contact].signed_distance
-        row = shared_constraint(Expression(self._clearance[column]) - distance, CLEARANCE)
-        self._bind_each(row, range(len(self._q)))
 
     def SetInitialTrajectory(
         self, traj_init_u: PiecewisePolynomial, traj_init_x: PiecewisePolynomial

@@ -125,7 +125,11 @@ class World(EquationsOfMotion):
         try:
             world = cls._read(scenario, start)
             if cls is World and scenario.contact == "compliant":
-                world._check_plane(scenario)
+                # What is refused here, a world in space may have.
+                world.friction_coefficients(scenario)
+                _ = world.springs
+                if world.num_velocities > _MOST_SUMMED:
+                    raise ModelError("the model has too many joints for sums of products")
         except ModelError as error:
             if cls is World and scenario.contact == "compliant":
                 in_space: type[World] = resolve_name(_IN_SPACE)
@@ -134,19 +138,6 @@ class World(EquationsOfMotion):
                 raise
             raise gather(cls._find_errors, scenario, error) from error
         return world
-
-    def _check_plane(self, scenario: Scenario) -> None:
-        """Refuses compliant contacts that a world in space has, and this one lacks.
-
-        Raises:
-            ModelError: a sphere can slide in two directions with friction, or touch several faces
-                of a box; or there are more coordinates than sums are quick for.
-        """
-        self.friction_coefficients(scenario)
-        if scenario.contact == "compliant":
-            _ = self.springs
-        if self.num_velocities > _MOST_SUMMED:
-            raise ModelError("the model has too many joints for sums of products")
 
     @classmethod
     def _read(cls, scenario: Scenario, start: Floats | None) -> World:

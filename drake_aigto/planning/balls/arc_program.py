@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -187,7 +187,11 @@ class ArcProgram:
         self._builder = NlpBuilder()
         self._make_variables()
         at = joints or {}
-        self._hold_controls([(at[k], at[k + 1]) for k in additions.held])
+        # Arcs from one joint to another share one control.
+        for first, last in [(at[k], at[k + 1]) for k in additions.held]:
+            unused = np.append(self.a[first + 1 : last], self.b[first:last], axis=0)
+            self._builder.bound(unused, 0.0, 0.0)
+            self.a[first:last] = self.a[first]
         for rests in dict.fromkeys(map(tuple, shape.rests.tolist())):
             self._add_motion(np.array(rests, dtype=bool))
         self._add_costs()
@@ -219,14 +223,14 @@ class ArcProgram:
         self.w = self.v[:-1].copy()
         self.impacts: dict[int, tuple[Ints, Ints]] = {}
         for j in np.flatnonzero(np.any(self._shape.marks.struck[:-1], axis=1)).tolist():
-            self._add_impact(j, self._impact(j).velocities)
-
-    def _hold_controls(self, spans: Iterable[tuple[int, int]]) -> None:
-        """Makes the arcs from one joint to another share one control."""
-        for first, last in spans:
-            unused = np.append(self.a[first + 1 : last], self.b[first:last], axis=0)
-            self._builder.bound(unused, 0.0, 0.0)
-            self.a[first:last] = self.a[first]
+            # w = R v, for the speeds that an impact changes.
+            velocities = self._impact(j).velocities
+            changed = np.flatnonzero(np.any(velocities != np.eye(len(velocities)), axis=1))
+            rows = self._builder.new(changed.size, len(velocities))
+            self._builder.bound(rows, 0.0, 0.0)
+            self.impacts[j] = changed, rows
+            for i, row in zip(changed.tolist(), rows, strict=True):
+                self.w[j, i] = self._builder.new_product(RESTITUTION, row, self.v[j])
 
     def _impact(self, joint: int) -> JointImpact:
         struck = self._shape.marks.struck[joint]
@@ -235,15 +239,6 @@ class ArcProgram:
         ]
         contacts = tuple(np.flatnonzero(struck).tolist())
         return JointImpact.of(self._inertia, contacts, tuple(restitutions.tolist()))
-
-    def _add_impact(self, j: int, velocities: Floats) -> None:
-        """Adds w = R v at a joint, for the speeds that an impact changes."""
-        changed = np.flatnonzero(np.any(velocities != np.eye(len(velocities)), axis=1))
-        rows = self._builder.new(changed.size, len(velocities))
-        self._builder.bound(rows, 0.0, 0.0)
-        self.impacts[j] = changed, rows
-        for i, row in zip(changed.tolist(), rows, strict=True):
-            self.w[j, i] = self._builder.new_product(RESTITUTION, row, self.v[j])
 
     def _add_motion(self, rests: Bools) -> None:
         """Adds flight and dynamics of the arcs during which these contacts last."""

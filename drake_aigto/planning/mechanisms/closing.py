@@ -131,7 +131,12 @@ def find_closing(
     options = AIMED if is_aimed else COARSE
     if not isinstance(law, CompliantLaw):
         return options
-    turn = time_step * _calc_pace(world, law, q)
+    # By how much the fastest oscillation of contacts at q on their springs turns [rad].
+    J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)
+    distances = world.calc_signed_distance(q)
+    _, _, levers = law.find_gaps(distances, np.zeros_like(distances))
+    mobility = np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T)) * levers**2
+    turn = time_step * float(np.sqrt(np.max(law.stiffness * mobility, initial=0.0)))
     if law.has_friction:
         options = _from_afar(options, turn)
     elif not is_aimed:
@@ -203,15 +208,6 @@ def _from_afar(options: ShootingOptions, turn: float) -> ShootingOptions:
     """
     substeps = max(options.substeps, int(np.ceil(turn / _LONGEST_STEP)))
     return dataclasses.replace(options, rungs=_FROM_AFAR, substeps=substeps)
-
-
-def _calc_pace(world: World, law: CompliantLaw, q: Floats) -> float:
-    """Returns the fastest oscillation of contacts at q on their springs [rad/s]."""
-    J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)
-    distances = world.calc_signed_distance(q)
-    _, _, levers = law.find_gaps(distances, np.zeros_like(distances))
-    mobility = np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T)) * levers**2
-    return float(np.sqrt(np.max(law.stiffness * mobility, initial=0.0)))
 
 
 class _Correcting(HeldControl):

@@ -155,7 +155,13 @@ class Guesses:
         if start == _PUSH:
             return self._push(times, (self._start, self._velocity), rng)
         path = self._find_path(start, times, begin, end)
-        path = self._world.add(path, self._draw_waves(rng, times))
+        # A random sum of waves that vanishes at the start, shape (N + 1, n).
+        far = np.where(self._world.turns, _ROUND, _FAR) * self._measures.position
+        s, total = times / times[-1], np.zeros((len(times), len(far)))
+        for number in range(1, 1 + int(rng.integers(1, 1 + _MOST_WAVES))):
+            size = 10 ** rng.uniform(-1.0, 0.0) / number * rng.uniform(-1.0, 1.0, len(far))
+            total += np.sin(np.pi * number * s)[:, np.newaxis] * far * size
+        path = self._world.add(path, total)
         return self._follow(times, path, width)
 
     def renew(self, motion: ShootingResult, rng: np.random.Generator) -> Guess:
@@ -260,15 +266,6 @@ class Guesses:
         except TrajectoryError:  # It runs away.
             controls = np.zeros((len(times) - 1, self._world.num_actuators))
         return Guess(times, controls, None, width)
-
-    def _draw_waves(self, rng: np.random.Generator, times: Floats) -> Floats:
-        """Returns a random sum of waves that vanishes at the start, shape (N + 1, n)."""
-        far = np.where(self._world.turns, _ROUND, _FAR) * self._measures.position
-        s, total = times / times[-1], np.zeros((len(times), len(far)))
-        for number in range(1, 1 + int(rng.integers(1, 1 + _MOST_WAVES))):
-            size = 10 ** rng.uniform(-1.0, 0.0) / number * rng.uniform(-1.0, 1.0, len(far))
-            total += np.sin(np.pi * number * s)[:, np.newaxis] * far * size
-        return total
 
     def _draw_controls(
         self, rng: np.random.Generator, times: Floats, begin: float, end: float

@@ -51,7 +51,14 @@ class Measures:
         levers = calc_levers(world.reaches, world.calc_signed_distance(ends))
         ways = np.linalg.norm(world.calc_contact_jacobian(ends) * position, axis=-1) * levers
         length = float(np.max(ways, initial=0.0)) or float(np.max(position))
-        period = _find_period(world, ends, position, T)
+        # π √(unit / acceleration) of the fastest coordinate near the ends.
+        steps = np.vstack([np.zeros(len(position)), np.diag(position) / 2, -np.diag(position) / 2])
+        q = world.add(ends[:, np.newaxis], steps).reshape(-1, world.num_positions)
+        bias = world.calc_bias(q, np.zeros((len(q), len(position))))[..., np.newaxis]
+        falls = np.abs(np.linalg.solve(world.calc_mass_matrix(q), bias))[..., 0]
+        fastest = float(np.max(falls / position, initial=0.0))
+        period = np.pi / np.sqrt(fastest) if fastest > 0 else T
+        period = float(np.clip(period, _SHORTEST * T, T))
         return cls(position, position / T, length, period, T)
 
 
@@ -72,14 +79,3 @@ def _measure_sliders(world: World, scenario: Scenario) -> float:
     if is_slider.all() or not is_slider.any():
         return 1.0
     return float(np.sqrt(np.max(inertias[~is_slider]) / np.max(inertias[is_slider])))
-
-
-def _find_period(world: World, ends: Floats, position: Floats, duration: float) -> float:
-    """Returns π √(unit / acceleration) of the fastest coordinate near the ends [s]."""
-    steps = np.vstack([np.zeros(len(position)), np.diag(position) / 2, -np.diag(position) / 2])
-    q = world.add(ends[:, np.newaxis], steps).reshape(-1, world.num_positions)
-    bias = world.calc_bias(q, np.zeros((len(q), len(position))))[..., np.newaxis]
-    falls = np.abs(np.linalg.solve(world.calc_mass_matrix(q), bias))[..., 0]
-    fastest = float(np.max(falls / position, initial=0.0))
-    period = np.pi / np.sqrt(fastest) if fastest > 0 else duration
-    return float(np.clip(period, _SHORTEST * duration, duration))

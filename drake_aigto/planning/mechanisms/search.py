@@ -227,19 +227,6 @@ class MechanismSearch(Search):
         bounce = self._rigid.bounce
         return Proposal(origin, lambda: Found(bounce(touches, guess, self._aim.most), parent))
 
-    def _find_aim(self) -> Aim:
-        """Returns the aim that leaves motions unfinished that would not be kept.
-
-        Between rigid walls, that is those that cost far more than the best.
-        Where half of the motions are better than no control, others are not closed with more care:
-        of 3,072 around cart-poles between soft walls 403 were, and two of these were kept.
-        """
-        is_full = len(self.motions) == _MOST_KEPT
-        limits = self.motions[:1] if self._rigid else self.motions[-1:] if is_full else []
-        misses, cost = limits[0].rank if limits else (True, np.inf)
-        most = np.inf if misses else scaled(self.task.close_ratio, cost)
-        return Aim(most, is_patient=2 * self._num_of_use <= self._num_closed)
-
     def close(self, wave: Sequence[Proposal]) -> None:
         """Closes motions, and neighbors of the best until none of these leads to a better one."""
         self._close_wave(wave)
@@ -252,8 +239,17 @@ class MechanismSearch(Search):
                 self._close_wave(neighbors)
 
     def _close_wave(self, wave: Sequence[Proposal]) -> None:
-        """Closes motions under the current aim, and keeps the best of them."""
-        self._aim = self._find_aim()
+        """Closes motions, and keeps the best; those that would not be kept are left unfinished.
+
+        Between rigid walls, that is those that cost far more than the best.
+        Where half of the motions are better than no control, others are not closed with more care:
+        of 3,072 around cart-poles between soft walls 403 were, and two of these were kept.
+        """
+        is_full = len(self.motions) == _MOST_KEPT
+        limits = self.motions[:1] if self._rigid else self.motions[-1:] if is_full else []
+        misses, cost = limits[0].rank if limits else (True, np.inf)
+        most = np.inf if misses else scaled(self.task.close_ratio, cost)
+        self._aim = Aim(most, is_patient=2 * self._num_of_use <= self._num_closed)
         super().close(wave)
 
     def _find_unbranched(self) -> KeptMotion | None:
@@ -348,7 +344,7 @@ class MechanismSearch(Search):
             enough = self.task.finalists + self._num_broken
             is_full = len(self._holding) + len(self._not_simulated) >= enough
             is_ended = self.is_interrupted and self._known
-            if is_full or is_ended or self._is_hopeless(motion):
+            if is_full or is_ended or motion.cost > self._scale_best(self.task.polish_ratio):
                 return
             if not any(self._are_same(motion, other) for other in self._known):
                 polished = self._polish(motion)
@@ -364,10 +360,6 @@ class MechanismSearch(Search):
                 result = self.task.tighten(motion.result)
                 tight.append(KeptMotion(motion.origin, result, self.task.rank(result)))
         return sorted(tight, key=lambda each: each.rank) or self.motions[:1]
-
-    def _is_hopeless(self, motion: KeptMotion) -> bool:
-        """Returns whether a motion costs more than its polish may save."""
-        return motion.cost > self._scale_best(self.task.polish_ratio)
 
     @property
     def _holding(self) -> list[float]:
