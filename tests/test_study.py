@@ -213,7 +213,7 @@ def test_a_script_without_its_scheduler_ends_with_one_clear_error(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.undo()
-    monkeypatch.setattr("drake_aigto.jobs.workers.find_spec", lambda name: None)
+    monkeypatch.setattr("drake_aigto.jobs.jobs.find_spec", lambda name: None)
     monkeypatch.setattr("sys.argv", ["random_programs", "--count", "1", "--scheduler", "tcp://a:1"])
     with pytest.raises(SystemExit) as ended:
         run_as("benchmarks.random_programs")

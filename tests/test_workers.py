@@ -123,7 +123,7 @@ def test_where_jobs_can_not_run_is_refused(count: int, scheduler: str | None, me
 
 
 def test_a_scheduler_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drake_aigto.jobs.workers.find_spec", lambda name: None)
+    monkeypatch.setattr("drake_aigto.jobs.jobs.find_spec", lambda name: None)
     told = (
         r"^scheduler tcp://a:1: got no module 'distributed'.*pip install 'drake_aigto\[cluster\]'"
     )

@@ -1,11 +1,16 @@
 """Analytical Integral Global Optimization: boxes shrink onto a low point of their own mean."""
 
 from drake_aigto.aigo.algorithm import AigoResult, Algorithm, Box, Iterate, Status, minimize
-from drake_aigto.aigo.annealing import Annealing, BoundedAnnealing, SlowMotion
+from drake_aigto.aigo.annealing import (
+    Annealing,
+    BoundedAnnealing,
+    CenterObjective,
+    SlowMotion,
+    raise_penalties,
+)
 from drake_aigto.aigo.box_search import BoxSearch, LowPoint, SearchResult
 from drake_aigto.aigo.coupling import CouplingGraph, Fusion
 from drake_aigto.aigo.gradients import Alternating, FaceFlow, FullGradient
-from drake_aigto.aigo.newton import CenterObjective, raise_penalties
 
 __all__ = [
     "AigoResult",

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drake_aigto.aigo.algorithm import AigoResult, Algorithm, Box, Status, minimize
-from drake_aigto.aigo.annealing import BoundedAnnealing
+from drake_aigto.aigo.annealing import BoundedAnnealing, CenterObjective
 from drake_aigto.aigo.coupling import CouplingGraph, Fusion
 from drake_aigto.aigo.gradients import FaceFlow
-from drake_aigto.aigo.newton import CenterObjective
 from drake_aigto.arrays import Bools, Floats, Ints, read_only
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError, check_counts

@@ -63,13 +63,14 @@ from .tables import TreeMechanicsMemory as TreeMechanicsMemory
 from .tables import copy_writable as copy_writable
 from .tables import make_mechanics_memory as make_mechanics_memory
 from .tables import of_tree as of_tree
+from .tables import only_of as only_of
 from .touching import TouchRoom as TouchRoom
 from .touching import TouchTable as TouchTable
 from .touching import evaluate_push as evaluate_push
 from .touching import make_touch_room as make_touch_room
 from .touching import push as push
-from .touching_bodies import accelerate_bodies as accelerate_bodies
-from .touching_bodies import make_touch_table as make_touch_table
 from .tree_mechanism import AnyMechanism as AnyMechanism
 from .tree_mechanism import TreeMechanism as TreeMechanism
+from .tree_mechanism import accelerate_bodies as accelerate_bodies
 from .tree_mechanism import make_mechanism as make_mechanism
+from .tree_mechanism import make_touch_table as make_touch_table

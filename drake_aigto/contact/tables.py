@@ -88,15 +88,28 @@ def of_tree(other: Callable[..., Any]) -> Callable[[_Function], _Function]:
 
     Both have the same parameters, of which the first one is the tables.
     """
+    return lambda function: chosen(
+        lambda mechanics, *_: other if _is_of(TreeMechanics, mechanics) else function
+    )(function)
 
-    def register(function: _Function) -> _Function:
-        def choose(mechanics: Any, *_: Any) -> Callable[..., Any]:
-            is_tree = getattr(mechanics, "instance_class", None) is TreeMechanics
-            return other if is_tree else function
 
-        return chosen(choose)(function)
+def only_of(kind: type) -> Callable[[_Function], _Function]:
+    """Returns a decorator: where the tables are of another kind, compiled code does nothing.
 
-    return register
+    The function's first parameter is the tables. What would be a number is 0 then.
+    """
+    return lambda function: chosen(
+        lambda mechanics, *_: function if _is_of(kind, mechanics) else _do_nothing
+    )(function)
+
+
+def _is_of(kind: type, mechanics: Any) -> bool:
+    """Returns whether Numba's type of tables is of a kind."""
+    return getattr(mechanics, "instance_class", None) is kind
+
+
+def _do_nothing(*_: Any) -> float:
+    return 0.0
 
 
 def copy_writable(table: Any) -> Any:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats
+from drake_aigto.dynamics.tree_tables import QUATERNION, RPY, TreeTables
 from drake_aigto.kernels import borrowing
 
 # Angles below which series replace sin θ/θ and the like: the next term is below 1e-17.
@@ -158,3 +159,121 @@ def log_quaternion(w: float, x: float, y: float, z: float) -> tuple[float, float
         w, x, y, z = -w, -x, -y, -z
     ratio = 2.0 / w if sine < 1e-9 * w else 2.0 * np.arctan2(sine, w) / sine
     return ratio * x, ratio * y, ratio * z
+
+
+@borrowing
+def add_tangent(tree: TreeTables, q: Floats, delta: Floats, moved: Floats) -> None:
+    """Computes q ⊕ δ: links turned by rotation vectors in F, and moved."""
+    for i in range(tree.parents.size):
+        first, at, kind = tree.dofs[i], tree.positions[i], tree.kinds[i]
+        if kind in (QUATERNION, RPY):
+            _turn_link(tree, i, q, delta, moved)
+        else:
+            for k in range(tree.dofs[i + 1] - first):
+                moved[at + k] = q[at + k] + delta[tree.velocities[first + k]]
+
+
+@borrowing
+def _turn_link(tree: TreeTables, i: int, q: Floats, delta: Floats, moved: Floats) -> None:
+    """Computes the positions of a link turned by a rotation vector, a unit quaternion if any."""
+    first, at = tree.dofs[i], tree.positions[i]
+    x, y, z = delta[tree.velocities[first]], delta[tree.velocities[first + 1]], 0.0
+    z = delta[tree.velocities[first + 2]]
+    a, b, c, d = exp_quaternion(x, y, z)
+    w, x, y, z = read_turn(tree, i, q)
+    w, x, y, z = multiply_quaternions(a, b, c, d, w, x, y, z)
+    if tree.kinds[i] == QUATERNION:
+        length = np.sqrt(w * w + x * x + y * y + z * z)
+        moved[at], moved[at + 1] = w / length, x / length
+        moved[at + 2], moved[at + 3] = y / length, z / length
+        return
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    moved[at + 1] = np.arcsin(min(max(2 * (w * y - x * z), -1.0), 1.0))
+    moved[at] = roll + 2 * np.pi * np.round((q[at] - roll) / (2 * np.pi))
+    moved[at + 2] = yaw + 2 * np.pi * np.round((q[at + 2] - yaw) / (2 * np.pi))
+
+
+@borrowing
+def read_turn(tree: TreeTables, i: int, q: Floats) -> tuple[float, float, float, float]:
+    """Returns the quaternion of a link that turns about three axes."""
+    at = tree.positions[i]
+    if tree.kinds[i] == QUATERNION:
+        return q[at], q[at + 1], q[at + 2], q[at + 3]
+    c, s = np.cos(q[at] / 2), np.sin(q[at] / 2)
+    cp, sp = np.cos(q[at + 1] / 2), np.sin(q[at + 1] / 2)
+    cy, sy = np.cos(q[at + 2] / 2), np.sin(q[at + 2] / 2)
+    w, x, y, z = multiply_quaternions(cp, 0.0, sp, 0.0, c, s, 0.0, 0.0)
+    return multiply_quaternions(cy, 0.0, 0.0, sy, w, x, y, z)
+
+
+@borrowing
+def subtract_positions(tree: TreeTables, after: Floats, before: Floats, delta: Floats) -> None:
+    """Computes the shortest δ with before ⊕ δ = after."""
+    for i in range(tree.parents.size):
+        first, at, kind = tree.dofs[i], tree.positions[i], tree.kinds[i]
+        if kind in (QUATERNION, RPY):
+            w, x, y, z = read_turn(tree, i, before)
+            a, b, c, d = read_turn(tree, i, after)
+            w, x, y, z = multiply_quaternions(a, b, c, d, w, -x, -y, -z)
+            x, y, z = log_quaternion(w, x, y, z)
+            delta[tree.velocities[first]], delta[tree.velocities[first + 1]] = x, y
+            delta[tree.velocities[first + 2]] = z
+        else:
+            for k in range(tree.dofs[i + 1] - first):
+                delta[tree.velocities[first + k]] = after[at + k] - before[at + k]
+
+
+# Angles below which series replace closed forms that cancel; their next terms are below 1e-15.
+_NEARLY_STILL = 0.1
+
+
+@borrowing
+def find_turning(x: float, y: float, z: float, D: Floats) -> None:
+    """Computes D, 3 × 3, by rows: exp(δ + dδ) = exp(D dδ) exp(δ), the left Jacobian.
+
+    D = 1 + (1 − cos θ)/θ² [δ×] + (θ − sin θ)/θ³ [δ×]² with θ = ‖δ‖.
+    """
+    square = x * x + y * y + z * z
+    if square < _NEARLY_STILL * _NEARLY_STILL:
+        a = 0.5 - square / 24 * (1 - square / 30 * (1 - square / 56))
+        b = 1 / 6 - square / 120 * (1 - square / 42 * (1 - square / 72))
+    else:
+        angle = np.sqrt(square)
+        a, b = (1 - np.cos(angle)) / square, (angle - np.sin(angle)) / (square * angle)
+    D[0], D[1], D[2] = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+    D[3], D[4], D[5] = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
+    D[6], D[7], D[8] = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
+
+
+@borrowing
+def find_rate(delta: Floats, turn: Floats, rate: Floats, by_delta: Floats, by_turn: Floats) -> None:
+    """Computes δ̇ = D⁻¹ ω of a turn at ω, shape (3,), and its derivatives by δ and ω, by rows.
+
+    D⁻¹ ω = ω − ½ δ × ω + c δ × (δ × ω),    c = (1 − θ/2 cot θ/2)/θ²
+    """
+    x, y, z = delta[0], delta[1], delta[2]
+    square, along = x * x + y * y + z * z, x * turn[0] + y * turn[1] + z * turn[2]
+    if square < _NEARLY_STILL * _NEARLY_STILL:
+        c = 1 / 12 + square / 720 * (1 + square / 42 * (1 + square / 40))
+        bend = 1 / 360 + square / 7560 * (1 + 0.0375 * square)
+    else:
+        angle = np.sqrt(square)
+        cot = 1 / np.tan(angle / 2)
+        c = (1 - angle / 2 * cot) / square
+        bend = (-2 * c - cot / (2 * angle) + (1 + cot * cot) / 4) / square
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        across = delta[j] * turn[k] - delta[k] * turn[j]
+        bent = delta[i] * along - turn[i] * square
+        rate[i] = turn[i] - across / 2 + c * bent
+        for m in range(3):
+            by_turn[3 * i + m] = c * delta[i] * delta[m] + (1 - c * square if i == m else 0.0)
+            by_delta[3 * i + m] = (
+                c * (delta[i] * turn[m] - 2 * turn[i] * delta[m] + (along if i == m else 0.0))
+                + bend * bent * delta[m]
+            )
+        by_turn[3 * i + j] += delta[k] / 2
+        by_turn[3 * i + k] -= delta[j] / 2
+        by_delta[3 * i + j] -= turn[k] / 2
+        by_delta[3 * i + k] += turn[j] / 2

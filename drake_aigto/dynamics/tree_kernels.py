@@ -1,16 +1,221 @@
-"""What a `Tree` is asked for, in compiled code."""
+"""What a `Tree` is asked for, in compiled code: its accelerations, with their derivatives.
+
+After Singh, Russo & Wensing (2022), "Efficient analytical derivatives of rigid-body dynamics using
+spatial vector algebra", for axes that are fixed in the parent. With I of a link and all beyond it,
+f its force, S of its own degrees of freedom, T = V × S and U = A × S + V × T:
+
+    ∂f/∂δ = S ×* f + 2B T + I U,    ∂f/∂v = 2B S + I (Ṡ + T),    ∂f/∂v̇ = I S
+
+by its own degrees of freedom and those of links before it. 2B x = x ×* I V + V ×* I x − I (V × x)
+is made of 12 numbers in the world's frame, which add up over links as I does:
+
+    2B = [[T, 0], [−2 P×, 0]],    T = 2 [ω×] J − tr(J) [ω×] − 2 [h×][w×]
+
+with h and J first and second moments of mass, (ω, w) the velocity, and P the momentum.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.dynamics.manifold import add_tangent, subtract_positions
-from drake_aigto.dynamics.recursions import gather, place, push_joints, spread
-from drake_aigto.dynamics.spatial import multiply, multiply_quaternions, rotate
-from drake_aigto.dynamics.tree_slopes import accelerate
+from drake_aigto.dynamics.recursions import (
+    factor,
+    find_stiction,
+    gather,
+    place,
+    push_joints,
+    share_friction,
+    solve,
+    solve_rows,
+    spread,
+)
+from drake_aigto.dynamics.spatial import (
+    add_cross_force,
+    add_tangent,
+    apply_inertia,
+    cross_motion,
+    dot,
+    multiply,
+    multiply_quaternions,
+    rotate,
+    subtract_positions,
+)
 from drake_aigto.dynamics.tree_tables import QUATERNION, RPY, TreeMemory, TreeTables
-from drake_aigto.kernels import borrow, kernel
+from drake_aigto.kernels import borrow, borrowing, kernel, pasted
+
+
+@borrowing
+def accelerate(
+    tree: TreeTables,
+    q: Floats,
+    v: Floats,
+    u: Floats,
+    eps: float,
+    has_slopes: bool,
+    memory: TreeMemory,
+) -> None:
+    """Computes v̇ in `force`, and ∂v̇/∂(δ, v, u) in `slopes` if asked, by degrees of freedom."""
+    push_tree(tree, q, v, u, eps, has_slopes, memory)
+    move_tree(tree, has_slopes, memory)
+
+
+@pasted
+def push_tree(
+    tree: TreeTables,
+    q: Floats,
+    v: Floats,
+    u: Floats,
+    eps: float,
+    has_slopes: bool,
+    memory: TreeMemory,
+) -> None:
+    """Computes motions of links, and forces of joints in `force`, with `slopes` if asked.
+
+    Other generalized forces may be added to both before `move_tree`.
+    """
+    spread(tree, q, v, memory)
+    push_joints(tree, q, u, eps, memory)
+    if has_slopes:
+        prepare_slopes(tree, memory)
+        differentiate_joints(tree, eps, memory)
+
+
+@pasted
+def move_tree(tree: TreeTables, has_slopes: bool, memory: TreeMemory) -> None:
+    """Replaces forces, and their derivatives, by v̇ and its own."""
+    gather(tree, has_slopes, memory)
+    factor(tree.up, memory.mass)
+    solve(tree.up, memory.mass, memory.force)
+    if has_slopes:
+        differentiate(tree, memory)
+        solve_rows(tree.up, memory.mass, memory.slopes)
+
+
+@pasted
+def prepare_slopes(tree: TreeTables, memory: TreeMemory) -> None:
+    """Computes T of 2B of each link, after `spread`, and before `gather` adds it up."""
+    for i in range(tree.parents.size):
+        C, V = memory.composites[i], memory.velocities[i]
+        for s in range(tree.dofs[i], tree.dofs[i + 1]):
+            cross_motion(V, memory.motions[s], memory.turns[s])
+        if tree.masses[i] == 0.0:
+            continue
+        x, y, z = C[1], C[2], C[3]
+        a, b, c = V[0], V[1], V[2]
+        trace, along = C[4] + C[6] + C[9], 2 * (x * V[3] + y * V[4] + z * V[5])
+        C[10] = 2 * (b * C[7] - c * C[5] - V[3] * x) + along
+        C[11] = 2 * (b * C[8] - c * C[6] - V[3] * y) + trace * c
+        C[12] = 2 * (b * C[9] - c * C[8] - V[3] * z) - trace * b
+        C[13] = 2 * (c * C[4] - a * C[7] - V[4] * x) - trace * c
+        C[14] = 2 * (c * C[5] - a * C[8] - V[4] * y) + along
+        C[15] = 2 * (c * C[7] - a * C[9] - V[4] * z) + trace * a
+        C[16] = 2 * (a * C[5] - b * C[4] - V[5] * x) + trace * b
+        C[17] = 2 * (a * C[6] - b * C[5] - V[5] * y) - trace * a
+        C[18] = 2 * (a * C[8] - b * C[7] - V[5] * z) + along
+
+
+@pasted
+def differentiate_joints(tree: TreeTables, eps: float, memory: TreeMemory) -> None:
+    """Computes the derivatives of what `push_joints` computes."""
+    n, slopes = tree.up.size, memory.slopes
+    for s in range(n):
+        for c in range(2 * n):
+            slopes[s, c] = 0.0
+        for j in range(tree.actuation.shape[1]):
+            slopes[s, 2 * n + j] = tree.actuation[s, j]
+        slopes[s, n + s] = -tree.damping[s]
+        if tree.friction[s] > 0.0:
+            speed = find_stiction(tree, s, eps)
+            _, slope = share_friction(memory.v[s] / speed)
+            slopes[s, n + s] -= tree.friction[s] * slope / speed
+    for i in range(tree.parents.size):
+        if tree.stiffnesses[i] != 0.0:
+            slopes[tree.dofs[i], tree.dofs[i]] = -tree.stiffnesses[i]
+
+
+@pasted
+def differentiate(tree: TreeTables, memory: TreeMemory) -> None:
+    """Takes off the derivatives of h + M v̇ at the v̇ that is in `force`."""
+    _spread_accelerations(tree, memory)
+    for i in range(tree.parents.size - 1, -1, -1):
+        for s in range(tree.dofs[i], tree.dofs[i + 1]):
+            _differentiate_motion(tree, i, s, memory)
+        parent = tree.parents[i]
+        if parent >= 0:
+            for k in range(6):
+                memory.forces[parent, k] += memory.forces[i, k]
+
+
+@pasted
+def _spread_accelerations(tree: TreeTables, memory: TreeMemory) -> None:
+    """Computes accelerations, U, and the forces of single links."""
+    for i in range(tree.parents.size):
+        parent, A, V = tree.parents[i], memory.accelerations[i], memory.velocities[i]
+        f, momentum = memory.forces[i], memory.room[0]
+        for k in range(3):
+            A[k], A[3 + k] = 0.0, -tree.gravity[i, k]
+        if parent >= 0:
+            for k in range(6):
+                A[k] = memory.accelerations[parent, k]
+        first, last = tree.dofs[i], tree.dofs[i + 1]
+        for s in range(first, last):
+            for k in range(6):
+                A[k] += memory.motions[s, k] * memory.force[s] + memory.rates[s, k] * memory.v[s]
+        for s in range(first, last):
+            U, S, T = memory.bends[s], memory.motions[s], memory.turns[s]
+            cross_motion(V, T, momentum)
+            cross_motion(A, S, U)
+            for k in range(6):
+                U[k] += momentum[k]
+        apply_inertia(memory.inertias[i], A, f)
+        apply_inertia(memory.inertias[i], V, momentum)
+        add_cross_force(V, momentum, f)
+
+
+@pasted
+def _differentiate_motion(tree: TreeTables, i: int, s: int, memory: TreeMemory) -> None:
+    """Takes off derivatives by s of forces of links before, and those of s's by them."""
+    C, f, n, up = memory.composites[i], memory.forces[i], tree.up.size, tree.up
+    S, T, t, slopes = memory.motions[s], memory.turns[s], memory.momenta[s], memory.slopes
+    rate, by_v, by_q = memory.room[0], memory.room[1], memory.room[2]
+    for k in range(6):
+        rate[k] = memory.rates[s, k] + T[k]
+    apply_inertia(C, rate, by_v)
+    _add_twice_B(C, S, by_v)
+    apply_inertia(C, memory.bends[s], by_q)
+    _add_twice_B(C, T, by_q)
+    add_cross_force(S, f, by_q)
+    p, q, r = 2 * C[19], 2 * C[20], 2 * C[21]
+    x = C[10] * S[0] + C[13] * S[1] + C[16] * S[2] + q * S[5] - r * S[4]
+    y = C[11] * S[0] + C[14] * S[1] + C[17] * S[2] + r * S[3] - p * S[5]
+    z = C[12] * S[0] + C[15] * S[1] + C[18] * S[2] + p * S[4] - q * S[3]
+    j = tree.dofs[i + 1] - 1
+    while j >= tree.dofs[i]:
+        slopes[j, s] -= dot(memory.motions[j], by_q)
+        slopes[j, n + s] -= dot(memory.motions[j], by_v)
+        j -= 1
+    j = up[tree.dofs[i]]
+    while j >= 0:
+        R, B = memory.rates[j], memory.turns[j]
+        M, U = memory.motions[j], memory.bends[j]
+        slopes[j, s] -= dot(M, by_q)
+        slopes[j, n + s] -= dot(M, by_v)
+        slopes[s, j] -= x * B[0] + y * B[1] + z * B[2] + dot(t, U)
+        slopes[s, n + j] -= x * M[0] + y * M[1] + z * M[2] + dot(t, R) + dot(t, B)
+        j = up[j]
+
+
+@borrowing
+def _add_twice_B(C: Floats, x: Floats, out: Floats) -> None:
+    """Adds 2B x."""
+    a, b, c = x[0], x[1], x[2]
+    out[0] += C[10] * a + C[11] * b + C[12] * c
+    out[1] += C[13] * a + C[14] * b + C[15] * c
+    out[2] += C[16] * a + C[17] * b + C[18] * c
+    out[3] -= 2 * (C[20] * c - C[21] * b)
+    out[4] -= 2 * (C[21] * a - C[19] * c)
+    out[5] -= 2 * (C[19] * b - C[20] * a)
 
 
 @kernel

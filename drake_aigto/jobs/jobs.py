@@ -1,20 +1,176 @@
-"""Jobs under way: each ends, even if the process that runs it dies."""
+"""Jobs under way: each ends, even if the process that runs it dies; and executors of jobs.
+
+These are processes of this machine, or the workers of a Dask scheduler.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import faulthandler
 import math
+import multiprocessing
+import os
 import platform
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future
+from concurrent.futures import (
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager
+from importlib.util import find_spec
+from multiprocessing import get_context, resource_tracker
 from queue import Empty, SimpleQueue
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 from drake_aigto import __version__
-from drake_aigto.errors import StudyError
-from drake_aigto.jobs.workers import open_workers
+from drake_aigto.errors import MissingExtraError, OptionsError, StudyError
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+# Read by libraries when they are loaded: processes inherit it.
+_ONE_THREAD = {
+    f"{library}_NUM_THREADS": "1" for library in ("OPENBLAS", "MKL", "OMP", "NUMBA", "VECLIB")
+}
+
+
+@contextlib.contextmanager
+def open_workers(count: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
+    """Yields an executor with one thread per process, and ends the processes afterwards.
+
+    Nothing starts before the block is entered. Jobs that still run when it is left are cancelled; a
+    job that has begun elsewhere runs to its end. Ctrl-C does not reach the processes of this
+    machine: the caller has to handle it.
+
+    Args:
+        count: of processes on this machine; None: one per core.
+        scheduler: address of a Dask scheduler whose workers are to run the jobs instead, such as
+            "tcp://10.0.0.1:8786".
+
+    Raises:
+        OptionsError: less than one process, or a count beside a scheduler.
+        MissingExtraError: a scheduler, without the extra "cluster".
+        StudyError: the scheduler does not answer or has no workers, or one of those has another
+            version of this package or several threads.
+    """
+    if count is not None and (count < 1 or scheduler is not None):
+        got = f"{count} beside a scheduler" if scheduler is not None else count
+        raise OptionsError("workers", got=got, expected="1 or more, or a scheduler")
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        # A worker that imports a script without a guard. Whoever started it says so, once.
+        sys.exit(1)
+    with _one_thread_each(), _choose(count or os.cpu_count() or 1, scheduler) as executor:
+        yield executor
+
+
+def _choose(count: int, scheduler: str | None) -> contextlib.AbstractContextManager[Executor]:
+    if scheduler is None:
+        return Processes(count)
+    if find_spec("distributed") is None:
+        raise MissingExtraError(f"scheduler {scheduler}", "distributed", "cluster")
+    from drake_aigto.jobs.cluster import connect  # Dask takes its time.
+
+    return connect(scheduler)
+
+
+@contextlib.contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Has processes that are started in this block load their libraries with one thread."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(_ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+class Processes(Executor):
+    """Runs jobs in processes of this machine; if one dies, only its own job fails.
+
+    That job's future raises BrokenProcessPool, and the next job gets a new process. The processes
+    are spawned, as forking with threads in libraries is not safe, and stay for further jobs, which
+    can use caches of earlier ones.
+    """
+
+    def __init__(self, count: int) -> None:
+        """Starts nothing yet."""
+        self._numbers: dict[ProcessPoolExecutor, int] = {}  # each of one process, and its id
+        self._is_closed = False
+        self._own = threading.local()
+        # Each thread waits for one process at a time.
+        self._threads = ThreadPoolExecutor(count)
+
+    def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
+        """Has a call made by the next process that is free, in the order of submission."""
+        with _without_ctrl_c():
+            return self._threads.submit(self._call, fn, args, kwargs)
+
+    def _call(self, fn: Callable[..., _T], args: Any, kwargs: Any) -> _T:
+        if not hasattr(self._own, "process"):
+            self._own.process = self._start()
+        process = self._own.process
+        try:
+            return process.submit(fn, *args, **kwargs).result()
+        except BrokenProcessPool:
+            del self._own.process, self._numbers[process]
+            raise
+
+    def _start(self) -> ProcessPoolExecutor:
+        # A crash in C++ prints the Python stack.
+        process = ProcessPoolExecutor(1, get_context("spawn"), faulthandler.enable)
+        try:
+            number = process.submit(os.getpid).result()
+        except BrokenProcessPool as error:
+            raise StudyError(
+                "workers",
+                got="processes that ended as they started",
+                expected="processes that wait for jobs",
+                remedy='Each imports the script: start them below `if __name__ == "__main__":`.',
+            ) from error
+        self._numbers[process] = number
+        if self._is_closed:
+            _kill(number)
+        return process
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Ends the processes at once, whatever they do; jobs that have not begun are canceled."""
+        self._is_closed = True
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        processes = dict(self._numbers)
+        for number in processes.values():
+            _kill(number)
+        self._threads.shutdown()
+        for process in processes:
+            process.shutdown()
+
+
+@contextlib.contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Has threads that are started in this block, and processes of theirs, never see Ctrl-C."""
+    resource_tracker.ensure_running()  # Else whatever needs it first would be seeing it again.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _kill(number: int) -> None:
+    """Ends a process, if there is one of this number."""
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(number, signal.SIGKILL)
 
 
 class ProcessDiedError(StudyError):

@@ -5,18 +5,18 @@ from .direct import solve_factored as solve_factored
 from .direct import solve_factors as solve_factors
 from .multifrontal import factorize_indefinite as factorize_indefinite
 from .multifrontal import solve_indefinite as solve_indefinite
-from .sparse import Pattern as Pattern
-from .sparse import SparseFactors as SparseFactors
-from .sparse import count_fill as count_fill
-from .sparse import factorize as factorize
-from .sparse import find_entry as find_entry
-from .sparse import make_pattern as make_pattern
-from .sparse import minimum_degree as minimum_degree
-from .sparse import multiply as multiply
 from .storage import Factorization as Factorization
+from .storage import Pattern as Pattern
+from .storage import SparseFactors as SparseFactors
 from .storage import Storage as Storage
 from .storage import as_order as as_order
 from .storage import choose_storage as choose_storage
+from .storage import count_fill as count_fill
+from .storage import factorize as factorize
+from .storage import find_entry as find_entry
+from .storage import make_pattern as make_pattern
+from .storage import minimum_degree as minimum_degree
+from .storage import multiply as multiply
 from .storage import narrow_band as narrow_band
 from .storage import spread as spread
 

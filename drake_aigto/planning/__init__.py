@@ -18,10 +18,9 @@ from drake_aigto.planning.candidate import (
     Veto,
     sample,
 )
-from drake_aigto.planning.feedback import Feedback
+from drake_aigto.planning.feedback import Feedback, Regulator, calc_divergence
 from drake_aigto.planning.mechanisms.closing import COARSE, Aim, find_tight, soften, steady
-from drake_aigto.planning.mechanisms.guesses import Guess, Guesses
-from drake_aigto.planning.mechanisms.measures import Measures
+from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, Measures
 from drake_aigto.planning.mechanisms.phases import (
     find_deepest,
     in_order,
@@ -42,14 +41,19 @@ from drake_aigto.planning.mechanisms.traces import (
     replay_at_knots,
     trace,
 )
-from drake_aigto.planning.options import LocalSolverName, PlanOptions, SearchOptions, needs_shooting
+from drake_aigto.planning.options import (
+    BALL_LADDER,
+    LocalSolverName,
+    PlanOptions,
+    Rung,
+    SearchOptions,
+    needs_shooting,
+)
 from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
 from drake_aigto.planning.planner import Planner, plan, run_search
 from drake_aigto.planning.program_task import ProgramTask
 from drake_aigto.planning.programs import ProgramSolution
-from drake_aigto.planning.regulator import Regulator, calc_divergence
 from drake_aigto.planning.riccati import FeedbackPhase, Sweep
-from drake_aigto.planning.rungs import BALL_LADDER, Rung
 from drake_aigto.planning.search import Progress, Proposal, Search, Stopwatch
 from drake_aigto.planning.sequence_search import SequenceSearch
 from drake_aigto.planning.sequences import (

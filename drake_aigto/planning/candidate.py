@@ -15,8 +15,8 @@ import numpy.typing as npt
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
 from drake_aigto.arrays import Floats
+from drake_aigto.planning.options import Rung
 from drake_aigto.planning.riccati import FeedbackPhase
-from drake_aigto.planning.rungs import Rung
 from drake_aigto.simulation import (
     Growth,
     PlannedContact,

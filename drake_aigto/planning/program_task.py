@@ -34,9 +34,8 @@ from drake_aigto.planning.candidate import (
     read_motion,
     sample,
 )
-from drake_aigto.planning.options import SearchOptions
+from drake_aigto.planning.options import Rung, SearchOptions, StartName
 from drake_aigto.planning.programs import CompiledPrograms, Solution, check_added_rows
-from drake_aigto.planning.rungs import Rung, StartName
 from drake_aigto.simulation import (
     Replay,
     find_contacts,

@@ -15,8 +15,8 @@ from typing import Any
 from drake_aigto.aigo import AigoResult, Iterate, Status
 from drake_aigto.arrays import Floats
 from drake_aigto.planning.candidate import Candidate, Origin
+from drake_aigto.planning.options import Rung
 from drake_aigto.planning.program_task import ContactSequence, ProgramTask
-from drake_aigto.planning.rungs import Rung
 from drake_aigto.planning.search import Proposal, Search, Stopwatch
 
 _LOG = logging.getLogger(__name__)

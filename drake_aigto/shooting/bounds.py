@@ -7,11 +7,10 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import (
     Mechanics,
-    TreeMechanics,
     find_foremost,
     find_row,
     find_slope,
-    of_tree,
+    only_of,
     run_tape,
     triangle,
 )
@@ -33,21 +32,7 @@ from drake_aigto.shooting.tables import (
 PENALIZE, EXPAND, MEASURE, UPDATE = range(4)
 
 
-def _visit_no_contacts(
-    mechanics: TreeMechanics,
-    program: Program,
-    k: int,
-    z: Floats,
-    u: Floats,
-    penalty: float,
-    job: int,
-    memory: Memory,
-) -> float:
-    """Returns 0: distances of a tree's shapes have no bounds."""
-    return 0.0
-
-
-@of_tree(_visit_no_contacts)
+@only_of(Mechanics)
 def _visit_contacts(
     mechanics: Mechanics,
     program: Program,

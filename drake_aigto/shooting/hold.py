@@ -13,15 +13,13 @@ from drake_aigto.contact import (
     COEFFICIENT,
     Mechanics,
     MechanicsMemory,
-    TreeMechanics,
-    TreeMechanicsMemory,
     accelerate,
     divide_by_mass,
     factor_mass,
     find_friction,
     find_row,
     find_slope,
-    of_tree,
+    only_of,
     run_tape,
 )
 from drake_aigto.kernels import borrowing, kernel
@@ -261,18 +259,7 @@ def _differentiate_strike(
                 slopes[c, i] += support[k, i] * by_force[c, k]
 
 
-def _hold_nothing(
-    mechanics: TreeMechanics,
-    closed: Bools,
-    leans: Floats,
-    y: Floats,
-    has_slopes: bool,
-    memory: TreeMechanicsMemory,
-) -> None:
-    """Does nothing: contacts of a tree are compliant."""
-
-
-@of_tree(_hold_nothing)
+@only_of(Mechanics)
 def hold_stage(
     mechanics: Mechanics,
     closed: Bools,
@@ -285,20 +272,7 @@ def hold_stage(
     hold(closed, leans, y, has_slopes, mechanics, memory)
 
 
-def _strike_nothing(
-    mechanics: TreeMechanics,
-    program: Program,
-    k: int,
-    z: Floats,
-    has_slopes: bool,
-    F: Floats,
-    after: Floats,
-    memory: TreeMechanicsMemory,
-) -> None:
-    """Does nothing: contacts of a tree are compliant."""
-
-
-@of_tree(_strike_nothing)
+@only_of(Mechanics)
 def strike_stage(
     mechanics: Mechanics,
     program: Program,

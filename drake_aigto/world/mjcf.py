@@ -14,8 +14,14 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from drake_aigto.world.mjcf_actuators import OTHER_ACTUATORS, Range, read_actuators, read_tendons
-from drake_aigto.world.mjcf_file import MOTORS, MjcfFile
+from drake_aigto.world.mjcf_file import (
+    MOTORS,
+    OTHER_ACTUATORS,
+    MjcfFile,
+    Range,
+    read_actuators,
+    read_tendons,
+)
 from drake_aigto.world.model_facts import ModelFacts, Spring, read_numbers, read_range
 
 # Drawing, numerics and measuring: nothing that moves depends on them.

@@ -26,10 +26,10 @@ from drake_aigto.dynamics import (
 )
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.geometry import make_closest
-from drake_aigto.world.answers import find_errors
 from drake_aigto.world.diagram import find_plant
 from drake_aigto.world.limits import Limits, check_sizes
 from drake_aigto.world.material import SpringMaterial, combine_springs
+from drake_aigto.world.model_facts import find_errors
 from drake_aigto.world.model_fields import Limited, as_globs
 from drake_aigto.world.model_reader import open_diagram
 from drake_aigto.world.model_shapes import choose_pairs

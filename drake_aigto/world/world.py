@@ -19,8 +19,6 @@ from pydrake.systems.framework import Context, Diagram
 from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.dynamics import STICTION_SPEED, EquationsOfMotion, SumMap
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world.answers import find_errors, gather
-from drake_aigto.world.clearance import check_clearance, find_least_distances
 from drake_aigto.world.diagram import (
     exclude_shapes,
     find_hinges,
@@ -30,9 +28,9 @@ from drake_aigto.world.diagram import (
 )
 from drake_aigto.world.fields import as_number
 from drake_aigto.world.fingerprint import Fingerprint
-from drake_aigto.world.limits import Limits, check_sizes
+from drake_aigto.world.limits import Limits, check_clearance, check_sizes, find_least_distances
 from drake_aigto.world.material import SpringMaterial, read_materials, read_springs, read_stiffness
-from drake_aigto.world.model_facts import FixableError
+from drake_aigto.world.model_facts import FixableError, find_errors, gather
 from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
 from drake_aigto.world.model_reader import open_diagram, read_model
 from drake_aigto.world.model_shapes import (

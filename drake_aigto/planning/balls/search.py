@@ -23,7 +23,7 @@ from drake_aigto.planning.balls.branching import (
 from drake_aigto.planning.balls.phases import Path, PhaseMotion
 from drake_aigto.planning.balls.task import BallTask
 from drake_aigto.planning.candidate import COASTING, GIVEN, Candidate, Origin
-from drake_aigto.planning.rungs import Rung
+from drake_aigto.planning.options import Rung
 from drake_aigto.planning.search import Proposal, Stopwatch, scaled
 from drake_aigto.planning.sequences import (
     are_near,

@@ -34,10 +34,9 @@ from drake_aigto.planning.candidate import (
     read_motion,
     sample,
 )
-from drake_aigto.planning.options import PlanOptions
+from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.program_task import ProgramTask
 from drake_aigto.planning.programs import CompiledPrograms, Solution
-from drake_aigto.planning.rungs import Rung
 from drake_aigto.planning.sequences import read_sequences
 from drake_aigto.simulation import find_contacts, max_penetration
 from drake_aigto.transcription import (

@@ -41,8 +41,7 @@ from drake_aigto.planning.mechanisms.closing import (
     soften,
     steady,
 )
-from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, sample_cubic
-from drake_aigto.planning.mechanisms.measures import Measures
+from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, Measures, sample_cubic
 from drake_aigto.planning.mechanisms.traces import trace
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.tracked import (
