@@ -26,6 +26,7 @@ from drake_aigto import (
 from drake_aigto.control import ClosedLoopRun, Disturbance, run_in_loop
 from drake_aigto.errors import ControlError, ResultsFileError
 from drake_aigto.show import figures_of_run, format_run, plot_run
+from drake_aigto.world import STIFFNESS, read_given, read_material
 
 WALL, POLE = Scenario.named("table1/1"), Scenario.named("cart_pole/soft_06")
 NOISE = np.array([1e-3, 1e-2])  # [m, m/s]
@@ -123,6 +124,8 @@ def test_what_is_true_is_what_was_asked_for() -> None:
     near = track(Disturbance(wall_shift=0.01, start_offset=np.array([0.002])), duration=0.6)
     assert near.replay.bounce_times[0] < plain.replay.bounce_times[0] - 1e-3
     assert near.replay.positions[0, 0] == WALL.initial_position[0] + 0.002
+    cut = track(Disturbance(saturation=[0.2], start_offset=[0.1]), duration=0.1)
+    assert np.max(np.abs(cut.controls)) == 0.2
     noisy, again, other = (
         track(Disturbance(noise=NOISE, seed=seed), duration=0.1) for seed in (0, 0, 1)
     )
@@ -130,6 +133,14 @@ def test_what_is_true_is_what_was_asked_for() -> None:
     assert np.any(other.controls != noisy.controls)
     told = format_run(noisy)
     assert "noise of [0.001, 0.01] (seed 0)" in told and max(map(len, told.splitlines())) <= 100
+
+
+def test_true_walls_are_as_stiff_as_was_asked_for() -> None:
+    world = make_planner().world
+    root, shape = world.create_context(), world.shapes[0][0]
+    Disturbance(stiffness_factor=0.5).impose(world, root)
+    found = read_material(world.scene_graph, root, shape).GetProperty(*STIFFNESS)
+    assert found == 0.5 * read_given(world.scene_graph, shape, STIFFNESS)
 
 
 def test_true_friction_is_that_of_contacts_and_joints() -> None:
@@ -160,6 +171,7 @@ def test_ctrl_c_keeps_what_is_there(tmp_path: Path) -> None:
     [
         ({"mass_factor": 0.0}, r"^mass_factor: got 0\.0, expected a number above 0"),
         ({"kick": [1.0, 2.0], "kick_time": 0.1}, "^kick: got 2 numbers, expected 1, or none"),
+        ({"saturation": [0.0]}, r"^saturation: got \[0\.0\], expected limits above zero"),
         ({"noise": [-1.0, 0.0]}, "^noise: got .*, expected standard deviations"),
         ({"start_offset": [np.nan]}, "^start_offset: got .*, expected a row of finite numbers"),
         ({"kick": [1.0], "kick_time": 9.0}, r"^kick_time: got 9\.0, expected after the start, bef"),
@@ -183,7 +195,7 @@ def test_walls_that_can_not_be_disturbed_so_are_refused() -> None:
             disturbance.apply(World.from_scenario(scenario), scenario)
     with pytest.raises(ControlError, match=r"^duration: got 0, expected seconds above zero"):
         track(duration=0)
-    with pytest.raises(ControlError, match=r"^the controller: got one for 2 numbers"):
+    with pytest.raises(ControlError, match=r"^joints of the plant: got rail_x"):
         run_in_loop(TrackingController(make_plan()), POLE)
 
 

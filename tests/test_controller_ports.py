@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loops import close_loop
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput, TrajectorySource
@@ -306,6 +307,14 @@ def test_feedback_between_ticks_answers_what_ticks_are_too_rare_for() -> None:
 def test_what_makes_no_sense_is_refused(method: str, options: Any, message: str) -> None:
     with pytest.raises(ControlError, match=message):
         make_controller(method, **options)
+
+
+def test_a_plant_of_other_joints_is_refused_where_it_can_be_seen() -> None:
+    floor = Scenario.named("floor/rebound")
+    diagram, _ = close_loop(floor.model, make_controller("tracking"), feels=True)
+    message = "^joints of the plant: got .*, expected .*plan for this plant"
+    with pytest.raises(ControlError, match=message):
+        Simulator(diagram).Initialize()
 
 
 def test_limits_that_leave_nothing_are_refused() -> None:

@@ -9,9 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 from loops import Wrapper, close_loop, hold_samples, set_start
+from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput, TrajectorySource
+from pydrake.systems.primitives import (
+    ConstantValueSource,
+    ConstantVectorSource,
+    LogVectorOutput,
+    TrajectorySource,
+)
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto import (
@@ -110,6 +116,15 @@ def test_searches_are_when_they_are_due_and_switch_for_the_better() -> None:
     run.advance(0.45)
     searched = [status for status in run.statuses if status.reason != "warm"]
     assert [round(status.time, 9) for status in searched] == [0.0, 0.2, 0.4]
+
+
+def test_iterations_that_are_measured_make_the_same_run_if_they_are_given() -> None:
+    measured = Run(iterations=None)
+    x = measured.advance(0.1)
+    counts = {status.iterations for status in measured.statuses}
+    (count,) = counts
+    assert 1 <= count <= 15
+    np.testing.assert_array_equal(Run(iterations=count).advance(0.1), x)
 
 
 def test_a_run_is_the_same_again() -> None:
@@ -431,6 +446,48 @@ def test_a_reference_goes_on_from_tick_to_tick(name: str) -> None:
     controller = ModelPredictiveController(Planner(scenario, options), period=0.05)
     run = run_in_loop(controller, scenario, duration=1.5)
     assert run.replay.positions[-1, 0] == pytest.approx(0.45, abs=0.03)
+    told = dataclasses.replace(scenario, **dict.fromkeys(REFERENCE))
+    path = PiecewisePolynomial.FirstOrderHold([0.0, 3.0], [[0, 0.9], [0, 0], [0.3, 0.3], [0, 0]])
+    by_port, own = follow(Planner(told, options), path, 0.5), Planner(scenario, options)
+    assert by_port == pytest.approx(follow(own, None, 0.5), rel=1e-3)
+
+
+REFERENCE = ("reference_times", "reference_positions", "reference_velocities")
+
+
+def follow(planner: Planner, path: PiecewisePolynomial | None, until: float) -> float:
+    """Returns where a cart is that follows a trajectory by its port, or its scenario's."""
+    controller = ModelPredictiveController(planner, period=0.05)
+    builder = DiagramBuilder()
+    plant: Any = builder.AddSystem(planner.world.diagram.Clone())
+    builder.AddSystem(controller)
+    builder.Connect(plant.GetOutputPort("state"), controller.get_input_port_estimated_state())
+    builder.Connect(controller.get_output_port_control(), plant.GetInputPort("actuation"))
+    if path is not None:
+        source = builder.AddSystem(ConstantValueSource(AbstractValue.Make(path)))
+        builder.Connect(source.get_output_port(), controller.GetInputPort("reference_path"))
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(until)
+    context = plant.GetMyContextFromRoot(simulator.get_context())
+    return float(plant.GetOutputPort("state").Eval(context)[0])
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        (
+            PiecewisePolynomial.FirstOrderHold([0.0, 9.0], np.zeros((2, 2))),
+            "^reference_path: got 2 by 1 numbers, expected q and v, 4 by 1",
+        ),
+        (
+            PiecewisePolynomial.FirstOrderHold([0.0, 1.4], np.zeros((4, 2))),
+            r"^reference_path: got one that ends at 1\.4 s, expected one until 1\.5 s",
+        ),
+    ],
+)
+def test_a_reference_that_does_not_fit_is_refused(path: Any, message: str) -> None:
+    with pytest.raises(ControlError, match=message):
+        follow(make_planner(), path, 0.01)
 
 
 def test_the_first_plan_is_from_the_first_sample_of_a_hold() -> None:

@@ -1,3 +1,5 @@
+from .estimation import ModelEstimate as ModelEstimate
+from .estimation import ModelEstimator as ModelEstimator
 from .horizon import Horizon as Horizon
 from .loop import LoopRecorder as LoopRecorder
 from .loop import run_in_loop as run_in_loop

@@ -190,15 +190,27 @@ class Horizon(ABC):
         """Returns the same task between walls that return what was seen, and stand there."""
         return self
 
-    def toward(self, goal: Floats) -> Horizon:
-        """Returns the same task with another goal, q and v, shape (nq + n,), within bounds.
+    def within(self, iterations: int) -> Horizon:
+        """Returns the same task, in which a tick has at most so many iterations of a descent."""
+        return self
 
-        Its velocity counts where the scenario has one.
+    def toward(self, goal: Floats, path: tuple[Floats, Floats] | None = None) -> Horizon:
+        """Returns the same task with another goal, and another reference on the way.
+
+        Args:
+            goal: q and v, shape (nq + n,), of which q is moved within bounds; v counts where the
+                scenario has one.
+            path: times, shape (K,) [s], and q and v then, shape (K, nq + n); None: the scenario's.
+                It counts where the scenario weighs the way.
         """
-        other, (q, v) = copy.copy(self), self.world.split(goal)
-        asked = {"goal_position": np.clip(q, *self.world.bounds(self.scenario).position)}
-        if self.scenario.goal_velocity is not None:
+        other, (q, v), scenario = copy.copy(self), self.world.split(goal), self.scenario
+        asked = {"goal_position": np.clip(q, *self.world.bounds(scenario).position)}
+        if scenario.goal_velocity is not None:
             asked["goal_velocity"] = v
+        if path and (np.any(scenario.position_weight) or np.any(scenario.velocity_weight)):
+            positions, velocities = self.world.split(path[1])
+            asked |= {"reference_times": path[0], "reference_positions": positions}
+            asked["reference_velocities"] = velocities
         other.scenario = dataclasses.replace(self.scenario, **asked)  # type: ignore[arg-type]
         other._task = self._task.again(other.scenario)
         return other

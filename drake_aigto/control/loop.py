@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Callable
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from pydrake.geometry import Meshcat, MeshcatVisualizer
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, OutputPort
-from pydrake.systems.primitives import Adder, DiscreteTimeDelay, TrajectorySource
+from pydrake.systems.primitives import Adder, DiscreteTimeDelay, Saturation, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
@@ -130,18 +129,12 @@ class LoopRecorder:
         """
         recording, end, controller = self._record(), self._rows[-1].time, self._controller
         recording.simulator = "drake"
-        replay = summarize(self._world, true, recording, end)
-        scaled = (
-            tuple(disturbance.mass_factor * energy for energy in energies)
-            for energies in (replay.energies_before, replay.energies_after)
-        )
-        before, after = scaled
         is_tracking = isinstance(controller, TrackingController)
         return ClosedLoopRun(
             method="tracking" if is_tracking else "replanning",
             scenario=scenario,
             disturbance=disturbance,
-            replay=dataclasses.replace(replay, energies_before=before, energies_after=after),
+            replay=summarize(self._world, true, recording, end),
             control_times=np.append(recording.control_times, end),
             controls=np.array(recording.controls),
             promised=controller.plan.cost if is_tracking else self._ticks[0].cost,
@@ -213,7 +206,7 @@ def run_in_loop(
     plant_world = true_world.of_diagram(diagram)
     plant_world.check(true)
     simulator, contacts = start_plant(plant_world, true, (0.0, true.duration))
-    disturbance.scale_masses(plant_world, simulator.get_mutable_context())
+    disturbance.impose(plant_world, simulator.get_mutable_context())
     if meshcat is not None:
         simulator.set_target_realtime_rate(1.0)
     recorder = LoopRecorder(plant_world, controller, contacts, end, progress)
@@ -249,16 +242,18 @@ def _connect(
             remedy="Connect the controller to the plant in your diagram.",
         )
     builder.AddSystem(controller)
-    state, estimate = plant.GetOutputPort("state"), controller.GetInputPort("estimated_state")
-    if state.size() != estimate.size():
-        got = f"one for {estimate.size()} numbers of q and v"
-        raise ControlError("the controller", got=got, expected=f"one for {state.size()}")
+    controller.check_plant(world.plant)
+    state = plant.GetOutputPort("state")
     if disturbance.noise.any():
         state = _add_noise(builder, state, disturbance, controller.period, end)
-    builder.Connect(state, estimate)
+    builder.Connect(state, controller.get_input_port_estimated_state())
     control = controller.get_output_port_control()
     if disturbance.delay:
         control = _add_delay(builder, control, disturbance.delay)
+    if (most := disturbance.saturation).any():
+        cut = builder.AddSystem(Saturation(-most, most))
+        builder.Connect(control, cut.get_input_port())
+        control = cut.get_output_port()
     builder.Connect(control, plant.GetInputPort("actuation"))
     if controller.HasInputPort("contact_results"):
         felt = controller.GetInputPort("contact_results")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import os
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context
 
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
@@ -18,7 +18,7 @@ from drake_aigto.errors import AigtoError, ControlError, ResultsFileError
 from drake_aigto.output import write_text
 from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
 from drake_aigto.simulation import Arrival, Replay
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import STIFFNESS, Scenario, World, read_given, set_material
 
 FORMAT, FORMAT_VERSION = "drake_aigto closed loop", 2
 HEAD = {"format": FORMAT, "version": FORMAT_VERSION, "simulation": True}
@@ -46,6 +46,8 @@ class Disturbance(ArrayRecord):
         wall_shift: how much nearer each wall stands, along its normal [m].
         restitution_factor: of the scenario's restitution.
         friction_factor: of all friction, where contacts have one μ, and of that in joints.
+        stiffness_factor: of all compliant walls, in what is simulated.
+        saturation: |u| at most that acts on the plant, shape (nu,) [N, N m].
         kick: by how much v jumps, shape (n,) [m/s, rad/s].
         kick_time: when it does, before the run ends [s].
         noise: standard deviations of the estimate of q and v, shape (nq + n,), drawn anew
@@ -60,6 +62,8 @@ class Disturbance(ArrayRecord):
     wall_shift: float = 0.0
     restitution_factor: float = 1.0
     friction_factor: float = 1.0
+    stiffness_factor: float = 1.0
+    saturation: Floats = field(default_factory=lambda: np.empty(0))
     kick: Floats = field(default_factory=lambda: np.empty(0))
     kick_time: float = 0.0
     noise: Floats = field(default_factory=lambda: np.empty(0))
@@ -72,21 +76,24 @@ class Disturbance(ArrayRecord):
         Raises:
             ControlError: numbers that are not finite, or out of their range.
         """
-        for name in ("start_offset", "kick", "noise"):
+        for name in ("start_offset", "kick", "noise", "saturation"):
             object.__setattr__(self, name, _as_row(name, getattr(self, name)))
-        for name in ("mass_factor", "restitution_factor", "friction_factor", "kick_time", "delay"):
+        positive = ("mass_factor", "stiffness_factor")
+        for name in (*positive, "restitution_factor", "friction_factor", "kick_time", "delay"):
             value = getattr(self, name)
-            is_above = value > 0 if name == "mass_factor" else value >= 0
-            if not (is_above and np.isfinite(value)):
-                expected = "a number above 0" if name == "mass_factor" else "a number of at least 0"
-                raise ControlError(name, got=value, expected=expected)
+            if not (np.isfinite(value) and (value > 0 if name in positive else value >= 0)):
+                least = "above 0" if name in positive else "of at least 0"
+                raise ControlError(name, got=value, expected=f"a number {least}")
+        if np.any(self.saturation <= 0):
+            got = self.saturation.tolist()
+            raise ControlError("saturation", got=got, expected="limits above zero")
         if not np.isfinite(self.wall_shift):
             raise ControlError("wall_shift", got=self.wall_shift, expected="a finite number [m]")
         if np.any(self.noise < 0):
             raise ControlError("noise", got=self.noise.tolist(), expected="standard deviations")
 
     def apply(self, world: World, scenario: Scenario) -> tuple[World, Scenario]:
-        """Returns the true world and scenario; masses are those of `scale_masses`.
+        """Returns the true world and scenario, but for the stiffness (`impose`).
 
         Raises:
             ControlError: sizes that are not the world's, a restitution that is not the scenario's
@@ -105,11 +112,14 @@ class Disturbance(ArrayRecord):
         true = dataclasses.replace(scenario, **changes)  # type: ignore[arg-type]
         if "dry_friction" in changes:
             world = World.from_scenario(true)
+        if self.mass_factor != 1:
+            world = world.of_diagram(world.diagram, self.mass_factor * world.mass_factor)
         return (self._move_walls(world) if self.wall_shift else world), true
 
     def _check_sizes(self, world: World) -> None:
         n = world.num_velocities
         sizes = {"start_offset": n, "kick": n, "noise": world.num_positions + n}
+        sizes["saturation"] = world.num_actuators
         for name, size in sizes.items():
             got = len(getattr(self, name))
             if got not in (0, size):
@@ -165,16 +175,14 @@ class Disturbance(ArrayRecord):
             world = world.with_wall_moved(walls.index(wall), self.wall_shift)
         return world
 
-    def scale_masses(self, world: World, root: Context) -> None:
-        """Gives links their true masses, in this context only."""
-        if self.mass_factor == 1:
+    def impose(self, world: World, root: Context) -> None:
+        """Gives shapes their true stiffness, in this context only."""
+        if self.stiffness_factor == 1:
             return
-        plant = world.plant
-        context = plant.GetMyMutableContextFromRoot(root)
-        for index in range(plant.num_bodies()):
-            body = plant.get_body(BodyIndex(index))
-            if not plant.IsAnchored(body):
-                body.SetMass(context, self.mass_factor * body.get_mass(context))
+        source: Any = world.plant.get_source_id()
+        for shape in dict.fromkeys(itertools.chain(*world.shapes)):
+            stiffness = self.stiffness_factor * read_given(world.scene_graph, shape, STIFFNESS)
+            set_material(world.scene_graph, source, root, shape, STIFFNESS, stiffness)
 
     def draw_noise(self, count: int) -> Floats:
         """Returns the noise of q and v at each of a count of periods, shape (count, 2n)."""
@@ -292,7 +300,7 @@ class ClosedLoopRun:
 
     @property
     def true_world(self) -> World:
-        """The world that was simulated, but for its masses."""
+        """The world that was simulated, but for its stiffness."""
         return self.disturbance.apply(self.world, self.scenario)[0]
 
     def save(self, path: str | os.PathLike[str]) -> None:

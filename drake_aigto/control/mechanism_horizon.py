@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Iterable, Iterator
 
@@ -78,11 +79,20 @@ def make_horizon(planner: Planner, is_receding: bool, iterations: int, period: f
 class _ShootingHorizon(Horizon):
     """Mechanisms, whose motions a descent leads from one tick to the next."""
 
+    _options: ShootingOptions  # of the descent in a tick
+
     def __init__(self, planner: Planner, is_receding: bool, period: float) -> None:
         """Compiles the planner's task, for ticks a period [s] apart."""
         super().__init__(planner, is_receding, period)
         self._task = make_mechanism_task(planner.world, planner.scenario, planner.options)
         self.num_steps, self.cost_scale = self._task.search_steps, self._task.scales.cost
+
+    def within(self, iterations: int) -> _ShootingHorizon:
+        """Returns the same task with other iterations; see `Horizon`."""
+        other, rungs = copy.copy(self), self._options.rungs
+        rungs = tuple(each._replace(iterations=iterations) for each in rungs)
+        other._options = dataclasses.replace(self._options, rungs=rungs)
+        return other
 
     def _search(self, asked: Scenario) -> ShootingResult | None:
         """Returns the best motion that boxes, renewals and neighbors lead to, from time 0 on."""
@@ -118,9 +128,9 @@ class CompliantHorizon(_ShootingHorizon):
         problem = self._task.shooting(self.num_steps)
         return dataclasses.replace(problem, duration=self.scenario.duration)
 
-    def toward(self, goal: Floats) -> CompliantHorizon:
-        """Returns the same task with another goal; see `Horizon`."""
-        other: CompliantHorizon = super().toward(goal)  # type: ignore[assignment]
+    def toward(self, goal: Floats, path: tuple[Floats, Floats] | None = None) -> CompliantHorizon:
+        """Returns the same task with another goal and reference; see `Horizon`."""
+        other: CompliantHorizon = super().toward(goal, path)  # type: ignore[assignment]
         other._problem = other._pose()
         return other
 

@@ -27,6 +27,7 @@ from drake_aigto.world import Scenario, World
 Mode: TypeAlias = Literal["waiting", "running", "holding", "fallback"]
 Sample: TypeAlias = Literal["none", "valid", "not finite", "off limits", "far off"]
 Fallback: TypeAlias = Literal["plan", "hold", "brake", "zero"]
+Model: TypeAlias = tuple[World, Scenario]
 MODES, SAMPLES = get_args(Mode), get_args(Sample)
 
 # Types of real numbers: NumPy's scalars may be given, too.
@@ -59,6 +60,8 @@ class TickStatus:
             values, whichever are larger, the largest of all coordinates; infinite without a sample.
         is_limited: whether limits have changed the command.
         is_late: whether the tick took longer than the period, or a search longer than its ticks.
+        estimated: what is estimated of the model (`ModelPredictiveController.estimated`).
+        iterations: of a descent in a tick, at most; 0: there is none.
     """
 
     time: float
@@ -74,6 +77,8 @@ class TickStatus:
     deviation: float = 0.0
     is_limited: bool = False
     is_late: bool = False
+    estimated: tuple[float, ...] = ()
+    iterations: int = 0
 
 
 def tabulate(ticks: Sequence[TickStatus]) -> dict[str, list[Any]]:
@@ -166,8 +171,11 @@ class LoopController(LeafSystem):
         delay: float = 0.0,
         start_time: float = 0.0,
         safety: Safety | None = None,
+        often: float | None = None,
     ) -> None:
         """Declares the input port; heirs declare their state, then the others.
+
+        Commands of a period and the delay are remembered, `often` one of them.
 
         Raises:
             ControlError: an argument is out of its range.
@@ -182,7 +190,8 @@ class LoopController(LeafSystem):
         low, high = world.bounds(scenario).control
         self._most = np.maximum(low, -self.safety.control), np.minimum(high, self.safety.control)
         self._estimate = self.DeclareVectorInputPort("estimated_state", len(self._units))
-        count = 2 + _COMMANDS * int(np.ceil(self.delay / self.period))
+        a_period = max(_COMMANDS, int(np.ceil(self.period / (often or self.period))))
+        count = 2 + a_period * int(np.ceil(1 + self.delay / self.period))
         self._no_commands = np.zeros((count, 1 + world.num_actuators))
         self._no_commands[:, 0] = -np.inf
 
@@ -214,6 +223,18 @@ class LoopController(LeafSystem):
     def get_output_port_status(self) -> OutputPort:
         """Returns the port of reports."""
         return self.GetOutputPort("status")
+
+    def check_plant(self, plant: Any) -> None:
+        """Checks that a plant's state and actuators are those of the plan, in order: no port tells.
+
+        Raises:
+            ControlError: joints or actuators have other names, or another order.
+        """
+        for what, read in (("joints", "GetStateNames"), ("actuators", "GetActuatorNames")):
+            names = [", ".join(getattr(each, read)(False)) for each in (plant, self._world.plant)]
+            if names[0] != names[1]:
+                remedy = "Put them in that order, or plan for this plant (World.from_diagram)."
+                raise ControlError(f"{what} of the plant", names[0], names[1], remedy=remedy)
 
     @abstractmethod
     def update(self, context: Context) -> None:
@@ -282,29 +303,28 @@ class LoopController(LeafSystem):
         k = int(np.searchsorted(commands[:, 0] + self.delay, time, side="right")) - 1
         return np.array(commands[max(k, 0), 1:])
 
-    def _lead_on(self, time: float, x: Floats, commands: Floats) -> tuple[Floats, list[int]] | None:
+    def _find_held(self, commands: Floats, start: float, end: float) -> HeldControl:
+        """Returns the commands that act on the plant in a stretch of time."""
+        acts = commands[:, 0] + self.delay
+        is_coming = (acts > start) & (acts < end)
+        coming, knots = commands[is_coming], np.concatenate([[start], acts[is_coming], [end]])
+        return HeldControl(knots, np.vstack([self._find_acting(commands, start), coming[:, 1:]]))
+
+    def _lead_on(
+        self, time: float, x: Floats, commands: Floats, model: Model | None = None
+    ) -> tuple[Floats, list[int]] | None:
         """Returns the state a delay later, and the contacts that bounce until then; None: unknown.
 
         Args:
-            time: of the sample [s].
-            x: the sample.
+            time: of the sample x [s].
+            x: q and v.
             commands: rows (t, u), of which those that are on their way count.
+            model: in place of the one that was given.
         """
         if not self.delay:
             return x, []
-        acts, end = commands[:, 0] + self.delay, time + self.delay
-        coming = commands[(acts > time) & (acts < end)]
-        knots = np.concatenate([[time], coming[:, 0] + self.delay, [end]])
-        controls = np.vstack([self._find_acting(commands, time), coming[:, 1:]])
-        start = self._world.split(x)
-        judge: Any = EVENT_DRIVEN
-        try:
-            found = judge.simulate(
-                self._world, self._scenario, HeldControl(knots, controls), state=start
-            )
-        except (TrajectoryError, FrictionError):
-            return None
-        return np.concatenate([found.positions[-1], found.velocities[-1]]), found.bounces
+        held = self._find_held(commands, time, time + self.delay)
+        return predict(model or (self._world, self._scenario), x, held)
 
     def _write_control(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._read_commands(context)[-1, 1:])
@@ -339,6 +359,16 @@ class LoopController(LeafSystem):
         if not np.all(np.isfinite(x)):
             raise ControlError("the state at the start", got=x.tolist(), expected="finite numbers")
         return x
+
+
+def predict(model: Model, x: Floats, held: HeldControl) -> tuple[Floats, list[int]] | None:
+    """Returns q and v after held commands, and the contacts that bounce; None: nobody knows."""
+    judge: Any = EVENT_DRIVEN
+    try:
+        found = judge.simulate(*model, held, state=model[0].split(x))
+    except (TrajectoryError, FrictionError):
+        return None
+    return np.concatenate([found.positions[-1], found.velocities[-1]]), found.bounces
 
 
 def append_command(commands: Floats, time: float, u: Floats) -> Floats:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -12,8 +13,7 @@ from pydrake.systems.framework import Context, EventStatus, State
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.horizon import Horizon
-from drake_aigto.control.mechanism_horizon import make_horizon
+from drake_aigto.control.estimation import ModelEstimate, Unknown
 from drake_aigto.control.ports import (
     NUMBERS,
     LoopController,
@@ -24,7 +24,14 @@ from drake_aigto.control.ports import (
     check_seconds,
     may_be_unsampled,
 )
-from drake_aigto.control.ticks import Searches, TickChoice, TickMemory, TickQuestion
+from drake_aigto.control.ticks import (
+    Horizons,
+    Reference,
+    Searches,
+    TickChoice,
+    TickMemory,
+    TickQuestion,
+)
 from drake_aigto.control.touches import PlannedMotion, SeenBounces
 from drake_aigto.errors import ControlError
 from drake_aigto.planning import Plan, Planner
@@ -49,12 +56,11 @@ class ModelPredictiveController(LoopController):
     where searches have a thread of their own.
 
     With friction in joints or at compliant walls, ticks begin with the motion that the last plan's
-    controls lead to, in steps that resolve friction; sustained contact may take 15 iterations a
-    tick.
+    controls lead to, in steps that resolve friction; sustained contact may take 15 iterations.
 
-    Of what differs from a model, rigid walls mislead plans of balls most: where they stand, and
-    what they return. Both are learned from bounces that are seen between one tick and the next; and
-    a wall that a ball is well inside of stands farther away. Mechanisms learn nothing of walls.
+    Where rigid walls stand, and what they return, balls learn from bounces that are seen between
+    one tick and the next, and from being well inside of one. All else that a model has wrong of
+    masses, friction, walls or forces is found with `estimate`, and planned with (`ModelEstimate`).
 
     Between ticks the plan's control is held, or with `feedback_period` it is u* + K (x − x*) of
     `Feedback` about the plan, sampled so often.
@@ -64,15 +70,15 @@ class ModelPredictiveController(LoopController):
     fallback. At the end of a horizon that shrinks the goal is held by a `Regulator`, where there is
     one, and else the last control. No NaN leaves a port.
 
-    The first plan is from the first sample: where all of the state is zero at the start, and the
-    scenario's is not, it is searched for at the first tick, as a sampled estimate may have no
-    sample before. Hinges of an estimate that wraps angles are taken a whole number of turns on, to
-    where they are nearest to the plan. A Simulator that is initialized again on its way, at most a
-    period after the last tick, keeps the plan.
+    The first plan is from the first sample: a state that is all zero, where the scenario's start is
+    not, is taken for none at the start. Hinges of an estimate are taken whole turns on, to where
+    they are nearest to the plan. A Simulator that is initialized again on its way, at most a period
+    after the last tick, keeps the plan.
 
-    Ports are those of `LoopController`, and an input port `reference`: q and v of the goal, which
-    may move, in place of the scenario's; it may stay unconnected, and is not followed while it is
-    not finite.
+    Ports are those of `LoopController`, and two input ports that may stay unconnected: `reference`,
+    q and v of a goal that moves, not followed where not finite; or else `reference_path`, a
+    PiecewisePolynomial of them in the context's time, the goal where a horizon ends, and on the way
+    the reference, where the scenario weighs that. It stands still after its end.
     """
 
     def __init__(
@@ -80,7 +86,7 @@ class ModelPredictiveController(LoopController):
         planner: Planner,
         period: float,
         horizon: Literal["receding", "shrinking"] = "receding",
-        iterations: int = 5,
+        iterations: int | None = 5,
         search_every: int | None = None,
         margin: float = 0.02,
         surprise: float = 0.5,
@@ -92,6 +98,7 @@ class ModelPredictiveController(LoopController):
         delay: float = 0.0,
         start_time: float = 0.0,
         safety: Safety | None = None,
+        estimate: Sequence[Unknown] = (),
     ) -> None:
         """Takes the planner's task; its start does not count.
 
@@ -99,10 +106,11 @@ class ModelPredictiveController(LoopController):
             planner: of balls between rigid walls, or of a mechanism; its task and options are
                 compiled once more.
             period: between ticks [s].
-            horizon: whether it always lasts as long as the scenario's duration, or ends with it.
+            horizon: whether it always lasts as long as the scenario, or ends with it.
             iterations: of the descent in a tick, at most; balls between rigid walls have none, and
                 mechanisms there up to five times as many, or a fixed number where these lead to
-                nothing.
+                nothing. None: as many as take half of a period, at most 15, measured at the start;
+                a run is the same again if it is given what `TickStatus.iterations` says.
             search_every: ticks from one search to the next; None: only at the start, and after a
                 surprise. What a search takes is in the planner's options.
             margin: what another sequence has to be better by, as a share of the cost.
@@ -110,8 +118,7 @@ class ModelPredictiveController(LoopController):
                 before there is a search; infinite: any.
             search_ticks: after how many ticks a search is done that runs in a thread beside warm
                 ones: begun at tick k, from where the plan is going to be at tick k + search_ticks,
-                it is waited for there, and what it found is led from there to the estimated
-                state. None: searches end in their tick.
+                it is waited for there. None: searches end in their tick.
             learns: whether what rigid walls return, and where they stand, is learned
                 (`SeenBounces`); the scenario and the model are what is thought of it before.
             waits: whether a search in a thread is waited for, so that a run is the same again; else
@@ -122,6 +129,8 @@ class ModelPredictiveController(LoopController):
             delay: see `LoopController`, as for the other arguments.
             start_time: the context's time at which the task begins [s].
             safety: limits, and the fallback.
+            estimate: what of the model is not known, of "mass", "friction", "walls" and "force"
+                (`ModelEstimate.of`); walls of balls are learned anyhow.
 
         Raises:
             ControlError: a free duration, or something that was added to the planner's
@@ -132,12 +141,8 @@ class ModelPredictiveController(LoopController):
             remedy = "Give it Planner(plan.scenario)." if isinstance(given, Plan) else ""
             got = type(given).__name__
             raise ControlError("planner", got=got, expected="a Planner", remedy=remedy)
-        counts = {
-            "iterations": iterations,
-            "search_every": search_every,
-            "search_ticks": search_ticks,
-        }
-        for name, value in counts.items():
+        counts = ("iterations", iterations), ("search_every", search_every)
+        for name, value in (*counts, ("search_ticks", search_ticks)):
             if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
                 raise ControlError(name, got=value, expected="a count of at least 1")
         if horizon not in ("receding", "shrinking"):
@@ -145,34 +150,40 @@ class ModelPredictiveController(LoopController):
         for name, share in (("margin", margin), ("surprise", surprise)):
             if not (isinstance(share, NUMBERS) and share >= 0):
                 raise ControlError(name, got=share, expected="a number of at least 0")
-        super().__init__(planner.world, planner.scenario, period, delay, start_time, safety)
+        about = planner.world, planner.scenario
+        super().__init__(*about, period, delay, start_time, safety, feedback_period)
         self.feedback_period = feedback_period
         if feedback_period is not None:
             name, most = "feedback_period", self.period
             self.feedback_period = check_seconds(name, feedback_period, is_positive=True, most=most)
         if plan is not None:
             plan.find_world(planner.world)  # Refuses another world's.
-        self._first = None if plan is None else PlannedMotion.of(plan.best)
-        self._margin, self._learns = margin, learns
-        posed = planner, horizon == "receding", iterations, self.period
-        self._horizon = self._aside = make_horizon(*posed)
-        if search_ticks is not None:  # In its thread it shares nothing that changes.
-            self._aside = make_horizon(*posed)
-        self._searches = Searches(self.period, search_every, surprise, search_ticks, waits)
-        nx = len(self._units)
+        self._first = PlannedMotion.of(plan.best) if plan is not None else None
+        self._learns = learns
+        posed = planner, horizon == "receding", iterations or 1, self.period
+        self._horizons = Horizons(*posed, has_thread=search_ticks is not None)
+        self._horizon, self._iterations = self._horizons.own, iterations
+        if planner.is_of_balls and "walls" in estimate:
+            got, expected = "walls of balls, which learns=True finds", "what is not learned so"
+            raise ControlError("estimate", got=got, expected=expected)
+        known = ModelEstimate.of(self._world, self._scenario, estimate) if estimate else None
+        often = search_every, search_ticks, waits
+        self._searches = Searches(self.period, margin, surprise, *often)
+        nx, own = len(self._units), self._horizon
         never = -np.inf, np.zeros(nx)
-        nowhere = TickQuestion(*never, SeenBounces(), self._horizon, never)
-        rest = TickChoice(self._horizon.rest(0.0, nowhere.x), "")
-        status = TickStatus(-np.inf, np.inf, (), "", 0.0, restitution=self._horizon.restitution)
-        none = TickMemory(rest, self._no_commands, status, 0, nowhere, nowhere.seen)
+        nowhere = TickQuestion(*never, SeenBounces(), own, own, never)
+        status = TickStatus(-np.inf, np.inf, (), "", 0.0, restitution=own.restitution)
+        empty = self._no_commands, status, -1, nowhere, nowhere.seen, None, known
+        self._nothing = TickMemory(TickChoice(own.rest(0.0, nowhere.x), ""), *empty)
         self._reference = self.DeclareVectorInputPort("reference", nx)
-        self._aimed: tuple[Floats, tuple[Horizon, Horizon]] | None = None
-        self._moment = self.DeclareAbstractState(AbstractValue.Make(none))
+        path = AbstractValue.Make(PiecewisePolynomial())
+        self._path = self.DeclareAbstractInputPort("reference_path", path)
+        self.estimated = known.names if known else ()
+        self._moment = self.DeclareAbstractState(AbstractValue.Make(self._nothing))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._start)
         self.DeclarePeriodicUnrestrictedUpdateEvent(self.period, self.period, self._tick)
-        if self.feedback_period is not None:
-            often = self.feedback_period
-            self.DeclarePeriodicUnrestrictedUpdateEvent(often, often, self._correct)
+        if between := self.feedback_period:
+            self.DeclarePeriodicUnrestrictedUpdateEvent(between, between, self._correct)
         self._declare_outputs({self.abstract_state_ticket(self._moment)})
 
     def read_plan(self, context: Context) -> Trajectory:
@@ -204,17 +215,12 @@ class ModelPredictiveController(LoopController):
         """Returns the task's time at which a command of now acts [s]."""
         return float(context.get_time()) - self.start_time + self.delay
 
-    def _aim(self, context: Context) -> tuple[Horizon, Horizon]:
-        """Returns the horizons of ticks and of threads with the goal of now."""
-        own = self._horizon, self._aside
-        if not self._reference.HasValue(context):
-            return own
-        goal = np.array(self._reference.Eval(context))
-        if not np.all(np.isfinite(goal)):
-            return own
-        if self._aimed is None or not np.array_equal(goal, self._aimed[0]):
-            self._aimed = goal, (own[0].toward(goal), own[1].toward(goal))
-        return self._aimed[1]
+    def _read_reference(self, context: Context) -> Reference:
+        """Returns what is told to be followed now."""
+        if self._path.HasValue(context):
+            return Reference(None, self._path.Eval(context), self.start_time)
+        goal = self._reference.Eval(context) if self._reference.HasValue(context) else [np.nan]
+        return Reference(np.array(goal) if np.all(np.isfinite(goal)) else None)
 
     def _ask(
         self, context: Context, x: Floats, before: TickMemory, seen: SeenBounces
@@ -226,26 +232,27 @@ class ModelPredictiveController(LoopController):
         is_first = np.isinf(before.usable.now)
         if is_first and sample == "far off":  # There is no plan yet.
             sample, off = "valid", 0.0
-        ahead = self._lead_on(time, x, before.commands) if sample == "valid" else None
+        model = before.known.models[0] if before.known else None
+        ahead = self._lead_on(time, x, before.commands, model) if sample == "valid" else None
         if sample == "valid" and ahead is None:
             sample = "far off"
-        later = x if ahead is None else ahead[0]
-        horizon = self._aim(context)[0].knowing(seen)
-        return TickQuestion(self._find_time(context), later, seen, horizon, (time, x), sample, off)
+        later, now = x if ahead is None else ahead[0], self._find_time(context)
+        found = self._horizons.find(
+            self._read_reference(context), now, before.known, before.iterations
+        )
+        horizon, aside = (each.knowing(seen) for each in found)
+        return TickQuestion(now, later, seen, horizon, aside, (time, x), sample, off)
 
     def _start(self, context: Context, state: State) -> EventStatus:
         """Searches for the first plan; on the way, the one that there is goes on."""
         x, before = np.array(self._read_start(context)), self._read(context)
+        begin = max(self._find_time(context) - self.delay, 0.0)
+        self._read_reference(context).check(self._horizon, begin)
         elapsed = context.get_time() - before.status.time
         is_same = elapsed == 0 and np.array_equal(x, before.usable.sampled[1])
         if is_same or 0 < elapsed <= self.period:
             return EventStatus.DidNothing()
-        never = (-np.inf, np.zeros_like(x))
-        nowhere = TickQuestion(*never, SeenBounces(), self._horizon, never)
-        before = dataclasses.replace(
-            before, commands=self._no_commands, usable=nowhere, seen=SeenBounces(), tick=-1
-        )
-        return self._begin(context, state, before, x)
+        return self._begin(context, state, self._nothing, x)
 
     def _begin(self, context: Context, state: State, before: TickMemory, x: Floats) -> EventStatus:
         """Makes the first plan, or waits for the first sample or the start."""
@@ -260,11 +267,13 @@ class ModelPredictiveController(LoopController):
             reason = f"the estimated state is {question.sample}: waits for another one"
         else:
             choice = self._choose_first(question)
+            if self._iterations is None and not self._horizon.is_over(question.now):
+                count = self._horizons.measure(question, choice.motion)
+                before = dataclasses.replace(before, iterations=count)
             return self._keep(state, before, choice, question, begin, usable=question)
-        rest = TickChoice(
-            self._horizon.rest(question.now, np.where(np.isfinite(x), x, 0.0)), reason
-        )
-        return self._keep(state, before, rest, question, begin, usable=before.usable)
+        rest = self._horizon.rest(question.now, np.where(np.isfinite(x), x, 0.0))
+        choice = TickChoice(rest, reason)
+        return self._keep(state, before, choice, question, begin, usable=before.usable)
 
     def _choose_first(self, question: TickQuestion) -> TickChoice:
         """Returns the given plan, or that of a search.
@@ -301,10 +310,13 @@ class ModelPredictiveController(LoopController):
         if self._learns and np.all(np.isfinite(x)):
             u = self._find_acting(before.commands, then)
             seen = self._horizon.watch(seen, (last, x), now - then, u)
+        if before.known and now - then < (1 + _SAME) * self.period:
+            held = self._find_held(before.commands, then, now)
+            known = before.known.watch((last, x), held)
+            before = dataclasses.replace(before, known=known)
         question = self._ask(context, x, before, seen)
-        obstacle = question.find_obstacle()
-        choice = self._choose(context, before, question, obstacle)
-        usable = before.usable if obstacle else question
+        choice = self._searches.choose(before, question)
+        usable = before.usable if question.obstacle else question
         return self._keep(state, before, choice, question, begin, usable)
 
     def _correct(self, context: Context, state: State) -> EventStatus:
@@ -343,8 +355,13 @@ class ModelPredictiveController(LoopController):
             has_switched=choice.has_switched,
             restitution=question.horizon.restitution,
             nearer=question.seen.nearer,
+            estimated=tuple(before.known.values.tolist()) if before.known else (),
+            iterations=before.iterations or self._iterations or 0,
         )
-        moment = TickMemory(choice, before.commands, status, tick, usable, question.seen, feedback)
+        moment = dataclasses.replace(
+            before, choice=choice, status=status, tick=tick, usable=usable, seen=question.seen,
+            feedback=feedback,
+        )  # fmt: skip
         moment = self._command(moment, question)
         seconds, pending = time.perf_counter() - begin, choice.pending
         is_late = seconds > self.period or (pending is not None and tick >= pending.due)
@@ -381,23 +398,3 @@ class ModelPredictiveController(LoopController):
         return dataclasses.replace(
             moment, commands=append_command(moment.commands, time, u), status=status
         )
-
-    def _choose(
-        self, context: Context, before: TickMemory, question: TickQuestion, obstacle: str | None
-    ) -> TickChoice:
-        """Returns the plan from now on, and why it is that."""
-        last, pending = before.choice.motion, before.choice.pending
-        now, x, horizon = question.now, question.x, question.horizon
-        if obstacle:
-            return TickChoice(last, f"{obstacle}: the last plan goes on", pending=pending)
-        motion = horizon.advance(last, now, x)
-        cost = question.price(motion, last)
-        aside = self._aim(context)[1]
-        has_searched, found, pending = self._searches.find(before, question, motion, aside)
-        if found and found.cost < (1 - self._margin) * cost:
-            reason = f"switched: {found.cost:.4g} in place of {cost:.4g}"
-            return TickChoice(found, reason, has_switched=True, pending=pending)
-        if motion is None:
-            return TickChoice(last, "no motion was found: the last plan goes on", pending=pending)
-        reason = "warm; a search found nothing better" if has_searched else "warm"
-        return TickChoice(motion, reason, pending=pending)

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import time
 import weakref
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
+from drake_aigto.control.estimation import ModelEstimate
 from drake_aigto.control.horizon import Horizon
+from drake_aigto.control.mechanism_horizon import make_horizon
 from drake_aigto.control.ports import Sample, TickStatus
 from drake_aigto.control.touches import PlannedMotion, SeenBounces
-from drake_aigto.planning import Cut, Feedback
+from drake_aigto.errors import AigtoError, ControlError
+from drake_aigto.planning import Cut, Feedback, Planner
 
+# Iterations are measured from a state that is off by this part, so that they have work to do; a
+# tick may take this part of its period, and has no more than this number.
+_MEASURED_OFF, _SHARE, _MOST_ITERATIONS = 1e-2, 0.5, 15
+# No reference is shorter [s].
+_LEAST = 1e-6
 # A wall that is planned to be hit within this number of periods, and left, has been hit.
 _NEAR = 2.0
 # A state that is off its plan by no more than this part of the scales is on it.
@@ -48,6 +58,7 @@ class TickQuestion(NamedTuple):
         x: the state then, led on from the sample.
         seen: what is known of walls.
         horizon: knows that, and the goal.
+        aside: the same, for a thread.
         sampled: the sample itself, and the context's time of it [s].
         sample: whether it is of use.
         deviation: how far it is off the plan.
@@ -57,6 +68,7 @@ class TickQuestion(NamedTuple):
     x: Floats
     seen: SeenBounces
     horizon: Horizon
+    aside: Horizon
     sampled: tuple[float, Floats]
     sample: Sample = "valid"
     deviation: float = 0.0
@@ -67,8 +79,9 @@ class TickQuestion(NamedTuple):
             return last.cost if self.deviation <= _ON_PLAN else np.inf
         return motion.cost
 
-    def find_obstacle(self) -> str | None:
-        """Returns why nothing can be planned from here; None: something can."""
+    @property
+    def obstacle(self) -> str | None:
+        """Why nothing can be planned from here; None: something can."""
         if self.sample != "valid":
             return f"the estimated state is {self.sample}"
         if self.horizon.is_over(self.now):
@@ -88,6 +101,8 @@ class TickMemory:
         usable: the last question from which something could be planned.
         seen: what is known of walls.
         feedback: about the plan, where there is some.
+        known: what is estimated of the model; None: nothing is.
+        iterations: of a descent in a tick, where they were chosen by measuring.
     """
 
     choice: TickChoice
@@ -97,6 +112,8 @@ class TickMemory:
     usable: TickQuestion
     seen: SeenBounces
     feedback: Feedback | None = None
+    known: ModelEstimate | None = None
+    iterations: int | None = None
 
     def find_hits(self, question: TickQuestion, period: float) -> list[int]:
         """Returns the contact that the plan is to hit about now, if it is left already."""
@@ -113,26 +130,163 @@ class TickMemory:
         return self
 
 
+class Reference(NamedTuple):
+    """What a controller is told to follow: a goal, or a trajectory.
+
+    Attributes:
+        goal: q and v, shape (nq + n,).
+        path: q and v over the context's time.
+        start: of the task in that time [s].
+    """
+
+    goal: Floats | None = None
+    path: PiecewisePolynomial | None = None
+    start: float = 0.0
+
+    def check(self, horizon: Horizon, begin: float) -> None:
+        """Refuses a trajectory that is not of q and v, or ends before a horizon does.
+
+        Args:
+            horizon: the task.
+            begin: of the first horizon, in the task's time [s].
+
+        Raises:
+            ControlError: says which.
+        """
+        if self.path is None:
+            return
+        nx = horizon.world.num_positions + horizon.world.num_velocities
+        end, (rows, columns) = self.start + horizon.end(begin), (self.path.rows(), self.path.cols())
+        if (rows, columns) != (nx, 1):
+            got, expected, remedy = f"{rows} by {columns} numbers", f"q and v, {nx} by 1", ""
+        elif self.path.end_time() < end - _LEAST:
+            got, expected = f"one that ends at {self.path.end_time():g} s", f"one until {end:g} s"
+            remedy = "That is when the first horizon ends: append what comes then."
+        else:
+            return
+        raise ControlError("reference_path", got=got, expected=expected, remedy=remedy)
+
+    def aim(self, horizon: Horizon, now: float) -> Horizon:
+        """Returns a task that follows it from now on."""
+        if self.path is None:
+            return horizon if self.goal is None else horizon.toward(self.goal)
+        times = np.linspace(now, max(horizon.end(now), now + _LEAST), horizon.num_steps + 1)
+        states = np.array([self.path.value(time + self.start)[:, 0] for time in times])
+        return horizon.toward(states[-1], (times, states))
+
+
+class Horizons:
+    """A planner's task, for ticks and for searches in a thread, with what is known by now."""
+
+    def __init__(
+        self, planner: Planner, is_receding: bool, iterations: int, period: float, has_thread: bool
+    ) -> None:
+        """Compiles the task; arguments are those of `make_horizon`, and whether there is a thread.
+
+        Raises:
+            ControlError: from `make_horizon`.
+        """
+        self._options, self._has_thread = planner.options, has_thread
+        self._posed = is_receding, iterations, period
+        self._period, self._own = period, self._make(planner)
+        self._learned: tuple[Any, tuple[Horizon, Horizon]] = (None, self._own)
+
+    def _make(self, planner: Planner) -> tuple[Horizon, Horizon]:
+        own = make_horizon(planner, *self._posed)
+        # What is in a thread shares nothing that changes.
+        return own, make_horizon(planner, *self._posed) if self._has_thread else own
+
+    @property
+    def own(self) -> Horizon:
+        """The task as it was given."""
+        return self._own[0]
+
+    def find(
+        self,
+        reference: Reference,
+        now: float,
+        known: ModelEstimate | None = None,
+        iterations: int | None = None,
+    ) -> tuple[Horizon, Horizon]:
+        """Returns the task of ticks and of threads from now on.
+
+        Args:
+            reference: what it is to follow.
+            now: in the task's time [s].
+            known: of the model.
+            iterations: of a tick's descent; None: as they were given.
+        """
+        own, aside = self._find_learned(known)
+        aimed = reference.aim(own if iterations is None else own.within(iterations), now)
+        return aimed, aimed if aside is own else reference.aim(aside, now)
+
+    def _find_learned(self, known: ModelEstimate | None) -> tuple[Horizon, Horizon]:
+        if known is None or known.is_of_the_model:
+            return self._own
+        if self._learned[0] is not known.models:
+            world, scenario = known.models[0]
+            try:
+                pair = self._make(Planner(scenario, self._options, world))
+            except AigtoError:  # Where the task starts there is a wall now.
+                pair = self._learned[1]
+            self._learned = known.models, pair
+        return self._learned[1]
+
+    def measure(self, question: TickQuestion, motion: PlannedMotion) -> int:
+        """Returns how many iterations of a descent a tick has time for, by the clock."""
+        now, x, horizon = question.now, question.x, question.horizon
+        x, seconds = x + _MEASURED_OFF * np.maximum(np.abs(x), 1.0), list[float]()
+        for count in (1, 1, _MOST_ITERATIONS):  # The first one has more to do.
+            begin = time.perf_counter()
+            horizon.within(count).advance(motion, now, x)
+            seconds.append(time.perf_counter() - begin)
+        _, one, most = seconds
+        each = max(most - one, 0.0) / (_MOST_ITERATIONS - 1)
+        left = _SHARE * self._period - one
+        return 1 + int(min(max(left / each, 0.0) if each else np.inf, _MOST_ITERATIONS - 1))
+
+
 class Searches:
     """Searches for other contact sequences: when they begin, and in their tick or in a thread."""
 
     def __init__(
-        self, period: float, every: int | None, surprise: float, ticks: int | None, waits: bool
+        self,
+        period: float,
+        margin: float,
+        surprise: float,
+        every: int | None,
+        ticks: int | None,
+        waits: bool,
     ) -> None:
         """Takes what `ModelPredictiveController` is given."""
-        self._period, self._every, self._surprise = period, every, surprise
-        self._ticks, self._waits = ticks, waits
+        self._period, self._margin, self._surprise = period, margin, surprise
+        self._every, self._ticks, self._waits = every, ticks, waits
         if ticks is not None:
             self._thread = ThreadPoolExecutor(1, "search")
             # What is under way when nobody can take it any more is not followed by another one.
             weakref.finalize(self, self._thread.shutdown, wait=False, cancel_futures=True)
 
-    def find(
+    def choose(self, before: TickMemory, question: TickQuestion) -> TickChoice:
+        """Returns the plan from now on, and why it is that."""
+        last, pending = before.choice.motion, before.choice.pending
+        if obstacle := question.obstacle:
+            return TickChoice(last, f"{obstacle}: the last plan goes on", pending=pending)
+        motion = question.horizon.advance(last, question.now, question.x)
+        cost = question.price(motion, last)
+        has_searched, found, pending = self._find(before, question, motion)
+        if found and found.cost < (1 - self._margin) * cost:
+            reason = f"switched: {found.cost:.4g} in place of {cost:.4g}"
+            return TickChoice(found, reason, has_switched=True, pending=pending)
+        if motion is None:
+            return TickChoice(last, "no motion was found: the last plan goes on", pending=pending)
+        reason = "warm; a search found nothing better" if has_searched else "warm"
+        return TickChoice(motion, reason, pending=pending)
+
+    def _find(
         self,
         before: TickMemory,
         question: TickQuestion,
         motion: PlannedMotion | None,
-        aside: Horizon,
     ) -> tuple[bool, PlannedMotion | None, PendingSearch | None]:
         """Returns whether a search is done, what it found, and one that goes on.
 
@@ -140,7 +294,6 @@ class Searches:
             before: the last tick.
             question: of this one.
             motion: what a descent from the last plan led to.
-            aside: the horizon of the thread, with the goal of now.
         """
         last, pending, tick = before.choice.motion.cost, before.choice.pending, before.tick + 1
         now, x, horizon = question.now, question.x, question.horizon
@@ -159,7 +312,7 @@ class Searches:
         x = motion.calc_state(ahead) if motion else np.array(x)
         if horizon.is_over(ahead) or horizon.is_inside(x):
             return False, None, None
-        begun = self._thread.submit(aside.knowing(question.seen).search, ahead, x)
+        begun = self._thread.submit(question.aside.search, ahead, x)
         return False, None, PendingSearch(tick + self._ticks, begun)
 
     def _calc_surprise(self, cost: float, scale: float) -> float:

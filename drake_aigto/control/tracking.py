@@ -192,6 +192,8 @@ class TrackingController(LoopController):
     def _start(self, context: Context, values: DiscreteValues) -> EventStatus:
         """Forgets what was, and takes the first sample; on the way, the next one."""
         x = self._read_start(context)
+        if self._results.HasValue(context):
+            self.check_plant(self._results.Eval(context).plant())
         last, *before = self._read(context, self._groups.last)
         elapsed = context.get_time() - last
         if 0 < elapsed <= (1 + _SAME) * self.period or (elapsed == 0 and np.array_equal(x, before)):

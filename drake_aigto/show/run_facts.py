@@ -54,6 +54,8 @@ def run_facts(run: ClosedLoopRun) -> Iterator[Fact]:
         f"a kick of {weight_text(d.kick)} at {d.kick_time:g} s": d.kick.any(),
         f"noise of {weight_text(d.noise)} (seed {d.seed})": d.noise.any(),
         f"commands {1e3 * d.delay:g} ms late": d.delay,
+        f"stiffness times {d.stiffness_factor:g}": d.stiffness_factor != 1,
+        f"commands cut at {d.saturation.tolist()}": d.saturation.any(),
     }
     yield "disturbed", "; ".join(text for text, is_so in disturbed.items() if is_so) or "by nothing"
     first = cost_text(run.promised, 3)

@@ -17,7 +17,7 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Joint
+from pydrake.multibody.tree import BodyIndex, Joint
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Floats
@@ -101,6 +101,14 @@ def check_plant(plant: MultibodyPlant, in_space: bool = False) -> None:
     if count := plant.num_constraints():
         raise refuse_loop(f"{count} constraint{'s' if count > 1 else ''} beside joints")
     _check_actuators(plant)
+
+
+def scale_masses(plant: MultibodyPlant, context: Context, factor: float) -> None:
+    """Multiplies masses and inertias of all links that move, in this context only."""
+    for index in range(plant.num_bodies() if factor != 1 else 0):
+        body = plant.get_body(BodyIndex(index))
+        if not plant.IsAnchored(body):
+            body.SetMass(context, factor * body.get_mass(context))
 
 
 def find_hinges(plant: MultibodyPlant) -> list[bool]:

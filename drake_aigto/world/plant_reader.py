@@ -17,7 +17,7 @@ from pydrake.symbolic import Expression, MakeVectorVariable, cos, sin
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.dynamics import SumMap, tidy
 from drake_aigto.errors import ModelError
-from drake_aigto.world.diagram import find_hinges, find_joint
+from drake_aigto.world.diagram import find_hinges, find_joint, scale_masses
 from drake_aigto.world.model_facts import FixableError
 
 # q of shape (nq,) ↦ numbers of any one shape.
@@ -47,10 +47,11 @@ class PlantReader:
         v: variables, shape (nv,) [m/s, rad/s], v = q̇.
     """
 
-    def __init__(self, plant: MultibodyPlant) -> None:
-        """Names the variables."""
+    def __init__(self, plant: MultibodyPlant, mass_factor: float = 1.0) -> None:
+        """Names the variables; masses and inertias of links that move are multiplied."""
         self._plant = plant
         self._context = plant.CreateDefaultContext()
+        scale_masses(plant, self._context, mass_factor)
         self._is_hinge = find_hinges(plant)
         self.q = MakeVectorVariable(plant.num_positions(), "q")
         self.v = MakeVectorVariable(plant.num_velocities(), "v")

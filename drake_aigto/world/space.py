@@ -26,7 +26,7 @@ from drake_aigto.dynamics import (
 )
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.geometry import make_closest
-from drake_aigto.world.diagram import find_plant
+from drake_aigto.world.diagram import find_plant, scale_masses
 from drake_aigto.world.limits import Limits, check_sizes
 from drake_aigto.world.material import SpringMaterial, combine_springs
 from drake_aigto.world.model_facts import find_errors
@@ -80,6 +80,7 @@ class SpaceWorld(World):
         stiction_speed: float = STICTION_SPEED,
         limits: Limited = "model",
         material: Mapping[str, Any] = MappingProxyType({}),
+        mass_factor: float = 1.0,
     ) -> SpaceWorld:
         """Reads a diagram of your own; arguments are those of `World.from_diagram`.
 
@@ -96,7 +97,9 @@ class SpaceWorld(World):
             raise ScenarioError("mass", f"{mass:g} kg, in space", "None, the model's", remedy)
         globs = as_globs("ignored_shapes", ignored_shapes)
         pairs = _choose_pairs(plant, scene_graph, globs)
-        tree = Tree.of(plant, dry_friction=dry_friction)
+        context = plant.CreateDefaultContext()
+        scale_masses(plant, context, mass_factor)
+        tree = Tree.of(plant, context, dry_friction)
         n, notes = plant.num_velocities(), []
         if not pairs and (why := explain_no_contact(scene_graph, bool(globs))):
             notes.append(why)
@@ -124,6 +127,7 @@ class SpaceWorld(World):
             stiction_speed=stiction_speed,
             model_fields=fields,
             notes=tuple(notes),
+            mass_factor=mass_factor,
             tree=tree,
             pairs=pairs,
             geometry=read_shapes(plant, scene_graph, tree, pairs),

@@ -25,6 +25,7 @@ from drake_aigto.world.diagram import (
     find_plant,
     hide_half_space_warning,
     move_shape,
+    scale_masses,
 )
 from drake_aigto.world.fields import as_number
 from drake_aigto.world.fingerprint import Fingerprint
@@ -76,6 +77,7 @@ class World(EquationsOfMotion):
         scene_graph: its geometry.
         mass: replaces the model's mass of the only body with spheres that touch [kg], or None. The
             plant is not edited: it acts in all that is read here and in `create_context`.
+        mass_factor: of masses and inertias of all other links that move; it acts in the same way.
         limits: how far the model's joints and actuators go.
         ignored_shapes: names of the collision shapes that touch nothing, neither here nor in
             contexts that are made by `create_context`.
@@ -97,6 +99,7 @@ class World(EquationsOfMotion):
     model_fields: ModelFields = ModelFields()  # noqa: RUF009
     ignored: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    mass_factor: float = 1.0
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> World:
@@ -198,6 +201,7 @@ class World(EquationsOfMotion):
         stiction_speed: float = STICTION_SPEED,
         limits: Limited = "model",
         material: Mapping[str, Any] = MappingProxyType({}),
+        mass_factor: float = 1.0,
     ) -> World:
         """Reads a diagram of your own, which holds one continuous plant and its scene graph.
 
@@ -217,6 +221,7 @@ class World(EquationsOfMotion):
             material: of collision shapes, glob → `Material`, in place of the diagram's, which stays
                 as it is: the world has a copy. All else that a scenario says of how a model is
                 read is for the parser that made the diagram.
+            mass_factor: of masses and inertias of all links that move, but for the `mass`.
 
         Raises:
             ModelError: the plant is discrete, lacks a joint or an actuator, has shapes or joints
@@ -225,7 +230,7 @@ class World(EquationsOfMotion):
             ScenarioError: the mass is not above zero.
         """
         fields, diagram, plant, scene_graph = open_diagram(diagram, limits, material, dry_friction)
-        reader = PlantReader(plant)
+        reader = PlantReader(plant, mass_factor)
         ignored_shapes = as_globs("ignored_shapes", ignored_shapes)
         # What refuses at once comes first.
         pairs = choose_pairs(plant, scene_graph, ignored_shapes, order_pair)
@@ -255,6 +260,7 @@ class World(EquationsOfMotion):
             dry_friction=dry_friction,
             stiction_speed=stiction_speed,
             model_fields=fields,
+            mass_factor=mass_factor,
         )._within_reach()
 
     def place(self, scenario: Scenario) -> Scenario:
@@ -265,15 +271,20 @@ class World(EquationsOfMotion):
         """
         return place_scenario(self.plant, scenario)
 
-    def of_diagram(self, diagram: Diagram) -> World:
+    def of_diagram(self, diagram: Diagram, mass_factor: float | None = None) -> World:
         """Returns the world of another diagram with a copy of its plant, all else as it is here.
+
+        Args:
+            diagram: the other one, or its own.
+            mass_factor: in place of its own.
 
         Raises:
             ModelError: the plant there can't be planned for.
         """
         friction = self.dry_friction, self.stiction_speed
         given = self.mass, self.ignored_shapes, *friction, self.model_fields.limits
-        other = type(self).from_diagram(diagram, *given)
+        factor = self.mass_factor if mass_factor is None else mass_factor
+        other = type(self).from_diagram(diagram, *given, mass_factor=factor)
         mine = {
             name: getattr(self, name) for name in ("limits", "model_fields", "ignored", "notes")
         }
@@ -368,11 +379,12 @@ class World(EquationsOfMotion):
         return self.rubbing.calc_coefficients(scenario.friction)
 
     def create_context(self) -> Context:
-        """Returns a new root context, at defaults, with the mass replaced and shapes ignored."""
+        """Returns a new root context, at defaults, with masses as here and shapes ignored."""
         with hide_half_space_warning():
             root = self.diagram.CreateDefaultContext()
+        context = self.plant.GetMyMutableContextFromRoot(root)
+        scale_masses(self.plant, context, self.mass_factor)
         if self.mass is not None:
-            context = self.plant.GetMyMutableContextFromRoot(root)
             find_sphere_body(self.plant, self._reachable).SetMass(context, self.mass)
         if self.ignored_shapes:
             names = name_shapes(self.plant, self.scene_graph)

@@ -1,0 +1,279 @@
+"""Masses, friction, walls and forces that a model has wrong, from what was commanded and seen."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+
+from drake_aigto.arrays import Floats
+from drake_aigto.control.loop_run import Disturbance
+from drake_aigto.control.ports import Model, check_seconds, predict
+from drake_aigto.errors import AigtoError, ControlError
+from drake_aigto.simulation import HeldControl, state_scales
+from drake_aigto.world import Scales, Scenario, SpaceWorld, World
+
+Unknown: TypeAlias = Literal["mass", "friction", "walls", "force"]
+_FACTORS = ("mass", "friction")
+
+# Standard deviations of a prediction's errors, in the task's scales of q and v.
+_NOISE = 2e-3, 1e-2
+# An error larger than this number of standard deviations, as of a kick, counts less.
+_LARGE = 3.0
+# What is seen counts e times less after this number of samples.
+_WINDOW = 100.0
+# Predictions are linear in what is unknown this far from where the model was built, in its units.
+_LINEAR = 0.1
+# The model is built anew so often at one sample, at most.
+_PASSES = 3
+# Factors stay between these; walls and forces within this number of units.
+_LEAST, _MOST, _FARTHEST = 0.2, 5.0, 2.0
+# A unit of walls, in the task's length.
+_WALL = 0.1
+
+
+class _Parameter(NamedTuple):
+    """A number that is not known."""
+
+    name: str
+    kind: Unknown
+    which: int  # of the contact whose wall it is, or of the coordinate of a force
+    usual: float  # of the model
+    unit: float  # its standard deviation before anything is seen
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True, eq=False)
+class ModelEstimate:
+    """Recursive Gauss-Newton estimate of a model's parameters p, shape (P,).
+
+    Between two samples the model predicts x̂(p), by simulation under the command, so that the error
+
+        x − x̂(p) ≈ x − x̂(p₀) − Φ (p − p₀),    Φ = ∂x̂/∂p by differences,
+
+    and p minimizes Σ wₖ ‖x − x̂(p)‖² / σ² + ‖p − p_model‖² / σ_p² with weights that fall by a factor
+    e in a hundred samples, as Cauchy's for errors above 3 σ, and so that no sample tells p
+    better than it is linear about p₀. Where p has left p₀ by a tenth of
+    σ_p the model is built anew, about p, and that sample looked at again.
+
+    Attributes:
+        world: that the model was thought to be.
+        scenario: its task.
+        parameters: what is estimated.
+        values: p.
+        information: of p, (P, P), and Σ wₖ Φᵀ(…) as it has been summed, (P,).
+        about: p₀.
+        models: at p₀, and at p₀ with each parameter changed by a tenth of its unit.
+    """
+
+    world: World
+    scenario: Scenario
+    parameters: tuple[_Parameter, ...]
+    values: Floats
+    information: tuple[Floats, Floats]
+    about: Floats
+    models: tuple[Model, ...]
+
+    @classmethod
+    def of(cls, world: World, scenario: Scenario, unknown: Sequence[Unknown]) -> ModelEstimate:
+        """Returns what is known before anything is seen: the model.
+
+        Args:
+            world: the model.
+            scenario: its task.
+            unknown: of "mass", a factor of all masses and inertias; "friction", of all friction;
+                "walls", by how much nearer each stands [m]; and "force", one that acts on each
+                coordinate all the time [N, N m].
+
+        Raises:
+            ControlError: an unknown name, or one that the model has nothing of.
+        """
+        parameters = tuple(_list_parameters(world, scenario, unknown))
+        usual = np.array([each.usual for each in parameters])
+        precisions = np.array([each.unit for each in parameters]) ** -2.0
+        empty = cls(world, scenario, parameters, usual, (np.diag(precisions), precisions * usual),
+                    usual, ())  # fmt: skip
+        return dataclasses.replace(empty, models=empty._build(usual))
+
+    def __deepcopy__(self, memo: object) -> ModelEstimate:
+        """Returns itself: it never changes."""
+        return self
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(each.name for each in self.parameters)
+
+    @property
+    def is_of_the_model(self) -> bool:
+        """Whether p₀ is the model's."""
+        return bool(np.all(self.about == [each.usual for each in self.parameters]))
+
+    @property
+    def deviations(self) -> Floats:
+        """Standard deviations of the values, shape (P,)."""
+        return np.sqrt(np.diag(np.linalg.inv(self.information[0])))
+
+    @property
+    def _units(self) -> Floats:
+        return np.array([each.unit for each in self.parameters])
+
+    def _change(self, values: Floats) -> Model:
+        """Returns the model with other parameters."""
+        pairs = list(zip(self.parameters, values.tolist(), strict=True))
+        factors = {f"{p.kind}_factor": value for p, value in pairs if p.kind in _FACTORS}
+        world, scenario = Disturbance(**factors).apply(self.world, self.scenario)
+        force = np.zeros(world.num_velocities)
+        for each, value in pairs:
+            if each.kind == "walls" and value:
+                world = world.with_wall_moved(each.which, value)
+            elif each.kind == "force":
+                force[each.which] = value
+        if force.any():
+            with np.errstate(invalid="ignore"):  # As Drake's arithmetic on Expressions has NaN.
+                world = dataclasses.replace(world, bias=world.bias - force)
+        return world, scenario
+
+    def _build(self, about: Floats) -> tuple[Model, ...]:
+        rows = [about, *(about + step for step in np.diag(_LINEAR * self._units))]
+        return tuple(map(self._change, rows))
+
+    def watch(self, samples: tuple[Floats, Floats], held: HeldControl) -> ModelEstimate:
+        """Returns what is known after another sample.
+
+        Args:
+            samples: q and v before and after, shape (nq + n,) each.
+            held: the commands that acted between.
+        """
+        if not np.all(np.isfinite(samples)):
+            return self
+        known = self
+        for _ in range(_PASSES):
+            found = known._update(samples, held, self.information)
+            if np.all(np.abs(found.values - found.about) <= _LINEAR * self._units):
+                return found
+            try:
+                models = found._build(found.values)
+            except AigtoError:  # A wall that is nearer than the start, say.
+                return found
+            known = dataclasses.replace(found, about=found.values, models=models)
+        return known
+
+    def _update(
+        self, samples: tuple[Floats, Floats], held: HeldControl, before: tuple[Floats, Floats]
+    ) -> ModelEstimate:
+        """Returns the same after a sample, linear about p₀, with the information before it."""
+        ends = [predict(model, samples[0], held) for model in self.models]
+        sizes = self.world.num_positions, self.world.num_velocities
+        scales = np.repeat(_NOISE, sizes) * state_scales(self.world, self.scenario)
+        errors = [self._subtract(samples[1], end[0]) / scales for end in ends if end]
+        if len(errors) < len(ends):
+            return self
+        (expected, *others), step = errors, _LINEAR * self._units
+        slopes = np.array([(expected - each) / h for each, h in zip(others, step, strict=True)]).T
+        size, moved = (np.mean(np.square(each)) for each in (expected, slopes * step))
+        weight, kept = 1 / (1 + size / _LARGE**2 + moved), np.exp(-1 / _WINDOW)
+        prior = (1 - kept) * self._units**-2.0
+        usual, lower, upper = np.array([each[-4:-3] + each[-2:] for each in self.parameters]).T
+        information = kept * before[0] + np.diag(prior) + weight * slopes.T @ slopes
+        total = kept * before[1] + prior * usual
+        total += weight * slopes.T @ (expected + slopes @ self.about)
+        values = np.clip(np.linalg.solve(information, total), lower, upper)
+        return dataclasses.replace(self, values=values, information=(information, total))
+
+    def _subtract(self, x: Floats, end: Floats) -> Floats:
+        """Returns x − x̂, of hinges to the nearest turn."""
+        (q, v), (about, speed) = map(self.world.split, (x, end))
+        return np.concatenate([self.world.take_nearest(q, about) - about, v - speed])
+
+
+def _list_parameters(
+    world: World, scenario: Scenario, unknown: Sequence[Unknown]
+) -> Iterator[_Parameter]:
+    scales = Scales.of(world, scenario)
+    for kind in unknown:
+        if kind in _FACTORS:
+            changes: dict[str, Any] = {f"{kind}_factor": 1.1}
+            Disturbance(**changes).apply(world, scenario)  # Refuses what is none.
+            yield _Parameter(kind, kind, 0, 1.0, 0.3, _LEAST, _MOST)
+        elif kind == "walls":
+            unit = _WALL * scales.length
+            alone = [faces[0] for faces in world.solids if len(faces) == 1]
+            for i in alone:
+                name, most = f"wall of {world.contacts[i].name}", _FARTHEST * unit
+                yield _Parameter(name, kind, i, 0.0, unit, -most, most)
+            if not alone:
+                got, expected = "no wall of one face", "walls that can stand nearer"
+                raise ControlError("estimate", got=got, expected=expected)
+        elif kind == "force" and not isinstance(world, SpaceWorld):
+            pushes = np.max(np.abs(world.bounds(scenario).control), axis=0)
+            unit = float(np.max(pushes[np.isfinite(pushes)], initial=0.0)) or 1.0
+            names = world.plant.GetPositionNames()
+            for i in range(world.num_velocities):
+                yield _Parameter(f"force on {names[i]}", kind, i, 0.0, unit, -np.inf, np.inf)
+        else:
+            expected = f"some of {', '.join(get_args(Unknown))}; in space no force"
+            raise ControlError("estimate", got=kind, expected=expected)
+
+
+class _Seen(NamedTuple):
+    """The last sample of a `ModelEstimator`: its time, q and v, and u; and what is known."""
+
+    last: tuple[float, Floats, Floats] | None
+    known: ModelEstimate
+
+
+class ModelEstimator(LeafSystem):
+    """A system that estimates what a model has wrong: `ModelEstimate`, sampled every period.
+
+    Input ports: `estimated_state`, q and v; and `control`, u as it acts on the plant, which is held
+    from one sample to the next. Output ports: `values` and `deviations`, shape (P,) each, in the
+    order of `names`.
+
+    Attributes:
+        names: of what is estimated.
+    """
+
+    def __init__(
+        self, world: World, scenario: Scenario, unknown: Sequence[Unknown], period: float
+    ) -> None:
+        """Builds the models; arguments are those of `ModelEstimate.of`, and the period [s].
+
+        Raises:
+            ControlError: see there; or the period is not above zero.
+        """
+        super().__init__()
+        period = check_seconds("period", period, is_positive=True)
+        known = ModelEstimate.of(world, scenario, unknown)
+        self.names, nx = known.names, world.num_positions + world.num_velocities
+        self._state = self.DeclareVectorInputPort("estimated_state", nx)
+        self._control = self.DeclareVectorInputPort("control", world.num_actuators)
+        self._known = self.DeclareAbstractState(AbstractValue.Make(_Seen(None, known)))
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._sample)
+        held, size = {self.abstract_state_ticket(self._known)}, len(self.names)
+        for name in ("values", "deviations"):
+
+            def write(context: Context, output: BasicVector, name: str = name) -> None:
+                output.SetFromVector(getattr(self.read(context), name))
+
+            self.DeclareVectorOutputPort(name, size, write, held)
+
+    def read(self, context: Context) -> ModelEstimate:
+        """Returns what is known by now, in its own context."""
+        seen: _Seen = context.get_abstract_state(int(self._known)).get_value()
+        return seen.known
+
+    def _sample(self, context: Context, state: State) -> EventStatus:
+        kept, now = state.get_mutable_abstract_state(int(self._known)), float(context.get_time())
+        (last, known), x = kept.get_value(), np.array(self._state.Eval(context))
+        if last is not None:
+            times = np.array([last[0], now])
+            known = known.watch((last[1], x), HeldControl(times, last[2][np.newaxis]))
+        kept.set_value(_Seen((now, x, np.array(self._control.Eval(context))), known))
+        return EventStatus.Succeeded()

@@ -1,0 +1,167 @@
+"""What a model has wrong, estimated: from motions of known truth, in Diagrams, and in the loop."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from loops import set_start
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
+
+from drake_aigto import (
+    ModelPredictiveController,
+    Planner,
+    PlanOptions,
+    Scenario,
+    World,
+)
+from drake_aigto.control import Disturbance, ModelEstimate, ModelEstimator, run_in_loop
+from drake_aigto.errors import ControlError
+from drake_aigto.simulation import EVENT_DRIVEN, HeldControl
+from drake_aigto.world import find_model, package_map
+
+BALL, POLE = Scenario.named("table1/1"), Scenario.named("cart_pole/soft_06")
+SPINNER = Scenario.named("spinner/two_radians")
+NOISE = 1e-3  # [m, rad], and ten times as much of velocities
+
+
+def watch(
+    known: ModelEstimate, truth: tuple[World, Scenario], noise: float = 0.0, count: int = 36
+) -> ModelEstimate:
+    """Returns what is known after a motion of the truth under controls by chance."""
+    world, scenario = truth
+    rng, n, period = np.random.default_rng(0), world.num_positions, 0.025
+    x = np.concatenate([scenario.initial_position, scenario.initial_velocity])
+    seen, scales = x, noise * np.repeat([1.0, 10.0], n)
+    for _ in range(count):
+        u = 2.0 * rng.normal(size=world.num_actuators)
+        held = HeldControl(np.array([0.0, period]), u[np.newaxis])
+        judge: Any = EVENT_DRIVEN
+        end = judge.simulate(world, scenario, held, state=np.split(x, 2))
+        x = np.concatenate([end.positions[-1], end.velocities[-1]])
+        after = x + scales * rng.normal(size=2 * n)
+        known, seen = known.watch((seen, after), held), after
+    return known
+
+
+def check(known: ModelEstimate, truth: Any) -> None:
+    """Checks that values are as near to the truth as they are said to be."""
+    assert np.all(np.abs(known.values - truth) < 2 * known.deviations), (known.values, truth)
+
+
+def test_what_differs_from_the_model_is_found() -> None:
+    world = World.from_scenario(POLE)
+    wrong = {"mass_factor": 1.2, "wall_shift": 0.03}
+    known = ModelEstimate.of(world, POLE, ["mass", "walls"])
+    known = watch(known, Disturbance(**wrong).apply(world, POLE))  # type: ignore[arg-type]
+    assert [name.partition(" of")[0] for name in known.names] == ["mass", "wall", "wall"]
+    check(known, [1.2, 0.0, 0.03])
+    # One of both walls is hit, and of the other nothing is known.
+    assert known.values[1] == 0.0
+    assert known.deviations[2] < 0.1 * known.deviations[1]
+    assert known.deviations[0] < 0.1
+
+
+@pytest.mark.slow
+def test_noise_does_not_pass_for_another_model() -> None:
+    world = World.from_scenario(POLE)
+    known = watch(ModelEstimate.of(world, POLE, ["mass"]), (world, POLE), NOISE)
+    assert known.values[0] == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.slow
+def test_friction_is_found_where_something_slides() -> None:
+    world = World.from_scenario(dry := Scenario.named("cart_pole/dry"))
+    truth = Disturbance(friction_factor=1.5).apply(world, dry)
+    known = watch(ModelEstimate.of(world, dry, ["friction"]), truth, count=30)
+    check(known, [1.5])
+    assert known.deviations[0] < 0.15
+
+
+def test_a_kick_passes_for_no_mass() -> None:
+    world = World.from_scenario(BALL)
+    known = ModelEstimate.of(world, BALL, ["mass"])
+    held = HeldControl(np.array([0.0, 0.02]), np.array([[1.0]]))
+    for k in range(30):
+        x = np.array([1.0, 0.0])
+        after = np.array([1.0 + 2e-4, 0.02 + (3.0 if k == 20 else 0.0)])
+        known = known.watch((x, after), held)
+    assert known.values[0] == pytest.approx(1.0, abs=0.05)
+    before = known
+    assert before.watch((x, np.full(2, np.nan)), held) is before
+
+
+def test_a_system_in_a_diagram_finds_the_mass_of_its_plant_and_what_pushes_it() -> None:
+    world, mass, force = World.from_scenario(POLE), 1.2, np.array([1.5, 0.3])
+    estimator = ModelEstimator(world, POLE, ["mass", "force"], period=0.01)
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    parser = Parser(plant)
+    parser.package_map().AddMap(package_map())
+    parser.AddModels(find_model(POLE.model))
+    plant.Finalize()
+    builder.AddSystem(estimator)
+    rng, times = np.random.default_rng(0), 0.01 * np.arange(100)
+    held = PiecewisePolynomial.ZeroOrderHold(times, 5.0 * rng.normal(size=(1, 100)))
+    command = builder.AddSystem(TrajectorySource(held)).get_output_port()
+    push = builder.AddSystem(ConstantVectorSource(force)).get_output_port()
+    builder.Connect(push, plant.get_applied_generalized_force_input_port())
+    builder.Connect(command, plant.get_actuation_input_port())
+    builder.Connect(command, estimator.GetInputPort("control"))
+    builder.Connect(plant.get_state_output_port(), estimator.GetInputPort("estimated_state"))
+    simulator = Simulator(builder.Build())
+    context = set_start(plant, simulator.get_mutable_context(), POLE)
+    for name in ("cart", "pole"):
+        body = plant.GetBodyByName(name)
+        body.SetMass(context, mass * body.get_mass(context))
+    simulator.AdvanceTo(0.6)
+    own = estimator.GetMyContextFromRoot(simulator.get_context())
+    values, deviations = (
+        estimator.GetOutputPort(name).Eval(own) for name in ("values", "deviations")
+    )
+    np.testing.assert_allclose(values, [mass, *force], atol=0.3)
+    assert np.all(np.abs(values - [mass, *force]) < 2 * deviations)
+
+
+@cache
+def make_planner() -> Planner:
+    return Planner(POLE, PlanOptions(renewals=8, threads=1))
+
+
+@cache
+def stand_up(mass: float, *estimate: Any) -> float:
+    """Returns how far from upright a pole of another mass ends (norm of m and rad)."""
+    controller = ModelPredictiveController(
+        make_planner(), 0.02, "shrinking", surprise=np.inf, estimate=estimate
+    )
+    wrong = Disturbance(mass_factor=mass)
+    run = run_in_loop(controller, POLE, make_planner().world, wrong)
+    assert not estimate or run.ticks[-1].estimated == pytest.approx([mass], abs=0.01)
+    return float(np.linalg.norm(run.replay.positions[-1] - POLE.goal_position))
+
+
+@pytest.mark.slow
+def test_a_pole_of_another_mass_ends_as_near_as_one_that_is_known() -> None:
+    assert stand_up(1.2, "mass") < 1.2 * stand_up(1.02) < 0.3 * stand_up(1.2)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "unknown", "message"),
+    [
+        (BALL, ["friction"], "^friction_factor: got no friction, expected friction in joints"),
+        (BALL, ["length"], "^estimate: got length, expected some of mass, friction, walls, force"),
+        (Scenario.named("acrobot/swing_up"), ["walls"], "^estimate: got no wall of one face"),
+    ],
+)
+def test_what_a_model_has_nothing_of_is_refused(
+    scenario: Scenario, unknown: Any, message: str
+) -> None:
+    with pytest.raises(ControlError, match=message):
+        ModelEstimate.of(World.from_scenario(scenario), scenario, unknown)
