@@ -124,7 +124,7 @@ def test_what_is_true_is_what_was_asked_for() -> None:
     near = track(Disturbance(wall_shift=0.01, start_offset=np.array([0.002])), duration=0.6)
     assert near.replay.bounce_times[0] < plain.replay.bounce_times[0] - 1e-3
     assert near.replay.positions[0, 0] == WALL.initial_position[0] + 0.002
-    cut = track(Disturbance(saturation=[0.2], start_offset=[0.1]), duration=0.1)
+    cut = track(Disturbance(saturation=np.array([0.2]), start_offset=np.array([0.1])), duration=0.1)
     assert np.max(np.abs(cut.controls)) == 0.2
     noisy, again, other = (
         track(Disturbance(noise=NOISE, seed=seed), duration=0.1) for seed in (0, 0, 1)

@@ -446,13 +446,17 @@ def test_a_reference_goes_on_from_tick_to_tick(name: str) -> None:
     controller = ModelPredictiveController(Planner(scenario, options), period=0.05)
     run = run_in_loop(controller, scenario, duration=1.5)
     assert run.replay.positions[-1, 0] == pytest.approx(0.45, abs=0.03)
-    told = dataclasses.replace(scenario, **dict.fromkeys(REFERENCE))
+    told = dataclasses.replace(scenario, **NO_REFERENCE)
     path = PiecewisePolynomial.FirstOrderHold([0.0, 3.0], [[0, 0.9], [0, 0], [0.3, 0.3], [0, 0]])
     by_port, own = follow(Planner(told, options), path, 0.5), Planner(scenario, options)
     assert by_port == pytest.approx(follow(own, None, 0.5), rel=1e-3)
 
 
-REFERENCE = ("reference_times", "reference_positions", "reference_velocities")
+NO_REFERENCE: dict[str, Any] = {
+    "reference_times": None,
+    "reference_positions": None,
+    "reference_velocities": None,
+}
 
 
 def follow(planner: Planner, path: PiecewisePolynomial | None, until: float) -> float:
