@@ -265,7 +265,9 @@ def test_bad_friction_is_refused(field: str, value: Any, message: str) -> None:
 
 def test_a_world_with_other_friction_is_refused() -> None:
     for field, value in (("dry_friction", [1.0, 0.0]), ("stiction_speed", 0.5)):
-        with pytest.raises(ScenarioError, match=f"{field}: got .* The world was made with that"):
+        with pytest.raises(
+            ScenarioError, match=f"{field}: .* Give the scenario the world's {field}"
+        ):
             read_dry().check(ask(**{field: value}))
     smooth = World.from_scenario(dataclasses.replace(ask(), dry_friction=None))
     with pytest.raises(ModelError, match="dry_friction: got a diagram in which nothing applies"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 from typing import Any
@@ -151,12 +152,17 @@ def test_look_tells_what_is_understood(tmp_path: Path, capsys: pytest.CaptureFix
 def test_materials_replace_those_of_a_diagram_in_a_copy_of_it() -> None:
     diagram = build_diagram("package://drake_aigto_models/pushed_block.sdf")
     own = World.from_diagram(diagram)
-    world = World.from_diagram(diagram, material={"*": {"stiffness": 3e5}})
+    world = World.from_diagram(diagram, stiction_speed=0.01, material={"*": {"stiffness": 3e5}})
     np.testing.assert_allclose(world.stiffness, 1.5e5)
     assert [each.name for each in world.contacts] == [each.name for each in own.contacts]
     np.testing.assert_allclose(own.stiffness, 2e3)
     with pytest.raises(ModelError, match="material: got 'wall', expected of the collision shapes"):
         World.from_diagram(diagram, material={"wall": {"stiffness": 3e5}})
+    bare = Scenario.named("pushed_block/slide")
+    told = r"material: got {}, expected {'\*': .*stiffness=300000.*}, as the world has it\. Give"
+    with pytest.raises(ScenarioError, match=told):
+        world.check(bare)
+    world.check(dataclasses.replace(bare, material=world.model_fields.material))
 
 
 def test_bounds_that_a_motion_touches_are_named_with_their_origin(arm: Any) -> None:

@@ -18,6 +18,7 @@ from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
 from drake_aigto.cli import BAD_INPUT, FINE, main
 from drake_aigto.errors import ModelError, OutputFileError, PlanFileError
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal
+from drake_aigto.plain import to_plain
 from drake_aigto.planning import BALL_LADDER
 from drake_aigto.show import format_plan, play, play_boxes, report_plan, run_boxes
 
@@ -106,7 +107,7 @@ def test_a_plan_file_cut_short_is_refused(rigid: Plan, tmp_path: Path, kept: flo
         ({"scenario": {"initial_position": 1}}, r"is damaged: got plan\.scenario: got missing"),
         ({"transcription": 3}, r"is damaged: got plan\.transcription: got 3, expected text"),
         ({"transcription": "prose"}, "is damaged: got transcription: got 'prose', expected one"),
-        ({"options": {"pace": 3}}, r"is damaged: got plan\.options: got unknown pace"),
+        ({"options": {"finalists": "3"}}, r"is damaged: got plan\.options\.finalists: got '3'"),
         ({"made_in": {}}, r"is damaged: got plan\.made_in\.model: got nothing"),
     ],
 )
@@ -116,6 +117,14 @@ def test_a_damaged_plan_file_is_refused(
     rewrite(rigid, tmp_path / "plan.json", **change)
     with pytest.raises(PlanFileError, match=message):
         Plan.load(tmp_path / "plan.json")
+
+
+def test_a_plan_with_an_option_of_another_version_is_read_and_that_is_told(
+    rigid: Plan, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    rewrite(rigid, tmp_path / "plan.json", options={**to_plain(rigid.options), "repeats": 9})
+    assert Plan.load(tmp_path / "plan.json") == rigid
+    assert caplog.messages == ["options of another version of drake_aigto are left out: repeats"]
 
 
 def test_files_that_cannot_be_read_or_written_are_named(rigid: Plan, tmp_path: Path) -> None:

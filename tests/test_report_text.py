@@ -73,6 +73,8 @@ def test_a_report_has_question_answer_verdict_and_how_to_reproduce_it(plan: Plan
     lines: list[str] = []
     page = report_plan(plan, progress=lines.append)
     text = words(page)
+    name = "table1/1, time step 0.05"  # As the shipped scenario is called, and what differs.
+    assert f"<title>Plan for {name}</title>" in page and f"<h1>Plan for {name}</h1>" in page
     assert "Holds: the control alone keeps the plan's promise" in text
     for replay in plan.replay:
         assert f"{replay.cost:.3e}" in text

@@ -38,6 +38,7 @@ def test_the_hook_is_empty_until_a_view_is_asked_for_and_planning_needs_no_pictu
 
 def test_a_plot_has_the_motion_and_its_numbers_over_time(plan: Plan) -> None:
     figure = plan.plot()
+    assert figure.get_suptitle().startswith("table1/1, ")
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels[1:] == ["position q [m]", "velocity v [m/s]", "control u [N]"]
 
@@ -91,6 +92,7 @@ def test_plans_of_one_world_are_compared_on_one_page(
     shutil.copy(plan_file, again)
     assert main(["compare", str(plan_file), str(again), "--html", str(page)]) == FINE
     text = page.read_text("utf-8")
+    assert "<title>Plans for table1/1, " in text and "plan, again</title>" in text
     assert text.count("plan (not a simulation)") >= 2 and "<th>again</th>" in text
     assert len(text.encode()) < 3e6
     assert plan.made_in is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import logging
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -29,6 +30,8 @@ from drake_aigto.simulation import (
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import largest_defect
 from drake_aigto.world import Fingerprint, Scenario, World
+
+_LOG = logging.getLogger(__name__)
 
 FORMAT = "drake_aigto plan"
 FORMAT_VERSION = 4
@@ -341,7 +344,7 @@ class Plan:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Plan:
-        """Reads a plan file, of this version or the one before.
+        """Reads a plan file, of this version of the format or the one before.
 
         Raises:
             PlanFileError: no such file, cut short, not a plan, or of another version.
@@ -376,7 +379,10 @@ def _take_version(path: str | os.PathLike[str], data: Any) -> int:
 
 
 def _read(data: dict[str, Any]) -> Plan:
-    """Returns the plan of a file; its options are those of its transcription."""
+    """Returns the plan of a file; its options are those of its transcription.
+
+    Other versions may have others: these are left out, with a warning, as the plan stays the same.
+    """
     if "options" not in data:
         raise DamagedDataError("plan.options", got="nothing", expected="a value")
     options = data.pop("options")
@@ -384,7 +390,11 @@ def _read(data: dict[str, Any]) -> Plan:
     if options is None:
         return plan
     kind = SearchOptions.kind_of(plan.transcription)
-    return dataclasses.replace(plan, options=from_plain(kind, options, "plan.options"))
+    if unknown := options.keys() - {each.name for each in dataclasses.fields(kind)}:
+        names = ", ".join(sorted(unknown))
+        _LOG.warning("options of another version of drake_aigto are left out: %s", names)
+    known = {name: options[name] for name in options.keys() - unknown}
+    return dataclasses.replace(plan, options=from_plain(kind, known, "plan.options"))
 
 
 def _read_version_3(data: dict[str, Any]) -> Plan:

@@ -32,8 +32,8 @@ class Playback:
 
     Attributes:
         meshcat: that plays it, until something else is published there.
-        beside: plain data for the page's player: motions, explanations, events, numbers, and how
-            far the scene reaches (`publish`).
+        beside: plain data for the page's player: a title, motions, explanations, events, numbers,
+            and how far the scene reaches (`publish`).
     """
 
     meshcat: Meshcat
@@ -47,7 +47,7 @@ class Playback:
     @property
     def page(self) -> Page:
         """One self-contained page with a player."""
-        page = Page("A plan and simulations of its control")
+        page = Page(self.beside.get("title", "AIGO's boxes"))
         page.scenes({"Recording": self.scene})
         return page
 

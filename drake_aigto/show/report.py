@@ -48,8 +48,8 @@ from drake_aigto.show.text import (
     length_text,
     list_some,
     miss_text,
+    plan_name,
     question_facts,
-    task_items,
     touch_names,
     weight_text,
 )
@@ -109,8 +109,7 @@ def report_plan(
     except OptionsError as error:
         # A search by many short boxes has none of a whole motion, as everybody expects.
         no_boxes = "" if plan.transcription == "shooting" else f"AIGO's boxes are missing: {error}"
-    start, _, goal, *_ = task_items(plan.scenario, world)
-    page = Page(f"Plan: {start}, {goal}")
+    page = Page(f"Plan for {plan_name(plan.scenario, world)}")
     add_verdict(page, plan, world)
     add_question(page, plan.scenario, world, float(plan.trajectory.times[-1]))
     add_answer(page, plan, world)
@@ -260,8 +259,7 @@ def report_run(run: ClosedLoopRun, progress: Callable[[str], None] | None = None
     Before each part that takes time, `progress` is called with a line of text.
     """
     say = progress or (lambda line: None)
-    start, _, goal, *_ = task_items(run.scenario, run.world)
-    page = Page(f"In the loop: {start}, {goal}")
+    page = Page(f"In the loop: {plan_name(run.scenario, run.world)}")
     page.paragraph(
         "What moves here is a simulation: a plant and its controller in Drake's Simulator, with "
         "Drake's own contact. Plans are shown as what they are, and labeled."

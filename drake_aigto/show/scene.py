@@ -45,6 +45,7 @@ from drake_aigto.show.shapes import (
     moving_joints,
 )
 from drake_aigto.show.stage import Stage
+from drake_aigto.show.text import plan_name
 from drake_aigto.world import Scenario, World
 
 # Frames are keyed where a motion has rows; between two of them the browser moves straight on.
@@ -148,6 +149,7 @@ def publish(
     return Playback(
         meshcat,
         {
+            "title": plan_name(scenario, world),
             "motions": [[color_of(i), motion.label] for i, motion in enumerate(motions)],
             "notes": scene.notes,
             "events": list_events(motions[0], world, events or {}),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
+from functools import cache
+from pathlib import PurePath
 from string import ascii_lowercase
 from typing import Any
 
@@ -13,13 +15,14 @@ from drake_aigto.arrays import Bools, Floats
 from drake_aigto.contact import RigidLaw, contact_law
 from drake_aigto.planning import Candidate
 from drake_aigto.simulation import Arrival, PlannedContact, Replay
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, World, scenario_names
 
 WIDTH = 100
 # Below it, in the task's scale, a cost is 0 but for rounding; no percentage of it says anything.
 NO_COST = 1e-9
 _SAME_COST = 1e-4  # Costs that differ by this part or less are called the same.
 _MOST_TOUCHES, _MOST_CONTACTS = 6, 12
+_MOST_CHANGED = 3  # fields in which a question differs from a shipped one
 _AGAINST = " against "
 # Between these, numbers are written without an exponent; what angles are multiples of, in π.
 _SMALLEST, _LARGEST, _PARTS_OF_PI = 1e-2, 1e6, 12
@@ -30,6 +33,28 @@ _SHOWN = (
     *("position_lower", "position_upper", "velocity_lower", "velocity_upper"),
     *("control_lower", "control_upper", "control_norm"),
 )
+
+
+def plan_name(scenario: Scenario, world: World) -> str:
+    """Returns the shipped scenario that this one is, or nearly, and what differs; or the model.
+
+    Of those with the same model, it is the one that differs in the fewest fields, up to three.
+    """
+    if world.model is None:
+        return "a diagram of one's own"
+    own, found = scenario.to_plain(), list[tuple[int, str]]()
+    for name, shipped in _shipped().items():
+        changed = [k for k in dict.fromkeys([*own, *shipped]) if own.get(k) != shipped.get(k)]
+        if "model" not in changed and len(changed) <= _MOST_CHANGED:
+            words = [f"{key.replace('_', ' ')} {own.get(key, 'as usual')}" for key in changed]
+            found.append((len(changed), f"{name}, {join_words(words)}" if words else name))
+    return min(found, default=(0, PurePath(world.model).stem))[1]
+
+
+@cache
+def _shipped() -> dict[str, dict[str, Any]]:
+    """Returns the fields of each shipped scenario, by name."""
+    return {name: Scenario.named(name).to_plain() for name in scenario_names()}
 
 
 def task_items(scenario: Scenario, world: World | None = None) -> list[str]:

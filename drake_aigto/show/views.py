@@ -26,7 +26,7 @@ from drake_aigto.show.plan_figures import draw_goal, draw_moving, draw_still, pl
 from drake_aigto.show.scene import publish
 from drake_aigto.show.shapes import coordinate_names, find_goal
 from drake_aigto.show.stage import Stage
-from drake_aigto.show.text import cost_text, miss_text, sequence_text
+from drake_aigto.show.text import cost_text, join_words, miss_text, plan_name, sequence_text
 from drake_aigto.world import World
 
 _INCH, _DPI = 8.0, 100  # width of figures, and their dots per inch
@@ -49,6 +49,7 @@ def plot(plan: Plan, world: World | None = None) -> Figure:
     above, below = np.array(figure.subfigures(2, 1, height_ratios=[1, 2])).tolist()
     plot_strobe(above.subplots(), motions_of_plan(plan, world)[0], world, plan.scenario)
     plot_plan(below.subplots(3, columns, sharex=True, squeeze=False), plan, world)
+    figure.suptitle(plan_name(plan.scenario, world))
     pyplot.close(figure)  # A notebook shows what a cell returns, once.
     return figure
 
@@ -158,7 +159,8 @@ def compare(plans: Mapping[str, Plan], world: World | None = None) -> Page:
     world = first.find_world(world)
     for plan in plans.values():
         plan.find_world(world)
-    page = Page(f"Plans: {', '.join(plans)}")
+    asked = dict.fromkeys(plan_name(plan.scenario, world) for plan in plans.values())
+    page = Page(f"Plans for {join_words([*asked])}: {', '.join(plans)}")
     header = ("", "holds", "goal", "cost J", "off the goal", "touches")
     rows = []
     for name, plan in plans.items():

@@ -494,12 +494,14 @@ class World(EquationsOfMotion):
             ("dry_friction", given is not None and not np.array_equal(given, own), frictions),
             ("stiction_speed", scenario.stiction_speed != self.stiction_speed, speeds),
             *(
-                (name, value != getattr(self.model_fields, name), (value, "other ones"))
-                for name, value in vars(scenario.model_fields).items()
+                (key, value != own_value, (value, f"{own_value}, as the world has it"))
+                for key, own_value in vars(self.model_fields).items()
+                for value in [getattr(scenario, key)]
             ),
         ):
             if is_other:
-                remedy = "The world was made with that; make it of this scenario."
+                remedy = f"Give the scenario the world's {name}, or make the world with this one: "
+                remedy += "World.from_scenario(scenario), or from_diagram with the same arguments."
                 raise ScenarioError(name, got, expected or "none", remedy)
 
     def _within_reach(self) -> World:
