@@ -25,7 +25,7 @@ from drake_aigto.paper import (
     plan_literal,
 )
 from drake_aigto.planning import Candidate
-from drake_aigto.show import PLAN_LABEL, Motion, color_of, plot_motions, plot_path
+from drake_aigto.show import PLAN_LABEL, Motion, color_of, plot_motions, plot_path, run_texts
 
 mpl.use("Agg")
 
@@ -55,6 +55,12 @@ def make_runs(world: World, scenario: Scenario) -> Iterator[tuple[str, Candidate
     yield "with impulses at knots: holds", Planner(scenario, world=world).plan().best
 
 
+def worth(run: Candidate) -> str:
+    """Returns what a plan's cost is worth, beside what its simulation costs."""
+    _, defect, deepest, energy = run_texts(run)
+    return f"defect {defect}, penetration {deepest}, energy ratio {energy}"
+
+
 def draw_row(
     runs: Sequence[tuple[str, Candidate]], world: World, scenario: Scenario, path: Path
 ) -> None:
@@ -70,7 +76,7 @@ def draw_row(
         plot_motions(axes, motions, world, scenario)
         axes[0].get_legend().remove()  # One for all.
         costs = f"cost: planned {run.cost:.1e}, simulated {run.replay.cost:.1e}"
-        axes[0].set_title(f"{title}\n{costs}", fontsize="medium")
+        axes[0].set_title(f"{title}\n{costs}\n{worth(run)}", fontsize="small")
     for ax in grid[:, 1:].flat:
         ax.set_ylabel("")
     handles, labels = grid[0, 2].get_legend_handles_labels()
@@ -86,12 +92,12 @@ def animate(
     for name, run in (("drake_aigto", ours), ("SNOPT", snopt)):
         planned = Motion.from_trajectory(run.trajectory, world)
         simulated = Motion.from_replay(run.replay, world)
-        lanes.append((f"{name}: {PLAN_LABEL}, cost {run.cost:.1e}", planned))
+        lanes.append((f"{name}: {PLAN_LABEL}, cost {run.cost:.1e}; {worth(run)}", planned))
         lanes.append((f"its control, simulated on a rigid wall: {run.replay.cost:.1e}", simulated))
     figure, axes = plt.subplots(figsize=(6.4, 3.0), layout="constrained")
     heights = -np.arange(len(lanes))
     for height, (label, _) in zip(heights, lanes, strict=True):
-        axes.text(0.0, height + 0.3, label, fontsize="small", color=color_of(-height // 2))
+        axes.text(0.0, height + 0.3, label, fontsize="x-small", color=color_of(-height // 2))
         axes.axhline(height, color="0.85", linewidth=1, zorder=0)
     axes.axvspan(-0.1, -_RADIUS, color="#8a8f98")
     axes.axvline(*scenario.goal_position, color="black", linestyle=":", linewidth=1)
@@ -119,7 +125,8 @@ def animate_dragging(path: Path) -> None:
     planner = Planner(Scenario.named("room/bank_shot"), PlanOptions(confirm=False))
     world, (first, last) = planner.world, np.array(_DRAGGED)
     walls = [contact.name.split()[-1].replace("_", " ") for contact in world.contacts]
-    figure, axes = plt.subplots(figsize=(4.4, 4.6), layout="constrained")
+    figure, axes = plt.subplots(figsize=(4.4, 5.4), layout="constrained")
+    figure.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 0.78))  # Texts are above.
 
     def show(move: int) -> None:
         part = (1 - np.cos(np.pi * move / _MOVES)) / 2
@@ -143,11 +150,14 @@ def animate_dragging(path: Path) -> None:
         for word, each in zip(("plan", "next best"), shown.values(), strict=False):
             touched = " and ".join(walls[contact.index] for contact in each.contacts)
             deed = f"bounces off {touched}" if touched else "brakes"
-            texts.append(f"{word}: {deed}, cost {each.cost:.1e}")
+            costs = f"cost {each.cost:.1e}, simulated {each.replay.cost:.1e}"
+            texts.append(f"{word}: {deed}\n    {costs}\n    {worth(each)}")
         axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
         for index, text in enumerate(texts):
-            look = {"transform": axes.transAxes, "color": color_of(index), "fontsize": "small"}
-            axes.text(0.06, 1.06 - 0.05 * index, text, **look)
+            look = {"color": color_of(index), "fontsize": "small", "in_layout": False}
+            axes.text(
+                0.04, 0.98 - 0.11 * index, text, va="top", transform=figure.transFigure, **look
+            )
 
     animation = FuncAnimation(figure, show, range(2 * _MOVES), init_func=lambda: None)
     animation.save(path, PillowWriter(fps=_FRAMES_PER_SECOND // 2), dpi=80)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -54,6 +55,9 @@ def test_the_plan_follows_from_bounce_to_brake(live: Live) -> None:
     assert brakes.scenario.initial_velocity[0] == pytest.approx(-0.3, abs=0.02)
     assert brakes.best.contacts == () and np.isfinite(live.latency)
     assert live.labels[0].startswith("plan: cost ") and "touches nothing" in live.labels[0]
+    # No cost without what it is worth.
+    assert live.labels[1].startswith("plan: simulated ") and live.labels[1].endswith(", energy -")
+    assert re.fullmatch(r"plan: defect \de-\d\d, penetration 0 m", live.labels[2])
     assert BALL in objects(live.meshcat)
 
 

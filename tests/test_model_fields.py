@@ -162,7 +162,8 @@ def test_materials_replace_those_of_a_diagram_in_a_copy_of_it() -> None:
     told = r"material: got {}, expected {'\*': .*stiffness=300000.*}, as the world has it\. Give"
     with pytest.raises(ScenarioError, match=told):
         world.check(bare)
-    world.check(dataclasses.replace(bare, material=world.model_fields.material))
+    changed: dict[str, Any] = {"material": world.model_fields.material}
+    world.check(dataclasses.replace(bare, **changed))
 
 
 def test_bounds_that_a_motion_touches_are_named_with_their_origin(arm: Any) -> None:

@@ -23,7 +23,7 @@ from drake_aigto.show.film import ROOT, look_at, open_meshcat
 from drake_aigto.show.motion import Motion, color_of, positions_at
 from drake_aigto.show.shapes import coordinate_names, find_goal, has_goal, moves_straight
 from drake_aigto.show.stage import Stage
-from drake_aigto.show.text import cost_text, touch_names
+from drake_aigto.show.text import cost_text, run_texts, touch_names
 from drake_aigto.world import Scales, Scenario
 
 _MOST_GHOSTS = 3  # candidates beside the best
@@ -338,12 +338,20 @@ class Live:
         return found[:_MOST_GHOSTS]
 
     def _describe(self, plan: Plan) -> list[str]:
-        """Returns the cost and the touches of what is shown, and whether it reaches the goal."""
+        """Returns what is shown, what it costs and what that is worth, in lines of some 40 letters.
+
+        Last is whether it reaches the goal.
+        """
         names, texts = touch_names(self.planner.world), []
         for number, each in enumerate((plan.best, *self._rivals(plan))):
             touches = ", ".join(dict.fromkeys(names[c.index] for c in each.contacts))
-            kind, cost = "ghost" if number else "plan", cost_text(each.cost, 2, each.scales.cost)
-            texts.append(f"{kind}: cost {cost}, touches {touches or 'nothing'}")
+            kind, replayed = f"ghost {number}" if number else "plan", each.replay.cost
+            cost, defect, deepest, energy = run_texts(each)
+            texts += [
+                f"{kind}: cost {cost}, touches {touches or 'nothing'}",
+                f"{kind}: simulated {cost_text(replayed, 2, each.scales.cost)}, energy {energy}",
+                f"{kind}: defect {defect}, penetration {deepest}",
+            ]
         return texts if plan.reached else [*texts, "the plan does not reach its goal"]
 
     def _label(self, texts: list[str]) -> None:
