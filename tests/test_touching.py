@@ -72,7 +72,7 @@ def test_two_capsules_are_as_far_apart_as_the_nearest_balls_on_their_axes() -> N
         one, other = (c + along[:, np.newaxis] * a for c, a in zip(centers, axes, strict=True))
         gaps = np.linalg.norm(one[:, np.newaxis] - other, axis=2)
         nearest, half_step = float(gaps.min()), 0.5 * (along[1] - along[0])
-        distance = bodies.room.closest.numbers[0] + 0.12
+        distance = bodies.room.closest.distance[0] + 0.12
         assert distance <= nearest + 1e-12
         assert nearest <= np.hypot(distance, 2 * half_step) + 1e-12
 

@@ -24,7 +24,8 @@ _RESTING, _WEIGHTS = 0.03, 3.0
 
 def make_touch_table(world: SpaceWorld, law: CompliantLaw) -> TouchTable:
     """Returns the pairs of a world under a law."""
-    tree, signs = world.tree, world.signs
+    tree = world.tree
+    signs, couples = np.unique(world.signs, axis=0, return_inverse=True)
     moving = [np.flatnonzero(row) for row in signs]
     n, before = world.num_velocities, np.zeros((world.num_velocities,) * 2, dtype=np.bool_)
     for i in range(n):
@@ -35,13 +36,14 @@ def make_touch_table(world: SpaceWorld, law: CompliantLaw) -> TouchTable:
         law.stiffness,
         law.dissipation,
         law.friction,
-        np.full(len(signs), world.stiction_speed),
+        np.full(len(couples), world.stiction_speed),
         *_find_widths(world, law),
     )
     return TouchTable(
         shapes=world.geometry.shapes,
         pairs=world.geometry.pairs,
         law=np.column_stack(numbers).reshape(-1, 6),
+        couples=couples.reshape(-1).astype(np.int64),
         starts=np.cumsum([0, *map(len, moving)]),
         chain=np.concatenate([np.zeros(0, dtype=np.int64), *moving]).astype(np.int64),
         signs=np.concatenate([np.zeros(0), *(s[i] for s, i in zip(signs, moving, strict=True))]),
@@ -91,7 +93,7 @@ def make_no_touch(num_velocities: int) -> TouchTable:
     shapes = Shapes(counts, counts, np.zeros((0, 3, 3)), none, none.copy(), np.zeros(0))
     carries = np.zeros((num_velocities, num_velocities), dtype=np.bool_)
     pairs, starts = np.zeros((0, 2), dtype=np.int64), np.zeros(1, dtype=np.int64)
-    return TouchTable(shapes, pairs, np.zeros((0, 6)), starts, counts, np.zeros(0), carries)
+    return TouchTable(shapes, pairs, np.zeros((0, 6)), counts, starts, counts, np.zeros(0), carries)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,10 @@ from .recursions import push_joints as push_joints
 from .recursions import solve as solve
 from .recursions import solve_rows as solve_rows
 from .recursions import spread as spread
+from .spatial import add_cross_force as add_cross_force
 from .spatial import add_tangent as add_tangent
+from .spatial import cross_motion as cross_motion
+from .spatial import dot as dot
 from .spatial import find_rate as find_rate
 from .spatial import find_turning as find_turning
 from .spatial import multiply_quaternions as multiply_quaternions

@@ -1,3 +1,5 @@
+from .closest import cross as cross
+from .closest import dot as dot
 from .closest import find_closest as find_closest
 from .closest import is_apart as is_apart
 from .closest import place_shapes as place_shapes

@@ -18,7 +18,7 @@ from drake_aigto.geometry.shapes import (
     Closest,
     Shapes,
 )
-from drake_aigto.kernels import inner
+from drake_aigto.kernels import borrowing
 
 # Cores that are nearer than this have no direction between them [m].
 _TINY = 1e-12
@@ -26,25 +26,29 @@ _TINY = 1e-12
 _PARALLEL = 1e-12
 
 
-@inner
+@borrowing
 def place_shapes(shapes: Shapes, poses: Floats, rotations: Floats, places: Floats) -> None:
-    """Computes where shapes are in the world, from poses of bodies: R by rows and p, (L, 12)."""
+    """Computes where shapes are in the world, from poses of bodies: R by rows and p, (L, 12).
+
+    Axes of balls stay as they are.
+    """
     for g in range(shapes.kinds.size):
         body, R, p = shapes.bodies[g], shapes.rotations[g], shapes.places[g]
-        for i in range(3):
-            for j in range(3):
-                rotations[g, i, j] = R[i, j]
-            places[g, i] = p[i]
-        if body >= 0:
-            pose = poses[body]
+        if body < 0:
             for i in range(3):
-                u, v, w = pose[3 * i], pose[3 * i + 1], pose[3 * i + 2]
-                places[g, i] = pose[9 + i] + u * p[0] + v * p[1] + w * p[2]
+                places[g, i] = p[i]
                 for j in range(3):
-                    rotations[g, i, j] = u * R[0, j] + v * R[1, j] + w * R[2, j]
+                    rotations[g, i, j] = R[i, j]
+            continue
+        pose = poses[body]
+        for i in range(3):
+            u, v, w = pose[3 * i], pose[3 * i + 1], pose[3 * i + 2]
+            places[g, i] = pose[9 + i] + u * p[0] + v * p[1] + w * p[2]
+            for j in range(3 if shapes.kinds[g] != BALL else 0):
+                rotations[g, i, j] = u * R[0, j] + v * R[1, j] + w * R[2, j]
 
 
-@inner
+@borrowing
 def is_apart(
     kinds: tuple[int, int], bounds: tuple[float, float], Ra: Floats, pa: Floats, Rb: Floats,
     pb: Floats, reach: float
@@ -58,7 +62,7 @@ def is_apart(
     return bool(x * x + y * y + z * z > most * most)
 
 
-@inner
+@borrowing
 def find_closest(
     kind_a: int, Ra: Floats, pa: Floats, size_a: Floats,
     kind_b: int, Rb: Floats, pb: Floats, size_b: Floats, out: Closest,
@@ -74,14 +78,13 @@ def find_closest(
         Rb: as above.
         pb: as above.
         size_b: as above.
-        out: becomes the result; of two capsules A and B may have changed places.
+        out: becomes the result.
     """
-    out.numbers[1] = 1.0
-    out.by_turn[:] = 0.0
-    out.foot_by_turn[:] = 0.0
+    _clear(out.by_turn)
+    _clear(out.foot_by_turn)
     c = out.c
     if kind_a == BALL:
-        c[:] = pa
+        _copy(pa, c)
         _reach_ball(c, size_a[0], kind_b, Rb, pb, size_b, out)
     elif kind_a == CAPSULE and kind_b == CAPSULE:
         _reach_capsules(Ra, pa, size_a, Rb, pb, size_b, out)
@@ -89,7 +92,7 @@ def find_closest(
         _move_along(pa, Ra, -np.sign(_turn_back(Ra, Rb, 2)) * size_a[1], c)
         _reach_ball(c, size_a[0], kind_b, Rb, pb, size_b, out)
     elif kind_a == BOX:  # Its lowest corner.
-        c[:] = pa
+        _copy(pa, c)
         for i in range(3):
             side = -size_a[i] if _turn_back(Ra, Rb, i) > 0.0 else size_a[i]
             for k in range(3):
@@ -99,20 +102,47 @@ def find_closest(
         _reach_rim(Ra, pa, size_a, Rb, pb, size_b, out)
 
 
-@inner
+@borrowing
+def _clear(matrix: Floats) -> None:
+    for i in range(3):
+        for j in range(3):
+            matrix[i, j] = 0.0
+
+
+@borrowing
+def _copy(source: Floats, target: Floats) -> None:
+    for i in range(3):
+        target[i] = source[i]
+
+
+@borrowing
+def cross(a: Floats, b: Floats, out: Floats) -> None:
+    """Computes a × b of vectors."""
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+
+
+@borrowing
+def dot(a: Floats, b: Floats) -> float:
+    """Returns a · b of vectors."""
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+@borrowing
 def _turn_back(Ra: Floats, Rb: Floats, i: int) -> float:
     """Returns the component along axis i of A of the normal of a half space."""
     return float(Ra[0, i] * Rb[0, 2] + Ra[1, i] * Rb[1, 2] + Ra[2, i] * Rb[2, 2])
 
 
-@inner
+@borrowing
 def _move_along(p: Floats, R: Floats, by: float, out: Floats) -> None:
     """Computes the point that is moved along the z axis."""
     for k in range(3):
         out[k] = p[k] + by * R[k, 2]
 
 
-@inner
+@borrowing
 def _reach_ball(
     c: Floats, radius: float, kind: int, R: Floats, p: Floats, size: Floats, out: Closest
 ) -> None:
@@ -135,11 +165,11 @@ def _reach_ball(
         _reach_core(c, radius, size[0], R, out)
 
 
-@inner
+@borrowing
 def _lie_on_face(c: Floats, height: float, radius: float, out: Closest) -> None:
     """Fills in the rest of a ball before a flat face, of known normal and height of its center."""
     n = out.n
-    out.numbers[0] = height - radius
+    out.distance[0] = height - radius
     for i in range(3):
         out.foot[i] = c[i] - height * n[i]
         for j in range(3):
@@ -147,7 +177,7 @@ def _lie_on_face(c: Floats, height: float, radius: float, out: Closest) -> None:
             out.foot_by_place[i, j] = (1.0 if i == j else 0.0) - n[i] * n[j]
 
 
-@inner
+@borrowing
 def _reach_core(c: Floats, radius: float, wall: float, R: Floats, out: Closest) -> None:
     """Fills in the rest of a ball before the nearest point of a core, which is in `foot`.
 
@@ -161,7 +191,7 @@ def _reach_core(c: Floats, radius: float, wall: float, R: Floats, out: Closest) 
     for k in range(3):  # Of concentric balls any direction will do.
         n[k] = (c[k] - foot[k]) / distance if distance > _TINY else R[k, 0]
     distance = max(distance, _TINY)
-    out.numbers[0] = distance - radius - wall
+    out.distance[0] = distance - radius - wall
     for i in range(3):
         foot[i] += wall * n[i]
         for j in range(3):
@@ -170,12 +200,12 @@ def _reach_core(c: Floats, radius: float, wall: float, R: Floats, out: Closest) 
             P[i, j] += wall * out.by_place[i, j]
 
 
-@inner
+@borrowing
 def _reach_box(c: Floats, radius: float, R: Floats, p: Floats, half: Floats, out: Closest) -> None:
     """Computes what is closest of a ball and a box: a face, an edge or a corner."""
     foot, P = out.foot, out.foot_by_place
-    P[:] = 0.0
-    foot[:] = p
+    _clear(P)
+    _copy(p, foot)
     nearest, room, is_out = 0, np.inf, False
     for i in range(3):
         x = R[0, i] * (c[0] - p[0]) + R[1, i] * (c[1] - p[1]) + R[2, i] * (c[2] - p[2])
@@ -195,7 +225,7 @@ def _reach_box(c: Floats, radius: float, R: Floats, p: Floats, half: Floats, out
     _lie_on_face(c, -room, radius, out)
 
 
-@inner
+@borrowing
 def _reach_rim(
     Ra: Floats, pa: Floats, size: Floats, Rb: Floats, pb: Floats, half: Floats, out: Closest
 ) -> None:
@@ -219,13 +249,13 @@ def _reach_rim(
             out.foot_by_turn[i, j] = -slide
 
 
-@inner
+@borrowing
 def _along_rim(R: Floats, x: float, y: float, k: int) -> float:
     """Returns component k of t ‖m‖."""
     return float(x * R[k, 1] - y * R[k, 0])
 
 
-@inner
+@borrowing
 def _reach_capsules(
     Ra: Floats, pa: Floats, size_a: Floats, Rb: Floats, pb: Floats, size_b: Floats, out: Closest
 ) -> None:
@@ -248,17 +278,35 @@ def _reach_capsules(
     if abs(s) >= half_a or sine <= _PARALLEL:
         _reach_ball(c, size_a[0], CAPSULE, Rb, pb, size_b, out)
     elif abs(t) >= half_b:
-        out.numbers[1] = -1.0
         _move_along(pb, Rb, t, c)
         _reach_ball(c, size_b[0], CAPSULE, Ra, pa, size_a, out)
+        _turn_round(size_b[0], out)
     else:
         _move_along(pb, Rb, t, out.foot)
-        out.foot_by_place[:] = 0.0
+        _clear(out.foot_by_place)
         _reach_core(c, size_a[0], size_b[0], Ra, out)
         _cross(Ra[:, 2], Rb[:, 2], size_a[0] + size_b[0], size_b[0], out)
 
 
-@inner
+@borrowing
+def _turn_round(radius: float, out: Closest) -> None:
+    """Makes what is closest as a ball of B moves before A that as A moves before this ball.
+
+    A's move is one of both, and back of the ball, whose center c stands still.
+    """
+    n, by_turn = out.n, out.by_turn
+    for k in range(3):
+        n[k] = -n[k]
+        out.foot[k] = out.c[k] + radius * n[k]
+        by_turn[(k + 2) % 3, (k + 1) % 3] = -n[k]
+        by_turn[(k + 1) % 3, (k + 2) % 3] = n[k]
+    for i in range(3):
+        for j in range(3):
+            out.foot_by_place[i, j] = radius * out.by_place[i, j]
+            out.foot_by_turn[i, j] = radius * by_turn[i, j]
+
+
+@borrowing
 def _cross(a: Floats, b: Floats, radii: float, wall: float, out: Closest) -> None:
     """Fills in derivatives where axes a and b cross at a distance l = φ + radii.
 
@@ -268,15 +316,16 @@ def _cross(a: Floats, b: Floats, radii: float, wall: float, out: Closest) -> Non
         δt = (g · δc − l g · δn) / (g · b),    δ(foot) = b δt + r δn
     """
     n, by_turn = out.n, out.by_turn
-    m, g, across = np.cross(a, b), np.cross(n, a), np.zeros(3)
-    size, product, along = np.sqrt(np.sum(m * m)), np.sum(a * b), np.sum(g * b)
-    size = size if np.sum(m * n) > 0.0 else -size
-    distance = out.numbers[0] + radii
+    m, g, across = out.by_place[0], out.by_place[1], out.by_place[2]  # Room, until it becomes 0.
+    cross(a, b, m)
+    cross(n, a, g)
+    size, product, along = np.sqrt(dot(m, m)), dot(a, b), dot(g, b)
+    size = size if dot(m, n) > 0.0 else -size
+    distance = out.distance[0] + radii
     for j in range(3):
-        inward = 0.0
         for i in range(3):
             across[i] = (a[i] * b[j] - (product if i == j else 0.0)) / size
-            inward += n[i] * across[i]
+        inward = dot(n, across)
         for i in range(3):
             by_turn[i, j] = across[i] - inward * n[i]
     for j in range(3):
@@ -284,6 +333,6 @@ def _cross(a: Floats, b: Floats, radii: float, wall: float, out: Closest) -> Non
         for i in range(3):
             slide += g[i] * by_turn[i, j]
         for i in range(3):
-            out.by_place[i, j] = 0.0
             out.foot_by_place[i, j] = b[i] * g[j] / along
             out.foot_by_turn[i, j] = wall * by_turn[i, j] - distance * b[i] * slide / along
+    _clear(out.by_place)

@@ -43,7 +43,7 @@ class Closest(NamedTuple):
     foot + φ n.
     """
 
-    numbers: Floats  # φ [m], and its sign of a swap: −1 where A and B changed places, shape (2,)
+    distance: Floats  # φ, shape (1,) [m]
     n: Floats  # unit normal, from B to A, shape (3,)
     foot: Floats  # witness point of B, shape (3,) [m]
     c: Floats  # point of A, shape (3,) [m]
@@ -55,7 +55,7 @@ class Closest(NamedTuple):
 
 def make_closest() -> Closest:
     """Returns room for one pair."""
-    return Closest(np.zeros(2), *np.zeros((3, 3)), *np.zeros((4, 3, 3)))
+    return Closest(np.zeros(1), *np.zeros((3, 3)), *np.zeros((4, 3, 3)))
 
 
 def can_meet(first: int, second: int) -> bool:

@@ -22,6 +22,7 @@ from drake_aigto.dynamics import (
     TRANSLATION,
     Contact,
     Tree,
+    TreeMemory,
     make_tree_memory,
 )
 from drake_aigto.errors import ModelError, ScenarioError
@@ -300,8 +301,9 @@ class SpaceWorld(World):
 
     def calc_contact_jacobian(self, q: Floats) -> Floats:
         """Returns J(q) of φ̇ = J v, shape (…, m, nv), at q of shape (…, nq)."""
-        rows = [np.einsum("ij,ijk->ik", *self.relate(row)) for row in _rows(q)]
-        return np.array(rows).reshape(*np.shape(q)[:-1], self.num_contacts, self.num_velocities)
+        J = np.empty((*np.shape(q)[:-1], self.num_contacts, self.num_velocities))
+        self._measure(q, J.reshape(-1, *J.shape[-2:]))
+        return J
 
     def calc_slides(self, q: Floats, v: Floats) -> Floats:
         """Returns how the first shape of each pair slides along the second, (…, m, 3) [m/s]."""
@@ -319,19 +321,21 @@ class SpaceWorld(World):
         n, C = np.split(self._measure(q)[1][0, contact], 2)
         return C, n
 
-    def _measure(self, q: Floats) -> tuple[Floats, Floats]:
-        """Returns φ (K, m), and normals and points (K, m, 6), of rows."""
+    def _measure(
+        self, q: Floats, J: Floats | None = None, memory: TreeMemory | None = None
+    ) -> tuple[Floats, Floats]:
+        """Returns φ (K, m), and normals and points (K, m, 6), of rows; J becomes ∂φ/∂q of these."""
         from drake_aigto.world.space_kernels import measure_pairs
 
-        memory = make_tree_memory(self.tree)
-        return measure_pairs(self.tree, *self.geometry, _rows(q), memory, make_closest())
+        J = np.empty((0, self.num_contacts, self.num_velocities)) if J is None else J
+        memory = memory or make_tree_memory(self.tree)
+        at = self.tree, *self.geometry, np.array(self.signs), _rows(q)
+        return measure_pairs(*at, memory, make_closest(), J)
 
     def relate(self, q: Floats) -> tuple[Floats, Floats]:
         """Returns normals at one state, shape (m, 3), and ∂(ṗ_A − ṗ_B)/∂v, shape (m, 3, nv)."""
-        from drake_aigto.world.space_kernels import measure_pairs
-
         memory, tree = make_tree_memory(self.tree), self.tree
-        _, points = measure_pairs(tree, *self.geometry, _rows(q), memory, make_closest())
+        _, points = self._measure(q, memory=memory)
         turns, C = memory.motions[:, :3], points[0, :, np.newaxis, 3:]
         moved = memory.motions[:, 3:] + np.cross(turns, C)
         J = np.empty((self.num_contacts, 3, self.num_velocities))

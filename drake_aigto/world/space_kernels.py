@@ -6,17 +6,28 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.dynamics import Tree, TreeMemory, place, subtract_positions
-from drake_aigto.geometry import Closest, Shapes, find_closest, place_shapes
+from drake_aigto.geometry import Closest, Shapes, cross, dot, find_closest, place_shapes
 from drake_aigto.kernels import kernel
 
 
 @kernel
 def measure_pairs(
-    tree: Tree, shapes: Shapes, pairs: Ints, q: Floats, memory: TreeMemory, closest: Closest
-) -> tuple[Floats, Floats]:
+    tree: Tree, shapes: Shapes, pairs: Ints, signs: Floats, q: Floats, memory: TreeMemory,
+    closest: Closest, J: Floats,
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Returns φ of pairs, then their normals and points of contact, of states q (K, nq).
 
     The normal is from the second shape to the first, and the point midway between both.
+
+    Args:
+        tree: the joints.
+        shapes: on its links.
+        pairs: of them, shape (P, 2).
+        signs: whether degrees of freedom move the first, 1, or the second, −1, shape (P, nv).
+        q: shape (K, nq).
+        memory: room.
+        closest: room.
+        J: becomes ∂φ/∂q of the first states, shape (K or 0, P, nv).
 
     Returns:
         φ, shape (K, P) [m]; n and C, shape (K, P, 6).
@@ -34,10 +45,17 @@ def measure_pairs(
                 shapes.kinds[a], rotations[a], places[a], shapes.sizes[a],
                 shapes.kinds[b], rotations[b], places[b], shapes.sizes[b], closest,
             )  # fmt: skip
-            distances[k, c] = closest.numbers[0]
+            distances[k, c] = closest.distance[0]
             for i in range(3):
-                points[k, c, i] = closest.numbers[1] * closest.n[i]
+                points[k, c, i] = closest.n[i]
                 points[k, c, 3 + i] = closest.foot[i] + distances[k, c] / 2 * closest.n[i]
+            if k < J.shape[0]:
+                n, moment = closest.n, closest.by_place[0]
+                cross(points[k, c, 3:], n, moment)
+                for s in range(tree.up.size):
+                    S = memory.motions[s]
+                    rate = dot(S, moment) + dot(S[3:], n)
+                    J[k, c, tree.velocities[s]] = signs[c, s] * rate
     return distances, points
 
 
