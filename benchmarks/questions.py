@@ -38,7 +38,7 @@ from drake_aigto import AigtoError, Planner, PlanOptions, Scenario, World, scena
 from drake_aigto.cli import Parser, add_common, positive
 from drake_aigto.errors import OptionsError
 from drake_aigto.output import write_text
-from drake_aigto.simulation import state_scales
+from drake_aigto.simulation import tangent_scales
 
 PATH = Path(__file__).with_name("known_questions.json")
 NEAR, WIDE = 0.01, 0.10
@@ -58,21 +58,22 @@ def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def _draw_start(rng: np.random.Generator, scenario: Scenario, world: World) -> Changes:
-    q, v = np.split(state_scales(world, scenario), 2)
+    q, v = np.split(tangent_scales(world, scenario), 2)
     size = 10 ** rng.uniform(-1.5, 0.0)
+    moved = world.add(scenario.initial_position, size * q * rng.normal(size=len(q)))
     return {
-        "initial_position": scenario.initial_position + size * q * rng.normal(size=len(q)),
+        "initial_position": moved,
         "initial_velocity": scenario.initial_velocity + size * v * rng.normal(size=len(v)),
     }
 
 
 def _draw_goal(rng: np.random.Generator, scenario: Scenario, world: World) -> Changes:
     """Near, or far: of a hinge as far as one and a half turns; a reference goes along with it."""
-    units = state_scales(world, scenario)[: world.num_positions]
+    units, goal = tangent_scales(world, scenario)[: world.num_velocities], scenario.goal_position
     change = 10 ** rng.uniform(-1.5, 0.0) * units * rng.normal(size=len(units))
-    if world.is_hinge.any() and rng.uniform() < 0.3:
-        change[world.is_hinge] = rng.uniform(-1.5 * np.pi, 1.5 * np.pi, world.is_hinge.sum())
-    changes: Changes = {"goal_position": scenario.goal_position + change}
+    if world.turns.any() and rng.uniform() < 0.3:
+        change[world.turns] = rng.uniform(-1.5 * np.pi, 1.5 * np.pi, world.turns.sum())
+    changes: Changes = {"goal_position": world.add(goal, change)}
     if scenario.reference_positions is not None and scenario.reference_times is not None:
         share = scenario.reference_times / scenario.duration
         changes["reference_positions"] = scenario.reference_positions + np.outer(share, change)
@@ -127,6 +128,7 @@ def draw(name: str, number: int, is_tuning: bool) -> Scenario:
     """
     shipped = Scenario.named(name)
     world = World.from_scenario(shipped)
+    shipped = world.place(shipped)
     rng = np.random.default_rng([is_tuning, number, *name.encode()])
     for _ in range(_MOST_DRAWS):
         changes: Changes = {}
