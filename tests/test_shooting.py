@@ -15,6 +15,7 @@ from shooting_problems import differ, pose
 from shooting_problems import weigh as weigh_effort
 
 from drake_aigto.contact import CompliantLaw, Mechanism, RigidLaw
+from drake_aigto.errors import ProgramError
 from drake_aigto.planning import MechanismTask, PlanOptions
 from drake_aigto.shooting import ShootingOptions, ShootingProblem, Smoothing
 from drake_aigto.world import Scenario, TaskCost, World
@@ -275,6 +276,15 @@ def test_the_estimated_error_of_a_motion_falls_with_shorter_steps() -> None:
     coarse = problem.solve(np.ones((10, 1)))
     fine = problem.solve(coarse.controls, None, ShootingOptions(substeps=8), coarse.prices)
     assert problem.estimate_error(fine) < problem.estimate_error(coarse) / 100
+
+
+def test_a_motion_that_diverged_is_no_error_and_not_called_unstable() -> None:
+    problem = pose(soft("cart-pole"), weigh([0.8, 0.0]), np.zeros(4), N=10)
+    result = problem.simulate(np.ones((10, 1)), 1)
+    far = replace(result, states=1e160 * np.ones_like(result.states))
+    with pytest.raises(ProgramError, match="expected a finite one"):
+        problem.linearize(far.controls, 1, states=far.states)
+    assert not problem.is_unstable(far)
 
 
 def test_friction_is_the_same_at_the_end_of_a_task_as_in_the_whole() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.contact import COEFFICIENT, SOURCE, AnyMechanism, copy_writable
+from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.optimal_control import OptimalControlProblem, StageLayout
 from drake_aigto.shooting.solve import (
@@ -155,10 +156,17 @@ class ShootingProblem(OptimalControlProblem):
         return self._start(controls, states, options).linearize()
 
     def is_unstable(self, result: ShootingResult) -> bool:
-        """Returns whether errors grow so much along a result that feedback has to judge it."""
+        """Returns whether errors grow so much along a result that feedback has to judge it.
+
+        False if the result diverged: nothing follows that.
+        """
         if not np.isfinite(result.states).all():
             return False
-        found = self.linearize(result.controls, result.substeps, 0.0, result.states, result.order)
+        states, order = result.states, result.order
+        try:
+            found = self.linearize(result.controls, result.substeps, 0.0, states, order)
+        except ProgramError:  # Its squares exceed all numbers.
+            return False
         return calc_growth(found.transitions, self.scales).factor > MOST_GROWTH
 
     def estimate_error(self, result: ShootingResult) -> float:
