@@ -28,7 +28,8 @@ _OPTIONS = {
     "ipopt.print_level": 0,
     "ipopt.sb": "yes",
     "ipopt.hessian_approximation": "limited-memory",
-    "ipopt.max_iter": 300,  # of each rung
+    "ipopt.max_iter": 300,  # of each rung, as the next
+    "ipopt.max_cpu_time": 10.0,
     "ipopt.tol": 1e-4,
 }
 _Base: Any = object if casadi is None else casadi.Callback
