@@ -144,7 +144,9 @@ class _InteriorPointRun:
         while status is None:
             linearization = self._problem.linearize(self._point.y, self._duals.rows)
             optimality = self._optimality(linearization)
-            self._record(optimality, step, length)
+            cost, residual = self._point.cost / self._problem.cost_scale, max_norm(self._point.rows)
+            shift, error = step.shift if step else 0.0, optimality.error(0.0)
+            self._history.append(LocalIterate(cost, residual, error, self._mu, shift, length))
             status = self._status(optimality)
             if status is None:
                 self._lower_barrier(optimality)
@@ -268,12 +270,6 @@ class _InteriorPointRun:
     def _fresh_duals(self, point: Point) -> Duals:
         multipliers = self._search.least_squares_multipliers(point, self._mu)
         return Duals(multipliers, self._mu / point.slacks)
-
-    def _record(self, optimality: _Optimality, step: NewtonStep | None, length: float) -> None:
-        """Adds the current point to the history."""
-        cost, residual = self._point.cost / self._problem.cost_scale, max_norm(self._point.rows)
-        shift, error = step.shift if step else 0.0, optimality.error(0.0)
-        self._history.append(LocalIterate(cost, residual, error, self._mu, shift, length))
 
     def _result(self, status: LocalStatus) -> LocalResult:
         """Unscales."""

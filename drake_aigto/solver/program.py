@@ -196,7 +196,11 @@ class AigoProgram:
         blocks: list[TermBlock] = []
         self.slack_rows: list[int] = []
         lower, upper = [parsed.lower], [parsed.upper]
-        prefix, size, number = _row_prefix(source), parsed.lower.size, 0
+        costs = [evaluator_name(cost.evaluator()) for cost in source.GetAllCosts()]
+        # Rows' names begin as no cost's does: weights are given by name.
+        prefix, size, number = "row ", parsed.lower.size, 0
+        while any(name.startswith(prefix) for name in costs):
+            prefix = f"constraint {prefix}"
         for row in parsed.rows:
             rest, variables = Term(-row.lower, ()), row.block.variables
             count = len(variables)
@@ -344,12 +348,3 @@ def _square(row: ParsedRow, block: TermBlock) -> TermBlock:
     except TooManyTermsError as error:
         raise error.refusal(row.label, f"in the square of the row {row}") from None
     return TermBlock(block.name, terms, block.variables)
-
-
-def _row_prefix(source: MathematicalProgram) -> str:
-    """Returns the first part of rows' names, which no cost's has: weights are given by name."""
-    costs = [evaluator_name(cost.evaluator()) for cost in source.GetAllCosts()]
-    prefix = "row "
-    while any(name.startswith(prefix) for name in costs):
-        prefix = f"constraint {prefix}"
-    return prefix

@@ -11,7 +11,6 @@ import numpy as np
 from drake_aigto.aigo import Box
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.local import (
-    Climb,
     InteriorPoint,
     LocalResult,
     PenaltyLadder,
@@ -323,10 +322,18 @@ class StagedSearch:
         if tightened is not None and self.climbs and self._rng.random() < _OTHER:
             is_tightened = not is_tightened
         if tightened is not None and is_tightened:
-            found = self._tighten(tightened, start, renewed)
+            y = self._program.with_slacks(start)
+            first = 10 ** self._rng.uniform(*(_RENEWED_TIGHTENED if renewed else _START_TIGHTENED))
+            sizes = self._ladder.sizes[self._staged.relaxed]
+            y, steps = tightened.tighten(y, sizes, first, renewed)
+            found = self._ladder.judge(y, steps)
             self._work += _TIGHTENED_WORK
         else:
-            found = self._penalize(start, renewed)
+            relaxations = _RENEWED_RELAXATIONS if renewed else _START_RELAXATIONS
+            weights = _RENEWED_WEIGHTS if renewed else _START_WEIGHTS
+            relaxation, weight = (10 ** self._rng.uniform(*each) for each in (relaxations, weights))
+            most = self.best + _TOO_COSTLY * abs(self.best)
+            found = self._ladder.climb(start, relaxation, weight, most)
             self._work += 1
         self.climbs += 1
         if not found.is_nearly_feasible:
@@ -345,22 +352,6 @@ class StagedSearch:
         self.best = min(self.best, cost)
         if all(abs(cost - other) > _SAME * abs(other) for other, _ in self._kept):
             self._kept = sorted([*self._kept, (cost, x)], key=lambda pair: pair[0])[:_MOST_KEPT]
-
-    def _penalize(self, start: Floats, renewed: bool) -> Climb:
-        """Returns where a ladder of penalties ends."""
-        relaxations = _RENEWED_RELAXATIONS if renewed else _START_RELAXATIONS
-        weights = _RENEWED_WEIGHTS if renewed else _START_WEIGHTS
-        relaxation, weight = (10 ** self._rng.uniform(*each) for each in (relaxations, weights))
-        most = self.best + _TOO_COSTLY * abs(self.best)
-        return self._ladder.climb(start, relaxation, weight, most)
-
-    def _tighten(self, tightened: TightenedProgram, start: Floats, renewed: bool) -> Climb:
-        """Returns where an interior point's optima of falling ε end."""
-        y = self._program.with_slacks(start)
-        first = 10 ** self._rng.uniform(*(_RENEWED_TIGHTENED if renewed else _START_TIGHTENED))
-        sizes = self._ladder.sizes[self._staged.relaxed]
-        y, steps = tightened.tighten(y, sizes, first, renewed)
-        return self._ladder.judge(y, steps)
 
     @staticmethod
     def _is_better(cost: float, best: float) -> bool:

@@ -161,8 +161,10 @@ def _read_model(
     facts.notes += _parse(plant, path, packages, text, kind)
     _weld(plant, path, fields)
     _drive(plant, path, facts)
-    for name, spring in facts.springs.items():
-        _add_spring(plant, plant.GetJointByName(name), *spring)
+    for name, (stiffness, reference) in facts.springs.items():
+        if (joint := plant.GetJointByName(name)).num_velocities() == 1:
+            spring = PrismaticSpring if joint.type_name() == "prismatic" else RevoluteSpring
+            plant.AddForceElement(spring(joint, reference, stiffness))
     set_materials(plant, scene_graph, fields.material)
     keep_apart(plant, scene_graph, facts)
     ends = {} if in_space else add_ends(plant, scene_graph)
@@ -318,13 +320,6 @@ def _refuse_twins(path: Path, joints: list[Joint], read: set[str]) -> None:
                 expected="one, as friction, efforts and actuators are read by names",
                 remedy="Rename all but one.",
             )
-
-
-def _add_spring(plant: MultibodyPlant, joint: Joint, stiffness: float, reference: float) -> None:
-    """Adds the spring of a hinge or a slider."""
-    kind = PrismaticSpring if joint.type_name() == "prismatic" else RevoluteSpring
-    if joint.num_velocities() == 1:
-        plant.AddForceElement(kind(joint, reference, stiffness))
 
 
 def _list_bodies(plant: MultibodyPlant) -> list[RigidBody]:

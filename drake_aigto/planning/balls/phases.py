@@ -288,19 +288,13 @@ def coarsen(world: World, scenario: Scenario, options: PlanOptions) -> Scenario:
     four times as many if those are few.
     """
     most = max(scenario.num_steps, _MOST_FINER * options.aigo_steps)
-    return scenario.in_steps(max(options.aigo_steps, min(_count_steps(world, scenario), most)))
-
-
-def _count_steps(world: World, scenario: Scenario) -> int:
-    """Returns the number of steps of T for which the ball flies three before the wall.
-
-    Walls that are touched at once do not count: they are known without boxes.
-    """
     distances = world.calc_signed_distance(scenario.initial_position)
     jacobian = world.calc_contact_jacobian(scenario.initial_position)
     speeds, T = -jacobian @ scenario.initial_velocity, scenario.duration
     counts = T * speeds[distances > 0] / distances[distances > 0]
-    return math.ceil(_STEPS_TO_WALL * np.max(counts[counts < 1 / AT_ONCE], initial=0.0))
+    # Walls that are touched at once do not count: they are known without boxes.
+    steps = math.ceil(_STEPS_TO_WALL * np.max(counts[counts < 1 / AT_ONCE], initial=0.0))
+    return scenario.in_steps(max(options.aigo_steps, min(steps, most)))
 
 
 def least_flight_cost(world: World, scenario: Scenario) -> float:

@@ -190,17 +190,13 @@ class BallTask(ProgramTask):
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[TouchSequence]:
         """Returns the contact sequences that AIGO proposes (`read_sequences`) and that fit."""
         read = read_sequences(self.start(rung.start).transcription, result.box.center)
-        return [self._with_touches_at_once(sequence) for sequence in filter(self.fits, read)]
-
-    def _with_touches_at_once(self, sequence: TouchSequence) -> TouchSequence:
-        """Returns a sequence with its immediate bounces, which boxes have late or never."""
-        soon = _STEPS_OF_START * self.transcription.time_step()
-        for touch in reversed(self._at_once):
-            late = [
-                other for other in sequence if other.contact == touch.contact and other.start < soon
-            ]
-            sequence = (touch, *(other for other in sequence if other not in late[:1]))
-        return sequence
+        found, soon = [], _STEPS_OF_START * self.transcription.time_step()
+        for sequence in filter(self.fits, read):
+            for touch in reversed(self._at_once):  # Boxes have these late or never.
+                late = [t for t in sequence if t.contact == touch.contact and t.start < soon]
+                sequence = (touch, *(other for other in sequence if other not in late[:1]))
+            found.append(sequence)
+        return found
 
     @cached_property
     def _at_once(self) -> TouchSequence:

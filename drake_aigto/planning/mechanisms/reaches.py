@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw
 from drake_aigto.simulation import Compliant, CompliantMotion, Held, HeldControl
 from drake_aigto.world import SpaceWorld, TaskCost
@@ -71,16 +71,13 @@ class Reaches:
         self._length = float(np.max(unit[~world.turns], initial=0.0)) or float(np.max(unit))
         weights = cost.QT.diagonal() if cost.QT.any() else np.ones(len(unit))
         self._root = np.where(self._driven, 0.0, np.sqrt(weights))
-        self.contacts = self._find_contacts()
-
-    def _find_contacts(self) -> Ints:
         signs = np.empty_like(self._world.signs)
         signs[:, self._world.tree.velocities] = self._world.signs
         sides = np.stack([signs > 0, signs < 0])
         are_hands = sides.any(axis=2) & ~np.any(sides & ~self._driven, axis=2)
         are_objects = np.any(sides & (self._root > 0), axis=2)
         are_objects &= ~np.any(sides & self._driven, axis=2)
-        return np.flatnonzero((are_hands & are_objects[::-1]).any(axis=0))
+        self.contacts = np.flatnonzero((are_hands & are_objects[::-1]).any(axis=0))
 
     def push(
         self,

@@ -21,7 +21,6 @@ from drake_aigto.planning.mechanisms.touches import NEAR
 from drake_aigto.planning.search import Proposal, Search, Stopwatch, scaled
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.simulation import BOUNDS, CLEARANCE
-from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import TouchSequence
 
 _LOG = logging.getLogger(__name__)
@@ -153,7 +152,10 @@ class MechanismSearch(Search):
         count = self.task.options.starts
         self.tell(f"shooting from {count} starts")
         plain = len(self.task.guesses.starts)
-        given = [] if self.guess is None else [self._follow(self.guess)]
+        given = []
+        if self.guess is not None:
+            follow = partial(self.task.guesses.follow, self.guess)
+            given.append(Proposal(Origin(GIVEN), partial(self._close, follow)))
         yield [*given, *(self._start(number, number < plain) for number in range(count))]
         if (shorter := self.task.shortened()) is not None:
             search = MechanismSearch(shorter, self.clock)
@@ -202,10 +204,6 @@ class MechanismSearch(Search):
         propose = partial(guesses.plain, start) if is_plain else partial(guesses.draw, start, rng)
         words = f"shooting {_WORDS[start]}" + ("" if is_plain else ", perturbed")
         return Proposal(Origin(words), partial(self._close, propose))
-
-    def _follow(self, guess: Trajectory) -> Proposal:
-        propose = partial(self.task.guesses.follow, guess)
-        return Proposal(Origin(GIVEN), partial(self._close, propose))
 
     def _extend(self, motion: KeptMotion, late: float) -> Proposal:
         words = "after a wait" if late else "before a rest"
@@ -288,20 +286,16 @@ class MechanismSearch(Search):
         self._num_closed += 1
         self._num_of_use += self.task.is_of_use(result)
         motion = KeptMotion(origin, result, self.task.rank(result))
-        self._count(motion, parent)
-        near = [known for known in self.motions if self._are_same(known, motion)]
-        if np.isfinite(motion.cost) and all(self._is_better(motion, known) for known in near):
-            others = [known for known in self.motions if known not in near]
-            self.motions = sorted([*others, motion], key=lambda each: each.rank)[:_MOST_KEPT]
-
-    def _count(self, motion: KeptMotion, parent: KeptMotion | None) -> None:
-        """Counts a search, and whether it found the best motion so far, or a better one."""
         self.searches += 1
         if not self.motions or not self._are_same(self.motions[0], motion):
             is_best = not self.motions or motion.rank < self.motions[0].rank
             self.found = 1 if is_best else self.found
         elif parent is None or not self._are_same(self.motions[0], parent):
             self.found += 1
+        near = [known for known in self.motions if self._are_same(known, motion)]
+        if np.isfinite(motion.cost) and all(self._is_better(motion, known) for known in near):
+            others = [known for known in self.motions if known not in near]
+            self.motions = sorted([*others, motion], key=lambda each: each.rank)[:_MOST_KEPT]
 
     def _is_better(self, motion: KeptMotion, known: KeptMotion) -> bool:
         """Returns whether a motion costs less, or as much with fewer touches.
@@ -318,20 +312,23 @@ class MechanismSearch(Search):
     def _are_same(self, one: KeptMotion, other: KeptMotion) -> bool:
         """Returns whether two motions lead to one optimum, by cost or by path."""
         costs_same = abs(one.cost - other.cost) <= _SAME * abs(one.cost)
-        return costs_same or self._are_near(one.result, other.result)
-
-    def _are_near(self, one: ShootingResult, other: ShootingResult) -> bool:
-        """Returns whether two motions are so near each other that one polish does for both."""
-        n = self.task.world.num_positions
-        path = other.states[:, :n]
-        if not np.array_equal(one.times, other.times):
-            path = interpolate(one.times, other.times, path)
-        apart = np.abs(one.states[:, :n] - path) / self.task.state_scales[:n]
+        if costs_same:
+            return True
+        (mine, yours), n = (one.result, other.result), self.task.world.num_positions
+        path = yours.states[:, :n]
+        if not np.array_equal(mine.times, yours.times):
+            path = interpolate(mine.times, yours.times, path)
+        apart = np.abs(mine.states[:, :n] - path) / self.task.state_scales[:n]
         return bool(np.max(apart) < _NEAR)
 
     def judge(self) -> None:
         """Polishes and judges the best motions."""
-        self._tight = self._tighten()
+        tight: list[KeptMotion] = []
+        with self.clock("polish"), self.ended_by_ctrl_c(lambda: self.motions):
+            for motion in self.motions[: 1 if self.is_interrupted else None]:
+                result = self.task.tighten(motion.result)
+                tight.append(KeptMotion(motion.origin, result, self.task.rank(result)))
+        self._tight = sorted(tight, key=lambda each: each.rank) or self.motions[:1]
         self._judge_best()
 
     def _judge_best(self) -> None:
@@ -351,15 +348,6 @@ class MechanismSearch(Search):
                 rank = self.task.rank(polished)
                 self._num_broken += rank > (motion.rank[0], scaled(_BROKEN, motion.cost))
                 self._known += [motion, KeptMotion(motion.origin, polished, rank)]
-
-    def _tighten(self) -> list[KeptMotion]:
-        """Returns the motions, ordered by their cost in shorter steps."""
-        tight: list[KeptMotion] = []
-        with self.clock("polish"), self.ended_by_ctrl_c(lambda: self.motions):
-            for motion in self.motions[: 1 if self.is_interrupted else None]:
-                result = self.task.tighten(motion.result)
-                tight.append(KeptMotion(motion.origin, result, self.task.rank(result)))
-        return sorted(tight, key=lambda each: each.rank) or self.motions[:1]
 
     @property
     def _holding(self) -> list[float]:
