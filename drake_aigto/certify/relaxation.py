@@ -200,20 +200,16 @@ class Relaxation:
             before = high - low
             for i in np.flatnonzero(low < high):
                 for side in (low, high):
-                    if not self._move(side, int(i), low, high, cutoff):
+                    if not self._fill(low, high, cutoff):
+                        return False
+                    bound, *_ = self._solve(int(i), 1.0 if side is low else -1.0)
+                    side[i] = max(low[i], bound) if side is low else min(high[i], -bound)
+                    if not (bound < np.inf and low[i] <= high[i]):
                         return False
             with np.errstate(invalid="ignore"):
                 if not np.any(before - (high - low) > _SPENT * before):
                     break
         return True
-
-    def _move(self, side: Floats, i: int, low: Floats, high: Floats, cutoff: float) -> bool:
-        """Moves one end of a cell, low or high; returns if anything is left."""
-        if not self._fill(low, high, cutoff):
-            return False
-        bound, *_ = self._solve(i, 1.0 if side is low else -1.0)
-        side[i] = max(low[i], bound) if side is low else min(high[i], -bound)
-        return bool(bound < np.inf and low[i] <= high[i])
 
     def _fill(self, low: Floats, high: Floats, cutoff: float) -> bool:
         self._upper[0] = cutoff

@@ -214,16 +214,16 @@ def plan_many(
         OutputFileError, ResultsFileError, PlanFileError: from `AnswerFolder`.
         StudyError, MissingExtraError: workers that are not fit, from `open_workers`.
     """
-    named = scenarios if isinstance(scenarios, Mapping) else dict(_numbered(scenarios))
+    named = (
+        scenarios
+        if isinstance(scenarios, Mapping)
+        else {str(number): scenario for number, scenario in enumerate(scenarios)}
+    )
     _check(named, options)
     kept = None if folder is None else AnswerFolder(folder, options, resume)
     done = kept.done(named) if kept else {}
     executor = open_workers(workers, scheduler)
     return _answer(named, options, executor, kept, done, progress)
-
-
-def _numbered(scenarios: Iterable[Scenario]) -> Iterator[tuple[str, Scenario]]:
-    return ((str(number), scenario) for number, scenario in enumerate(scenarios))
 
 
 def _check(scenarios: Mapping[str, Scenario], options: PlanOptions | None) -> None:

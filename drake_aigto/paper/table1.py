@@ -187,7 +187,9 @@ def run_cell(
     options = LiteralOptions(nonpenetration=nonpenetration, confirm=confirm)
     generator = np.random.default_rng([seed, row])
     methods = list(_gradient_methods(world, scenario, options, num_guesses, generator))
-    methods += _aigo_methods(world, scenario, options)
+    for name, algorithm in ALGORITHMS.items():
+        chosen = dataclasses.replace(options, algorithm=algorithm)
+        methods.append(_plan_method(name, plan_literal(scenario, chosen, world)))
     return Cell(row, nonpenetration, tuple(methods))
 
 
@@ -252,14 +254,6 @@ def run_table1(
         tuple(cell for cell in cells if isinstance(cell, RigidCell)),
         *(tuple(dict.fromkeys(rows)), num_guesses, seed, confirm),
     )
-
-
-def _aigo_methods(
-    world: World, scenario: Scenario, options: LiteralOptions
-) -> Iterator[TableMethod]:
-    for name, algorithm in ALGORITHMS.items():
-        chosen = dataclasses.replace(options, algorithm=algorithm)
-        yield _plan_method(name, plan_literal(scenario, chosen, world))
 
 
 def _gradient_methods(

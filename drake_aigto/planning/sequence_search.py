@@ -70,9 +70,9 @@ class SequenceSearch(Search):
             ]
 
     def propose_boxes(self, rung: Rung, text: str = "") -> Proposal:
-        """Returns the proposal of a rung's boxes, with their contact sequences."""
-        origin = Origin(self.task.algorithm_name, rung)
-        return Proposal(origin, partial(self._run_boxes, rung), text)
+        """Returns the proposal of a rung's boxes: after Ctrl-C, AIGO's best so far."""
+        run = partial(self.task.run_aigo, rung, None, self._stop_if_asked)
+        return Proposal(Origin(self.task.algorithm_name, rung), run, text)
 
     def vary(self) -> Iterator[Sequence[Proposal]]:
         """Yields nothing: the best are improved as they are judged."""
@@ -132,10 +132,6 @@ class SequenceSearch(Search):
             except KeyboardInterrupt:
                 self._is_stopped.set()
         return runs, self._is_stopped.is_set()
-
-    def _run_boxes(self, rung: Rung) -> AigoResult:
-        """Returns AIGO's result for a rung's boxes: after Ctrl-C, the best so far."""
-        return self.task.run_aigo(rung, None, self._stop_if_asked)
 
     def _stop_if_asked(self, _: Iterate) -> None:
         if self._is_stopped.is_set():

@@ -121,10 +121,11 @@ def _summand_terms(label: str, summand: Expression, index: LocalIndex, is_row: b
     """Returns the terms of one summand, or refuses it by name."""
     try:
         total = _expand(summand, index)
-        if is_row:
-            _check_smooth(total)
-        else:
+        if not is_row:
             _check_barriers(label, summand, total)
+        # The square of a row must have a mean, too.
+        elif not {p.kind for parts in total for p in parts} <= {FunctionKind.POWER, *WAVES}:
+            raise NoClosedFormError("max(0, y)² or log(y) stands in a constraint")
     except NoClosedFormError as error:
         raise UnsupportedTermError(
             f"{label} can't be integrated",
@@ -133,13 +134,6 @@ def _summand_terms(label: str, summand: Expression, index: LocalIndex, is_row: b
             remedy=(_FOR_ROWS if is_row else "") + _FOR_ALL,
         ) from None
     return total
-
-
-def _check_smooth(total: Sum) -> None:
-    """Refuses functions that a row can't have, as its square must have a mean, too."""
-    kinds = {part.kind for parts in total for part in parts}
-    if not kinds <= {FunctionKind.POWER, *WAVES}:
-        raise NoClosedFormError("max(0, y)² or log(y) stands in a constraint")
 
 
 def _check_barriers(label: str, summand: Expression, total: Sum) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 from pydrake.symbolic import MakeVectorVariable
 
 from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.contact import JointImpact
 from drake_aigto.dynamics import ConstantDynamics
 from drake_aigto.local import Monomial, NlpBuilder, Summand
 from drake_aigto.planning.balls.added import AddedSums
@@ -224,21 +223,14 @@ class ArcProgram:
         self.impacts: dict[int, tuple[Ints, Ints]] = {}
         for j in np.flatnonzero(np.any(self._shape.marks.struck[:-1], axis=1)).tolist():
             # w = R v, for the speeds that an impact changes.
-            velocities = self._impact(j).velocities
+            impact = self._shape.marks.calc_impact(j, self._inertia, self._shape.restitutions)
+            velocities = impact.velocities
             changed = np.flatnonzero(np.any(velocities != np.eye(len(velocities)), axis=1))
             rows = self._builder.new(changed.size, len(velocities))
             self._builder.bound(rows, 0.0, 0.0)
             self.impacts[j] = changed, rows
             for i, row in zip(changed.tolist(), rows, strict=True):
                 self.w[j, i] = self._builder.new_product(RESTITUTION, row, self.v[j])
-
-    def _impact(self, joint: int) -> JointImpact:
-        struck = self._shape.marks.struck[joint]
-        restitutions = np.where(self._shape.marks.lands[joint], 0.0, self._shape.restitutions)[
-            struck
-        ]
-        contacts = tuple(np.flatnonzero(struck).tolist())
-        return JointImpact.of(self._inertia, contacts, tuple(restitutions.tolist()))
 
     def _add_motion(self, rests: Bools) -> None:
         """Adds flight and dynamics of the arcs during which these contacts last."""
@@ -330,7 +322,7 @@ class ArcProgram:
             if shape.marks.lands[j, i] and 0 < shape.restitutions[i] < 1:
                 self._add_settling(j, i)
         for j in np.flatnonzero(np.any(shape.marks.struck, axis=1)).tolist():
-            impact = self._impact(j)
+            impact = shape.marks.calc_impact(j, self._inertia, shape.restitutions)
             for row in impact.impulses[impact.coupled]:
                 builder.bound_sum(RESTITUTION, row, self.v[j], 0.0, np.inf)
 

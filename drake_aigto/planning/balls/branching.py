@@ -130,7 +130,8 @@ class BranchingSearch(SequenceSearch):
             is_new = (is_pulled or kinds(other) not in held) and not self.is_known(other)
             if is_new and len(other) <= MOST_TOUCHES and self.task.fits(other):
                 tried = self._try(other, motion.path)
-                if tried and not self._has_optimum(tried):
+                optima = map(self._optimum, self.by_sequence)
+                if tried and not self._is_among(tried.sequence, optima, SAME_END):
                     # If long arcs sufficed, the trial was the polish.
                     solved = tried if tried.is_of_arcs else None
                     shown = Shown(self.centers[sequence], other, motion.path, solved)
@@ -168,11 +169,6 @@ class BranchingSearch(SequenceSearch):
         """Returns a sequence with its times after the polish."""
         motion: PhaseMotion = self.solved[sequence]
         return motion.sequence
-
-    def _has_optimum(self, solved: PhaseMotion) -> bool:
-        """Returns whether a known candidate has these times."""
-        optima = map(self._optimum, self.by_sequence)
-        return self._is_among(solved.sequence, optima, SAME_END)
 
     def _is_among(
         self, sequence: TouchSequence, others: Iterable[TouchSequence], share: float

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import JointImpact
 from drake_aigto.dynamics import ConstantDynamics
 from drake_aigto.planning.balls.timeline import (
     Phase,
@@ -127,13 +126,11 @@ class PhaseProblem:
         self.inertia, self.restitutions = world.constant_inertia, world.restitutions(scenario)
         # Where contacts land, they stay.
         self._returned = np.where(self.timeline.marks.lands, 0.0, self.restitutions)
-        knots = np.flatnonzero(self.timeline.marks.struck.any(axis=1)).tolist()
-        self.impacts = {k: self._impact(k) for k in knots}
-
-    def _impact(self, k: int) -> JointImpact:
-        contacts = np.flatnonzero(self.timeline.marks.struck[k])
-        restitutions = self._returned[k, contacts]
-        return JointImpact.of(self.inertia, tuple(contacts.tolist()), tuple(restitutions.tolist()))
+        marks = self.timeline.marks
+        self.impacts = {
+            k: marks.calc_impact(k, self.inertia, self.restitutions)
+            for k in np.flatnonzero(marks.struck.any(axis=1)).tolist()
+        }
 
     @cached_property
     def scales(self) -> Scales:

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import Bools, Floats, Ints, interpolate
+from drake_aigto.contact import JointImpact
+from drake_aigto.dynamics import ConstantInertia
 from drake_aigto.errors import OptionsError
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Facing, Fronts, Touch, TouchSequence, joint_times
@@ -48,6 +50,12 @@ class Marks(NamedTuple):
     def at(self, knots: Ints) -> Marks:
         """Returns those of some knots."""
         return Marks(*(each[knots] for each in self))
+
+    def calc_impact(self, k: int, inertia: ConstantInertia, restitutions: Floats) -> JointImpact:
+        """Returns the impact of what is struck at a knot; where contacts land, they stay."""
+        struck = np.flatnonzero(self.struck[k])
+        returned = np.where(self.lands[k], 0.0, restitutions)[struck]
+        return JointImpact.of(inertia, tuple(struck.tolist()), tuple(returned.tolist()))
 
 
 @dataclass(frozen=True, eq=False)
