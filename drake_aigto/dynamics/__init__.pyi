@@ -35,6 +35,10 @@ from .tree_kernels import prepare_slopes as prepare_slopes
 from .tree_kernels import push_tree as push_tree
 from .tree_kernels import repeat_accelerations as repeat_accelerations
 from .tree_kernels import turn_positions as turn_positions
+from .tree_reader import check_constraints as check_constraints
+from .tree_reader import check_force as check_force
+from .tree_reader import find_joint as find_joint
+from .tree_reader import refuse_loop as refuse_loop
 from .tree_tables import PRISMATIC as PRISMATIC
 from .tree_tables import QUATERNION as QUATERNION
 from .tree_tables import TRANSLATION as TRANSLATION

@@ -34,6 +34,9 @@ from drake_aigto.dynamics.tree_tables import (
 )
 from drake_aigto.errors import ModelError
 
+# Largest difference of Drake's recursive dynamics and what is read, relative to the largest value.
+_TOLERANCE = 1e-9
+
 _X, _Y, _Z = np.eye(3)
 
 
@@ -97,13 +100,7 @@ _CHAINS = {
 
 def read_tables(plant: MultibodyPlant, context: Context, dry_friction: Floats) -> TreeTables:
     """Returns the tables of a plant, see `Tree.of`."""
-    if count := plant.num_constraints():
-        raise ModelError(
-            "the links of the model",
-            got=f"{count} constraint{'s' if count > 1 else ''} beside joints",
-            expected="a tree: one joint between each link and its parent, and nothing else",
-            remedy="Leave out the joint or the constraint that closes a loop, or couples joints.",
-        )
+    check_constraints(plant)
     return _PlantTree(plant, context).build(dry_friction)
 
 
@@ -294,11 +291,42 @@ class _PlantTree:
             if isinstance(element, (RevoluteSpring, PrismaticSpring)):
                 yield element
             elif not isinstance(element, UniformGravityFieldElement):
-                raise refuse_force(type(element).__name__)
+                raise _refuse_force(type(element).__name__)
 
 
-def refuse_force(what: str) -> ModelError:
-    """Returns the error of a force that a tree has none of."""
+def check_constraints(plant: MultibodyPlant) -> None:
+    """Refuses links that are constrained otherwise than by joints."""
+    if count := plant.num_constraints():
+        raise refuse_loop(f"{count} constraint{'s' if count > 1 else ''} beside joints")
+
+
+def refuse_loop(got: str) -> ModelError:
+    """Returns the error of links that do not hang on joints as on a tree."""
+    return ModelError(
+        "the links of the model",
+        got=got,
+        expected="a tree: one joint between each link and its parent, and nothing else",
+        remedy="Leave out the joint or the constraint that closes a loop, or couples joints.",
+    )
+
+
+def find_joint(plant: MultibodyPlant, velocity: int) -> Joint:
+    """Returns the joint that has this generalized velocity (or position, where q̇ = v)."""
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    return next(j for j in joints if 0 <= velocity - j.velocity_start() < j.num_velocities())
+
+
+def check_force(plant: MultibodyPlant, found: Floats, expected: Floats) -> None:
+    """Refuses forces that are not those of Drake, shape (nv,), by the joint that they act on."""
+    errors = np.abs(found - expected)
+    worst = int(np.argmax(errors))
+    if errors[worst] > _TOLERANCE * max(1.0, np.abs(expected).max()):
+        joint = find_joint(plant, worst)
+        raise _refuse_force(f"joint {joint.name()!r} ({joint.type_name()})")
+
+
+def _refuse_force(what: str) -> ModelError:
+    """Returns the error of a force that is not read."""
     return ModelError(
         what,
         got="a force that is not gravity, a linear spring or damper of a joint",

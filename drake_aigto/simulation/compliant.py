@@ -21,9 +21,14 @@ from drake_aigto.contact import (
     of_tree,
 )
 from drake_aigto.dynamics import turn_positions
-from drake_aigto.errors import TrajectoryError
 from drake_aigto.kernels import borrow, kernel
-from drake_aigto.simulation.recording import Controller, Impact, Recording, sample_rates
+from drake_aigto.simulation.recording import (
+    Controller,
+    Impact,
+    Recording,
+    refuse_course,
+    sample_rates,
+)
 from drake_aigto.world import SpaceWorld, World
 
 # Tolerances of one step, relative to positions and velocities of 1: nearly rounding of sums, which
@@ -106,12 +111,7 @@ class Compliant:
                 self._room,
             )  # fmt: skip
             if not (step > 0 and np.isfinite(x).all() and len(blocks) * _BLOCK < _MOST_STEPS):
-                raise TrajectoryError(
-                    "the motion under this control",
-                    got=f"one that runs away, or goes ever faster, at {time:g} s",
-                    expected="one that can be integrated until the end",
-                    remedy="Check the control's size.",
-                )
+                raise refuse_course(time)
             rows = self._room[:count].copy()
             rows[:, 0] += time
             blocks.append(rows)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from drake_aigto.arrays import Floats, Ints
+from drake_aigto.errors import TrajectoryError
 from drake_aigto.simulation.flights import CONTACT, PUSH, SPEED, STATE, TIME
 from drake_aigto.world import World
 
@@ -273,3 +274,13 @@ def sample_cubics(times: Floats, states: Floats) -> MotionSamples:
     weights = steps / 2 * _WEIGHTS
     rows = np.concatenate([q, v], axis=-1).transpose(1, 0, 2)
     return MotionSamples(at.ravel(), weights.ravel(), rows.reshape(-1, states.shape[1]))
+
+
+def refuse_course(time: float) -> TrajectoryError:
+    """Returns the error of a motion that can't be integrated beyond a time [s]."""
+    return TrajectoryError(
+        "the motion under this control",
+        got=f"one that runs away, or goes ever faster, at {time:g} s",
+        expected="one that can be integrated until the end",
+        remedy="Check the control's size.",
+    )

@@ -13,8 +13,7 @@ import scipy  # Not scipy.integrate, which takes a tenth of a second and few nee
 from numpy.polynomial import chebyshev, legendre
 
 from drake_aigto.arrays import Floats
-from drake_aigto.errors import TrajectoryError
-from drake_aigto.simulation.recording import Controller, MotionSamples, Recording
+from drake_aigto.simulation.recording import Controller, MotionSamples, Recording, refuse_course
 from drake_aigto.world import World
 
 # Of one step, relative and absolute: in flight a thousand of them are off by 1e-10.
@@ -103,7 +102,7 @@ def follow(
         longest, (time, fallen) = max(longest, step), _find_fall(watched, piece)
         samples.append(piece.sample(time))
         if len(samples) > most:
-            raise _refuse(time)
+            raise refuse_course(time)
         if fallen >= 0:
             return Course(time, piece.states(np.array([time]))[0], fallen, samples, longest)
     return Course(end, last, -1, samples, longest)
@@ -127,9 +126,9 @@ def _integrate(
             try:
                 solver.step()
             except np.linalg.LinAlgError:  # of numbers that overflowed
-                raise _refuse(solver.t) from None
+                raise refuse_course(solver.t) from None
             if solver.status == "failed" or not np.isfinite(solver.y).all():
-                raise _refuse(solver.t)
+                raise refuse_course(solver.t)
             for piece in _divide(solver):
                 yield piece, solver.y, solver.h_abs
 
@@ -145,7 +144,7 @@ def _divide(solver: Any) -> Iterator[_Piece]:
     speed = np.max(np.abs(states(step.at(_NODES))[:, len(solver.y) // 2 :]))
     length = speed * (solver.t - solver.t_old) / _LONGEST
     if not length <= _MOST_PIECES:
-        raise _refuse(solver.t_old)
+        raise refuse_course(solver.t_old)
     count = max(1, math.ceil(length))
     edges = np.linspace(solver.t_old, solver.t, count + 1).tolist()
     for first, last in itertools.pairwise(edges):
@@ -166,16 +165,6 @@ def _find_fall(watched: Watched, piece: _Piece) -> tuple[float, int]:
         if np.any(falls) and edges[np.argmax(falls)] < first:
             first, fallen = float(edges[np.argmax(falls)]), i
     return (float(piece.at(np.array(first))), fallen) if fallen >= 0 else (piece.end, -1)
-
-
-def _refuse(time: float) -> TrajectoryError:
-    """Returns the error of a motion that can't be integrated beyond a time [s]."""
-    return TrajectoryError(
-        "the motion under this control",
-        got=f"one that runs away, or goes ever faster, at {time:g} s",
-        expected="one that can be integrated until the end",
-        remedy="Check the control's size.",
-    )
 
 
 class HybridMotion(ABC):

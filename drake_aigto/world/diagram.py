@@ -17,10 +17,11 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, Joint
+from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Floats
+from drake_aigto.dynamics import check_constraints
 from drake_aigto.errors import ModelError
 from drake_aigto.world.model_facts import FixableError
 
@@ -98,8 +99,7 @@ def check_plant(plant: MultibodyPlant, in_space: bool = False) -> None:
     if not in_space:
         _check_velocities(plant)
         find_hinges(plant)
-    if count := plant.num_constraints():
-        raise refuse_loop(f"{count} constraint{'s' if count > 1 else ''} beside joints")
+    check_constraints(plant)
     _check_actuators(plant)
 
 
@@ -133,15 +133,6 @@ def find_hinges(plant: MultibodyPlant) -> list[bool]:
         start = joint.position_start()
         found[start : start + joint.num_positions()] = _HINGES[joint.type_name()]
     return found
-
-
-def find_joint(plant: MultibodyPlant, position_index: int) -> Joint:
-    """Returns the joint that has this generalized position (or velocity, where q̇ = v)."""
-    for index in plant.GetJointIndices():
-        joint = plant.get_joint(index)
-        if 0 <= position_index - joint.position_start() < joint.num_positions():
-            return joint
-    raise IndexError(position_index)
 
 
 def find_anywhere(plant: MultibodyPlant) -> Floats:
@@ -262,13 +253,3 @@ def _check_velocities(plant: MultibodyPlant) -> None:
             remedy=f"{remedy}.",
             fields={"weld": answer} if answer else {"fixed_joints": [joint.name()]},
         )
-
-
-def refuse_loop(got: str) -> ModelError:
-    """Returns the error of links that do not hang on joints as on a tree."""
-    return ModelError(
-        "the links of the model",
-        got=got,
-        expected="a tree: one joint between each link and its parent, and nothing else",
-        remedy="Leave out the joint or the constraint that closes a loop, or couples joints.",
-    )
