@@ -21,8 +21,26 @@ LEAST_RESTITUTION = 1e-3
 _NEARLY_ELASTIC = 1e-4
 
 
+class _Law(ArrayRecord):
+    """What contact laws have in common: numbers of each contact, shape (m,); none given: zero."""
+
+    friction: Floats
+
+    def __post_init__(self) -> None:
+        """Makes the arrays read-only."""
+        first, *_ = vars(self).values()
+        for name, value in list(vars(self).items()):
+            given = value if len(value) else np.zeros_like(first)
+            object.__setattr__(self, name, read_only(given))
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether any contact has friction."""
+        return bool(self.friction.any())
+
+
 @dataclass(frozen=True, eq=False)
-class RigidLaw(ArrayRecord):
+class RigidLaw(_Law):
     """Rigid walls with instantaneous impacts: φ̇⁺ = −e φ̇⁻, |p_t| ≤ μ p_n.
 
     Attributes:
@@ -33,21 +51,9 @@ class RigidLaw(ArrayRecord):
     restitution: Floats
     friction: Floats = field(default_factory=lambda: np.zeros(0))
 
-    def __post_init__(self) -> None:
-        """Makes the arrays read-only."""
-        if not len(self.friction):
-            object.__setattr__(self, "friction", read_only(np.zeros_like(self.restitution)))
-        for name in ("restitution", "friction"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-
-    @property
-    def has_friction(self) -> bool:
-        """Whether any contact has friction."""
-        return bool(self.friction.any())
-
 
 @dataclass(frozen=True, eq=False)
-class CompliantLaw(ArrayRecord):
+class CompliantLaw(_Law):
     """Springs with Hunt-Crossley's dissipation and friction, as Drake's point contact has them.
 
         f = k x max(0, 1 + d ẋ),    x = max(0, −φ),    ẋ = −φ̇,    f_t = −μ f σ(s / v_s)
@@ -78,19 +84,6 @@ class CompliantLaw(ArrayRecord):
     friction: Floats = field(default_factory=lambda: np.zeros(0))
     reaches: Floats = field(default_factory=lambda: np.zeros(0))
     radii: Floats = field(default_factory=lambda: np.zeros(0))
-
-    def __post_init__(self) -> None:
-        """Makes the arrays read-only."""
-        for name in vars(self):
-            value = getattr(self, name)
-            object.__setattr__(
-                self, name, read_only(value if len(value) else np.zeros_like(self.stiffness))
-            )
-
-    @property
-    def has_friction(self) -> bool:
-        """Whether any contact has friction."""
-        return bool(self.friction.any())
 
     def calc_forces(self, distances: Floats, rates: Floats) -> Floats:
         """Returns f, shape (…, m) [N], given φ (…, m) [m] and φ̇ (…, m) [m/s]."""
