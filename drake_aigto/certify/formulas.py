@@ -31,6 +31,7 @@ from drake_aigto.terms import (
     evaluator_kind,
     evaluator_label,
     operands,
+    read_bounds,
     shown,
 )
 
@@ -177,7 +178,7 @@ def read_formulas(prog: MathematicalProgram) -> Formulas:
     """
     check_continuous(prog)
     index = {variable.get_id(): i for i, variable in enumerate(prog.decision_variables())}
-    lower, upper = np.full(prog.num_vars(), -np.inf), np.full(prog.num_vars(), np.inf)
+    lower, upper = read_bounds(prog)
     summands: list[Summand] = []
     rows: list[BoundedFormula] = []
     for binding in prog.GetAllCosts():
@@ -188,9 +189,6 @@ def read_formulas(prog: MathematicalProgram) -> Formulas:
         evaluator = binding.evaluator()
         bounds = evaluator.lower_bound(), evaluator.upper_bound()
         if isinstance(evaluator, BoundingBoxConstraint):
-            places = [index[variable.get_id()] for variable in binding.variables()]
-            np.maximum.at(lower, places, bounds[0])
-            np.minimum.at(upper, places, bounds[1])
             continue
         formulas, own = _expressions(binding, index, *_ROWS)
         for formula, low, high in zip(formulas, *(b.tolist() for b in bounds), strict=True):
