@@ -101,6 +101,7 @@ RECORDS: Mapping[str, str] = {
     "in_the_loop": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --workers 1",
     "in_more_loops": "python -m benchmarks.in_the_loop room/bank_shot floor/rebound"
     " cart_pole/soft_06 --count 100 --workers 2 --minutes 14",
+    "loop_record": "python -m benchmarks.loop_record --seeds 20 --workers 1 --minutes 600",
     "loop_speed": "python -m benchmarks.loop_speed",
     "loops_changing": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --changing"
     " --count 60 --workers 1 --minutes 6",
@@ -254,6 +255,7 @@ FIGURES: Mapping[str, Figure] = {
     "in_more_loops_tables": Figure("in_more_loops", r"(?s)\A[^\n]*\n(.*\S)"),
     "friction_loops_table": Figure("friction_loops", r"(?s)\A[^\n]*\n(.*\S)"),
     "friction_worlds_table": Figure("friction_worlds", r"(?s)\A[^\n]*\n(.*\S)"),
+    "loop_record_tables": Figure("loop_record", r"(?s)^(acrobot/swing_up: .*\S)"),
     "loop_speed_table": Figure("loop_speed", r"(?s)\A[^\n]*\n(.*\S)"),
     "cart_poles_table": Figure("cart_poles", r"(?s)\A[^\n]*\n(.*\S)"),
     "soak_lines": Figure("soak", r"(?s)\A(.*\S)"),

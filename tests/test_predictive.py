@@ -204,6 +204,12 @@ def test_arguments_out_of_range_are_refused(options: dict[str, Any], message: st
         ModelPredictiveController(make_planner(), **{"period": 0.1, **options})
 
 
+def test_ticks_that_are_rarer_than_time_steps_have_feedback_between() -> None:
+    for period, often in ((0.02, None), (0.1, SCENARIO.time_step / 5)):
+        assert ModelPredictiveController(make_planner(), period).feedback_period == often
+    assert ModelPredictiveController(Planner(BALL, QUICK), 0.1).feedback_period is None
+
+
 def test_numbers_of_numpy_are_numbers() -> None:
     given: dict[str, Any] = {
         "period": np.float32(0.5),

@@ -32,6 +32,8 @@ MODES, SAMPLES = get_args(Mode), get_args(Sample)
 
 # Types of real numbers: NumPy's scalars may be given, too.
 NUMBERS = int | float | np.integer | np.floating
+# Samples in a time step of the scenario: gains are of its holds, and are no worse in shorter ones.
+OFTEN = 5
 # To brake, velocities fall by a factor e in this part of the task's duration.
 _BRAKE = 0.1
 # Commands that are remembered in each period of a delay: of samples, of knots and of bounces.
@@ -173,9 +175,7 @@ class LoopController(LeafSystem):
         safety: Safety | None = None,
         often: float | None = None,
     ) -> None:
-        """Declares the input port; heirs declare their state, then the others.
-
-        Commands of a period and the delay are remembered, `often` one of them.
+        """Declares the input port; heirs their state, then others. Commands may come `often`.
 
         Raises:
             ControlError: an argument is out of its range.

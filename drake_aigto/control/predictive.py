@@ -16,6 +16,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.control.estimation import ModelEstimate, Unknown
 from drake_aigto.control.ports import (
     NUMBERS,
+    OFTEN,
     LoopController,
     Mode,
     Safety,
@@ -94,7 +95,7 @@ class ModelPredictiveController(LoopController):
         learns: bool = True,
         waits: bool = True,
         plan: Plan | None = None,
-        feedback_period: float | None = None,
+        feedback_period: float | Literal["auto"] | None = "auto",
         delay: float = 0.0,
         start_time: float = 0.0,
         safety: Safety | None = None,
@@ -125,7 +126,8 @@ class ModelPredictiveController(LoopController):
                 it is taken at the first tick at which it is done, and ticks until then are late.
             plan: the first plan, in place of a search; its time 0 is the `start_time`.
             feedback_period: between samples that are answered by feedback about the plan, at most a
-                period [s]; None: no feedback.
+                period [s]; None: no feedback. "auto": a fifth of the scenario's time step, between
+                compliant walls where periods are longer than that step.
             delay: see `LoopController`, as for the other arguments.
             start_time: the context's time at which the task begins [s].
             safety: limits, and the fallback.
@@ -150,7 +152,10 @@ class ModelPredictiveController(LoopController):
         for name, share in (("margin", margin), ("surprise", surprise)):
             if not (isinstance(share, NUMBERS) and share >= 0):
                 raise ControlError(name, got=share, expected="a number of at least 0")
-        about = planner.world, planner.scenario
+        about = planner.world, (asked := planner.scenario)
+        if feedback_period == "auto":
+            is_rare = asked.contact == "compliant" and period > asked.time_step
+            feedback_period = asked.time_step / OFTEN if is_rare else None
         super().__init__(*about, period, delay, start_time, safety, feedback_period)
         self.feedback_period = feedback_period
         if feedback_period is not None:
@@ -388,13 +393,8 @@ class ModelPredictiveController(LoopController):
                 now, question.x, moment.find_hits(question, self.period)
             ).control
         u, is_limited = self._limit(u, moment.commands, time)
-        status = dataclasses.replace(
-            moment.status,
-            mode=mode,
-            sample=question.sample,
-            deviation=question.deviation,
-            is_limited=is_limited,
-        )
-        return dataclasses.replace(
-            moment, commands=append_command(moment.commands, time, u), status=status
-        )
+        told: dict[str, Any] = {"sample": question.sample, "deviation": question.deviation}
+        told |= {"mode": mode, "is_limited": is_limited}
+        commands = append_command(moment.commands, time, u)
+        status = dataclasses.replace(moment.status, **told)
+        return dataclasses.replace(moment, commands=commands, status=status)

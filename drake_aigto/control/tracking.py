@@ -14,6 +14,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.control.ports import (
     MODES,
+    OFTEN,
     SAMPLES,
     LoopController,
     Mode,
@@ -35,8 +36,6 @@ from drake_aigto.world import Scales, World
 
 # A period of what happens once [s]; and how near to a sample is the same, as a part of the period.
 _ONCE, _SAME = 1e12, 1e-6
-# Samples in a time step of the scenario: gains are of its holds, and are no worse in shorter ones.
-_SAMPLES = 5
 # What turns round more slowly than this part of the slowest impact that is planned is noise.
 _FAINT = 0.2
 # Of a contact: it is touched, or was and is not over yet; it has lasted since the start; none.
@@ -118,8 +117,8 @@ class TrackingController(LoopController):
             TrajectoryError: no feedback is known for its contacts (`Feedback`).
             ControlError: an argument is out of its range.
         """
-        world, usual = plan.find_world(world), plan.scenario.time_step / _SAMPLES
-        period = usual if period is None else period
+        world = plan.find_world(world)
+        period = plan.scenario.time_step / OFTEN if period is None else period
         super().__init__(world, plan.scenario, period, delay, start_time, safety)
         self.plan = plan
         known, of = plan.best.gains, (world, plan.scenario, plan.trajectory)
