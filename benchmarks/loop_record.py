@@ -266,7 +266,7 @@ def list_disturbances(
         "kick": KICK * scales.velocity * rng.normal(size=n),
         "kick_time": float(rng.uniform(0.1, 0.7) * scenario.duration),
     }
-    walls = world.contacts and all(len(each) == 1 for each in world.solids)
+    walls = _can_move_walls(world, scenario)
     for size in NOISES:
         yield f"noise {1e3 * size:g}", Disturbance(noise=size * noise, seed=seed)
     yield "kick", Disturbance(**kick)
@@ -297,6 +297,15 @@ def list_disturbances(
             yield f"wall {off:+g}", Disturbance(wall_shift=off * scales.length)
         if scenario.contact == "compliant":
             yield f"stiffness {off:+g}", Disturbance(stiffness_factor=1 + off)
+
+
+def _can_move_walls(world: World, scenario: Scenario) -> bool:
+    """Returns whether there are walls, each of one face that stands still."""
+    try:
+        Disturbance(wall_shift=1e-3).apply(world, scenario)
+    except AigtoError:
+        return False
+    return True
 
 
 def make_controller(method: str, prepared: Prepared, delay: float) -> Any:

@@ -14,7 +14,7 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 from drake_aigto.arrays import Floats
 from drake_aigto.control.loop_run import Disturbance
 from drake_aigto.control.ports import Model, check_seconds, predict
-from drake_aigto.errors import AigtoError, ControlError
+from drake_aigto.errors import AigtoError, ControlError, ModelError
 from drake_aigto.simulation import HeldControl, state_scales
 from drake_aigto.world import Scales, Scenario, SpaceWorld, World
 
@@ -204,7 +204,7 @@ def _list_parameters(
             yield _Parameter(kind, kind, 0, 1.0, 0.3, _LEAST, _MOST)
         elif kind == "walls":
             unit = _WALL * scales.length
-            alone = [faces[0] for faces in world.solids if len(faces) == 1]
+            alone = [faces[0] for faces in world.solids if _can_move(world, faces)]
             for i in alone:
                 name, most = f"wall of {world.contacts[i].name}", _FARTHEST * unit
                 yield _Parameter(name, kind, i, 0.0, unit, -most, most)
@@ -220,6 +220,14 @@ def _list_parameters(
         else:
             expected = f"some of {', '.join(get_args(Unknown))}; in space no force"
             raise ControlError("estimate", got=kind, expected=expected)
+
+
+def _can_move(world: World, faces: Sequence[int]) -> bool:
+    """Returns whether a wall has one face, and stands still."""
+    try:
+        return len(faces) == 1 and world.with_wall_moved(faces[0], 0.0) is not None
+    except ModelError:
+        return False
 
 
 class _Seen(NamedTuple):
