@@ -242,8 +242,8 @@ def test_the_log_moves_progress_aside(monkeypatch: pytest.MonkeyPatch) -> None:
         (
             ZeroDivisionError("division by zero"),
             FAULT,
-            "ZeroDivisionError: division by zero. This is a fault of drake-aigto, not yours: "
-            "please report it with what -v tells.",
+            "ZeroDivisionError: division by zero. This is a fault of drake-aigto: "
+            "please report it with the output of -v.",
         ),
     ],
 )

@@ -255,9 +255,9 @@ def test_ctrl_c_gives_the_best_so_far_and_says_so(
     saved = Plan.load(out)
     assert saved.is_interrupted and saved.replay.drake is None
     assert saved.cost == whole.cost
-    assert "interrupted the search was ended by Ctrl-C" in " ".join(capsys.readouterr().out.split())
+    assert "interrupted Ctrl-C ended the search" in " ".join(capsys.readouterr().out.split())
     page = Page("")
     add_verdict(page, saved, shipped_world())
-    assert "interrupted</th><td>the search was ended by Ctrl-C" in page.to_html()
+    assert "interrupted</th><td>Ctrl-C ended the search" in page.to_html()
     monkeypatch.undo()
     assert main(["replay", str(out)]) == 0

@@ -114,7 +114,7 @@ def bound_plans(world: World, scenario: Scenario, cost: float) -> PlanBound:
 def _obstacle(world: World, scenario: Scenario) -> str:
     """Returns why a scenario is not one of lines between walls, or an empty string."""
     if scenario.contact != "rigid":
-        return "walls that give way have no images, and their motions no closed form"
+        return "compliant walls have no images, and their motions no closed form"
     if not scenario.is_plain:
         return f"the task asks for more than effort and goal: {', '.join(scenario.extras)}"
     if world.is_hinge.any():

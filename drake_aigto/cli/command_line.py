@@ -47,27 +47,27 @@ _COMMANDS = {
 _MOVED = {"bench": "python -m benchmarks, in a checkout of drake_aigto"}
 _EXAMPLES = """\
 drake-aigto list                             # what is shipped
-drake-aigto look robot.urdf                  # what is understood of a model
-drake-aigto plan table1/1 --json plan.json   # plan, and keep the plan
+drake-aigto look robot.urdf                  # how a model is understood
+drake-aigto plan table1/1 --json plan.json   # plan, and save the plan
 drake-aigto play plan.json                   # watch it
-drake-aigto plan-many tasks/*.yaml --into plans   # a plan for each, side by side
+drake-aigto plan-many tasks/*.yaml --into plans   # one plan each, in parallel
 drake-aigto report plan.json --html p.html   # a page about it, to mail
 drake-aigto live table1/1                    # drag its goal, and watch the plan follow
 drake-aigto control cart_pole/soft_06 --kick 0.3 1.5 --kick-time 0.5   # plan again as it moves
-drake-aigto -v plan table1/3                 # see what the planner does, step by step
-drake-aigto table1                           # the paper's Table I, and the truth beside it
-drake-aigto plan --help                      # all that a command takes
+drake-aigto -v plan table1/3                 # see each step of the planner
+drake-aigto table1                           # the paper's Table I, and the exact optimum
+drake-aigto plan --help                      # all flags of a command
 """
 _STATUSES = """
-exit status: 0 fine, 1 nothing found that holds on rigid walls, 2 bad input, 130 interrupted
+exit status: 0 success, 1 no plan passed simulation, 2 bad input, 130 interrupted
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command, that of `sys.argv` if None, and returns its exit status.
 
-    0: fine. 1: no plan was found that holds on rigid walls. 2: bad input. 70: a fault of this
-    program. 130: interrupted. 141: nobody read on.
+    0: success. 1: no plan passed simulation. 2: bad input. 70: a fault of this program.
+    130: interrupted. 141: the reader of its output has ended.
     """
     try:
         return run(arguments)
@@ -146,8 +146,8 @@ def _tell(error: Exception, verbose: bool) -> int:
             _forget_output()
     else:
         what = f"{type(error).__name__}: {error}".rstrip(".")
-        text = f"{what}. This is a fault of drake-aigto, not yours: "
-        text, status = f"{text}please report it with what -v tells.", FAULT
+        text = f"{what}. This is a fault of drake-aigto: "
+        text, status = f"{text}please report it with the output of -v.", FAULT
     print(f"drake-aigto: {text}", file=sys.stderr)
     return status
 

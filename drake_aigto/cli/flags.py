@@ -27,7 +27,7 @@ from drake_aigto import world  # Loaded when first used: the first line waits fo
 FINE, NOTHING_HOLDS, BAD_INPUT, INTERRUPTED, UNREAD = 0, 1, 2, 130, 141
 # Titles of groups of flags that the usual help does not explain.
 FIELDS, NUMERICS = "change the scenario's fields", "numerics"
-UNKNOWN = "what the controller does not know"
+UNKNOWN = "disturbances unknown to the controller"
 RARE = (FIELDS, NUMERICS, UNKNOWN)
 _HELP_WIDTH = 96
 FAULT = 70  # EX_SOFTWARE in BSD's sysexits.h; an uncaught exception's 1 means NOTHING_HOLDS here.
@@ -131,7 +131,7 @@ def add_common(parser: Any) -> None:
     # A command's own default would undo what was given before it.
     look = {"action": "store_true", "default": argparse.SUPPRESS}
     parser.add_argument("-q", "--quiet", help="show no progress", **look)
-    text = "tell each step, and where an error came from"
+    text = "log each step, and show where an error comes from"
     parser.add_argument("-v", "--verbose", help=text, **look)
 
 
@@ -251,9 +251,9 @@ def add_port(command: Any) -> None:
 
 
 def add_workers(command: Any, count: int | None = None) -> None:
-    """Adds where jobs run: as many processes if nothing is said, or one a core for None."""
+    """Adds where jobs run: as many processes if nothing is said, or one per core for None."""
     where = command.add_mutually_exclusive_group()
-    text = f"processes of this machine (default: {'one a core' if count is None else count})"
+    text = f"processes of this machine (default: {'one per core' if count is None else count})"
     where.add_argument("--workers", type=positive, metavar="N", default=count, help=text)
     text = (
         "of Dask: run on its workers, on any machines, which need the same version of drake_aigto "

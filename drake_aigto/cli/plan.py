@@ -64,9 +64,9 @@ drake-aigto plan-many tasks/*.yaml --into plans --resume             # go on aft
 drake-aigto plan-many tasks/*.yaml --scheduler tcp://10.0.0.1:8786   # on Dask's workers
 """
 _MANY_NOTES = """\
-Plans are written as they come: --into plans has plans/table1/1.json for `play` and `report`, and
-plans/answers.jsonl about all. A question without a plan, or whose process dies, does not keep the
-others from theirs. Exit status: 0 all plans hold, 1 some do not, 2 bad input, 130 interrupted.
+Plans are written as they come: --into plans writes plans/table1/1.json for `play` and `report`, and
+plans/answers.jsonl about all of them. If there is no plan for a scenario, or its process dies, the
+others continue. Exit status: 0 all plans hold, 1 some do not, 2 bad input, 130 interrupted.
 """
 _ENDED = "plans that are done are kept, others dropped"
 _TABLE_EXAMPLES = """\
@@ -84,7 +84,7 @@ def add_plan(commands: Any) -> None:
     _add_numerics(plan.add_argument_group(NUMERICS))
     add_confirm(plan)
     add_json(plan, "write the plan, for `replay` and `play`")
-    plan.add_argument("--csv", metavar="FILE", help="write its trajectory, a row for each knot")
+    plan.add_argument("--csv", metavar="FILE", help="write its trajectory, one row per knot")
 
 
 def add_replay(commands: Any) -> None:
@@ -97,7 +97,7 @@ def add_replay(commands: Any) -> None:
 
 
 def _add_numerics(group: Any) -> None:
-    text = "literal: plan as the paper does; left out: as the world asks for"
+    text = "literal: plan as the paper does; default: as the world requires"
     group.add_argument("--transcription", metavar="literal", help=text)
     add_fields(group, PlanOptions, *_NO_FLAGS)
     shared = (field.name for field in fields(PlanOptions))
@@ -175,12 +175,12 @@ def _answer(options: argparse.Namespace, plan: Plan, text: str) -> int:
 
 def add_plan_many(commands: Any) -> None:
     """Adds the command."""
-    text = "plan for many scenarios, side by side"
+    text = "plan for many scenarios, in parallel"
     command = add_command(commands, "plan-many", _plan_many, text, _MANY_EXAMPLES, _MANY_NOTES)
     text = "shipped scenarios by name, or YAML files"
     command.add_argument("scenarios", nargs="+", metavar="SCENARIO", help=text)
     command.add_argument("--into", metavar="FOLDER", help="keep plans there, as they come")
-    text = "go on from what is in the folder; what a process died of is tried again"
+    text = "continue from the folder; scenarios whose process died are tried again"
     command.add_argument("--resume", action="store_true", help=text)
     add_workers(command)
 

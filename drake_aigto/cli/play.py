@@ -61,8 +61,8 @@ drake-aigto report run.json --html run.html         # the log of `drake-aigto co
 """
 
 _LIVE_EXAMPLES = """\
-drake-aigto live table1/1             # drag the goal towards the wall: bounce becomes brake
-drake-aigto live cart_pole/soft_06    # a second or so from drag to plan
+drake-aigto live table1/1             # drag the goal towards the wall: bouncing becomes braking
+drake-aigto live cart_pole/soft_06    # about a second from drag to plan
 """
 _COMPARE_EXAMPLES = """\
 drake-aigto compare a.json b.json --html both.html
@@ -86,7 +86,7 @@ def add_play(commands: Any) -> None:
     play.add_argument("--html", metavar="FILE", help="write one self-contained page instead")
     add_port(play)
     what = play.add_mutually_exclusive_group()
-    text = "show what a gradient solver makes of the same scenario beside the plan"
+    text = "show a gradient solver's plan for the same scenario beside the plan"
     what.add_argument("--beside", choices=["gradient"], help=text)
     text = "show how AIGO's boxes shrink onto the plan instead"
     what.add_argument("--optimization", action="store_true", help=text)
@@ -150,7 +150,7 @@ def wait_at(meshcat: Meshcat) -> None:
 
 def add_report(commands: Any) -> None:
     """Adds the command that writes a page."""
-    text = "write one self-contained page about a plan or a run in the loop, to be mailed"
+    text = "write one self-contained page about a plan or a run in the loop"
     report = add_command(commands, "report", _report, text, _REPORT_EXAMPLES)
     report.add_argument("plan", metavar="FILE.json", help=_FILE)
     report.add_argument("--html", metavar="FILE", required=True, help="the page")
@@ -171,7 +171,7 @@ def _report(options: argparse.Namespace) -> int:
 
 def add_live(commands: Any) -> None:
     """Adds the command whose plan follows sliders."""
-    text = "drag start, velocity, goal, walls and weights in Meshcat: the plan follows"
+    text = "drag start, velocity, goal, walls and weights in Meshcat, and the plan follows"
     live = add_command(commands, "live", _live, text, _LIVE_EXAMPLES)
     add_scenario(live)
     add_port(live)
@@ -219,20 +219,20 @@ def add_control(commands: Any) -> None:
 
 
 def _add_controller(group: Any) -> None:
-    text = "plan again at every tick, or track one plan (default: the first where it can be done)"
+    text = "plan again at every tick, or track one plan (default: plan again if possible)"
     group.add_argument("--method", choices=["replanning", "tracking"], help=text)
     text = "how long to simulate (default: the scenario's duration) [s]"
     group.add_argument("--seconds", type=seconds, metavar="X", help=text)
     text = f"between ticks [s] (default: {_DEFAULT_PERIOD:g}; of tracking, a fifth of a time step)"
     group.add_argument("--period", type=seconds, metavar="X", help=text)
-    text = "replanning: ticks from one search to the next (default: only where costs rise)"
+    text = "replanning: ticks from one search to the next (default: only if the cost rises)"
     group.add_argument("--search-every", type=positive, metavar="N", help=text)
     text = (
-        "replanning: ends with the scenario, or always lasts as long "
-        "(default: receding, if it is simulated for longer)"
+        "replanning: the horizon ends with the scenario, or recedes at its full length "
+        "(default: receding if --seconds is longer than the scenario)"
     )
     group.add_argument("--horizon", choices=["shrinking", "receding"], help=text)
-    text = "how many renewals a search has at most (default: the planner's)"
+    text = "the most renewals of a search (default: the planner's)"
     group.add_argument("--renewals", type=natural, metavar="N", help=text)
 
 

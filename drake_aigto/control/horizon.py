@@ -191,7 +191,7 @@ class Horizon(ABC):
         return self
 
     def within(self, iterations: int) -> Horizon:
-        """Returns the same task, in which a tick has at most so many iterations of a descent."""
+        """Returns the same task, in which a tick takes at most this number of iterations."""
         return self
 
     def toward(self, goal: Floats, path: tuple[Floats, Floats] | None = None) -> Horizon:

@@ -221,7 +221,7 @@ class ModelPredictiveController(LoopController):
         return float(context.get_time()) - self.start_time + self.delay
 
     def _read_reference(self, context: Context) -> Reference:
-        """Returns what is told to be followed now."""
+        """Returns the goal or path to follow now."""
         if self._path.HasValue(context):
             return Reference(None, self._path.Eval(context), self.start_time)
         goal = self._reference.Eval(context) if self._reference.HasValue(context) else [np.nan]

@@ -131,7 +131,7 @@ class TickMemory:
 
 
 class Reference(NamedTuple):
-    """What a controller is told to follow: a goal, or a trajectory.
+    """The reference that a controller follows: a goal, or a trajectory.
 
     Attributes:
         goal: q and v, shape (nq + n,).

@@ -44,7 +44,7 @@ from drake_aigto.world import Scenario, TaskCost, World
 
 Fact = tuple[str, str]
 
-INTERRUPTED = "the search was ended by Ctrl-C; this is the best of what it had found by then"
+INTERRUPTED = "Ctrl-C ended the search; this is the best plan found until then"
 
 _LABEL = 12  # columns of the labels at the left
 _COLUMNS = (9, 8, 9, 8, 10, 10)  # Of the table of candidates, before their contacts.

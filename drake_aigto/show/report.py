@@ -167,7 +167,7 @@ def add_answer(page: Page, plan: Plan, world: World) -> None:
     best = plan.best
     runs: list[tuple[str, Candidate | Replay, str, Iterable[float]]] = [
         ("plan (no simulation)", best, f"{best.max_defect:.0e}", (c.time for c in best.contacts)),
-        *((simulation_label(r, world), r, "obeys them", r.bounce_times) for r in plan.replay),
+        *((simulation_label(r, world), r, "none", r.bounce_times) for r in plan.replay),
     ]
     rows = (
         (
@@ -183,8 +183,8 @@ def add_answer(page: Page, plan: Plan, world: World) -> None:
     )
     page.table(_NUMBERS, rows)
     page.paragraph(
-        "The plan is what the optimizer promises. The simulations run its control alone, from the "
-        "start: they know nothing else of it."
+        "The plan is what the optimizer promises. The simulations apply its control alone, from "
+        "the start, and know nothing else about the plan."
     )
     page.facts(answer_facts(plan, world))
 
@@ -261,8 +261,8 @@ def report_run(run: ClosedLoopRun, progress: Callable[[str], None] | None = None
     say = progress or (lambda line: None)
     page = Page(f"In the loop: {plan_name(run.scenario, run.world)}")
     page.paragraph(
-        "What moves here is a simulation: a plant and its controller in Drake's Simulator, with "
-        "Drake's own contact. Plans are shown as what they are, and labeled."
+        "The motion is a simulation: a plant with its controller in Drake's Simulator, with "
+        "Drake's own contact. Plans are labeled as such."
     )
     (_, goal), *others = run_facts(run)
     page.verdict(f"goal {goal}", run.arrival.is_reached)

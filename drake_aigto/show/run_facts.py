@@ -22,7 +22,7 @@ from drake_aigto.show.text import (
 if TYPE_CHECKING:
     from drake_aigto.control import ClosedLoopRun
 
-CUT_SHORT = "Ctrl-C ended the simulation; this is what happened by then"
+CUT_SHORT = "Ctrl-C ended the simulation; this is the motion until then"
 
 _METHODS = {
     "tracking": "a plan is tracked (TrackingController)",

@@ -130,7 +130,7 @@ def as_bound(name: str, value: object) -> float | Floats:
 
 
 def as_table(name: str, value: object) -> Floats:
-    """Returns a read-only array (K, n) of finite floats; of numbers, one a row.
+    """Returns a read-only array (K, n) of finite floats; of numbers, one per row.
 
     Raises:
         ScenarioError: not numbers, not finite, empty, or rows that differ in length.
