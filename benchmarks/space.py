@@ -18,7 +18,13 @@ from drake_aigto import Planner, PlanOptions, Scenario
 from drake_aigto.arrays import Floats
 from drake_aigto.world import TaskCost
 
-WORLDS = ("finger_and_ball/roll", "finger_and_box/push")
+WORLDS = (
+    "finger_and_ball/roll",
+    "finger_and_box/push",
+    "finger_and_box/tip",
+    "puck/spin",
+    "push_tee/to_pose",
+)
 MOST = 0.02, 0.1  # [m], [rad]
 
 

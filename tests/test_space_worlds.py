@@ -279,6 +279,19 @@ def test_a_ball_is_pushed_to_its_goal_by_a_plan_that_both_replays_confirm(tmp_pa
         assert missed[0] < 0.5 * missed[1]
 
 
+@pytest.mark.slow  # 20 CPU s each, compiled.
+@pytest.mark.parametrize("name", ["puck/spin", "push_tee/to_pose"])
+def test_what_a_disc_pushes_comes_to_its_goal_and_both_replays_confirm_it(name: str) -> None:
+    plan = Planner(Scenario.named(name), PlanOptions(renewals=32, finalists=1)).plan()
+    assert plan.holds and plan.reached
+    replays, arrival = list(plan.replay), plan.find_arrival()
+    assert len(replays) == 2
+    for replay in replays:
+        assert replay.cost == pytest.approx(plan.cost, rel=0.02)
+    assert arrival.distance is not None and arrival.distance < 0.01
+    assert arrival.angle is not None and arrival.angle < 0.02
+
+
 def test_feedback_answers_turns_along_the_manifold_whatever_the_sign_of_a_quaternion(
     tmp_path: Path,
 ) -> None:
