@@ -93,6 +93,8 @@ def test_plans_of_one_world_are_compared_on_one_page(
     assert main(["compare", str(plan_file), str(again), "--html", str(page)]) == FINE
     text = page.read_text("utf-8")
     assert "<title>Plans for table1/1, " in text and "plan, again</title>" in text
+    for told in ("cost J", "dynamics defect", "deepest penetration", "energy ratio", "J simulated"):
+        assert f"<th>{told}</th>" in text
     assert text.count("plan (not a simulation)") >= 2 and "<th>again</th>" in text
     assert len(text.encode()) < 3e6
     assert plan.made_in is not None

@@ -26,7 +26,14 @@ from drake_aigto.show.plan_figures import draw_goal, draw_moving, draw_still, pl
 from drake_aigto.show.scene import publish
 from drake_aigto.show.shapes import coordinate_names, find_goal
 from drake_aigto.show.stage import Stage
-from drake_aigto.show.text import cost_text, join_words, miss_text, plan_name, sequence_text
+from drake_aigto.show.text import (
+    cost_text,
+    join_words,
+    miss_text,
+    plan_name,
+    run_texts,
+    sequence_text,
+)
 from drake_aigto.world import World
 
 _INCH, _DPI = 8.0, 100  # width of figures, and their dots per inch
@@ -161,14 +168,16 @@ def compare(plans: Mapping[str, Plan], world: World | None = None) -> Page:
         plan.find_world(world)
     asked = dict.fromkeys(plan_name(plan.scenario, world) for plan in plans.values())
     page = Page(f"Plans for {join_words([*asked])}: {', '.join(plans)}")
-    header = ("", "holds", "goal", "cost J", "off the goal", "touches")
+    numbers = ("cost J", "dynamics defect", "deepest penetration", "energy ratio", "J simulated")
+    header = ("", "holds", "goal", *numbers, "off the goal", "touches")
     rows = []
     for name, plan in plans.items():
         reached = "reached" if plan.find_arrival(world).is_reached else "not reached"
-        cost = cost_text(plan.cost, 3, plan.best.scales.cost)
+        simulated = cost_text(plan.replay.event_driven.cost, 3, plan.best.scales.cost)
+        worth = (*run_texts(plan.best, 3), simulated)
         miss = miss_text(plan.best, plan.scenario, world)
         words = "holds" if plan.holds else "fails"
-        rows.append((name, words, reached, cost, miss, sequence_text(plan.best, world)))
+        rows.append((name, words, reached, *worth, miss, sequence_text(plan.best, world)))
     page.table(header, rows)
     motions = [
         Motion.from_trajectory(plan.trajectory, world, f"{name}: plan (not a simulation)")
