@@ -103,6 +103,7 @@ RECORDS: Mapping[str, str] = {
     " cart_pole/soft_06 --count 100 --workers 2 --minutes 14",
     "loop_record": "python -m benchmarks.loop_record --seeds 20 --workers 1 --minutes 600",
     "loop_speed": "python -m benchmarks.loop_speed",
+    "live_latency": "python -m benchmarks.live_latency",
     "loops_changing": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --changing"
     " --count 60 --workers 1 --minutes 6",
     "cart_poles": "python -m benchmarks.cart_poles --count 100 --workers 1 --minutes 45",
@@ -256,6 +257,7 @@ FIGURES: Mapping[str, Figure] = {
     "friction_loops_table": Figure("friction_loops", r"(?s)\A[^\n]*\n(.*\S)"),
     "friction_worlds_table": Figure("friction_worlds", r"(?s)\A[^\n]*\n(.*\S)"),
     "loop_record_tables": Figure("loop_record", r"(?s)^(acrobot/swing_up: .*\S)"),
+    "live_latency_table": Figure("live_latency", r"(?s)\A(.*\S)"),
     "loop_speed_table": Figure("loop_speed", r"(?s)\A[^\n]*\n(.*\S)"),
     "cart_poles_table": Figure("cart_poles", r"(?s)\A[^\n]*\n(.*\S)"),
     "soak_lines": Figure("soak", r"(?s)\A(.*\S)"),
