@@ -265,7 +265,7 @@ def test_control_writes_a_log_and_a_page(
     data = json.loads(log.read_text(encoding="utf-8"))
     assert data["format"] == "drake_aigto closed loop" and data["method"] == "tracking"
     html = page.read_text(encoding="utf-8")
-    assert "What moves here is a simulation" in html and "data:image/svg+xml" in html
+    assert "The motion is a simulation" in html and "data:image/svg+xml" in html
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.html", "run.json"]
     assert main(["report", str(log), "--html", str(again := tmp_path / "again.html")]) == FINE
     assert "masses times 1.1" in again.read_text(encoding="utf-8")

@@ -193,7 +193,7 @@ def test_a_scenario_names_the_shapes_that_its_world_leaves_out(write_model: Mode
     assert world.num_contacts == 1
     other = dataclasses.replace(scenario, ignored_shapes=["ball_collision"])
     with pytest.raises(
-        ScenarioError, match=r"ignored_shapes: got ball_collision, expected mesh. The"
+        ScenarioError, match=r"ignored_shapes: got ball_collision, expected mesh\. Give the"
     ):
         world.check(other)
 

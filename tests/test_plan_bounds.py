@@ -139,7 +139,7 @@ def test_controls_that_are_held_cost_no_less_than_the_bound(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"contact": "compliant"}, "give way"),
+        ({"contact": "compliant"}, "compliant walls"),
         ({"velocity_weight": 1e-3}, "more than effort and goal: velocity_weight"),
     ],
 )

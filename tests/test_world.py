@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from pydrake.geometry import SceneGraph
 from pydrake.symbolic import Expression, Variable, cos, sin
+from pydrake.systems.framework import Context
 from world_models import (
     RELATIVE,
     SHIPPED,
@@ -309,14 +310,15 @@ def test_a_shipped_scenario_fits_its_world(name: str) -> None:
 def test_what_drake_says_of_deformable_bodies_is_not_logged(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    logger = logging.getLogger("drake")
+    logger, world = logging.getLogger("drake"), load("floor")
 
     class Noisy:
-        def CreateDefaultContext(self) -> None:
+        def CreateDefaultContext(self) -> Context:
             logger.warning(HALF_SPACES)
             logger.warning("other")
+            return world.diagram.CreateDefaultContext()
 
     diagram: Any = Noisy()
-    dataclasses.replace(load("floor"), diagram=diagram).create_context()
+    dataclasses.replace(world, diagram=diagram).create_context()
     diagram.CreateDefaultContext()
     assert caplog.messages == ["other", HALF_SPACES, "other"]

@@ -219,7 +219,7 @@ def test_a_position_beside_the_walls_face_is_refused(write_model: ModelWriter) -
 def test_a_scenario_of_another_mass_is_refused() -> None:
     world = World.from_scenario(make_scenario(mass=2.0))
     world.check(make_scenario(mass=2.0))
-    with pytest.raises(ScenarioError, match=r"mass: got 3 kg, expected 2 kg\. The world"):
+    with pytest.raises(ScenarioError, match=r"mass: got 3 kg, expected 2 kg\. Give the scenario"):
         world.check(make_scenario(mass=3.0))
     with pytest.raises(ScenarioError, match="mass: got 3 kg, expected None, the model's"):
         World.from_scenario(make_scenario()).check(make_scenario(mass=3.0))
