@@ -31,6 +31,7 @@ from drake_aigto.planning import Feedback, FeedbackPhase, Reaches
 from drake_aigto.show import ROOT, Motion, Stage, draw_mechanism, motions_of_plan, publish
 from drake_aigto.simulation import replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import Touch
 from drake_aigto.world import SpaceWorld, TaskCost
 
 BOX = "<box><size>0.1 0.1 0.1</size></box>"
@@ -154,6 +155,17 @@ def test_bodies_slide_by_the_velocities_of_their_material(tmp_path: Path) -> Non
         rate = rates[0] - rates[1]
         np.testing.assert_allclose(slide, rate - normal * (normal @ rate), atol=1e-12)
         assert normal @ rate == pytest.approx(world.calc_contact_rate(q, v)[contact], abs=1e-12)
+
+
+def test_a_world_in_space_with_one_contact_is_shown() -> None:
+    planner = Planner(Scenario.named("puck/spin"))
+    scenario, world = planner.scenario, planner.world
+    ends = np.array([scenario.initial_position, scenario.goal_position])
+    states = np.hstack([ends, np.zeros((2, world.num_velocities))])
+    motion = Motion.from_path("plan", world, np.array([0.0, scenario.duration]), states)
+    touch = Touch.bounce(scenario.duration / 2, 0)
+    motion = dataclasses.replace(motion, touches=(touch,), impacts=(touch,))
+    assert "puck::rim with pusher::rim" in str(publish([motion], Meshcat(), world, scenario).scene)
 
 
 def test_a_body_that_turns_is_shown_between_knots_and_across_its_way(tmp_path: Path) -> None:

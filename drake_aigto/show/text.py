@@ -141,8 +141,9 @@ def contact_names(world: World) -> list[str]:
 def touch_names(world: World) -> list[str]:
     """Returns what is touched; and what by, if that is not always the same."""
     names = contact_names(world)
-    pairs = [name.split(_AGAINST) for name in names]
-    return [pair[1] for pair in pairs] if len({pair[0] for pair in pairs}) == 1 else names
+    pairs = [name.partition(_AGAINST) for name in names]
+    is_one = len({by for by, _, _ in pairs}) == 1 and all(touched for *_, touched in pairs)
+    return [touched for *_, touched in pairs] if is_one else names
 
 
 def name_touch(contact: tuple[float, int] | None, names: Sequence[str]) -> str:
