@@ -285,7 +285,8 @@ def solve_modes(scenario: Scenario, seconds: float) -> Proven:
     """
     if pyscipopt is None:
         raise MissingExtraError("the mixed-integer peer", "pyscipopt", "bench")
-    model = _write(World.from_scenario(scenario), scenario)
+    with np.errstate(invalid="ignore"):  # PySCIPOpt's products multiply arrays not yet filled.
+        model = _write(World.from_scenario(scenario), scenario)
     model.setParam("timing/clocktype", 1)  # CPU
     model.setParam("limits/time", seconds)
     model.optimize()
