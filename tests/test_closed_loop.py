@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from functools import cache
 from pathlib import Path
@@ -133,6 +134,20 @@ def test_what_is_true_is_what_was_asked_for() -> None:
     assert np.any(other.controls != noisy.controls)
     told = format_run(noisy)
     assert "noise of [0.001, 0.01] (seed 0)" in told and max(map(len, told.splitlines())) <= 100
+
+
+@pytest.mark.parametrize("mass", [None, 2.0])
+def test_true_masses_are_multiples_also_of_the_mass_that_a_scenario_gives(
+    mass: float | None,
+) -> None:
+    scenario = dataclasses.replace(WALL, mass=mass)
+    world = World.from_scenario(scenario)
+    true, _ = Disturbance(mass_factor=1.5).apply(world, scenario)
+    expected = 1.5 * world.sphere_mass
+    assert true.calc_mass_matrix(scenario.initial_position).item() == pytest.approx(expected)
+    context = true.plant.GetMyContextFromRoot(true.create_context())
+    assert true.plant.CalcMassMatrix(context).item() == pytest.approx(expected)
+    true.check(scenario)
 
 
 def test_true_walls_are_as_stiff_as_was_asked_for() -> None:

@@ -77,7 +77,7 @@ class World(EquationsOfMotion):
         scene_graph: its geometry.
         mass: replaces the model's mass of the only body with spheres that touch [kg], or None. The
             plant is not edited: it acts in all that is read here and in `create_context`.
-        mass_factor: of masses and inertias of all other links that move; it acts in the same way.
+        mass_factor: of masses and inertias of all links that move, the `mass` too; acts likewise.
         limits: how far the model's joints and actuators go.
         ignored_shapes: names of the collision shapes that touch nothing, neither here nor in
             contexts that are made by `create_context`.
@@ -221,7 +221,7 @@ class World(EquationsOfMotion):
             material: of collision shapes, glob → `Material`, in place of the diagram's, which stays
                 as it is: the world has a copy. All else that a scenario says of how a model is
                 read is for the parser that made the diagram.
-            mass_factor: of masses and inertias of all links that move, but for the `mass`.
+            mass_factor: of masses and inertias of all links that move, and of the `mass`.
 
         Raises:
             ModelError: the plant is discrete, lacks a joint or an actuator, has shapes or joints
@@ -238,7 +238,7 @@ class World(EquationsOfMotion):
         reachable, stuck = find_reach(plant, scene_graph, reader, pairs)
         if mass is not None:
             mass = as_number("mass", mass, above=0.0, unit="kg")
-            reader.set_mass(find_sphere_body(plant, reachable), mass)
+            reader.set_mass(find_sphere_body(plant, reachable), mass_factor * mass)
             mass_matrix = reader.calc_mass_matrix()
         return cls(
             diagram=diagram,
@@ -385,7 +385,8 @@ class World(EquationsOfMotion):
         context = self.plant.GetMyMutableContextFromRoot(root)
         scale_masses(self.plant, context, self.mass_factor)
         if self.mass is not None:
-            find_sphere_body(self.plant, self._reachable).SetMass(context, self.mass)
+            body = find_sphere_body(self.plant, self._reachable)
+            body.SetMass(context, self.mass_factor * self.mass)
         if self.ignored_shapes:
             names = name_shapes(self.plant, self.scene_graph)
             shapes = pick_shapes("ignored_shapes", self.ignored_shapes, names)
