@@ -165,7 +165,9 @@ def test_a_world_in_space_with_one_contact_is_shown() -> None:
     motion = Motion.from_path("plan", world, np.array([0.0, scenario.duration]), states)
     touch = Touch.bounce(scenario.duration / 2, 0)
     motion = dataclasses.replace(motion, touches=(touch,), impacts=(touch,))
-    assert "puck::rim with pusher::rim" in str(publish([motion], Meshcat(), world, scenario).scene)
+    shown = publish([motion], Meshcat(), world, scenario)
+    assert "puck::rim with pusher::rim" in str(shown.scene)
+    assert shown.beside["title"] == "puck/spin"
 
 
 def test_a_body_that_turns_is_shown_between_knots_and_across_its_way(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.contact import RigidLaw, contact_law
+from drake_aigto.errors import ScenarioError
 from drake_aigto.planning import Candidate
 from drake_aigto.simulation import Arrival, PlannedContact, Replay
 from drake_aigto.world import Scenario, World, scenario_names
@@ -42,19 +43,25 @@ def plan_name(scenario: Scenario, world: World) -> str:
     """
     if world.model is None:
         return "a diagram of one's own"
-    own, found = scenario.to_plain(), list[tuple[int, str]]()
-    for name, shipped in _shipped().items():
+    own, found = world.place(scenario).to_plain(), list[tuple[int, str]]()
+    for name, each in _shipped().items():
+        if each.model != scenario.model:
+            continue
+        try:  # Places by name are those of this world, as its own are by now.
+            shipped = world.place(each).to_plain()
+        except ScenarioError:
+            continue
         changed = [k for k in dict.fromkeys([*own, *shipped]) if own.get(k) != shipped.get(k)]
-        if "model" not in changed and len(changed) <= _MOST_CHANGED:
+        if len(changed) <= _MOST_CHANGED:
             words = [f"{key.replace('_', ' ')} {own.get(key, 'as usual')}" for key in changed]
             found.append((len(changed), f"{name}, {join_words(words)}" if words else name))
     return min(found, default=(0, PurePath(world.model).stem))[1]
 
 
 @cache
-def _shipped() -> dict[str, dict[str, Any]]:
-    """Returns the fields of each shipped scenario, by name."""
-    return {name: Scenario.named(name).to_plain() for name in scenario_names()}
+def _shipped() -> dict[str, Scenario]:
+    """Returns the shipped scenarios, by name."""
+    return {name: Scenario.named(name) for name in scenario_names()}
 
 
 def task_items(scenario: Scenario, world: World | None = None) -> list[str]:
