@@ -9,7 +9,7 @@ all).
 
 Controllers: the plan's control alone; a time-varying LQR as one writes it by hand, by the clock,
 about the smooth dynamics, compliant walls included; `TrackingController`;
-`ModelPredictiveController` from the same plan, which is told the delay as the tracker is; and MPPI,
+`ModelPredictiveController` from the same plan, which knows the delay as the tracker does; and MPPI,
 which moves the plan's control to samples about it, by their cost in our own simulation.
 """
 
@@ -26,13 +26,12 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydrake.systems.framework import Context, EventStatus, State
 
 from benchmarks.in_the_loop import make_open_loop
+from benchmarks.loop_speed import Clocked
 from benchmarks.script import machine, read_flags, run_all, run_as
 from drake_aigto import (
     AigtoError,
-    ModelPredictiveController,
     Plan,
     Planner,
     PlanOptions,
@@ -80,7 +79,6 @@ class Outcome(NamedTuple):
     """A run of a method."""
 
     cost: float
-    off: float  # from the goal at the end, by what is weighed there [m, rad]
     seconds: float  # of CPU, of a tick
 
 
@@ -234,20 +232,6 @@ class Sampled(ByTheClock):
         return summarize(self.world, self.scenario, found, float(knots[-1])).cost
 
 
-class Clocked(ModelPredictiveController):
-    """One that also keeps what CPU time each tick took, in `cpu` [s]."""
-
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **options)
-        self.cpu: list[float] = []
-
-    def _tick(self, context: Context, state: State) -> EventStatus:
-        begin = time.process_time()
-        status = super()._tick(context, state)
-        self.cpu.append(time.process_time() - begin)
-        return status
-
-
 def list_disturbances(
     world: World, scenario: Scenario, seed: int, largest: Floats
 ) -> Iterator[tuple[str, Disturbance]]:
@@ -339,13 +323,10 @@ def run(job: Job) -> tuple[Job, dict[str, Outcome]]:
             loop = run_in_loop(controller, plan.scenario, prepared.world, disturbance)
         except AigtoError as error:
             print(f"{name}, {what}, seed {seed}: {method}: {error}", flush=True)
-            found[method] = Outcome(np.inf, np.inf, np.nan)
+            found[method] = Outcome(np.inf, np.nan)
             continue
         seconds = getattr(controller, "cpu", None) or getattr(controller.feedback, "seconds", [])
-        end = loop.replay.positions[-1] - loop.scenario.goal_position
-        weighed = np.any(TaskCost.of(prepared.world, loop.scenario).QT, axis=0)
-        off = float(np.linalg.norm(end[weighed]))
-        found[method] = Outcome(loop.cost, off, float(np.median(seconds)) if seconds else np.nan)
+        found[method] = Outcome(loop.cost, float(np.median(seconds)) if seconds else np.nan)
     costs = ", ".join(f"{method} {each.cost:.4g}" for method, each in found.items())
     print(f"{name}, {what}, seed {seed}: {costs}", flush=True)
     return job, found

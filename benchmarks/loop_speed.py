@@ -56,7 +56,7 @@ ASKED: Mapping[str, Asked] = {
 }
 
 
-class _Clocked(ModelPredictiveController):
+class Clocked(ModelPredictiveController):
     """One that also keeps what CPU time each tick took, in `cpu` [s]."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -85,7 +85,7 @@ def run(name: str, count: int, seed: int) -> Iterator[Times]:
     for number in range(count):
         disturbance = draw(task, np.random.default_rng((seed, number)))
         assert disturbance is not None
-        controller = _Clocked(task.planner, PERIOD, asked.horizon, search_every=SEARCH_EVERY)
+        controller = Clocked(task.planner, PERIOD, asked.horizon, search_every=SEARCH_EVERY)
         try:
             found = run_in_loop(controller, scenario, world, disturbance)
         except AigtoError as error:
