@@ -393,8 +393,8 @@ class ModelPredictiveController(LoopController):
                 now, question.x, moment.find_hits(question, self.period)
             ).control
         u, is_limited = self._limit(u, moment.commands, time)
-        told: dict[str, Any] = {"sample": question.sample, "deviation": question.deviation}
-        told |= {"mode": mode, "is_limited": is_limited}
+        status = dataclasses.replace(moment.status, mode=mode, is_limited=is_limited)
+        sample, off = question.sample, question.deviation
+        status = dataclasses.replace(status, sample=sample, deviation=off)
         commands = append_command(moment.commands, time, u)
-        status = dataclasses.replace(moment.status, **told)
         return dataclasses.replace(moment, commands=commands, status=status)

@@ -14,6 +14,8 @@ from drake_aigto.kernels import borrowing
 
 # Angles below which series replace sin θ/θ and the like: the next term is below 1e-17.
 _SMALL = 1e-4
+# The same of closed forms that cancel: next terms are below 1e-15.
+_NEARLY_STILL = 0.1
 
 
 @borrowing
@@ -177,9 +179,8 @@ def add_tangent(tree: TreeTables, q: Floats, delta: Floats, moved: Floats) -> No
 def _turn_link(tree: TreeTables, i: int, q: Floats, delta: Floats, moved: Floats) -> None:
     """Computes the positions of a link turned by a rotation vector, a unit quaternion if any."""
     first, at = tree.dofs[i], tree.positions[i]
-    x, y, z = delta[tree.velocities[first]], delta[tree.velocities[first + 1]], 0.0
-    z = delta[tree.velocities[first + 2]]
-    a, b, c, d = exp_quaternion(x, y, z)
+    x, y = delta[tree.velocities[first]], delta[tree.velocities[first + 1]]
+    a, b, c, d = exp_quaternion(x, y, delta[tree.velocities[first + 2]])
     w, x, y, z = read_turn(tree, i, q)
     w, x, y, z = multiply_quaternions(a, b, c, d, w, x, y, z)
     if tree.kinds[i] == QUATERNION:
@@ -222,10 +223,6 @@ def subtract_positions(tree: TreeTables, after: Floats, before: Floats, delta: F
         else:
             for k in range(tree.dofs[i + 1] - first):
                 delta[tree.velocities[first + k]] = after[at + k] - before[at + k]
-
-
-# Angles below which series replace closed forms that cancel; their next terms are below 1e-15.
-_NEARLY_STILL = 0.1
 
 
 @borrowing
