@@ -39,6 +39,8 @@ _WAYS = {
 # The animation: how many frames, how many more at its end, how fast; how big a ball looks [m].
 _FRAMES, _REST, _FRAMES_PER_SECOND = 51, 20, 20
 _RADIUS = 0.02
+# Of labels over lines.
+_ON_LINES = {"facecolor": "white", "edgecolor": "none", "pad": 1}
 # Where the start of a ball in a room is dragged to and fro, from and to [m], its velocity [m/s],
 # and in how many moves each way; how long the ball takes for its motion, in moves.
 _DRAGGED, _VELOCITY, _MOVES = ((0.2, 0.92), (0.2, 0.45)), (0.6, -0.7), 30
@@ -97,7 +99,8 @@ def animate(
     figure, axes = plt.subplots(figsize=(6.4, 3.0), layout="constrained")
     heights = -np.arange(len(lanes))
     for height, (label, _) in zip(heights, lanes, strict=True):
-        axes.text(0.0, height + 0.3, label, fontsize="x-small", color=color_of(-height // 2))
+        look = {"fontsize": "x-small", "color": color_of(-height // 2), "bbox": _ON_LINES}
+        axes.text(0.0, height + 0.3, label, **look)
         axes.axhline(height, color="0.85", linewidth=1, zorder=0)
     axes.axvspan(-0.1, -_RADIUS, color="#8a8f98")
     axes.axvline(*scenario.goal_position, color="black", linestyle=":", linewidth=1)
