@@ -8,28 +8,35 @@ import math
 class AigtoError(Exception):
     """Base of every error that this package raises on purpose.
 
-    Its text reads ``what: got …, expected …. remedy``, without the parts that were not given.
+    Its text reads ``hint what: got …, expected …. remedy``, without the parts that were not given.
 
     Attributes:
         what: the thing that is wrong: a field, a file, a joint, a term.
         got: what was found.
         expected: what would have been right.
         remedy: what to do about it, as a sentence.
+        hint: what was probably meant, as a question.
     """
 
     def __init__(
-        self, what: str, got: object = None, expected: object = None, remedy: str | None = None
+        self,
+        what: str,
+        got: object = None,
+        expected: object = None,
+        remedy: str | None = None,
+        hint: str | None = None,
     ) -> None:
-        """Stores the four parts; all of them may be given by name."""
-        # All four go into `args`, so that the error survives pickling (worker processes).
-        super().__init__(what, got, expected, remedy)
+        """Stores the five parts; all of them may be given by name."""
+        # All go into `args`, so that the error survives pickling (worker processes).
+        super().__init__(what, got, expected, remedy, hint)
         self.what = what
         self.got = got
         self.expected = expected
         self.remedy = remedy
+        self.hint = hint
 
     def __str__(self) -> str:
-        """Returns the one to three sentences that a user reads."""
+        """Returns the one to four sentences that a user reads, the hint first."""
         parts = []
         if self.got is not None:
             parts.append(f"got {self.got}")
@@ -37,7 +44,7 @@ class AigtoError(Exception):
             parts.append(f"expected {self.expected}")
         text = f"{self.what}: {', '.join(parts)}" if parts else self.what
         text = text if text.endswith((".", "!", "?")) else f"{text}."
-        return f"{text} {self.remedy}" if self.remedy else text
+        return " ".join(filter(None, (self.hint, text, self.remedy)))
 
 
 class ScenarioError(AigtoError, ValueError):

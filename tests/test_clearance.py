@@ -59,8 +59,8 @@ def test_what_is_kept_apart_is_read_back(tmp_path: Any) -> None:
         (
             SOFT,
             {"pole against left_wal": 0.1},
-            "no pair of this name that can touch, expected one of pole against left_wall, pole "
-            "against right_wall. Did you mean 'pole against left_wall'",
+            "Did you mean 'pole against left_wall'[?] clearance: 'pole against left_wal': got no "
+            "pair of this name that can touch, expected one of pole against left_wall, pole",
         ),
         (SOFT, {"*left*": 0.0}, "0 m, expected more than 0 m"),
         (SOFT, {"*right*": 0.5}, "0.227 m too near .pole against right_wall"),

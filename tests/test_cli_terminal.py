@@ -456,7 +456,20 @@ def test_what_was_probably_meant_is_said_first(
 ) -> None:
     with pytest.raises(SystemExit):
         main(words)
-    assert capsys.readouterr().err.startswith(f"drake-aigto: did you mean {meant}? ")
+    assert capsys.readouterr().err.startswith(f"drake-aigto: Did you mean {meant}? ")
+
+
+def test_a_plan_without_a_scenario_says_where_their_names_are(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["plan", "table1/11"]) == BAD_INPUT
+    assert capsys.readouterr().err.startswith("drake-aigto: Did you mean 'table1/1'? unknown sce")
+    with pytest.raises(SystemExit):
+        main(["plan"])
+    assert "SCENARIO. drake-aigto list has the shipped ones. Try" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["plan", "table1/1", "--html"])
+    assert "drake-aigto plan: argument --html: expected one argument." in capsys.readouterr().err
 
 
 def test_the_first_line_waits_for_no_drake() -> None:

@@ -198,7 +198,6 @@ def test_nothing_feasible_is_an_error_that_says_what_was_tried(
         (LiteralOptions, {"algorithm": "luck"}, "algorithm: got 'luck', expected one of annealing"),
         (PlanOptions, {"local_solver": "mosek"}, "local_solver: got 'mosek', expected one of newt"),
         (LiteralOptions, {"ladder": ()}, "ladder: got no rung, expected at least one"),
-        (PlanOptions, {"ladder": ()}, "ladder: got no rung, expected at least one"),
     ],
 )
 def test_unknown_options_are_refused(
@@ -206,6 +205,20 @@ def test_unknown_options_are_refused(
 ) -> None:
     with pytest.raises(OptionsError, match=message):
         kind(**options)
+
+
+@pytest.mark.parametrize("name", ["room/bank_shot", "two_masses/handed_on"])
+def test_without_rungs_no_boxes_are_compiled_and_a_guess_leads_to_its_plan(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario, options = Scenario.named(name), PlanOptions(confirm=False)
+    known = Planner(scenario, options).plan()
+    goal = scenario.goal_position + 0.01
+    expected = Planner(scenario, options).plan(goal_position=goal)
+    monkeypatch.delattr("drake_aigto.planning.programs.parse_costs")
+    planner = Planner(scenario, PlanOptions(confirm=False, ladder=(), branches=0))
+    plan = planner.plan(goal_position=goal, initial_guess=known.trajectory)
+    assert plan.cost == pytest.approx(expected.cost, rel=1e-6) and plan.holds
 
 
 # Contacts

@@ -18,6 +18,7 @@ from drake_aigto.planning import Replays
 from drake_aigto.show import (
     Page,
     add_answer,
+    add_question,
     add_verdict,
     describe_difference,
     embed_scenes,
@@ -94,6 +95,15 @@ def test_a_report_has_question_answer_verdict_and_how_to_reproduce_it(plan: Plan
     assert len(page.encode()) < 2e6
     assert not re.search(r'(src|href)="(?!data:)', page)
     assert len(lines) == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "pair"), [("cart_pole/soft_06", "left wall"), ("table1/1", "ball against wall")]
+)
+def test_a_question_names_each_pair_once(name: str, pair: str) -> None:
+    scenario, page = Scenario.named(name), Page("")
+    add_question(page, scenario, World.from_scenario(scenario))
+    assert words(page.to_html()).count(pair) == 1
 
 
 def test_boxes_that_can_not_be_run_again_are_said_to_be_missing(plan: Plan) -> None:

@@ -224,9 +224,10 @@ def test_an_unknown_name_lists_the_known_ones() -> None:
     names = scenario_names()
     assert names == sorted(names)
     assert {"table1/1", "table1/2", "table1/3", "table1/4", "corridor/lossy"} < set(names)
-    message = f"unknown scenario 'table/2': expected one of {', '.join(names)}. Did you mean 'tabl"
-    with pytest.raises(ScenarioError, match=re.escape(message)):
+    with pytest.raises(ScenarioError) as caught:
         Scenario.named("table/2")
+    hint, message = "Did you mean 'table1/2'?", "unknown scenario 'table/2': expected one of"
+    assert str(caught.value) == f"{hint} {message} {', '.join(names)}."
 
 
 # Bad values, each with one clear error.
@@ -332,7 +333,7 @@ GOOD = "initial_position: 1.0\ninitial_velocity: [-2.0]\ngoal_position: 0.73\n"
         (
             GOOD + "goal_wieght: 1\n",
             "unknown key 'goal_wieght': expected one of packages, .*, model, initial_position, .*, "
-            "ignored_shapes. Did you mean 'goal_weight'?",
+            "ignored_shapes.",
         ),
         (GOOD + "zzz: 1\n", r"unknown key 'zzz': expected one of .*, ignored_shapes\.$"),
         (
@@ -351,8 +352,10 @@ GOOD = "initial_position: 1.0\ninitial_velocity: [-2.0]\ngoal_position: 0.73\n"
 def test_a_bad_file_is_refused_by_name(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "bad.yaml"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(ScenarioError, match=rf"{re.escape(str(path))}.*{message}"):
+    with pytest.raises(ScenarioError, match=rf"{re.escape(str(path))}.*{message}") as caught:
         Scenario.load(path)
+    if "wieght" in text:
+        assert str(caught.value).startswith("Did you mean 'goal_weight'? ")
 
 
 def test_a_file_that_cannot_be_read_is_refused_by_name(tmp_path: Path) -> None:

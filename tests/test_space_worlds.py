@@ -113,8 +113,8 @@ OVERLAP = {"thing": {"xyz": [0, 0, 0.05]}, "x": -0.08, "z": 0.05}
     [
         (
             {"goal_position": {"thin": {"xyz": [0, 0, 0]}}},
-            r"goal_position\[thin\]: got no joint that moves, and no floating body, of this name, "
-            "expected one of thing, x, y, z. Did you mean 'thing'",
+            r"Did you mean 'thing'\? goal_position\[thin\]: got no joint that moves, and no "
+            "floating body, of this name, expected one of thing, x, y, z.$",
         ),
         ({"goal_position": {"x": [1, 2]}}, r"goal_position\[x\]: got 2 numbers, expected 1"),
         ({"goal_position": {"x": {"xyz": [1, 2, 3]}}}, "a pose of 'x', which prismatic joint"),

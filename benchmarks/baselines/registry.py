@@ -52,7 +52,7 @@ def check_baselines(names: Iterable[str]) -> None:
             raise OptionsError(
                 f"unknown baseline {name!r}",
                 expected=f"one of {', '.join(BASELINES)}",
-                remedy=f"Did you mean {close[0]!r}?" if close else None,
+                hint=f"Did you mean {close[0]!r}?" if close else None,
             )
         for module in BASELINES[name].modules:
             if find_spec(module) is None:

@@ -88,4 +88,4 @@ def _parse_spread(name: str, words: list[str]) -> Spread:
     try:
         return Spread.parse(words)
     except OptionsError as error:
-        raise OptionsError(f"--{name}", error.got, error.expected, error.remedy) from error
+        raise OptionsError(f"--{name}", *error.args[1:]) from error

@@ -326,7 +326,7 @@ class ScenarioQuestion(StudyQuestion):
             check_baselines(name for name in self.methods if name != PLANNER)
         except OptionsError as error:
             expected = f"{PLANNER}, the planner, or {error.expected}"
-            raise OptionsError(error.what, error.got, expected, error.remedy) from error
+            raise OptionsError(error.what, expected=expected, hint=error.hint) from error
         if self.seconds_per_unit is None and PLANNER not in self.methods:
             raise OptionsError(
                 "seconds_per_unit",
@@ -358,9 +358,8 @@ class ScenarioQuestion(StudyQuestion):
                     if name in ("start", "goal"):
                         world.check(scenario)
                 except ScenarioError as error:
-                    raise ScenarioError(
-                        f"{name} {spread}: {error.what}", error.got, error.expected, error.remedy
-                    ) from error
+                    what = f"{name} {spread}: {error.what}"
+                    raise ScenarioError(what, *error.args[1:]) from error
 
     def scenarios(self) -> Iterator[Scenario]:
         """Yields the scenarios; the first ones do not depend on the count."""

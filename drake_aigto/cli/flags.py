@@ -55,9 +55,11 @@ class Parser(argparse.ArgumentParser):
         """Exits with what was probably meant, what is wrong, and where help is."""
         known = [*self.flags(), *(self.commands.choices if self.commands else ())]
         words = re.findall(r"--[\w-]+|(?<=choice: ')[\w-]+", message)
-        close = [name for word in words for name in difflib.get_close_matches(word, known, 1)]
-        hint = f"did you mean {' and '.join(close)}? " if close else ""
-        self.exit(BAD_INPUT, f"{self.prog}: {hint}{message}. Try {self.prog} --help.\n")
+        unknown = [word for word in words if word not in known]
+        close = [name for word in unknown for name in difflib.get_close_matches(word, known, 1)]
+        hint = f"Did you mean {' and '.join(close)}? " if close else ""
+        names = " drake-aigto list has the shipped ones." if "SCENARIO" in message else ""
+        self.exit(BAD_INPUT, f"{self.prog}: {hint}{message}.{names} Try {self.prog} --help.\n")
 
     def flags(self) -> Iterator[str]:
         """Yields all flags, those of commands included."""
@@ -242,6 +244,12 @@ def _read_row(text: str) -> float | list[float]:
 def add_json(command: Any, text: str) -> None:
     """Adds --json FILE; the text says what it has."""
     command.add_argument("--json", metavar="FILE", help=text)
+
+
+def add_html(command: Any, is_required: bool = False) -> None:
+    """Adds --html FILE."""
+    text = "write one self-contained page"
+    command.add_argument("--html", metavar="FILE", required=is_required, help=text)
 
 
 def add_port(command: Any) -> None:

@@ -17,6 +17,7 @@ from drake_aigto.cli.flags import (
     add_command,
     add_confirm,
     add_fields,
+    add_html,
     add_json,
     add_scenario,
     add_workers,
@@ -47,7 +48,7 @@ from drake_aigto.world import Scenario, World
 _NO_FLAGS = ("ladder", "knot_steps", "branches", "confirm")
 
 _PLAN_EXAMPLES = """\
-drake-aigto plan table1/1 --json plan.json
+drake-aigto plan table1/1 --json plan.json --html plan.html         # a page, to mail
 drake-aigto plan table1/1 --initial-velocity -3 --restitution 0.8   # another question
 drake-aigto plan room/bank_shot -v                                  # step by step
 drake-aigto plan my_scenario.yaml --no-confirm
@@ -85,6 +86,7 @@ def add_plan(commands: Any) -> None:
     add_confirm(plan)
     add_json(plan, "write the plan, for `replay` and `play`")
     plan.add_argument("--csv", metavar="FILE", help="write its trajectory, one row per knot")
+    add_html(plan)
 
 
 def add_replay(commands: Any) -> None:
@@ -132,8 +134,8 @@ def _read_options(options: argparse.Namespace) -> PlanOptions | LiteralOptions:
 
 
 def _plan(options: argparse.Namespace) -> int:
-    check_writable(options.json)
-    check_writable(options.csv)
+    for path in (options.json, options.csv, options.html):
+        check_writable(path)
     scenario = load_scenario(options)
     world = World.from_scenario(scenario)
     chosen = _read_options(options)
@@ -152,6 +154,13 @@ def _plan(options: argparse.Namespace) -> int:
 
 def _answer_plan(options: argparse.Namespace, plan: Plan) -> int:
     status = _answer(options, plan, format_plan(plan))
+    if options.html:
+        from drake_aigto.show import report_plan  # Matplotlib takes its time.
+
+        with show_progress(options, "making the page") as progress:
+            page = report_plan(plan, progress=progress)
+        write_text(options.html, page)
+        print(f"wrote {options.html}", flush=True)
     return INTERRUPTED if plan.is_interrupted else status
 
 
@@ -240,7 +249,7 @@ def add_table1(commands: Any) -> None:
     add_confirm(table1)
     add_workers(table1)
     add_json(table1, "write all plans and figures")
-    add("--html", metavar="FILE", help="write one self-contained page")
+    add_html(table1)
 
 
 def _table1(options: argparse.Namespace) -> int:

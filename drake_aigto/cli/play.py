@@ -16,6 +16,7 @@ from drake_aigto.cli.flags import (
     UNKNOWN,
     add_command,
     add_fields,
+    add_html,
     add_json,
     add_port,
     add_scenario,
@@ -83,7 +84,7 @@ def add_play(commands: Any) -> None:
     text = "watch a plan and its simulations, or a run in the loop, in Meshcat"
     play = add_command(commands, "play", _play, text, _PLAY_EXAMPLES)
     play.add_argument("plan", metavar="FILE.json", help=_FILE)
-    play.add_argument("--html", metavar="FILE", help="write one self-contained page instead")
+    add_html(play)
     add_port(play)
     what = play.add_mutually_exclusive_group()
     text = "show a gradient solver's plan for the same scenario beside the plan"
@@ -153,7 +154,7 @@ def add_report(commands: Any) -> None:
     text = "write one self-contained page about a plan or a run in the loop"
     report = add_command(commands, "report", _report, text, _REPORT_EXAMPLES)
     report.add_argument("plan", metavar="FILE.json", help=_FILE)
-    report.add_argument("--html", metavar="FILE", required=True, help="the page")
+    add_html(report, is_required=True)
 
 
 def _report(options: argparse.Namespace) -> int:
@@ -190,7 +191,7 @@ def add_compare(commands: Any) -> None:
     text = "write one page about several plans for the same world"
     compare = add_command(commands, "compare", _compare, text, _COMPARE_EXAMPLES)
     compare.add_argument("plans", metavar="FILE.json", nargs="+", help="plan files")
-    compare.add_argument("--html", metavar="FILE", required=True, help="the page")
+    add_html(compare, is_required=True)
 
 
 def _compare(options: argparse.Namespace) -> int:
@@ -212,7 +213,7 @@ def add_control(commands: Any) -> None:
     text = "of the noise (default: 0)"
     unknown.add_argument("--noise-seed", type=natural, metavar="N", dest="seed", help=text)
     add_json(control, "write the log: motion, controls, ticks, plans at switches")
-    control.add_argument("--html", metavar="FILE", help="write one self-contained page")
+    add_html(control)
     text = "show the plant in Meshcat as it moves, in real time, and wait"
     control.add_argument("--live", action="store_true", help=text)
     add_port(control)

@@ -237,7 +237,7 @@ def _check(scenarios: Mapping[str, Scenario], options: PlanOptions | None) -> No
             Planner(scenario, options)
         except AigtoError as error:
             what = f"{name}: {error.what}"
-            raise type(error)(what, error.got, error.expected, error.remedy) from error
+            raise type(error)(what, *error.args[1:]) from error
 
 
 def _answer(

@@ -143,7 +143,9 @@ class PlanOptions(SearchOptions):
     where they do not count, only their defaults are accepted.
 
     Attributes:
-        ladder: balls: the starts of AIGO, from each of which candidates come; None: `BALL_LADDER`.
+        ladder: balls: the starts of AIGO, from each of which candidates come; None: `BALL_LADDER`;
+            (): none, and no program is compiled for boxes: candidates come from a guess that is
+            given, the uncontrolled motion, and neighbors of both.
         finalists: how many of the best candidates are improved; for mechanisms at most: fewer if
             the next ones promise no lower cost than those found, and between rigid walls not to
             the end if they cost more.
@@ -189,15 +191,13 @@ class PlanOptions(SearchOptions):
         super().__post_init__()
         check_counts(self, aigo_steps=1, branches=0, starts=1, renewals=0, patience=1, seed=0)
         check_counts(self, search_steps=2)
-        if self.ladder is not None and not self.ladder:
-            raise OptionsError("ladder", got="no rung", expected="at least one")
         if not 0 <= self.relaxation < float("inf"):
             raise OptionsError("relaxation", got=self.relaxation, expected="a number, 0 or more")
 
     @property
     def ball_ladder(self) -> tuple[Rung, ...]:
         """The starts of AIGO for balls."""
-        return self.ladder or BALL_LADDER
+        return BALL_LADDER if self.ladder is None else self.ladder
 
     def check(self, is_of_balls: bool) -> None:
         """Refuses options that do not count for a task, of balls between rigid walls or another.

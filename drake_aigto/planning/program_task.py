@@ -110,6 +110,8 @@ class ProgramTask(ABC):
     ) -> None:
         """Compiles, unless given programs (of the same world and additions) have its structure.
 
+        Without rungs, nothing is compiled.
+
         Raises:
             UnsupportedTermError: a cost or constraint that has no mean in closed form.
             OptionsError: a rung has a weight for rows that do not exist.
@@ -121,7 +123,7 @@ class ProgramTask(ABC):
         self.options, self.ladder = options, ladder
         self._programs = programs or CompiledPrograms()
         self._starts: dict[StartName, Start] = {}
-        if programs is None:
+        if ladder and programs is None:
             self._check_ladder(self.start("line").row_names)
         if self.additions.constraints:
             check_added_rows(transcription.prog(), self.additions)
@@ -144,7 +146,7 @@ class ProgramTask(ABC):
     @property
     def box(self) -> Box:
         """The first box of AIGO, around the straight line from start to goal."""
-        return self.start("line").box
+        return Box(*self.transcription.initial_box())
 
     def start(self, name: StartName) -> Start:
         """Returns the start of this name."""
@@ -193,7 +195,7 @@ class ProgramTask(ABC):
     @property
     def num_threads(self) -> int:
         """The number of rungs that run in parallel, see `PlanOptions.threads`."""
-        is_small = self.polynomial.num_variables < _MANY
+        is_small = self.transcription.elimination_order().size < _MANY
         return 1 if self.options.threads is None and is_small else self.options.num_threads
 
     def prepare(self, origins: Iterable[Origin]) -> None:

@@ -20,7 +20,7 @@ from drake_aigto.world import World
 
 _REST = 0.3  # that sliders have to rest until the whole search begins [s]
 _WAIT = 0.5  # from look to look whether it is over [s]
-_STEPS = 12  # of boxes: compiling them takes most of the time where a wall moves
+_STEPS = 12  # no more than a plan's own: there are no boxes to resolve
 
 
 class LiveQuestion(NamedTuple):
@@ -54,9 +54,10 @@ class _AskedAgainError(Exception):
 class BackgroundPlanner:
     """Answers the newest question first, and then better, in a thread of its own.
 
-    The first answer begins with the last plan: its motion, and few other starts, lead to a plan of
-    the same or of another kind near it. Once nobody has asked for a moment, the whole search
-    follows; its plans are answers, too. Another question ends it.
+    The first answer begins with the last plan: its motion, and few other starts or, of balls, the
+    contacts of the uncontrolled motion and none, lead to a plan of the same or of another kind.
+    Once nobody has asked for a moment, the whole search follows; its plans are answers, too.
+    Another question ends it.
 
     Attributes:
         answers: so far, to be taken.
@@ -159,9 +160,11 @@ class BackgroundPlanner:
 def _hasten(planner: Planner) -> PlanOptions:
     """Returns options for a plan near a guess: few starts beside it, and one finalist.
 
-    Of balls, hot boxes find bounces and cold ones the free flight.
+    Of balls, no boxes: compiling their program for each place of a wall takes longer than all else,
+    and the contacts of the guess, of the uncontrolled motion and of a flight are the best more
+    often than those that few boxes show.
     """
     few: dict[str, Any] = {"starts": 1, "renewals": 0}
     if planner.is_of_balls:
-        few = {"ladder": planner.options.ball_ladder[:3:2], "branches": 0, "aigo_steps": _STEPS}
+        few = {"ladder": (), "branches": 0, "aigo_steps": _STEPS}
     return dataclasses.replace(planner.options, finalists=1, **few)

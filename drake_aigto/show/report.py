@@ -153,11 +153,9 @@ def add_question(
         found = ((symbol, getattr(scenario, name)) for symbol, name in _WEIGHTS.items())
         weights = "; ".join(f"{symbol} = {weight_text(w)}" for symbol, w in found if np.any(w))
     page.code(problem)
-    more = [
-        ("contacts", ", ".join(contact_names(world)) or "none"),
-        ("weights", weights),
-        ("model", world.model or "a diagram of one's own"),
-    ]
+    names = contact_names(world)  # Several of them are facts of the question already.
+    alone = [] if len(names) > 1 else [("pairs", names[0] if names else "none")]
+    more = [*alone, ("weights", weights), ("model", world.model or "a diagram of one's own")]
     page.facts([*question_facts(scenario, world, duration), *more])
 
 

@@ -253,7 +253,7 @@ def find_least_distances(
                 f"clearance: {glob!r}",
                 got="no pair of this name that can touch",
                 expected=f"one of {', '.join(names)}" if names else "a model with contacts",
-                remedy=suggest(glob, names),
+                hint=suggest(glob, names),
             )
         for i in chosen:
             if num_faces[i] > 1:

@@ -131,6 +131,6 @@ def _find(plant: MultibodyPlant, name: str, key: str) -> Joint:
             f"{name}[{key}]",
             got="no joint that moves, and no floating body, of this name",
             expected=f"one of {', '.join(sorted(known))}",
-            remedy=suggest(key, sorted(known)),
+            hint=suggest(key, sorted(known)),
         )
     return known[key]

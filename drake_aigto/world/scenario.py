@@ -359,7 +359,7 @@ class Scenario(ModelFields):
                 raise ScenarioError(
                     f"unknown key {key!r}",
                     expected=f"one of {', '.join(known)}",
-                    remedy=suggest(str(key), known),
+                    hint=suggest(str(key), known),
                 )
         missing = [name for name in _REQUIRED if name not in data]
         if missing:
@@ -378,7 +378,7 @@ class Scenario(ModelFields):
             raise ScenarioError(
                 f"unknown scenario {name!r}",
                 expected=f"one of {', '.join(names)}",
-                remedy=suggest(str(name), names),
+                hint=suggest(str(name), names),
             )
         return cls.load(models_directory() / "scenarios" / f"{name}.yaml")
 
@@ -394,7 +394,7 @@ class Scenario(ModelFields):
             return cls.from_plain(data)
         except ScenarioError as error:
             what = f"{path}: {error.what}"
-            raise ScenarioError(what, error.got, error.expected, error.remedy) from error
+            raise ScenarioError(what, *error.args[1:]) from error
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a YAML file that `load` reads back to an equal scenario."""

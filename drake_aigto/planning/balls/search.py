@@ -249,16 +249,18 @@ class BallSearch(BranchingSearch):
     def _propose_uncontrolled(self) -> Iterator[Sequence[Proposal]]:
         """Yields the contacts of the uncontrolled motion, if they may lead to another plan.
 
-        Plans may also pass a block that it bounces off.
+        Plans may also pass a block that it bounces off. Without boxes, they may be free flights.
         """
         coast, world = self.task.coast, self.task.transcription.world
         bounces = zip(coast.bounce_times, coast.bounce_contacts, strict=True)
         all_of_it = tuple(starmap(Touch.bounce, bounces))
         solids = Counter(contact.solid for contact in world.contacts)
         of_walls = (t for t in all_of_it if solids[world.contacts[t.contact].solid] == 1)
-        for sequence in (all_of_it, tuple(of_walls)):
+        has_boxes = bool(self.task.ladder)
+        for sequence in (all_of_it, tuple(of_walls), *([] if has_boxes else [()])):
             is_possible = len(sequence) <= MOST_TOUCHES and self.task.fits(sequence)
-            if is_possible and not self.task.unfolds and not self.is_known(sequence):
+            is_left_out = has_boxes and self.task.unfolds  # Boxes around it are a rung.
+            if is_possible and not is_left_out and not self.is_known(sequence):
                 path = coast.times, coast.positions
                 shown = Shown(self.task.box.center, sequence, path)
                 yield [propose(Origin(COASTING), shown)]
