@@ -145,6 +145,7 @@ def test_every_rigid_baseline_finds_that_nothing_is_to_be_done(
     assert run.method == name and run.cost <= 1e-7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=[pytest.mark.slow] * (name == "ipopt")) for name in BASELINES],

@@ -87,6 +87,7 @@ def test_a_wall_that_a_ball_is_deep_inside_of_is_farther_and_no_other() -> None:
         assert SeenBounces().pass_walls(world, touching, 0.05) == SeenBounces()
 
 
+@pytest.mark.slow
 def test_a_controller_that_learns_loses_less_between_walls_that_return_less() -> None:
     truth = Disturbance(
         restitution_factor=0.9, wall_shift=-0.02, kick=np.array([0.4]), kick_time=0.3

@@ -312,6 +312,7 @@ def test_terms_of_many_variables_are_not_mixed() -> None:
     assert Fusion.of(BoxPolynomial(5, (TermBlock("", (product,), [range(5)]),)), 4) is None
 
 
+@pytest.mark.slow
 def test_a_frustrated_grid_is_searched_to_its_minimum() -> None:
     """Each node's value is near ±1, so that the minimum is found from all signs."""
     f = random_grid(3, 4, 2)

@@ -116,6 +116,7 @@ def test_a_kick_is_a_jump_and_a_plan_that_changes_its_mind_is_kept() -> None:
     assert {"simulation in Drake", "plan taken at 0.50 s"} <= set(labels)
 
 
+@pytest.mark.slow
 def test_what_is_true_is_what_was_asked_for() -> None:
     plain = track()
     heavy = track(Disturbance(mass_factor=1.2, restitution_factor=0.9))

@@ -218,9 +218,12 @@ def assert_same_output(printed: str, promised: str) -> None:
 @pytest.mark.parametrize(
     ("code", "promised"),
     [
-        example
-        for page in (README, MODELS_PAGE, TASKS_PAGE, LOOP_PAGE, CERTIFICATES_PAGE)
-        for example in examples(page)
+        *examples(README),
+        *(
+            pytest.param(*example, marks=pytest.mark.slow)
+            for page in (MODELS_PAGE, TASKS_PAGE, LOOP_PAGE, CERTIFICATES_PAGE)
+            for example in examples(page)
+        ),
     ],
 )
 def test_an_example_prints_what_is_promised(

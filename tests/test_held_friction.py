@@ -242,6 +242,7 @@ def test_the_cheapest_push_to_rest_lets_the_floor_brake() -> None:
     assert (contact.time, contact.last_time) == pytest.approx((0.0, 2.0))
 
 
+@pytest.mark.slow
 def test_a_ball_that_is_pushed_and_rolls_is_as_dear_as_seven_fifths_of_its_mass() -> None:
     """J = 12 (7/5 m d)²/T³ from rest to rest, while 2/7 F stays below μ m g."""
     world = build()

@@ -141,6 +141,7 @@ def test_a_mirrored_corridor_costs_the_same(line: Line) -> None:
     assert solve_line(mirrored).cost == pytest.approx(solve_line(line).cost, rel=1e-7, abs=1e-12)
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(floors)
 def test_a_ceiling_under_gravity_that_pulls_up_is_a_floor(line: Line) -> None:

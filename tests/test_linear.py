@@ -258,7 +258,10 @@ def test_sparse_hessians_are_the_banded_ones(centers_only: bool) -> None:
         np.testing.assert_allclose(ours, theirs, atol=1e-12)
 
 
-@pytest.mark.parametrize("make", [lambda: shared_variable(250), lambda: on_grid(30)])
+@pytest.mark.parametrize(
+    "make",
+    [pytest.param(lambda: shared_variable(250), marks=pytest.mark.slow), lambda: on_grid(30)],
+)
 @pytest.mark.parametrize(
     "algorithm", [Annealing(), pytest.param(BoundedAnnealing(), marks=pytest.mark.slow)]
 )
@@ -328,6 +331,7 @@ def shortest_time(steps: int) -> MathematicalProgram:
     return prog
 
 
+@pytest.mark.slow
 def test_a_shared_time_step_is_found_by_sparse_kkt_systems(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

@@ -212,7 +212,12 @@ TASKS: dict[str, tuple[Any, Any]] = {
 
 
 @pytest.mark.parametrize(
-    ("name", "e"), [("pendulum", 1.0), ("cart-pole", 0.6), ("arm with a slider", 1.0)]
+    ("name", "e"),
+    [
+        ("pendulum", 1.0),
+        ("cart-pole", 0.6),
+        pytest.param("arm with a slider", 1.0, marks=pytest.mark.slow),
+    ],
 )
 def test_drake_is_late_by_what_contacts_last_at_two_stiffnesses(name: str, e: float) -> None:
     scenario = ask(name, e)

@@ -143,6 +143,7 @@ print(page.to_html().count("player-slider"))
     assert int(run_python(program, installed)) > 1
 
 
+@pytest.mark.slow
 def test_every_module_imports_where_nothing_can_be_written(installed: Path) -> None:
     # Files where folders should be stop root too, whom permissions do not.
     blocker = installed / "blocker"
@@ -160,6 +161,7 @@ def test_every_module_imports_where_nothing_can_be_written(installed: Path) -> N
     assert output == "CPUDispatcher"
 
 
+@pytest.mark.slow
 def test_numba_keeps_its_cache_where_it_is_told(installed: Path) -> None:
     cache = installed / "cache"
     program = """

@@ -286,7 +286,7 @@ def test_a_bounce_right_before_the_end(e: float, guess: float) -> None:
     assert bounce.replay().cost == pytest.approx(bounce.cost, rel=1e-7)
 
 
-@pytest.mark.parametrize("e", [1.0, 0.8, 0.0])
+@pytest.mark.parametrize("e", [1.0, pytest.param(0.8, marks=pytest.mark.slow), 0.0])
 @pytest.mark.parametrize(
     "touches",
     [

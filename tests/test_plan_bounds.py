@@ -53,12 +53,12 @@ def test_one_wall_is_bounded_by_the_exact_optimum_for_every_restitution() -> Non
 @pytest.mark.parametrize(
     ("name", "seed", "change"),
     [
-        ("corridor", 3, {}),
+        pytest.param("corridor", 3, {}, marks=pytest.mark.slow),
         pytest.param("corridor", 3, {"restitution": 0.8}, marks=pytest.mark.slow),
         pytest.param("corridor", 3, {"restitution": 0.5}, marks=pytest.mark.slow),
         ("corridor", 6, {"restitution": 0.5}),  # A second of CPU: its optimum has one touch.
-        ("room", 3, {}),
-        ("floor", 3, {}),
+        pytest.param("room", 3, {}, marks=pytest.mark.slow),
+        pytest.param("floor", 3, {}, marks=pytest.mark.slow),
     ],
 )
 def test_several_walls_are_bounded_by_the_exact_optimum(
@@ -75,6 +75,7 @@ def test_several_walls_are_bounded_by_the_exact_optimum(
         assert gap <= 1e-2
 
 
+@pytest.mark.slow
 def test_like_masses_that_touch_are_bounded_by_the_exact_optimum() -> None:
     for scenario in WORLDS["two_masses"].draw(40, 0):
         world = World.from_scenario(scenario)

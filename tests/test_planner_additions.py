@@ -128,6 +128,7 @@ def test_a_plan_moves_its_bounce_past_a_time_that_is_bound() -> None:
         assert held.cost(found) == pytest.approx(free_plan().cost, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_spring_is_taken_through_a_waypoint() -> None:
     # Neither flight nor costs have a closed form there: replays integrate.
     world = World.from_diagram(make_diagram(spring=3.0))
@@ -308,6 +309,7 @@ def test_a_running_cost_of_control_counts_as_its_weight_does(name: str) -> None:
         assert replay.added_costs == pytest.approx(found.best.added_costs, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_final_cost_and_a_bound_of_the_last_knot_count_between_rigid_walls() -> None:
     planner, plain = make_planner(RIGID), plan_plain(RIGID).trajectory
     program = planner.transcription
@@ -363,6 +365,7 @@ def test_what_cannot_be_planned_is_refused_by_name(
         planner.plan()
 
 
+@pytest.mark.slow
 def test_a_constraint_that_nothing_meets_is_named() -> None:
     planner = make_planner(SOFT)
     program = planner.transcription

@@ -62,7 +62,9 @@ def test_shipped_scenarios_have_plans_that_drake_confirms(name: str) -> None:
             assert len(at_once) <= 3
 
 
-@pytest.mark.parametrize("model", ["corridor", "floor", "room"])
+@pytest.mark.parametrize(
+    "model", ["corridor", "floor", pytest.param("room", marks=pytest.mark.slow)]
+)
 def test_plans_are_optimal(model: str) -> None:
     world = world_of(model)
     for scenario in WORLDS[model].draw(3, seed=40):
@@ -260,7 +262,9 @@ def draw(world: str, count: int, seed: int) -> list[Scenario]:
 
 
 # Corridors and rooms have a floor's kind of walls; rooms with a block have a pair, as two masses.
-@pytest.mark.parametrize("world", ["point mass", "floor", "two_masses"])
+@pytest.mark.parametrize(
+    "world", ["point mass", "floor", pytest.param("two_masses", marks=pytest.mark.slow)]
+)
 def test_a_changed_scenario_is_planned_as_by_a_new_planner_to_the_last_bit(world: str) -> None:
     first, *others = draw(world, 2, seed=5)
     planner = Planner(first, UNCONFIRMED)
@@ -274,8 +278,8 @@ def test_a_changed_scenario_is_planned_as_by_a_new_planner_to_the_last_bit(world
 @pytest.mark.parametrize(
     "changed",
     [
-        {"duration": 1.4},
-        {"control_weight": 3e-3, "goal_weight": 5.0},
+        pytest.param({"duration": 1.4}, marks=pytest.mark.slow),
+        pytest.param({"control_weight": 3e-3, "goal_weight": 5.0}, marks=pytest.mark.slow),
         {"duration": 0.8, "goal_weight": 0.2, "goal_position": 0.6},
     ],
 )

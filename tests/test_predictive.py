@@ -322,6 +322,7 @@ def swing(scenario: Scenario, truth: Disturbance, renewals: int) -> ClosedLoopRu
     return run_in_loop(controller, scenario, world, truth)
 
 
+@pytest.mark.slow
 def test_a_pendulum_is_brought_to_its_goal_off_a_rigid_wall() -> None:
     truth = Disturbance(kick=np.array([0.3]), kick_time=0.4, noise=np.full(2, 1e-3))
     run = swing(PENDULUM, truth, renewals=0)
@@ -392,6 +393,7 @@ def test_a_ball_with_spin_is_brought_off_a_rigid_wall_with_friction(method: str)
 SPINNER = Scenario.named("spinner/two_radians")
 
 
+@pytest.mark.slow
 def test_ticks_along_a_push_with_friction_cost_no_more_than_the_one_before() -> None:
     # What docs/in_the_loop.md says that searches in the loop take.
     planner = Planner(SPINNER, PlanOptions(renewals=24, search_steps=30, threads=1))
@@ -441,6 +443,7 @@ def test_the_first_plan_is_from_the_first_sample_of_a_hold() -> None:
     np.testing.assert_allclose(first.positions[0], q, atol=0.05)
 
 
+@pytest.mark.slow
 def test_a_pole_stands_up_by_an_estimate_that_wraps_angles() -> None:
     controller = ModelPredictiveController(make_planner(), period=0.02)
     estimator = Wrapper(make_planner().world)

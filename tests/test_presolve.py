@@ -78,7 +78,7 @@ def double_integrator(num_steps: int, most: float) -> MathematicalProgram:
     return prog
 
 
-@pytest.mark.parametrize("most", [20.0, 4.5])
+@pytest.mark.parametrize("most", [pytest.param(20.0, marks=pytest.mark.slow), 4.5])
 def test_controls_of_a_chain_vanish_their_bounds_stay_and_so_does_the_optimum(most: float) -> None:
     prog = double_integrator(20, most)
     found = [AigoSolver(AigoOptions(presolve=on, rounds=5)).Solve(prog) for on in (True, False)]

@@ -53,6 +53,7 @@ def check_impacts(plan: Plan) -> None:
         assert after == pytest.approx(-e[i] * (J @ t.velocities[k]), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_bounce_that_leads_to_the_goal_by_itself_is_given_the_time_for_it(
     pendulum: Planner,
 ) -> None:
@@ -129,6 +130,7 @@ def test_who_starts_fast_towards_a_wall_hits_it_instead_of_braking() -> None:
     assert plan.cost < 0.1395
 
 
+@pytest.mark.slow
 def test_what_costs_more_than_a_finalist_that_holds_is_left_before_it_meets_its_walls() -> None:
     class Task(RigidMechanismTask):
         polish_ratio = np.inf

@@ -30,7 +30,7 @@ from drake_aigto.transcription import Touch
 # Of few time steps.
 
 
-@pytest.mark.parametrize("steps", [1, 3, 20])
+@pytest.mark.parametrize("steps", [1, pytest.param(3, marks=pytest.mark.slow), 20])
 @pytest.mark.parametrize("name", ["table1/1", "table1/3", "corridor/six_bounces", "room/two_walls"])
 def test_which_contacts_a_plan_has_does_not_depend_on_the_time_step(name: str, steps: int) -> None:
     fine, world = fine_plan(name), World.from_scenario(Scenario.named(name))
@@ -163,7 +163,7 @@ def test_boxes_get_steps_enough_to_tell_a_bounce_from_the_start() -> None:
 # Any plant.
 
 
-@pytest.mark.parametrize("e", [1.0, 0.5])
+@pytest.mark.parametrize("e", [pytest.param(1.0, marks=pytest.mark.slow), 0.5])
 @pytest.mark.parametrize(
     ("plant", "joints"),
     [

@@ -105,6 +105,7 @@ def run_small() -> TaskResult:
     return run_task(SMALL.tasks()[0], SMALL)
 
 
+@pytest.mark.slow
 def test_outcomes_are_replays_of_the_perturbed_truth() -> None:
     result = run_small()
     world, scenario = shipped_world(), result.scenario

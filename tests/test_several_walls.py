@@ -135,7 +135,9 @@ def test_the_ball_rests_in_a_corner_and_slides_out_of_it() -> None:
     np.testing.assert_allclose(replay.velocities[-1], [1, 0], atol=1e-11)
 
 
-@pytest.mark.parametrize("n", [2, 3, 4, 5])
+@pytest.mark.parametrize(
+    "n", [2, pytest.param(3, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.slow), 5]
+)
 @settings(max_examples=30)
 @given(st.floats(0.1, 0.9), st.floats(-3, 3), st.floats(-3, 3))
 def test_an_elastic_wedge_of_a_whole_part_of_a_half_turn_folds_a_free_flight(

@@ -152,7 +152,10 @@ def test_a_concave_program_ends_in_no_worse_corner_than_many_local_solves(seed: 
     assert result.is_success() and result.get_optimal_cost() <= least + 1e-6 * abs(least)
 
 
-@pytest.mark.parametrize("unit", [1e7, 1e-7, 1e-12])
+@pytest.mark.parametrize(
+    "unit",
+    [1e7, pytest.param(1e-7, marks=pytest.mark.slow), pytest.param(1e-12, marks=pytest.mark.slow)],
+)
 def test_rows_count_whatever_units_they_are_in(unit: float) -> None:
     prog, x = himmelblau()
     prog.AddConstraint(unit * (x[0] ** 3 - 8 * x[1] - 6) == 0)
@@ -346,6 +349,7 @@ def test_a_cost_that_falls_along_a_bent_row_is_said_to_be_so(certify: bool) -> N
     assert result.get_solver_details().status is AigoStatus.FALLS_WITHOUT_END
 
 
+@pytest.mark.slow
 def test_cancelled_residuals_far_out_are_no_fall() -> None:
     """x = 1e20, y = −1e-20 leaves exponentials of 1, and of both terms with x nothing."""
     data = ((8, 0.49), (10, 0.475), (14, 0.45), (20, 0.42), (26, 0.405), (32, 0.405), (40, 0.4))

@@ -143,7 +143,7 @@ def make_scenario(distance: float, **fields: Any) -> Scenario:
     return Scenario(initial_position=distance, **ends, restitution=0.8, **fields)
 
 
-@pytest.mark.parametrize("distance", [1e-12, 1e-8, 1e-5])
+@pytest.mark.parametrize("distance", [1e-12, 1e-8, pytest.param(1e-5, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("fields", [{}, {"model": CORRIDOR}], ids=["wall", "corridor"])
 def test_a_plan_is_the_optimum_however_near_to_a_wall_it_starts(
     distance: float, fields: dict[str, str]
@@ -315,7 +315,10 @@ def test_hops_end_before_the_jump_however_short_the_time_is(
 @pytest.mark.parametrize(
     ("scenario", "gravity", "mass"),
     [
-        (on_floor(0.290604, -0.07273, 0.303735, 0.9, 0.3), 20.0, 3.0),  # Stays where it fell.
+        pytest.param(  # Stays where it fell.
+            *(on_floor(0.290604, -0.07273, 0.303735, 0.9, 0.3), 20.0, 3.0),
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             *(on_floor(0.758673, 0.66295, 0.537131, 1.9, 0.3), 13.30707, 1.53598),
             marks=pytest.mark.slow,
@@ -342,7 +345,10 @@ def test_a_ball_that_settles_rests_until_it_is_time_to_jump(
 @pytest.mark.parametrize(
     ("scenario", "gravity", "mass"),
     [
-        (on_floor(0.92168282, -1.50178118, 0.30328249, 1.5, 1.0), 9.81, 1.0),  # High and late.
+        pytest.param(  # High and late.
+            *(on_floor(0.92168282, -1.50178118, 0.30328249, 1.5, 1.0), 9.81, 1.0),
+            marks=pytest.mark.slow,
+        ),
         (on_floor(0.36634367, -0.70831679, 0.10440947, 1.5, 1.0), 9.81, 1.0),  # Once more, late.
         (on_floor(0.373032, -0.35086, 0.014089, 1.0, 1.0), 8.62315, 1.73192),  # Just at the end.
     ],
@@ -354,6 +360,7 @@ def test_of_high_and_late_and_low_and_early_it_is_the_better_one(
     assert made.replay.event_driven.cost <= 1.01 * floor_optimum(scenario, gravity, mass).cost
 
 
+@pytest.mark.slow
 def test_the_reference_of_floors_is_no_worse_than_all_listed_sequences() -> None:
     for scenario, gravity, mass in list(draw(12, seed=7))[::3]:
         world = make_world(gravity, mass)
@@ -361,6 +368,7 @@ def test_the_reference_of_floors_is_no_worse_than_all_listed_sequences() -> None
         assert floor_optimum(scenario, gravity, mass).cost <= listed.cost * (1 + 1e-6) + 1e-9
 
 
+@pytest.mark.slow
 def test_a_ball_that_lies_at_a_wall_leaves_it_as_cheaply_as_in_free_flight() -> None:
     shipped = Scenario.named("table1/1")
     lies: dict[str, Any] = {"initial_position": [0.0], "initial_velocity": [0.0]}

@@ -293,7 +293,9 @@ def test_at_corners_the_smaller_of_each_pair_is_zero(is_equality: bool) -> None:
     np.testing.assert_allclose(pairs, expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("form", ["equalities", "inequalities", "variables"])
+@pytest.mark.parametrize(
+    "form", ["equalities", pytest.param("inequalities", marks=pytest.mark.slow), "variables"]
+)
 def test_a_push_bot_swings_up_between_soft_walls_however_it_is_written(form: Form) -> None:
     # SPOT's fourth start; the least cost that hundreds of local solves know is 40.084188.
     prog = push_bot((0.8677, -0.0292, 0.6817, -2.7230), 1.0, form)

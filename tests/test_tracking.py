@@ -59,8 +59,10 @@ def end_among(plan: Plan, shift: float) -> tuple[Any, tuple[int, ...]]:
     return x, controller.count_bounces(controller.GetMyContextFromRoot(root))
 
 
-@pytest.mark.parametrize("name", ["table1/1", "room/bank_shot", "floor/lossy"])
-@pytest.mark.parametrize("shift", [0.01, -0.01])
+@pytest.mark.parametrize(
+    "name", ["table1/1", pytest.param("room/bank_shot", marks=pytest.mark.slow), "floor/lossy"]
+)
+@pytest.mark.parametrize("shift", [0.01, pytest.param(-0.01, marks=pytest.mark.slow)])
 def test_a_wall_that_stands_nearer_or_farther_is_bounced_off(name: str, shift: float) -> None:
     plan = make_plan(name)
     x, bounces = end_among(plan, shift)
@@ -107,7 +109,10 @@ def move(scenario: Scenario, off: Any) -> Scenario:
 
 
 @pytest.mark.parametrize("feels", [False, True])
-@pytest.mark.parametrize("off", [0.0, 0.03, -0.03])
+@pytest.mark.parametrize(
+    "off",
+    [0.03, pytest.param(0.0, marks=pytest.mark.slow), pytest.param(-0.03, marks=pytest.mark.slow)],
+)
 def test_a_ball_is_brought_to_its_goal_off_the_wall(off: float, feels: bool) -> None:
     plan = make_plan("table1/1")
     x, bounces = track(plan, off, feels)
@@ -119,7 +124,7 @@ def test_a_ball_is_brought_to_its_goal_off_the_wall(off: float, feels: bool) -> 
     assert abs(x[0] - planned) < max(0.05 * abs(open_loop.positions[-1, 0] - planned), 2e-4)
 
 
-@pytest.mark.parametrize("feels", [False, True])
+@pytest.mark.parametrize("feels", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_bounces_are_counted_at_any_period(feels: bool) -> None:
     plan = make_plan("table1/1")
     for period in (0.0007, 0.03):

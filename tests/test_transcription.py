@@ -63,7 +63,9 @@ def euler(
 CONTROLS = st.lists(st.floats(-5, 5), min_size=10, max_size=10).map(np.array)
 
 
-@pytest.mark.parametrize("kind", [LiteralTranscription, LiteralWithForces])
+@pytest.mark.parametrize(
+    "kind", [LiteralTranscription, pytest.param(LiteralWithForces, marks=pytest.mark.slow)]
+)
 @settings(max_examples=25, deadline=None)
 @given(controls=CONTROLS)
 def test_rows_vanish_on_the_papers_euler_and_only_there(

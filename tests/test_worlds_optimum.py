@@ -50,6 +50,7 @@ def test_one_wall_has_the_optimum_by_algebra(
 # Units and symmetries.
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(seeds, restitutions, st.sampled_from(["corridor", "floor", "one wall"]))
 def test_twice_the_mass_is_four_times_the_control_weight(seed: int, e: float, name: str) -> None:
@@ -79,6 +80,7 @@ def test_a_room_costs_what_its_two_corridors_cost(seed: int, e: float) -> None:
         assert [touch.start for touch in mine] == [touch.start for touch in corridor.touches]
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(seeds)
 def test_touches_are_in_the_order_of_time_and_within_it(seed: int) -> None:
