@@ -106,6 +106,8 @@ def test_every_field_of_a_scenario_has_a_flag_that_changes_it() -> None:
         "fixed_joints": ["wrist_*"],
         "actuators": ["elbow"],
         "effort_limits": {"elbow": 2.0},
+        "servos": {"elbow": [20.0, 0.5]},
+        "weightless": ["arm"],
         "limits": "ignore",
         "collisions": "none",
         "material": {"*": {"stiffness": 1e6}},

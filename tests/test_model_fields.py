@@ -35,6 +35,36 @@ def test_joints_are_driven_and_limited_as_the_scenario_says(gantry: Any) -> None
         gantry(MORE="")
 
 
+def test_a_servo_pulls_its_joint_to_where_the_control_says(gantry: Any, arm: Any) -> None:
+    q, v, u = np.array([0.3, -0.2]), np.array([0.5, 0.4]), np.array([7.0])
+    plain, world = gantry(), gantry({"servos": {"x": [20, 3]}})
+    force = world.actuation @ u - world.calc_bias(q, v)
+    force -= plain.actuation @ u - plain.calc_bias(q, v)
+    np.testing.assert_allclose(force, [-20 * q[0] - 3 * v[0], 0.0], atol=1e-12)
+    at_rest = 20 * np.array([0.35, 0.0])  # The set point times k, where the spring holds it.
+    still = world.actuation @ at_rest[:1] - world.calc_bias(np.array([0.35, 0.0]), np.zeros(2))
+    np.testing.assert_allclose(still, 0.0, atol=1e-12)
+    text = '<position joint="shoulder" gear="2" kp="5" kv="0.5" ctrlrange="-1 2"/>'
+    plain, world = arm(), arm(ACTUATORS=text)
+    force = plain.calc_bias(q, v) - world.calc_bias(q, v)
+    np.testing.assert_allclose(force, [-20 * q[0] - 2 * v[0], 0.0], atol=1e-12)
+    np.testing.assert_array_equal(world.limits.control, [[-10.0], [20.0]])
+    with pytest.raises(ModelError, match=r"servos in .*: got 'y', expected one of x"):
+        gantry({"servos": {"y": 1.0}})
+    with pytest.raises(ScenarioError, match=r"servos\[x\]: got \[0, 1\], expected stiffness > 0"):
+        gantry({"servos": {"x": [0, 1]}})
+
+
+def test_a_model_is_without_weight_where_gravity_is_compensated(arm: Any) -> None:
+    q, still = np.array([0.5, -0.3]), np.zeros(2)
+    assert np.abs(arm().calc_bias(q, still)).max() > 1.0
+    world = arm({"weightless": ["arm"]})
+    np.testing.assert_allclose(world.calc_bias(q, still), 0.0, atol=1e-12)
+    np.testing.assert_array_equal(world.calc_mass_matrix(q), arm().calc_mass_matrix(q))
+    with pytest.raises(ModelError, match=r"weightless in .*: got 'leg', expected one of arm"):
+        arm({"weightless": ["leg"]})
+
+
 def test_joints_can_be_fixed(gantry: Any, tmp_path: Path) -> None:
     model = write(tmp_path / "gantry.urdf", GANTRY)
     world = make(model, size=1, fixed_joints=["y"])

@@ -21,7 +21,7 @@ from meshcat_pages import messages
 from drake_aigto import Planner, Scenario
 from drake_aigto.show import Motion, Page, Stage, open_meshcat, publish
 from drake_aigto.transcription import Touch
-from drake_aigto.world import scenario_summaries
+from drake_aigto.world import scenario_names
 
 pytestmark = [
     pytest.mark.slow,
@@ -109,7 +109,7 @@ def tab(tmp_path: Path) -> Iterator[Tab]:
 
 def test_what_moves_fills_the_view_and_no_text_covers_another(tab: Tab, tmp_path: Path) -> None:
     scenes, corners, pages = {}, {}, {}
-    for name in scenario_summaries():
+    for name in scenario_names():
         planner = Planner(Scenario.named(name))  # Its scenario has numbers in place of names.
         motion = make_motion(planner)
         ghost = dataclasses.replace(motion, label="simulation: compliant (Drake)")

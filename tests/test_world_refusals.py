@@ -134,6 +134,7 @@ def test_a_bad_model_is_refused_by_name(write_model: ModelWriter, name: str) -> 
     [
         ("no/such.sdf", r"model no/such\.sdf: got no file no/such\.sdf, expected an SDF, URDF or"),
         ("package://nowhere/a.sdf", "got the unknown package 'nowhere', expected one of drake"),
+        ("package://numpy/a.sdf", r"got no file .*numpy/a\.sdf"),
         ("package://drake_aigto_models/a.sdf", r"got no file .*a\.sdf.*shipped ones lie in"),
         (".", r"model \.: got no file \., expected"),
     ],

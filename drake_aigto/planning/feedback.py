@@ -35,8 +35,19 @@ _LEAST_WEIGHT = 1e-3
 _BALANCED = 1e-6
 # Steps of central differences, as a part of 1 m, 1 rad, or 1 of their rates.
 _DIFFERENCE = 1e-5
+# The longest second-order Runge-Kutta step that is stable, in times of the fastest decay.
+_LONGEST_DECAY = 1.5
 # Errors that grow by less than this part in the duration do so by rounding.
 _SLOWLY = 1e-2
+
+
+def count_damper_steps(world: World, q: Floats, time_step: float) -> int:
+    """Returns how many Runge-Kutta steps in a time [s] keep the dampers of joints stable at q."""
+    each = np.eye(world.num_velocities)
+    at = np.tile(q, (len(each), 1))
+    D = (world.calc_bias(at, each) - world.calc_bias(at, -each)).T / 2  # Squares of v cancel.
+    rates = np.abs(np.linalg.eigvals(np.linalg.solve(world.calc_mass_matrix(q), D)))
+    return int(np.ceil(time_step * np.max(rates) / _LONGEST_DECAY))
 
 
 class Regulator(NamedTuple):
@@ -219,8 +230,10 @@ class Feedback(Controller):
             problem = ShootingProblem.of(world, scenario, mechanism, times)
             states = np.hstack([trajectory.positions, trajectory.velocities])
             u = trajectory.controls
-            gains = problem.linearize(u, _SOFT_SUBSTEPS, _SMOOTHING, states).gains
-            self._transitions = problem.linearize(u, _SOFT_SUBSTEPS, 0.0, states).transitions
+            start, step = trajectory.positions[0], self.longest_hold
+            substeps = max(_SOFT_SUBSTEPS, count_damper_steps(world, start, step))
+            gains = problem.linearize(u, substeps, _SMOOTHING, states).gains
+            self._transitions = problem.linearize(u, substeps, 0.0, states).transitions
             self.phases = [FeedbackPhase(times, states, u, gains)]
 
     @cached_property

@@ -6,6 +6,7 @@ import difflib
 import os
 from collections.abc import Mapping
 from importlib import resources
+from importlib.util import find_spec
 from pathlib import Path
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
@@ -17,10 +18,12 @@ from pydrake.multibody.parsing import PackageMap
 from drake_aigto.errors import ModelError, ScenarioError
 
 _URI_SCHEME = "package://"
+# Python packages of the extra "models", in which scenarios find MJCFs.
+_OF_EXTRA = ("gymnasium", "dm_control", "example_robot_data")
 # Fields of a scenario that are texts; all others are made of numbers.
 _TEXTS = (
     *("model", "angles", "contact", "ignored_shapes", "packages", "fixed_joints", "actuators"),
-    *("limits", "collisions", "allow_ignored"),
+    *("limits", "collisions", "allow_ignored", "weightless"),
 )
 
 
@@ -104,15 +107,7 @@ def find_model(model: str) -> Path:
     """
     if model.startswith(_URI_SCHEME):
         package, _, relative = model.removeprefix(_URI_SCHEME).partition("/")
-        packages = package_map()
-        if not packages.Contains(package):
-            raise ModelError(
-                f"model {model}",
-                got=f"the unknown package {package!r}",
-                expected=f"one of {', '.join(sorted(packages.GetPackageNames()))}",
-                remedy="Name a model of your own by its path.",
-            )
-        path = Path(packages.GetPath(package)) / relative
+        path = _find_package(model, package) / relative
     else:
         path = Path(model).expanduser()
     if not path.is_file():
@@ -125,11 +120,44 @@ def find_model(model: str) -> Path:
     return path
 
 
-def scenario_names() -> list[str]:
-    """Returns the names that `Scenario.named` knows, sorted."""
+def _find_package(model: str, package: str) -> Path:
+    """Returns the folder of a package: Drake's, ours, or that of an installed Python package."""
+    packages = package_map()
+    if packages.Contains(package):
+        return Path(packages.GetPath(package))
+    python = find_spec(package) if package.isidentifier() else None
+    if python is not None and python.submodule_search_locations:
+        return Path(python.submodule_search_locations[0])
+    if package in _OF_EXTRA:
+        raise ModelError(
+            f"model {model}",
+            got=f"the Python package {package!r}, which is not installed",
+            remedy="Install the extra that brings it: pip install 'drake_aigto[models]'.",
+        )
+    raise ModelError(
+        f"model {model}",
+        got=f"the unknown package {package!r}",
+        expected=f"one of {', '.join(sorted(packages.GetPackageNames()))}, or an installed "
+        "Python package",
+        remedy="Name a model of your own by its path.",
+    )
+
+
+def scenario_files() -> dict[str, Path]:
+    """Returns the files of all shipped scenarios, by name, sorted."""
     directory = models_directory() / "scenarios"
     paths = directory.glob("**/*.yaml")
-    return sorted(path.relative_to(directory).with_suffix("").as_posix() for path in paths)
+    return dict(sorted((p.relative_to(directory).with_suffix("").as_posix(), p) for p in paths))
+
+
+def scenario_names() -> list[str]:
+    """Returns the names of the shipped scenarios whose models are installed, sorted.
+
+    Some are of models in other packages, which the extra "models" brings.
+    """
+    missing = [f"package://{name}/" for name in _OF_EXTRA if find_spec(name) is None]
+    texts = {name: path.read_text("utf-8") for name, path in scenario_files().items()}
+    return [name for name, text in texts.items() if not any(each in text for each in missing)]
 
 
 def scenario_seconds() -> dict[str, float]:
@@ -139,10 +167,10 @@ def scenario_seconds() -> dict[str, float]:
 
 
 def scenario_summaries() -> dict[str, str]:
-    """Returns the names that `Scenario.named` knows, and what each shows: its file's first line."""
-    directory = models_directory() / "scenarios"
-    files = {name: directory / f"{name}.yaml" for name in scenario_names()}
-    lines = {name: path.read_text("utf-8").splitlines()[0] for name, path in files.items()}
+    """Returns the names of all shipped scenarios, and what each shows: its file's first line."""
+    lines = {
+        name: path.read_text("utf-8").splitlines()[0] for name, path in scenario_files().items()
+    }
     return {name: line.lstrip("# ").rstrip(".") for name, line in lines.items()}
 
 

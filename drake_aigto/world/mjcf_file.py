@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element
 from drake_aigto.errors import ModelError
 from drake_aigto.world.files import read_xml
 from drake_aigto.world.model_facts import ModelFacts, read_numbers, read_range, refuse_element
+from drake_aigto.world.model_fields import Servo
 
 MOTORS = ("motor", "general", "position", "velocity")
 
@@ -166,7 +167,13 @@ def read_actuators(
                 expected = "one actuator there, or none that bounds their sum"
                 raise refuse_element(file.path, motor, got, expected)
             driven[joint] = label
-            effort = _find_effort(file, motor, f"actuator {label!r}", values, lever)
+            servo = None if joint in efforts else _find_servo(file, motor, values)
+            effort = _find_effort(file, motor, f"actuator {label!r}", values, lever, servo)
+            if servo is not None:
+                gear = lever * read_numbers(file.path, values.get("gear", "1"))[0]
+                known = file.facts.servos.get(joint, Servo(0.0))
+                added = (one + gear**2 * other for one, other in zip(known, servo, strict=True))
+                file.facts.servos[joint] = Servo(*added)
             _make_motor(file, motor, joint, label, (effort, efforts.get(joint, effort)))
     return set(driven)
 
@@ -237,8 +244,22 @@ def _find_joint(file: MjcfFile, values: dict[str, str]) -> tuple[str | None, flo
     return None, 1.0
 
 
+def _find_servo(file: MjcfFile, motor: Element, values: dict[str, str]) -> Servo | None:
+    """Returns the law kp (u − l) − kv l̇ of a <position>; None: none, or its force is clamped."""
+    is_other = {"timeconst", "dampratio", "inheritrange"} & set(values)
+    if motor.tag != "position" or is_other or file.is_limited(values, "force"):
+        return None
+    gains = (("kp", "1"), ("kv", "0"))
+    return Servo(*(read_numbers(file.path, values.get(key, usual))[0] for key, usual in gains))
+
+
 def _find_effort(
-    file: MjcfFile, motor: Element, what: str, values: dict[str, str], factor: float
+    file: MjcfFile,
+    motor: Element,
+    what: str,
+    values: dict[str, str],
+    factor: float,
+    servo: Servo | None,
 ) -> tuple[float, float]:
     """Returns the least and the largest effort at the joint, gear × gain × ctrlrange."""
     gear = factor * read_numbers(file.path, values.get("gear", "1"), what=f"gear of {what}")[0]
@@ -249,12 +270,12 @@ def _find_effort(
         motor.tag == "general"
         and (values.get("biastype", "none"), values.get("gaintype", "fixed")) != ("none", "fixed")
     )
-    if is_servo:
+    if is_servo and servo is None:
         text = f"{what}, a servo; a plan's control is the force itself"
         file.facts.refuse("servos", text, "the servo's law and the range of its set point")
     elif file.is_limited(values, "ctrl") and "clampctrl" not in file.off:
         gain = read_numbers(file.path, values.get("gainprm", "1"))[0]
-        gain = gain if motor.tag == "general" else 1.0
+        gain = gain if motor.tag == "general" else servo.stiffness if servo else 1.0
         low, high = read_range(file.path, values["ctrlrange"], f"ctrlrange of {what}")
         ends.append((gain * low, gain * high))
     if file.is_limited(values, "force"):

@@ -15,7 +15,7 @@ from xml.etree.ElementTree import Element
 import yaml
 
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world.model_fields import ModelFields
+from drake_aigto.world.model_fields import ModelFields, Servo
 from drake_aigto.world.scenario import Scenario
 
 # Meshes that Drake reads.
@@ -61,6 +61,7 @@ class ModelFacts:
         is_bare: whether it stands for any.
         friction: F of joints that have any, −F σ(v / v_s) [N, N m].
         springs: of joints that Drake gives none.
+        servos: of joints, by the file or the scenario.
         efforts: least and largest u of actuators whose limits are not the same both ways [N, N m].
         no_effort: joints whose actuator has the limit 0.
         joint_efforts: largest effort of joints, where the model has one, driven or not [N, N m].
@@ -80,6 +81,7 @@ class ModelFacts:
     is_bare: bool = False
     friction: dict[str, float] = field(default_factory=dict)
     springs: dict[str, Spring] = field(default_factory=dict)
+    servos: dict[str, Servo] = field(default_factory=dict)
     efforts: dict[str, tuple[float, float]] = field(default_factory=dict)
     no_effort: set[str] = field(default_factory=set)
     joint_efforts: dict[str, float] = field(default_factory=dict)

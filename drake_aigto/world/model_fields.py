@@ -29,6 +29,13 @@ class Material(NamedTuple):
     restitution: float | None = None  # e
 
 
+class Servo(NamedTuple):
+    """A position controller in a joint, τ = k (q* − q) − d q̇, whose set point is q* = u / k."""
+
+    stiffness: float  # k [N/m, N m/rad]
+    damping: float = 0.0  # d [N s/m, N m s/rad]
+
+
 _Item = TypeVar("_Item")
 
 
@@ -137,6 +144,14 @@ def as_material(name: str, value: object) -> Material:
     return Material(**{k: as_number(f"{name}.{k}", x, **_BOUNDS[k]) for k, x in numbers.items()})
 
 
+def as_servo(name: str, value: object) -> Servo:
+    """Returns a servo, from its stiffness, or from stiffness and damping."""
+    numbers = np.ravel(as_vector(name, value, at_least=0.0)).tolist()
+    if not 1 <= len(numbers) <= 2 or numbers[0] <= 0.0:
+        raise ScenarioError(name, got=repr(value), expected="stiffness > 0, and damping ≥ 0")
+    return Servo(*numbers)
+
+
 def as_globs(name: str, value: object) -> tuple[str, ...]:
     """Returns patterns of names, from a list of them, or from "all" or "none"."""
     if isinstance(value, str) and value in ("all", "none"):
@@ -163,6 +178,9 @@ class ModelFields(ArrayRecord):
         actuators: joints to drive where the model has no actuator.
         effort_limits: largest effort of an actuator, by its own or its joint's name [N, N m], in
             place of the model's.
+        servos: driven joint → stiffness k and damping d of a position controller in it, of which
+            the control is u = k q*, with q* the set point [N, N m] (`Servo`).
+        weightless: models in the file whose gravity is compensated, globs of their names.
         limits: "model", or "ignore": limits of positions and velocities count for nothing.
         collisions: shapes that may touch anything, "all", "none" or globs; others are not even
             read, such as meshes in files that are missing.
@@ -182,6 +200,10 @@ class ModelFields(ArrayRecord):
     effort_limits: ArrayField[Named[float]] = ArrayField(
         as_mapping(as_effort, "{shoulder: 20}"), Named()
     )
+    servos: ArrayField[Named[Servo]] = ArrayField(
+        as_mapping(as_servo, "{shoulder: [100, 5]}"), Named()
+    )
+    weightless: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ())
     limits: Limited = "model"
     collisions: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ("*",))
     material: ArrayField[Named[Material]] = ArrayField(

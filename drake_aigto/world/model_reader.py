@@ -21,6 +21,7 @@ from pydrake.multibody.tree import (
     BodyIndex,
     Joint,
     JointActuator,
+    ModelInstanceIndex,
     PrismaticSpring,
     RevoluteSpring,
     RigidBody,
@@ -42,7 +43,7 @@ from drake_aigto.world.diagram import (
 )
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
-from drake_aigto.world.model_facts import MESHES, FixableError, ModelFacts, pick
+from drake_aigto.world.model_facts import MESHES, FixableError, ModelFacts, Spring, pick
 from drake_aigto.world.model_fields import Limited, ModelFields
 from drake_aigto.world.model_shapes import (
     add_ends,
@@ -121,7 +122,7 @@ def read_model(
         stiction_speed: that of all friction [m/s, rad/s].
         fields: how the model is read.
         is_bare: whether meshes are left out that only make shapes, as reading them takes seconds.
-        in_space: see `check_plant`; capsules are as they are.
+        in_space: see `check_plant`.
 
     Raises:
         ModelError: there is no such file, Drake can't parse it, its joints form a loop, or it has
@@ -160,13 +161,18 @@ def _read_model(
     facts.notes += _parse(plant, path, packages, text, kind)
     _weld(plant, path, fields)
     _drive(plant, path, facts)
+    _add_servos(plant, path, facts)
     for name, (stiffness, reference) in facts.springs.items():
         if (joint := plant.GetJointByName(name)).num_velocities() == 1:
             spring = PrismaticSpring if joint.type_name() == "prismatic" else RevoluteSpring
             plant.AddForceElement(spring(joint, reference, stiffness))
+    found = map(ModelInstanceIndex, range(2, plant.num_model_instances()))  # 0, 1: Drake's own.
+    instances = {plant.GetModelInstanceName(each): each for each in found}
+    for name in pick(f"weightless in {path}", fields.weightless, instances):
+        plant.set_gravity_enabled(instances[name], False)
     set_materials(plant, scene_graph, fields.material)
     keep_apart(plant, scene_graph, facts)
-    ends = {} if in_space else add_ends(plant, scene_graph)
+    ends = add_ends(plant, scene_graph)
     try:
         plant.Finalize()
     except RuntimeError as error:
@@ -307,6 +313,20 @@ def _drive(plant: MultibodyPlant, path: Path, facts: ModelFacts) -> None:
             remedy=f"Drive joints by the scenario's {remedy}, or in the model.",
             fields=answer,
         )
+
+
+def _add_servos(plant: MultibodyPlant, path: Path, facts: ModelFacts) -> None:
+    """Gives joints the springs and dampers that servos are; their controls are efforts k q*."""
+    actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
+    driven = {each.joint().name(): each.joint() for each in actuators}
+    servos = {**facts.servos, **facts.fields.servos}
+    for name in pick(f"servos in {path}", servos, driven):
+        (k, d), joint = servos[name], driven[name]
+        own = facts.springs.get(name, Spring(0.0, 0.0))
+        total = k + own.stiffness
+        rest = own.stiffness * own.reference / total if total else 0.0
+        facts.springs[name] = Spring(total, rest)
+        joint.set_default_damping(joint.default_damping() + d)
 
 
 def _refuse_twins(path: Path, joints: list[Joint], read: set[str]) -> None:

@@ -30,7 +30,7 @@ from drake_aigto.world.fields import (
     check_counts,
     check_reference,
 )
-from drake_aigto.world.files import models_directory, read_scenario, scenario_names, suggest
+from drake_aigto.world.files import read_scenario, scenario_files, suggest
 from drake_aigto.world.model_fields import Material, ModelFields, Named, as_globs, as_mapping
 from drake_aigto.world.places import Pose, PoseWeight, as_places, by_name
 
@@ -373,14 +373,14 @@ class Scenario(ModelFields):
         Raises:
             ScenarioError: there is none of this name.
         """
-        names = scenario_names()
-        if name not in names:
+        files = scenario_files()
+        if name not in files:
             raise ScenarioError(
                 f"unknown scenario {name!r}",
-                expected=f"one of {', '.join(names)}",
-                hint=suggest(str(name), names),
+                expected=f"one of {', '.join(files)}",
+                hint=suggest(str(name), list(files)),
             )
-        return cls.load(models_directory() / "scenarios" / f"{name}.yaml")
+        return cls.load(files[name])
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Scenario:

@@ -34,7 +34,7 @@ from drake_aigto.world.model_facts import find_errors
 from drake_aigto.world.model_fields import Limited, as_globs
 from drake_aigto.world.model_reader import open_diagram
 from drake_aigto.world.model_shapes import choose_pairs
-from drake_aigto.world.pair_errors import explain_no_contact, name_pair
+from drake_aigto.world.pair_errors import explain_no_contact
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.space_pairs import (
     EXPECTED,
@@ -366,9 +366,9 @@ def _choose_pairs(
     plant: MultibodyPlant, scene_graph: SceneGraph, ignored: tuple[str, ...]
 ) -> tuple[ShapePair, ...]:
     """Returns pairs of shapes that may touch, but for ignored ones, with their names."""
-    inspector = scene_graph.model_inspector()
+    inspector: Any = scene_graph.model_inspector()
     pairs = choose_pairs(plant, scene_graph, ignored, order_shapes, EXPECTED)
-    return tuple(ShapePair(name_pair(inspector, pair), pair) for pair in pairs)
+    return tuple(ShapePair(" with ".join(map(inspector.GetName, pair)), pair) for pair in pairs)
 
 
 def _rows(values: Floats) -> Floats:

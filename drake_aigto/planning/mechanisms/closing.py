@@ -10,6 +10,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, TreeMechanism, calc_dissipation
+from drake_aigto.planning.feedback import count_damper_steps
 from drake_aigto.shooting import (
     ShootingOptions,
     ShootingProblem,
@@ -128,7 +129,7 @@ def find_closing(
         time_step: between knots [s].
         is_aimed: whether the goal is hard.
     """
-    if world.dry_friction is not None:
+    if world.dry_friction is not None and not _meets_in_space(world):
         return DRY
     options = AIMED if is_aimed else COARSE
     if not isinstance(law, CompliantLaw):
@@ -147,9 +148,14 @@ def find_closing(
     return _resolve_dampers(options, world, q, time_step)
 
 
+def _meets_in_space(world: World) -> bool:
+    """Returns whether shapes may touch in space, whose settings count for dry joints as well."""
+    return isinstance(world, SpaceWorld) and bool(world.num_contacts)
+
+
 def find_tight(world: World, q: Floats, time_step: float) -> ShootingOptions:
     """Returns the options for refining closed motions; arguments are those of `find_closing`."""
-    if world.dry_friction is not None:
+    if world.dry_friction is not None and not _meets_in_space(world):
         return TIGHT_DRY
     tight = TIGHT_IN_SPACE if isinstance(world, SpaceWorld) else TIGHT
     return _resolve_dampers(tight, world, q, time_step)
@@ -159,11 +165,7 @@ def _resolve_dampers(
     options: ShootingOptions, world: World, q: Floats, time_step: float
 ) -> ShootingOptions:
     """Returns options with Runge-Kutta steps in which the dampers of joints are stable."""
-    each = np.eye(world.num_velocities)
-    at = np.tile(q, (len(each), 1))
-    D = (world.calc_bias(at, each) - world.calc_bias(at, -each)).T / 2  # Squares of v cancel.
-    rates = np.abs(np.linalg.eigvals(np.linalg.solve(world.calc_mass_matrix(q), D)))
-    least = int(np.ceil(time_step * np.max(rates) / _LONGEST_STEP))
+    least = count_damper_steps(world, q, time_step)
     return dataclasses.replace(options, substeps=max(options.substeps, least))
 
 

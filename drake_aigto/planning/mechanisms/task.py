@@ -338,7 +338,9 @@ class MechanismTask:
         problem = self.shooting(num_steps)
         if self.world.dry_friction is not None:
             # While a joint sticks, only far smoother friction has slopes that show what moves it.
-            cooled = problem.starting_from(motion).solve(motion.controls, None, COOLING)
+            substeps = max(COOLING.substeps, motion.substeps)
+            cooling = dataclasses.replace(COOLING, substeps=substeps)
+            cooled = problem.starting_from(motion).solve(motion.controls, None, cooling)
             motion = min(motion, cooled, key=self.rank)
         if isinstance(self.world, SpaceWorld) and has_friction:
             most *= _LEFT / self.simulate_ratio
