@@ -168,8 +168,7 @@ class Regulated(ByTheClock):
         k = int(np.searchsorted(self.trajectory.times, now, side="right")) - 1
         k = min(max(k, 0), len(self._gains) - 1)
         planned = self.motion.calc_state(now)
-        (q, v), (about, speed) = map(self.world.split, (x, planned))
-        error = np.concatenate([self.world.take_nearest(q, about) - about, v - speed])
+        error = self.world.calc_error(x, planned)
         return np.asarray(self.trajectory.controls[k] - self._gains[k] @ error)
 
 

@@ -192,6 +192,7 @@ def test_ctrl_c_keeps_what_is_there(tmp_path: Path) -> None:
         ({"start_offset": [np.nan]}, "^start_offset: got .*, expected a row of finite numbers"),
         ({"kick": [1.0], "kick_time": 9.0}, r"^kick_time: got 9\.0, expected after the start, bef"),
         ({"kick": [1.0], "kick_time": 0.0}, r"^kick_time: got 0\.0, expected after the start, bef"),
+        ({"delay": 9.0}, "^delay: got 9 s, expected less than the run's"),
         ({"restitution_factor": 1.2}, "^restitution_factor: got 1.2 times 1, expected"),
         ({"friction_factor": 1.2}, "^friction_factor: got no friction, expected friction in"),
     ],

@@ -16,6 +16,7 @@ from replay_worlds import make_diagram, make_scenario, make_task, shipped, shipp
 
 import drake_aigto.control
 from drake_aigto import Scenario, World
+from drake_aigto.control import Catch
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.planning import Feedback, Regulator, Sweep
@@ -356,7 +357,7 @@ def test_a_goal_is_held_from_near_it_by_the_regulator(name: str, off: float) -> 
     scenario = Scenario.named(name)
     world, n = World.from_scenario(scenario), 2
     period, x = 0.01, np.concatenate([scenario.goal_position, np.zeros(n)])
-    about, planned, gains = Regulator.of(world, scenario, x, period) or pytest.fail("none")
+    about, planned, gains, *_ = Regulator.of(world, scenario, x, period) or pytest.fail("none")
     np.testing.assert_allclose(about, x, atol=1e-12)
     x = about + off * np.array([1.0, -1.0, 0.0, 0.0])
     for _ in range(round(8.0 / period)):
@@ -370,6 +371,28 @@ def test_a_goal_is_held_from_near_it_by_the_regulator(name: str, off: float) -> 
         k3 = rate(x + period / 2 * k2)
         x = x + period / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + period * k3))
     np.testing.assert_allclose(x, about, atol=1e-3)
+
+
+def test_a_goal_is_caught_from_where_its_regulator_lets_it_fall() -> None:
+    # An acrobot of nine tenths of its mass is there at the end of its plan, after a kick.
+    scenario, off = Scenario.named("acrobot/swing_up"), np.array([-0.13, -0.011, -0.228, -0.243])
+    world, goal = World.from_scenario(scenario), np.append(scenario.goal_position, [0.0, 0.0])
+    catch, x, none = Catch(world, scenario, 0.01), goal + off, np.full(5, -np.inf)
+    begun, law = catch.follow(none, 0.0, x)
+    np.testing.assert_array_equal(begun, [0.0, *x])
+    assert law is not None and law.end == scenario.duration
+    # On its way nothing else begins; far off it another motion does, and where that begins decides.
+    same, _ = catch.follow(begun, 0.5, law.find_state(0.5, ()))
+    np.testing.assert_array_equal(same, begun)
+    other, _ = catch.follow(begun, 0.5, law.find_state(0.5, ()) + 0.5)
+    assert other[0] == 0.5
+    start = {"initial_position": x[:2], "initial_velocity": x[2:]}
+    posed = dataclasses.replace(scenario, **start)
+    regulator = Regulator.of(world, scenario, goal, 0.01) or pytest.fail("none")
+    caught = EVENT_DRIVEN.simulate(world, posed, law)
+    end = np.concatenate([caught.positions[-1], caught.velocities[-1]])
+    error = world.calc_error(end, goal)
+    assert error @ regulator.value @ error < 0.05 * (off @ regulator.value @ off)
 
 
 def test_goals_that_can_not_be_held_have_no_regulator() -> None:

@@ -324,6 +324,8 @@ def test_feedback_answers_turns_along_the_manifold_whatever_the_sign_of_a_quater
         q[first : first + 4] *= sign
         got = feedback.sample(0.1, np.concatenate([q, delta[n:]]), ()).control
         np.testing.assert_allclose(got, expected, atol=1e-9)
+        off = world.calc_error(np.concatenate([q, delta[n:]]), phase.states[1])
+        np.testing.assert_allclose(off, delta, atol=1e-9)
         nearest = world.take_nearest(q, path[1])
         assert nearest[first : first + 4] @ path[1, first : first + 4] > 0
         np.testing.assert_allclose(world.subtract(nearest, q), 0.0, atol=1e-12)

@@ -125,8 +125,10 @@ def test_a_plan_file_has_the_gains_and_replays_to_the_same_bits(folder: Path) ->
     assert again.replay.event_driven == found.replay.event_driven
     assert again.replay.perturbed == found.replay.perturbed
     assert again.holds
-    tracking = TrackingController(loaded)
-    assert tuple(tracking.feedback.phases) == found.best.gains
+    # Who tracks it samples more often, and has gains of shorter holds.
+    (phase,) = TrackingController(loaded).feedback.phases
+    step = loaded.scenario.time_step / 5
+    np.testing.assert_allclose(np.diff(phase.times), step, rtol=1e-6)
 
 
 def test_what_judges_is_said_first_and_the_control_alone_is_reported(folder: Path) -> None:

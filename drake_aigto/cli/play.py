@@ -248,6 +248,8 @@ def _control(options: argparse.Namespace) -> int:
     _check_flags(options, disturbance)
     world = World.from_scenario(scenario)
     disturbance.apply(world, scenario)  # Refused before long work.
+    if scenario.duration_range is None:
+        disturbance.check_times(options.seconds or scenario.duration)
     numerics = None if options.renewals is None else PlanOptions(renewals=options.renewals)
     planner = Planner(scenario, numerics, world)
     meshcat = None

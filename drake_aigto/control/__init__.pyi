@@ -1,3 +1,4 @@
+from .catch import Catch as Catch
 from .estimation import ModelEstimate as ModelEstimate
 from .estimation import ModelEstimator as ModelEstimator
 from .horizon import Horizon as Horizon

@@ -15,7 +15,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.control.loop_run import Disturbance
 from drake_aigto.control.ports import Model, check_seconds, predict
 from drake_aigto.errors import AigtoError, ControlError, ModelError
-from drake_aigto.simulation import HeldControl, state_scales
+from drake_aigto.simulation import HeldControl, tangent_scales
 from drake_aigto.world import Scales, Scenario, SpaceWorld, World
 
 Unknown: TypeAlias = Literal["mass", "friction", "walls", "force"]
@@ -170,9 +170,9 @@ class ModelEstimate:
     ) -> ModelEstimate:
         """Returns the same after a sample, linear about p₀, with the information before it."""
         ends = [predict(model, samples[0], held) for model in self.models]
-        sizes = self.world.num_positions, self.world.num_velocities
-        scales = np.repeat(_NOISE, sizes) * state_scales(self.world, self.scenario)
-        errors = [self._subtract(samples[1], end[0]) / scales for end in ends if end]
+        noise = np.repeat(_NOISE, self.world.num_velocities)
+        scales = noise * tangent_scales(self.world, self.scenario)
+        errors = [self.world.calc_error(samples[1], end[0]) / scales for end in ends if end]
         if len(errors) < len(ends):
             return self
         (expected, *others), step = errors, _LINEAR * self._units
@@ -186,11 +186,6 @@ class ModelEstimate:
         total += weight * slopes.T @ (expected + slopes @ self.about)
         values = np.clip(np.linalg.solve(information, total), lower, upper)
         return dataclasses.replace(self, values=values, information=(information, total))
-
-    def _subtract(self, x: Floats, end: Floats) -> Floats:
-        """Returns x − x̂, of hinges to the nearest turn."""
-        (q, v), (about, speed) = map(self.world.split, (x, end))
-        return np.concatenate([self.world.take_nearest(q, about) - about, v - speed])
 
 
 def _list_parameters(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 import dataclasses
 from abc import ABC, abstractmethod
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,7 +18,13 @@ from drake_aigto.control.touches import (
     choose,
     find_left,
 )
-from drake_aigto.errors import ControlError, OptionsError, TrajectoryError, UnsupportedTermError
+from drake_aigto.errors import (
+    ControlError,
+    OptionsError,
+    ProgramError,
+    TrajectoryError,
+    UnsupportedTermError,
+)
 from drake_aigto.planning import (
     BallSearch,
     BallTask,
@@ -26,6 +33,7 @@ from drake_aigto.planning import (
     Path,
     Planner,
     PlanningError,
+    Regulator,
     make_ball_task,
 )
 from drake_aigto.trajectory import Trajectory
@@ -49,6 +57,8 @@ _ITERATIONS, _SEARCHED = (0, 20), 10
 # How many places of walls are kept compiled at most.
 _MOST_KEPT = 8
 
+AnyHorizon = TypeVar("AnyHorizon", bound="Horizon")
+
 
 class Horizon(ABC):
     """A planner's task, as it is asked again from where things are.
@@ -63,12 +73,14 @@ class Horizon(ABC):
         is_receding: whether the horizon always lasts as long as the scenario, or ends with it.
         num_steps: time steps of a motion.
         cost_scale: what the task costs where all is off by its scale.
+        regulator: of the goal, where the task is to hold it; else None.
         is_rigid: whether walls return a part of the speed that they are hit with.
     """
 
     is_rigid = True
     num_steps: int
     cost_scale: float
+    regulator: Regulator | None = None
     _task: Any  # of the planning room, by its kind
 
     def __init__(self, planner: Planner, is_receding: bool, period: float) -> None:
@@ -122,18 +134,21 @@ class Horizon(ABC):
         return self.end(now) - now <= _OVER * self._step
 
     def rest(self, now: float, x: Floats) -> PlannedMotion:
-        """Returns no control, as far as bounds allow, where nothing better is known."""
+        """Returns no control, or a regulator's, as far as bounds allow: nothing better is known."""
         count, m = self.num_steps, self.world.num_contacts
         times = np.linspace(now, max(self.end(now), now + self._step), count + 1)
-        q, v = (np.tile(part, (count + 1, 1)) for part in self.world.split(x))
-        none = np.zeros((count, self.world.num_actuators))
-        controls = np.clip(none, *self.world.bounds(self.scenario).control)
+        states, controls = np.tile(x, (count + 1, 1)), np.zeros((count, self.world.num_actuators))
+        if self.regulator:
+            states, controls = self.regulator.respond(self.world, x, count)
+        q, v = self.world.split(states)
+        controls = np.clip(controls, *self.world.bounds(self.scenario).control)
         impulses, forces = np.zeros((count + 1, m)), np.zeros((count, m))
         return PlannedMotion(Trajectory(times, q, v, controls, impulses, forces), np.inf, ())
 
     def advance(self, motion: PlannedMotion, now: float, x: Floats) -> PlannedMotion | None:
         """Returns the best motion near what is left of another one; None if there is none."""
-        if now >= motion.trajectory.times[-1]:  # Where it leads from there on, no plan says.
+        # Where it leads after its end, no plan says.
+        if now >= motion.trajectory.times[-1] - _OVER * self._step:
             motion = self.rest(now, x)
         left = self._shift(motion.trajectory, now, x)
         return self._lead(motion, left, self._ask(now, x))
@@ -203,7 +218,7 @@ class Horizon(ABC):
             path: times, shape (K,) [s], and q and v then, shape (K, nq + n); None: the scenario's.
                 It counts where the scenario weighs the way.
         """
-        other, (q, v), scenario = copy.copy(self), self.world.split(goal), self.scenario
+        (q, v), scenario = self.world.split(goal), self.scenario
         asked = {"goal_position": np.clip(q, *self.world.bounds(scenario).position)}
         if scenario.goal_velocity is not None:
             asked["goal_velocity"] = v
@@ -211,16 +226,27 @@ class Horizon(ABC):
             positions, velocities = self.world.split(path[1])
             asked |= {"reference_times": path[0], "reference_positions": positions}
             asked["reference_velocities"] = velocities
-        other.scenario = dataclasses.replace(self.scenario, **asked)  # type: ignore[arg-type]
-        other._task = self._task.again(other.scenario)
+        return self._asking(dataclasses.replace(scenario, **asked))  # type: ignore[arg-type]
+
+    def hold(self) -> Horizon | None:
+        """Returns the task to hold the goal from then on; None where it is not known how."""
+        return None
+
+    def _asking(self: AnyHorizon, scenario: Scenario) -> AnyHorizon:
+        """Returns the same for another task in the same world."""
+        other = copy.copy(self)
+        other.scenario, other._task = scenario, self._task.again(scenario)
         return other
 
-    def make_feedback(self, motion: PlannedMotion) -> Feedback | None:
-        """Returns feedback about a motion; None where there is none for its contacts."""
-        phases, of = self._find_phases(motion), (self.world, self.scenario, motion.trajectory)
+    def make_feedback(
+        self, motion: PlannedMotion, phases: Sequence[FeedbackPhase] | None = None
+    ) -> Feedback | None:
+        """Returns feedback about a motion; None where there is none."""
+        of = self.world, self.scenario, motion.trajectory
         try:
+            phases = self._find_phases(motion) if phases is None else phases
             return Feedback(*of, phases, period=self._period)
-        except TrajectoryError:
+        except (ProgramError, TrajectoryError):
             return None
 
     def _find_phases(self, motion: PlannedMotion) -> list[FeedbackPhase]:

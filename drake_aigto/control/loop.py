@@ -192,8 +192,8 @@ def run_in_loop(
         progress: called with a line of text from time to time.
 
     Raises:
-        ControlError: the disturbance does not fit, its kick comes after the end, the duration is
-            not above zero, or the controller is for another plant.
+        ControlError: the disturbance does not fit, its kick or all its commands come after the end,
+            the duration is not above zero, or the controller is for another plant.
         ModelError: a world of a diagram of one's own, which has no ports to connect: connect the
             controller there.
         ScenarioError: what is true does not fit, such as a start inside a wall.
@@ -218,9 +218,7 @@ def _check_duration(duration: float | None, scenario: Scenario, disturbance: Dis
     end = scenario.duration if duration is None else duration
     if not 0 < end < np.inf:
         raise ControlError("duration", got=end, expected="seconds above zero")
-    if disturbance.kick.any() and not 0 < disturbance.kick_time < end:
-        got, expected = disturbance.kick_time, f"after the start, before the end at {end:g} s"
-        raise ControlError("kick_time", got=got, expected=expected)
+    disturbance.check_times(end)
     return float(end)
 
 

@@ -116,6 +116,19 @@ class Disturbance(ArrayRecord):
             world = world.of_diagram(world.diagram, self.mass_factor * world.mass_factor)
         return (self._move_walls(world) if self.wall_shift else world), true
 
+    def check_times(self, end: float) -> None:
+        """Checks that a kick comes, and commands act, before a run ends [s].
+
+        Raises:
+            ControlError: one does not.
+        """
+        if self.delay >= end:
+            got, expected = f"{self.delay:g} s", f"less than the run's {end:g} s"
+            raise ControlError("delay", got=got, expected=expected)
+        if self.kick.any() and not 0 < self.kick_time < end:
+            got, expected = f"{self.kick_time}", f"after the start, before the end at {end:g} s"
+            raise ControlError("kick_time", got=got, expected=expected)
+
     def _check_sizes(self, world: World) -> None:
         n = world.num_velocities
         sizes = {"start_offset": n, "kick": n, "noise": world.num_positions + n}

@@ -5,17 +5,19 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, interpolate
-from drake_aigto.control.horizon import BallHorizon, Horizon
+from drake_aigto.control.horizon import AnyHorizon, BallHorizon, Horizon
 from drake_aigto.control.touches import PlannedMotion, choose, find_left, keep_apart
 from drake_aigto.errors import OptionsError, TrajectoryError
 from drake_aigto.planning import (
     FeedbackPhase,
     MechanismSearch,
     Planner,
+    Regulator,
     RigidMechanismTask,
     find_deepest,
     lay_onto,
@@ -25,7 +27,7 @@ from drake_aigto.planning import (
 from drake_aigto.shooting import ShootingOptions, ShootingProblem, ShootingResult, Smoothing
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence
-from drake_aigto.world import Scenario, SpaceWorld
+from drake_aigto.world import Scenario, SpaceWorld, TaskCost
 
 # Where nothing promises more than this part of the cost, a descent ends before its iterations do.
 _TOLERANCE = 1e-4
@@ -98,6 +100,19 @@ class _ShootingHorizon(Horizon):
         other._options = dataclasses.replace(self._options, rungs=rungs)
         return other
 
+    def hold(self) -> Horizon | None:
+        """Returns the task to hold a goal that all coordinates have, where a `Regulator` does."""
+        world, scenario = self.world, self.scenario
+        if not np.all(TaskCost.of(world, scenario).is_asked):
+            return None
+        goal = np.concatenate([scenario.goal_position, np.zeros(world.num_velocities)])
+        regulator = Regulator.of(world, scenario, goal, self._step)
+        if regulator is None:
+            return None
+        held = self._asking(regulator.pose(world, scenario))
+        held.is_receding, held.regulator = True, regulator
+        return held
+
     def _search(self, asked: Scenario) -> ShootingResult | None:
         """Returns the best motion that boxes, renewals and neighbors lead to, from time 0 on."""
         search = MechanismSearch(self._task.again(asked))
@@ -134,9 +149,8 @@ class CompliantHorizon(_ShootingHorizon):
         problem = self._task.shooting(self.num_steps)
         return dataclasses.replace(problem, duration=self.scenario.duration)
 
-    def toward(self, goal: Floats, path: tuple[Floats, Floats] | None = None) -> CompliantHorizon:
-        """Returns the same task with another goal and reference; see `Horizon`."""
-        other: CompliantHorizon = super().toward(goal, path)  # type: ignore[assignment]
+    def _asking(self: AnyHorizon, scenario: Scenario) -> AnyHorizon:
+        other: Any = super()._asking(scenario)
         other._problem = other._pose()
         return other
 

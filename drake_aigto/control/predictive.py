@@ -68,8 +68,9 @@ class ModelPredictiveController(LoopController):
 
     A sample that is of no use (`Safety`), one inside of a rigid wall where no contact lasts, or one
     from which no motion is found, leaves the last plan as it is, and its control goes on, or the
-    fallback. At the end of a horizon that shrinks the goal is held by a `Regulator`, where there is
-    one, and else the last control. No NaN leaves a port.
+    fallback. After the end of a horizon that shrinks its goal is held, where a `Regulator` does:
+    that holds balls; of mechanisms motions to rest there are planned. Else the last control goes
+    on. No NaN leaves a port.
 
     The first plan is from the first sample: a state that is all zero, where the scenario's start is
     not, is taken for none at the start. Hinges of an estimate are taken whole turns on, to where
@@ -384,14 +385,13 @@ class ModelPredictiveController(LoopController):
             mode = "waiting"
         elif question.sample != "valid":
             u, mode = self._fall_back(x, planned, u, moment.commands), "fallback"
-        elif question.horizon.is_over(now):
-            mode = "holding"
-            if moment.feedback and moment.feedback.regulator:
-                u = moment.feedback.sample(max(now, moment.feedback.end), question.x, ()).control
-        elif moment.feedback:
-            u = moment.feedback.sample(
-                now, question.x, moment.find_hits(question, self.period)
-            ).control
+        else:
+            is_over, feedback = question.horizon.is_over(now), moment.feedback
+            mode = "holding" if is_over or question.horizon.regulator else "running"
+            if feedback and (feedback.regulator or not is_over):
+                at = max(now, feedback.end) if is_over else now
+                hits = moment.find_hits(question, self.period)
+                u = feedback.sample(at, question.x, hits).control
         u, is_limited = self._limit(u, moment.commands, time)
         status = dataclasses.replace(moment.status, mode=mode, is_limited=is_limited)
         sample, off = question.sample, question.deviation

@@ -190,6 +190,7 @@ class Horizons:
         self._posed = is_receding, iterations, period
         self._period, self._own = period, self._make(planner)
         self._learned: tuple[Any, tuple[Horizon, Horizon]] = (None, self._own)
+        self._held: tuple[Horizon | None, ...] = (None, None, None)
 
     def _make(self, planner: Planner) -> tuple[Horizon, Horizon]:
         own = make_horizon(planner, *self._posed)
@@ -208,7 +209,7 @@ class Horizons:
         known: ModelEstimate | None = None,
         iterations: int | None = None,
     ) -> tuple[Horizon, Horizon]:
-        """Returns the task of ticks and of threads from now on.
+        """Returns the task of ticks and of threads from now on; after its end, to hold the goal.
 
         Args:
             reference: what it is to follow.
@@ -218,7 +219,12 @@ class Horizons:
         """
         own, aside = self._find_learned(known)
         aimed = reference.aim(own if iterations is None else own.within(iterations), now)
-        return aimed, aimed if aside is own else reference.aim(aside, now)
+        both = aimed, aimed if aside is own else reference.aim(aside, now)
+        if not aimed.is_over(now):
+            return both
+        if self._held[0] is not aimed:
+            self._held = aimed, aimed.hold(), both[1].hold()
+        return self._held[1] or both[0], self._held[2] or both[1]
 
     def _find_learned(self, known: ModelEstimate | None) -> tuple[Horizon, Horizon]:
         if known is None or known.is_of_the_model:
@@ -297,6 +303,8 @@ class Searches:
         """
         last, pending, tick = before.choice.motion.cost, before.choice.pending, before.tick + 1
         now, x, horizon = question.now, question.x, question.horizon
+        if horizon.regulator and now - self._period < horizon.scenario.duration:
+            last = np.inf  # It was of another task.
         if pending is not None:
             if tick < pending.due or not (self._waits or pending.found.done()):
                 return False, None, pending

@@ -12,6 +12,7 @@ from pydrake.systems.framework import Context, DiscreteStateIndex, DiscreteValue
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Bools, Floats
+from drake_aigto.control.catch import Catch
 from drake_aigto.control.ports import (
     MODES,
     OFTEN,
@@ -55,6 +56,7 @@ class _Groups(NamedTuple):
     bounces: DiscreteStateIndex  # how many of each contact, shape (m,)
     touches: DiscreteStateIndex  # _TOUCHED, _LASTS or _APART, shape (m,)
     last: DiscreteStateIndex  # the time of the last valid sample, q and v, shape (1 + nq + n,)
+    caught: DiscreteStateIndex  # when and where the motion to rest began, shape (1 + nq + n,)
     told: DiscreteStateIndex  # time, mode, sample, deviation, is_limited, seconds, shape (6,)
 
 
@@ -82,8 +84,9 @@ class TrackingController(LoopController):
     Where a sample is of no use (`Safety`) the fallback is commanded, by default the plan's own
     control: no NaN leaves a port. The plan's goes on, too, while all of the state is zero, where
     the plan's is not: a sampled estimate that has no sample yet. Before `start_time` nothing is
-    commanded; after its end a plan is held (`Feedback`). A Simulator that is initialized again on
-    its way, at most a period after the last sample, samples anew, and remembers bounces.
+    commanded; after its end its goal is held, where a `Regulator` does (`Catch`), or else the last
+    state (`Feedback`). A Simulator that is initialized again on its way, at most a period after the
+    last sample, samples anew, and remembers bounces.
 
     Ports are those of `LoopController`, and an input port `contact_results`, which may stay
     unconnected. The desired state is that of the flight that the ball is on.
@@ -121,8 +124,7 @@ class TrackingController(LoopController):
         period = plan.scenario.time_step / OFTEN if period is None else period
         super().__init__(world, plan.scenario, period, delay, start_time, safety)
         self.plan = plan
-        known, of = plan.best.gains, (world, plan.scenario, plan.trajectory)
-        self.feedback = Feedback(*of, known, period=self.period)
+        self.feedback = Feedback(world, plan.scenario, plan.trajectory, period=self.period)
         self._bodies = find_bodies(world)
         m = world.num_contacts
         self._results = self.DeclareAbstractInputPort("contact_results", Value(ContactResults()))
@@ -132,7 +134,9 @@ class TrackingController(LoopController):
         self._speeds = {each.contact: each.speed for each in sorted(hits, key=lambda s: -s.speed)}
         self._motion = PlannedMotion.of(plan.best)
         self._never = np.append(-np.inf, np.zeros(len(self._units)))
-        groups = self._no_commands.ravel(), np.zeros(m), np.zeros(m), self._never, np.zeros(6)
+        self._catch = Catch(world, plan.scenario, self.period)
+        none = np.zeros(m), np.zeros(m), self._never, self._never
+        groups = self._no_commands.ravel(), *none, np.zeros(6)
         self._groups = _Groups(*map(self.DeclareDiscreteState, groups))
         self.DeclareInitializationDiscreteUpdateEvent(self._start)
         self.DeclarePeriodicDiscreteUpdateEvent(self.period, 0.0, self._sample)
@@ -198,7 +202,7 @@ class TrackingController(LoopController):
         if 0 < elapsed <= (1 + _SAME) * self.period or (elapsed == 0 and np.array_equal(x, before)):
             return self._sample(context, values)
         none = np.zeros(self._world.num_contacts)
-        empty = self._no_commands.ravel(), none, none, self._never
+        empty = self._no_commands.ravel(), none, none, self._never, self._never
         for group, known in zip(self._groups, empty, strict=False):
             values.set_value(group, known)
         if self._is_empty(context, x):
@@ -377,7 +381,13 @@ class TrackingController(LoopController):
         if ahead is None:
             return self._play(context, values, x, commands, "far off", off)
         later, more = ahead
-        u = self.feedback.sample(time + self.delay, later, seen + more).control
+        law, acts = self.feedback, time + self.delay
+        if acts >= law.end:
+            caught = self._groups.caught
+            begun, catch = self._catch.follow(self._read(context, caught), acts, later)
+            values.set_value(caught, begun)
+            law = catch or law
+        u = law.sample(acts, later, seen + more).control
         groups = self._groups[1:4]
         for group, value in zip(groups, (bounces, touches, np.append(now, x)), strict=True):
             values.set_value(group, value)

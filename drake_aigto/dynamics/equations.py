@@ -147,6 +147,11 @@ class EquationsOfMotion:
         turns = np.where(self.is_hinge, 2 * np.pi * np.round((q - about) / (2 * np.pi)), 0.0)
         return np.asarray(q - turns)
 
+    def calc_error(self, x: Floats, planned: Floats) -> Floats:
+        """Returns by how much states differ, δ and ṽ, shape (…, 2 nv); turns to the nearest."""
+        (q, v), (about, speed) = self.split(x), self.split(planned)
+        return np.concatenate([self.subtract(self.take_nearest(q, about), about), v - speed], -1)
+
     def in_tangent(self, positions: Floats, turn: Floats) -> Floats:
         """Returns numbers of positions (…, nq) by velocities (…, nv); of turns in space `turn`."""
         return positions

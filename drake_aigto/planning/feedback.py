@@ -5,9 +5,10 @@ The regulator holds the goal once the plan is over.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, expm, solve_discrete_are
@@ -27,7 +28,7 @@ from drake_aigto.planning.stretches import (
 from drake_aigto.shooting import ShootingProblem
 from drake_aigto.simulation import Controller, Growth, Held, calc_growth, tangent_scales
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.world import Scales, Scenario, TaskCost, World, take_nearest_turn
+from drake_aigto.world import Scales, Scenario, TaskCost, World
 
 # Coordinates and speeds without a weight have this part of the task's cost, at its scales.
 _LEAST_WEIGHT = 1e-3
@@ -60,6 +61,8 @@ class Regulator(NamedTuple):
     state: Floats  # x* = (q*, 0), shape (nq + n,)
     control: Floats  # u*, shape (nu,)
     gains: Floats  # K, shape (nu, 2n)
+    value: Floats  # V of that sum, x̃ᵀ V x̃, shape (2n, 2n)
+    response: Floats  # x̃ a period later by x̃, shape (2n, 2n)
 
     @classmethod
     def of(cls, world: World, scenario: Scenario, end: Floats, period: float) -> Regulator | None:
@@ -87,8 +90,27 @@ class Regulator(NamedTuple):
             return None
         K = -np.linalg.solve(R + G.T @ value @ G, G.T @ value @ F)
         is_stable = np.max(np.abs(np.linalg.eigvals(F + G @ K))) < 1.0
-        still = np.zeros(world.num_velocities)
-        return cls(np.concatenate([q, still]), u, K) if is_stable else None
+        x = np.concatenate([q, np.zeros(world.num_velocities)])
+        return cls(x, u, K, value, F + G @ K) if is_stable else None
+
+    def pose(self, world: World, scenario: Scenario) -> Scenario:
+        """Returns the task to come to x* from anywhere and stay: what K is the best of, nearby."""
+        (q, _), n = world.split(self.state), world.num_velocities
+        weights, final = np.diag(_weigh(world, scenario, TaskCost.of(world, scenario))), self.value
+        asked: dict[str, Any] = {"position_weight": weights[:n], "velocity_weight": weights[n:]}
+        asked |= {"goal_weight": np.diag(final)[:n], "goal_velocity_weight": np.diag(final)[n:]}
+        asked |= {f"reference_{each}": None for each in ("times", "positions", "velocities")}
+        return dataclasses.replace(scenario, goal_position=q, hard_goal=False, **asked)
+
+    def respond(self, world: World, x: Floats, count: int) -> tuple[Floats, Floats]:
+        """Returns states (count + 1, nq + n) and controls (count, nu) from x on, if linear."""
+        off = np.empty((count + 1, len(self.response)))
+        off[0] = world.calc_error(x, self.state)
+        for k in range(count):
+            off[k + 1] = self.response @ off[k]
+        (q, _), n = world.split(self.state), world.num_velocities
+        states = np.hstack([world.add(np.tile(q, (count + 1, 1)), off[:, :n]), off[:, n:]])
+        return states, self.control + off[:-1] @ self.gains.T
 
 
 def calc_divergence(world: World, scenario: Scenario) -> float:
@@ -150,6 +172,11 @@ def _discretize(A: Floats, B: Floats, period: float) -> tuple[Floats, Floats]:
 # Runge-Kutta steps between knots, and how far from walls gains know of them, in parts of the task's
 # length: a state a little off its plan may meet a wall where the plan does not.
 _SOFT_SUBSTEPS, _SMOOTHING = 8, 1e-3
+# The same in the loop, where plants are other ones than the plan's: with 1e-3 cart-poles between
+# soft walls cost 178 and 218 where all is off at once, with this 113 and 157.
+_ON_PLANTS = 1e-2
+# Periods within this part of a knot's interval are as long.
+_SAME = 1e-6
 # A slip has ended at this part of its largest value in the plan.
 _STOPPED = 1e-2
 
@@ -173,7 +200,7 @@ class Feedback(Controller):
 
     A plan of a mechanism between compliant walls, or one that touches nothing, is one phase. Its
     gains are those of the descent that found the plan (`ShootingProblem.linearize`), the law of
-    compliant contact included.
+    compliant contact included, of holds as long as periods are.
 
     After its end the goal is held by a `Regulator` where there is one, else the last state by the
     last gains.
@@ -200,7 +227,7 @@ class Feedback(Controller):
             trajectory: the plan.
             phases: of such a plan that has them already.
             mechanism: of this world and the scenario's contact, if it is compiled already.
-            period: between samples after its end [s]; None: as its knots are.
+            period: between samples [s]; None: as its knots are. Phases have gains of knots.
 
         Raises:
             TrajectoryError: the plan does not fit the world; or it has several impacts at once, one
@@ -227,13 +254,14 @@ class Feedback(Controller):
                 self._transitions = np.array(sweep.transitions)
         elif not phases:
             mechanism = mechanism or make_mechanism(world, contact_law(world, scenario))
+            parts = int(np.ceil(self.longest_hold / (period or self.longest_hold) - _SAME))
+            times, states, u = _refine(world, trajectory, parts)
             problem = ShootingProblem.of(world, scenario, mechanism, times)
-            states = np.hstack([trajectory.positions, trajectory.velocities])
-            u = trajectory.controls
-            start, step = trajectory.positions[0], self.longest_hold
-            substeps = max(_SOFT_SUBSTEPS, count_damper_steps(world, start, step))
-            gains = problem.linearize(u, substeps, _SMOOTHING, states).gains
-            self._transitions = problem.linearize(u, substeps, 0.0, states).transitions
+            whole = count_damper_steps(world, trajectory.positions[0], self.longest_hold)
+            steps = -(-max(_SOFT_SUBSTEPS, whole) // parts)
+            smoothing = _SMOOTHING if period is None else _ON_PLANTS
+            gains = problem.linearize(u, steps, smoothing, states).gains
+            self._transitions = problem.linearize(u, steps, 0.0, states).transitions
             self.phases = [FeedbackPhase(times, states, u, gains)]
 
     @cached_property
@@ -249,22 +277,16 @@ class Feedback(Controller):
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
         """Returns u_k + K_k (x − x_i(t)), within bounds; after the end that of the regulator."""
         if time >= self.end and self.regulator:
-            about, planned, gains = self.regulator
-            return Held(self._limit(planned + gains @ self._calc_error(x, about)), np.inf)
+            about, planned, gains, *_ = self.regulator
+            return Held(self._limit(planned + gains @ self._world.calc_error(x, about)), np.inf)
         phase = self.phases[self.find_phase(time, x, bounces)]
         last = len(phase.controls) - 1
         k = int(np.clip(np.searchsorted(phase.times, time, side="right") - 1, 0, last))
-        error = self._calc_error(x, phase.calc_state(time))
+        error = self._world.calc_error(x, phase.calc_state(time))
         until, planned = float(phase.times[k + 1]), phase.controls[k]
         control = self._limit(planned + phase.gains[k] @ error)
         added = float(np.linalg.norm(control - planned))
         return Held(control, until if until > time else self.end, added)
-
-    def _calc_error(self, x: Floats, planned: Floats) -> Floats:
-        """Returns x − x_i, of hinges to the nearest turn: an estimator may wrap angles."""
-        (q, v), (about, speed) = self._world.split(x), self._world.split(planned)
-        error = take_nearest_turn(self._world.subtract(q, about), self._world.turns)
-        return np.concatenate([error, v - speed])
 
     def _limit(self, u: Floats) -> Floats:
         """Returns a control within its bounds."""
@@ -304,3 +326,12 @@ class Feedback(Controller):
             return bool(is_at_rest_on(self._world, q, v, stretch.speed / 2)[contact])
         slip = float(self._world.rubbing.calc_slips(q, v)[contact])
         return slip * stretch.find_mode(contact) <= _STOPPED * stretch.speed
+
+
+def _refine(world: World, trajectory: Trajectory, parts: int) -> tuple[Floats, Floats, Floats]:
+    """Returns times, states and controls at this number of knots for each of a trajectory's."""
+    t, shares = trajectory.times, np.arange(parts) / parts
+    times = np.append((t[:-1, np.newaxis] + np.outer(np.diff(t), shares)).ravel(), t[-1])
+    q, v = world.split(trajectory.to_piecewise()[0].vector_values(times).T)
+    states = np.hstack([world.normalized(q), v])
+    return times, states, np.repeat(trajectory.controls, parts, axis=0)

@@ -28,8 +28,6 @@ _BEYOND = 0.1
 # A block on a floor whose friction and mass were up to 10 % off ended 38 mm off with a hundred of
 # these costs, 12 with a thousand, and 3 with this number.
 _HARD = 1e4
-# A control that is this near to its bound, as a part of the bounds' range, answers nothing.
-_AT_BOUND = 1e-6
 # What comes to its end more slowly than this, as a part of the rates there, may come at any time.
 _SLOWLY = 1e-6
 
@@ -76,12 +74,12 @@ class Sweep:
 
         V_k(x̃) = min over ũ   h_k (ũᵀ R ũ + x̃ᵀ diag(Q, Q_v) x̃) + V_{k+1}(F_k x̃ + G_k ũ)
 
-    with the scenario's weights, those of angles as at their goal, and F_k, G_k the derivatives of
-    the motion under a held control, with the forces of contacts that last: what sticks stays, what
-    slides is braked by μ λ_n. Of a deviation from there, only that counts which walls leave
-    (`Stretch.calc_projection`). Past an impact V is that of the next phase, of Ξ x̃: by the
-    saltation matrix a deviation before it becomes one after it, as it comes sooner or later, and
-    elsewhere,
+    as if controls had no bounds, with the scenario's weights, those of angles as at their goal, and
+    F_k, G_k the derivatives of the motion under a held control, with the forces of contacts that
+    last: what sticks stays, what slides is braked by μ λ_n. Of a deviation from there, only that
+    counts which walls leave (`Stretch.calc_projection`). Past an impact V is that of the next
+    phase, of Ξ x̃: by the saltation matrix a deviation before it becomes one after it, as it comes
+    sooner or later, and elsewhere,
 
         Ξ = D + (f⁺ − D f⁻) ∇gᵀ / (∇gᵀ f⁻),    D = ∂(q, v⁺)/∂(q, v⁻),    f = (q̇, v̇),    g = φ,
 
@@ -99,9 +97,6 @@ class Sweep:
         self._cost = TaskCost.of(world, scenario)
         self._friction = world.friction_coefficients(scenario)
         self.stretches = read_stretches(world, self._friction, trajectory)
-        low, high = world.bounds(scenario).control
-        margin = _AT_BOUND * np.where(np.isfinite(high - low), high - low, 1.0)
-        self._inside = low + margin, high - margin
         self.transitions = list[Floats]()
 
     def run(self) -> list[FeedbackPhase]:
@@ -149,15 +144,12 @@ class Sweep:
         self, stretch: Stretch, x: Floats, u: Floats, h: float, value: Floats
     ) -> tuple[Floats, Floats, Floats]:
         """Returns K_k and V_k, from V_{k+1}, and F_k of what walls leave of a deviation."""
-        cost, size = self._cost, len(x)
+        cost = self._cost
         F, G = self.calc_slopes(stretch, x, u, h)
         stage = h * np.diag(np.concatenate([cost.Q, cost.Qv]))
         curvature, cross = h * np.diag(cost.R) + G.T @ value @ G, G.T @ value @ F
-        gain = np.zeros((len(u), size))
-        free = (u > self._inside[0]) & (u < self._inside[1])
-        gain[free] = -np.linalg.solve(curvature[np.ix_(free, free)], cross[free])
-        value = stage + F.T @ value @ F + gain.T @ curvature @ gain
-        value += gain.T @ cross + cross.T @ gain
+        gain = -np.linalg.solve(curvature, cross)
+        value = stage + F.T @ value @ F + gain.T @ cross
         left = stretch.calc_projection(x)
         return gain @ left, left.T @ ((value + value.T) / 2) @ left, F @ left
 

@@ -138,8 +138,8 @@ class ShootingProblem(OptimalControlProblem):
     ) -> MotionExpansion:
         """Returns the problem about a motion, and optimal feedback gains of held controls.
 
-        ũ_k = K_k x̃_k has the least cost to go to second order, in the Gauss-Newton form. Where a
-        control is at its bound, K_k is 0.
+        ũ_k = K_k x̃_k has the least cost to go to second order, in the Gauss-Newton form, as if
+        controls had no bounds: cut to them, one that is at a bound answers what leads away from it.
 
         Args:
             controls: see `simulate`, as for substeps and smoothing.

@@ -267,13 +267,18 @@ class ShootingRun:
         return self.finish(outcome)
 
     def linearize(self) -> MotionExpansion:
-        """Returns the expansion about the motion, after one sweep, without a step."""
+        """Returns the expansion about the motion, after one sweep, without bounds of controls."""
+        bounds, flights = self._program.bounds, self._layout.flights
+        lower, upper = np.array(bounds.lower_control), np.array(bounds.upper_control)
+        lower[flights], upper[flights] = -np.inf, np.inf
+        free = bounds._replace(lower_control=lower, upper_control=upper, norm=np.inf)
+        self._program = self._program._replace(bounds=free)
         outcome = self._descend(self._options.rungs[-1], self._states, False)
         if not outcome.is_converged:
             got = f"a motion that costs {outcome.cost}"
             raise ProgramError("controls", got=got, expected="a finite one")
         nx, found = len(self._problem.scales), self._memory.expansion
-        gains = self._memory.sweep.gains[self._layout.flights]
+        gains = self._memory.sweep.gains[flights]
         return MotionExpansion(
             cost=outcome.cost,
             gaps=np.array(found.gaps[:, :nx]),
