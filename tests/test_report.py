@@ -104,6 +104,12 @@ def test_a_wall_is_drawn_and_an_impact_flashes_for_a_moment(page: Page, plan: Pl
     assert is_yellow(picture).sum() > 10 * is_yellow(show(page, 1.0)).sum() + 100
 
 
+def test_nothing_of_meshcat_s_lies_over_the_scene(page: Page) -> None:
+    show(page, 0.0)
+    bar = f"document.querySelector('{FRAME}').contentDocument.querySelector('.dg')"
+    assert page.evaluate(f"{bar}.offsetParent") is None and page.evaluate(f"{bar} !== null")
+
+
 def test_the_clock_ends_with_the_plan(page: Page, plan: Plan) -> None:
     show(page, 9.9)
     shown = page.evaluate("document.querySelector('#player-time').textContent")

@@ -93,6 +93,7 @@ def test_a_report_has_question_answer_verdict_and_how_to_reproduce_it(plan: Plan
     assert "Options: finalists = 1, aigo_steps = 20." in text
     assert text.split().count("touches") >= 2 and "touches cost J" in " ".join(text.split())
     assert len(page.encode()) < 2e6
+    assert "<details><summary>Velocity against position" in page  # Behind a click.
     assert not re.search(r'(src|href)="(?!data:)', page)
     assert len(lines) == 3
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from meshcat_pages import clips
 from pydrake.geometry import Meshcat
 from pydrake.multibody.tree import JacobianWrtVariable
@@ -28,7 +29,15 @@ from drake_aigto.contact import CompliantLaw, contact_law
 from drake_aigto.control import Disturbance, run_in_loop
 from drake_aigto.errors import ModelError, ProgramError, ScenarioError
 from drake_aigto.planning import Feedback, FeedbackPhase, Reaches
-from drake_aigto.show import ROOT, Motion, Stage, draw_mechanism, motions_of_plan, publish
+from drake_aigto.show import (
+    ROOT,
+    Motion,
+    Stage,
+    draw_mechanism,
+    motions_of_plan,
+    plot_motions,
+    publish,
+)
 from drake_aigto.simulation import replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
@@ -196,6 +205,20 @@ def test_a_body_that_turns_is_shown_between_knots_and_across_its_way(tmp_path: P
     np.testing.assert_allclose(np.abs(turns[-1]), [0, 0, np.sin(0.3), np.cos(0.3)], atol=1e-6)
     captions = [caption for _, caption in draw_mechanism([motion], world, scenario)]
     assert captions[0].startswith("Links at evenly spaced times")
+
+
+def test_contacts_in_space_are_named_by_models_once_and_names_keep_apart() -> None:
+    world, scenario = build(Scenario.named("finger_and_box/push"))
+    touches = tuple(Touch(0.01 * i, 0.5 + 0.01 * i, i) for i in range(world.num_contacts))
+    q = np.array([scenario.initial_position, scenario.initial_position])
+    motion = Motion("plan", np.array([0.0, 1.0]), q, np.zeros((2, world.num_velocities)))
+    grid = Figure().subplots(2, 1)
+    plot_motions(grid, [dataclasses.replace(motion, touches=touches)], world, scenario, [2])
+    named = [(text.get_va(), float(text.xy[0])) for text in grid[0].texts]
+    assert {text.get_text() for text in grid[0].texts} <= {"finger with ground", "box with finger"}
+    for side in ("top", "bottom"):
+        assert all(np.diff([time for at, time in named if at == side]) > 0.05)
+    assert named
 
 
 _NO_EFFORT = "<limit><effort>0</effort></limit>"

@@ -336,7 +336,7 @@ def test_where_nothing_touches_no_wall_is_told_of() -> None:
     world, page = World.from_scenario(scenario), Page("A question")
     add_question(page, scenario, world)
     asked = page.to_html()
-    assert "contacts</th><td>none" in asked and "restitution" not in asked
+    assert "pairs</th><td>none" in asked and "restitution" not in asked
     replay = end_at([0.0, 3.0], [0.0, 0.0], Scenario(**SWING))
     assert simulation_label(replay, world) == "simulation: integrated"
     assert simulation_label(replay, cart_pole()) == "simulation: exactly rigid"

@@ -50,6 +50,7 @@ _BOUNCE: dict[str, Any] = {"linestyle": (0, (1, 2)), "linewidth": 1.4, "zorder":
 _CONTACT: dict[str, Any] = {"alpha": 0.15, "linewidth": 0, "zorder": 0.5}
 _NAME: dict[str, Any] = {"rotation": 90, "fontsize": "x-small", "ha": "right"}
 _NAME |= {"textcoords": "offset points", "xytext": (-2, 0)}
+_NAME_WIDTH = 0.05  # of the time that is shown: names that are nearer would cover each other
 HOLLOW: dict[str, Any] = {"markerfacecolor": "white", "markersize": 7, "zorder": 4}
 _FORCE: dict[str, Any] = {"facecolor": "none", "hatch": "///", "linewidth": 0}
 _WALL_COLOR = "#8a8f98"
@@ -99,7 +100,7 @@ def plot_motions(
 
     Args:
         axes: for positions, velocities, and controls, shape (3,), or (3, n): a column for each
-            coordinate that is drawn, the legend over the first.
+            coordinate that is drawn, the legend over the first; without controls, (2, n).
         motions: those without a control are left out of the third.
         world: of the motions; has the walls.
         scenario: has the goal.
@@ -111,14 +112,15 @@ def plot_motions(
     columns = list(range(world.num_velocities) if coordinates is None else coordinates)
     grid = np.array(axes, dtype=object)
     grid = grid[:, np.newaxis] if grid.ndim == 1 else grid
-    if grid.shape != (3, len(columns)):
+    if grid.shape not in ((3, len(columns)), (2, len(columns))):
         raise ModelError("axes", got=grid.shape, expected=f"(3, {len(columns)})")
-    for i, (top, middle, bottom) in zip(columns, grid.T, strict=True):
+    for i, (top, middle, *bottom) in zip(columns, grid.T, strict=True):
         plot_positions(top, motions, world, scenario, i)
         plot_velocities(middle, motions, world, i)
-        plot_controls(bottom, motions, world, i)
-        for upper in (top, middle):
-            upper.set_xlabel("")
+        for axes_of_control in bottom:
+            plot_controls(axes_of_control, motions, world, i)
+            middle.set_xlabel("")
+        top.set_xlabel("")
         if i != columns[0]:
             top.get_legend().remove()
 
@@ -268,21 +270,27 @@ def _mark_touches(
 ) -> None:
     """Marks when the motions plan to touch what pushes a coordinate; the first is labeled."""
     label, names = "planned contact", touch_names(world)
+    named_at: dict[str, list[float]] = {"top": [], "bottom": []}
     for index, motion in enumerate(motions):
-        color = color_of(index)
+        color, marked = color_of(index), set[tuple[str, float, float]]()
         for touch in motion.touches:
-            q = motion.positions[find_row(motion, touch.start)]
-            if not (slope := world.calc_contact_jacobian(q)[touch.contact, coordinate]):
+            q, name = motion.positions[find_row(motion, touch.start)], names[touch.contact]
+            slope = world.calc_contact_jacobian(q)[touch.contact, coordinate]
+            if not slope or (mark := (name, touch.start, touch.end)) in marked:
                 continue
+            marked.add(mark)
             if touch.lasts:
                 axes.axvspan(touch.start, touch.end, color=color, label=label, **_CONTACT)
             else:
                 axes.axvline(touch.start, color=color, label=label, **_BOUNCE)
-            if named and len(names) > 1:
-                # Where a motion that bounces there is not.
-                height, side = (0.97, "top") if slope > 0 else (0.03, "bottom")
+            # Where a motion that bounces there is not, and no other name.
+            height, side = (0.97, "top") if slope > 0 else (0.03, "bottom")
+            apart = _NAME_WIDTH * motion.times[-1]
+            is_free = all(abs(touch.start - time) > apart for time in named_at[side])
+            if named and len(names) > 1 and is_free:
+                named_at[side].append(touch.start)
                 look = {"xycoords": axes.get_xaxis_transform(), "color": color, "va": side, **_NAME}
-                axes.annotate(names[touch.contact], (touch.start, height), **look)
+                axes.annotate(name, (touch.start, height), **look)
             label = ""
 
 

@@ -121,7 +121,7 @@ class Live:
             OptionsError: Meshcat's port is in use.
         """
         self.open()
-        self._say(f"Sliders are in the controls at {self.url}; press Ctrl-C to stop.")
+        self._say(f"Open the controls at {self.url} to drag sliders; press Ctrl-C to stop.")
         end = time.monotonic() + seconds
         with contextlib.suppress(KeyboardInterrupt):
             while not self._ended.wait(self.PERIOD) and time.monotonic() < end:

@@ -91,7 +91,8 @@ def list_events(
     names = touch_names(world)
     touches = motion.touches or motion.impacts
     found = [(touch.start, f"touches {names[touch.contact]}", "touch") for touch in touches]
-    return sorted(found + [(time, text, "change") for time, text in others.items()])
+    found += [(time, text, "change") for time, text in others.items()]
+    return sorted(dict.fromkeys(found))
 
 
 def list_numbers(motion: Motion, world: World, scenario: Scenario) -> dict[str, Any]:

@@ -82,6 +82,7 @@
     slider.max = animator.duration - HOLD;
     toggle.disabled = slider.disabled = false;
     frame.contentWindow.addEventListener("keydown", press);
+    add(frame.contentDocument.head, "style", ".dg { display: none }"); // Meshcat's bar over the scene
     tell();
     arrange();
     requestAnimationFrame(follow);

@@ -30,10 +30,11 @@ from drake_aigto.show.facts import (
     verdict_facts,
 )
 from drake_aigto.show.film import open_meshcat
-from drake_aigto.show.motion import simulation_label
+from drake_aigto.show.motion import motions_of_plan, simulation_label
 from drake_aigto.show.page import Page
 from drake_aigto.show.playback import Playback
 from drake_aigto.show.report_figures import (
+    draw_portraits,
     figures_of_plan,
     figures_of_run,
     motion_of_run,
@@ -124,6 +125,8 @@ def report_plan(
     page.heading("Figures")
     for figure, caption in figures_of_plan(plan, world, run):
         page.figure(figure, caption)
+    portraits = draw_portraits(motions_of_plan(plan, world), world, plan.scenario)
+    page.figure(*portraits, is_folded=True)
     if no_boxes:
         page.paragraph(no_boxes)
     _add_candidates(page, plan, world)

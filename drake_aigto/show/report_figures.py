@@ -55,14 +55,19 @@ _MOST_NAMED = 3  # plans that have a name of their own in a legend
 def figures_of_plan(plan: Plan, world: World, run: BoxRun | None) -> Iterator[tuple[Figure, str]]:
     """Yields the figures of a report, each with its caption; of boxes, if there are any."""
     n, motions = world.num_velocities, motions_of_plan(plan, world)
-    for first in range(0, n, _COLUMNS):
-        columns = range(first, min(first + _COLUMNS, n))
-        figure = Figure(figsize=(4.5 * max(len(columns), 2), 7), layout="constrained")
-        grid = figure.subplots(3, len(columns), sharex=True)
-        plot_motions(grid, motions, world, plan.scenario, columns)
-        yield figure, "Positions, velocities, controls: the plan, and simulations of its control."
+    is_driven = np.any(world.actuation, axis=1)
+    for rows, coordinates in ((3, np.flatnonzero(is_driven)), (2, np.flatnonzero(~is_driven))):
+        for first in range(0, len(coordinates), _COLUMNS):
+            columns = coordinates[first : first + _COLUMNS].tolist()
+            size = 4.5 * max(len(columns), 2), 0.5 + 2.2 * rows
+            figure = Figure(figsize=size, layout="constrained")
+            grid = figure.subplots(rows, len(columns), sharex=True, squeeze=False)
+            plot_motions(grid, motions, world, plan.scenario, columns)
+            _move_legend(figure, grid[0, 0])
+            what = "Positions, velocities, controls" if rows == 3 else "Positions, velocities"
+            yield figure, f"{what}: the plan, and simulations of its control."
     if moves_straight(world):
-        yield _draw_states(plan, motions, world)
+        yield from _draw_ways(plan, motions, world)
         yield from _draw_friction(motions[0], world, plan.scenario)
     else:
         yield from draw_mechanism(motions, world, plan.scenario)
@@ -82,24 +87,39 @@ def figures_of_plan(plan: Plan, world: World, run: BoxRun | None) -> Iterator[tu
         )
 
 
-def _draw_states(plan: Plan, motions: Sequence[Motion], world: World) -> tuple[Figure, str]:
-    """Returns a figure of states against each other, and what a touch costs where that is known."""
-    n = world.num_positions
-    figure = Figure(figsize=(4.5 * max(n + (n > 1), 2), 4.6), layout="constrained")
-    *portraits, last = figure.subplots(1, max(n + (n > 1), 2))
-    for coordinate, axes in enumerate(portraits):
-        plot_phase_portrait(axes, motions, world, plan.scenario, coordinate)
-    if n > 1:
-        plot_path(last, motions, world, plan.scenario)
-        return figure, "Velocity against position, and the path."
-    if not has_landscape(plan, world):
-        figure.delaxes(last)
-        return figure, "Velocity against position."
-    plot_cost_landscape(last, world, plan.scenario, {"plan": plan.best})
-    return figure, (
-        "Velocity against position; and what motions cost that touch the wall once, by when and "
-        "how fast, with the exact optimum, which the planner does not know."
-    )
+def _move_legend(figure: Figure, axes: Axes) -> None:
+    """Puts the legend of axes above all of their figure, which it may be wider than they are."""
+    handles, labels = axes.get_legend_handles_labels()
+    if legend := axes.get_legend():
+        legend.remove()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4, fontsize="small")
+
+
+def _draw_ways(plan: Plan, motions: Sequence[Motion], world: World) -> Iterator[tuple[Figure, str]]:
+    """Yields the path in a plane, or what a touch costs where that is known."""
+    figure = Figure(figsize=(6, 4.6), layout="constrained")
+    if world.num_positions > 1:
+        plot_path(figure.subplots(), motions, world, plan.scenario)
+        yield figure, "The path."
+    elif has_landscape(plan, world):
+        plot_cost_landscape(figure.subplots(), world, plan.scenario, {"plan": plan.best})
+        yield (
+            figure,
+            "What motions cost that touch the wall once, by when and how fast, with the exact "
+            "optimum, which the planner does not know.",
+        )
+
+
+def draw_portraits(
+    motions: Sequence[Motion], world: World, scenario: Scenario
+) -> tuple[Figure, str]:
+    """Returns the figure of velocities against positions, with its caption."""
+    rows = -(-world.num_velocities // 2)
+    figure = Figure(figsize=(9, 4.2 * rows), layout="constrained")
+    for coordinate in range(world.num_velocities):
+        axes = figure.add_subplot(rows, 2, coordinate + 1)
+        plot_phase_portrait(axes, motions, world, scenario, coordinate)
+    return figure, "Velocity against position, of each coordinate."
 
 
 def has_landscape(plan: Plan, world: World) -> bool:
@@ -118,8 +138,7 @@ def draw_mechanism(
 ) -> Iterator[tuple[Figure, str]]:
     """Yields the figures of a mechanism's motions for a report, each with its caption.
 
-    A still picture of the first two, velocities against positions, and what contacts push with if
-    anything is known of it.
+    A still picture of the first two, and what contacts push with if anything is known of it.
     """
     figure, shown = Figure(figsize=(9, 5), layout="constrained"), motions[:2]
     panels = figure.subplots(1, len(shown), squeeze=False)[0]
@@ -129,12 +148,6 @@ def draw_mechanism(
     width, height = np.ptp(panels[0].get_xlim()), np.ptp(panels[0].get_ylim())
     figure.set_size_inches(9, float(np.clip(1.0 + 4.0 * height / width, 2.5, 7.0)))
     yield figure, "Links at evenly spaced times, the early ones pale; the goal is dashed."
-    rows = -(-world.num_velocities // 2)
-    figure = Figure(figsize=(9, 4.2 * rows), layout="constrained")
-    for coordinate in range(world.num_velocities):
-        axes = figure.add_subplot(rows, 2, coordinate + 1)
-        plot_phase_portrait(axes, motions, world, scenario, coordinate)
-    yield figure, "Velocity against position, of each coordinate."
     if any(np.any(calc_contact_forces(motion, world, scenario) > 0) for motion in motions):
         figure = Figure(figsize=(9, 3.6), layout="constrained")
         plot_contact_forces(figure.subplots(), motions, world, scenario)

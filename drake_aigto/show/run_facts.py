@@ -80,7 +80,8 @@ def run_facts(run: ClosedLoopRun) -> Iterator[Fact]:
 def describe_ticks(run: ClosedLoopRun) -> str:
     """Returns how many ticks there were, and how long they took."""
     seconds = 1e3 * np.array([tick.seconds for tick in run.ticks])
-    text = f"{len(seconds)}; the first took {seconds[0]:.0f} ms"
+    first = f"{seconds[0]:.0f} ms" if seconds[0] < 1e3 else f"{1e-3 * seconds[0]:.1f} s"
+    text = f"{len(seconds)}; the first took {first}"
     if len(seconds) == 1:
         return text
     middle, late = np.percentile(seconds[1:], [50, 99])

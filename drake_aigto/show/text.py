@@ -24,7 +24,7 @@ NO_COST = 1e-9
 _SAME_COST = 1e-4  # Costs that differ by this part or less are called the same.
 _MOST_TOUCHES, _MOST_CONTACTS = 6, 12
 _MOST_CHANGED = 3  # fields in which a question differs from a shipped one
-_AGAINST = " against "
+_AGAINST, _WITH = " against ", " with "
 # Between these, numbers are written without an exponent; what angles are multiples of, in π.
 _SMALLEST, _LARGEST, _PARTS_OF_PI = 1e-2, 1e6, 12
 _SAME_ANGLE = 1e-6  # as scenarios have π [rad]
@@ -124,7 +124,7 @@ def goal_items(arrival: Arrival, effort: float | None = None) -> list[str]:
     if arrival.is_reached:
         return [f"reached: {off}"]
     if arrival.active_bounds:
-        return [f"not reached: {off}", *(f"held back by {b}" for b in arrival.active_bounds)]
+        return [f"not reached: {off}", f"held back by {join_words(arrival.active_bounds)}"]
     share = "" if effort is None else f", of which control takes {100 * effort:.0f} %"
     return [f"not reached: {off}", f"no bound is active: the weights trade it for cost{share}"]
 
@@ -146,8 +146,14 @@ def contact_names(world: World) -> list[str]:
 
 
 def touch_names(world: World) -> list[str]:
-    """Returns what is touched; and what by, if that is not always the same."""
+    """Returns what is touched; and what by, if that is not always the same.
+
+    Shapes in space, whose names begin with their models', are named by those if no two are of one.
+    """
     names = contact_names(world)
+    models = [[side.partition("::")[0] for side in name.split(_WITH)] for name in names]
+    if all(len(pair) == 2 and pair[0] != pair[1] for pair in models):
+        return [_WITH.join(pair) for pair in models]
     pairs = [name.partition(_AGAINST) for name in names]
     is_one = len({by for by, _, _ in pairs}) == 1 and all(touched for *_, touched in pairs)
     return [touched for *_, touched in pairs] if is_one else names
@@ -346,8 +352,8 @@ def run_texts(run: Candidate, digits: int = 2) -> tuple[str, str, str, str]:
     return cost, defect, length_text(run.max_penetration), energy_text(run.energy_ratio)
 
 
-def _numbers(values: Iterable[float], is_hinge: Bools, per: str = "") -> str:
-    """Returns numbers with their unit: one for all, or of each where they differ."""
+def _numbers(values: Floats, is_hinge: Bools, per: str = "") -> str:
+    """Returns numbers with their unit: one for all, or of each where they differ; 0 of zeros."""
     units = [f"rad{per}" if hinge else f"m{per}" for hinge in is_hinge]
     texts = [
         pi_text(value) if hinge and not per else f"{value:g}"
@@ -357,5 +363,7 @@ def _numbers(values: Iterable[float], is_hinge: Bools, per: str = "") -> str:
         return f"{texts[0]} {units[0]}"
     if len(set(units)) == 1:
         return f"({', '.join(texts)}) {units[0]}"
+    if not np.any(values):
+        return "0"
     pairs = zip(texts, units, strict=True)
     return f"({', '.join(f'{text} {unit}' for text, unit in pairs)})"
