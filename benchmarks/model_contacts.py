@@ -31,16 +31,18 @@ import json
 import time
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks.models import find_models
+from benchmarks.mujoco_judge import MujocoJudge
 from drake_aigto import Plan, Scenario, World, plan
-from drake_aigto.arrays import Floats
 from drake_aigto.errors import AigtoError
 from drake_aigto.output import write_text
+from drake_aigto.simulation import HeldControl, Replay, replay_with
 
 STIFFNESS = 2e4  # Of feet and floor together [N/m].
 HEIGHT = 0.1  # Of the lowest foot at start and goal [m].
@@ -113,18 +115,11 @@ def make_scenario(leg: Leg, path: Path, joints: Sequence[str]) -> tuple[Scenario
     return scenario, World.from_scenario(scenario)
 
 
-def load_mujoco(leg: Leg, scenario: Any) -> Any:
-    """Returns MuJoCo's model with the same joints, and with contact that is matched."""
+def match_contact(leg: Leg, model: Any) -> None:
+    """Gives MuJoCo's model of a leg springs without friction where it touches the floor."""
     mujoco: Any = importlib.import_module("mujoco")
-    spec = mujoco.MjSpec.from_file(scenario.model)
-    for joint in list(spec.joints):
-        if joint.name in scenario.fixed_joints:
-            for actuator in [each for each in spec.actuators if each.target == joint.name]:
-                spec.delete(actuator)
-            spec.delete(joint)
-    model: Any = spec.compile()
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
-    model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, _STEP
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     model.geom_margin[:] = model.geom_gap[:] = 0.0
     model.geom_condim[:], model.geom_priority[:] = 1, 0
     model.geom_contype[:] = model.geom_conaffinity[:] = 0
@@ -137,28 +132,13 @@ def load_mujoco(leg: Leg, scenario: Any) -> Any:
             weight = model.body_invweight0[model.geom_bodyid[i], 0]
             model.geom_solref[i] = -STIFFNESS * (1 - IMPEDANCE) * weight, 0.0
             model.geom_solimp[i] = IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 2.0
-    return model
 
 
-def simulate(leg: Leg, found: Plan, world: World) -> tuple[Floats, float]:
-    """Returns MuJoCo's end of a plan's control, (n,), and the deepest penetration [m]."""
-    mujoco: Any = importlib.import_module("mujoco")
-    model = load_mujoco(leg, found.scenario)
-    data: Any = mujoco.MjData(model)
-    names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, i) for i in range(model.njnt)]
-    joints = map(world.plant.get_joint, world.plant.GetJointIndices())
-    q_of = [names.index(each.name()) for each in joints if each.num_positions()]
-    motion: Any = found.trajectory
-    data.qpos[q_of] = motion.positions[0]
-    data.qvel[q_of] = motion.velocities[0]
-    deepest = 0.0
-    for k in range(round(motion.times[-1] / _STEP)):
-        now = np.searchsorted(motion.times, (k + 0.5) * _STEP, side="right") - 1
-        control = motion.controls[min(now, len(motion.controls) - 1)]
-        data.qfrc_applied[q_of] = world.actuation @ control
-        mujoco.mj_step(model, data)
-        deepest = min(deepest, *(contact.dist for contact in data.contact), 0.0)
-    return np.array(data.qpos[q_of]), -deepest
+def simulate(leg: Leg, found: Plan, world: World) -> Replay:
+    """Returns what a plan's control does in MuJoCo."""
+    motion, judge = found.trajectory, MujocoJudge(partial(match_contact, leg), _STEP)
+    control = HeldControl(motion.times, motion.controls)
+    return replay_with(judge, world, world.place(found.scenario), control)
 
 
 def study(leg: Leg, path: Path) -> dict[str, Any]:
@@ -173,17 +153,18 @@ def study(leg: Leg, path: Path) -> dict[str, Any]:
     except AigtoError as error:
         return row | {"plan": f"{error}"}
     row["seconds"] = time.perf_counter() - start
-    end, deepest = simulate(leg, found, world)
+    replay = simulate(leg, found, world)
     motion = found.trajectory
     way = np.linalg.norm(np.ptp(motion.positions, axis=0))
+    off = replay.positions[-1] - motion.positions[-1]
     steps = world.calc_signed_distance(motion.positions).min(axis=1)
     return row | {
         "plan": "holds" if found.holds else "does not hold",
         "cost": found.cost,
         "off goal [%]": 100 * found.best.goal_error / way,
         "penetration [mm]": -1e3 * min(0.0, float(steps.min())),
-        "in MuJoCo [mm]": 1e3 * deepest,
-        "MuJoCo ends off [%]": 100 * float(np.linalg.norm(end - motion.positions[-1]) / way),
+        "in MuJoCo [mm]": 1e3 * replay.max_penetration,
+        "MuJoCo ends off [%]": 100 * float(np.linalg.norm(off) / way),
     }
 
 
