@@ -21,7 +21,6 @@ from drake_aigto.contact.tables import (
     COEFFICIENT,
     SOURCE,
     SPIN,
-    STICTION,
     Mechanics,
     MechanicsMemory,
     copy_writable,
@@ -248,12 +247,6 @@ class Mechanism:
         """Returns the tables for Runge-Kutta steps of a length [s], see `fit_to_steps`."""
         fitted = fit_to_steps(self.frictions, step, duration, speed)
         return self.mechanics._replace(frictions=fitted)
-
-    def count_substeps(self, step: float, duration: float, speed: float) -> int:
-        """Returns the number of Runge-Kutta steps in one of this length that resolves friction."""
-        fitted = self.fit(step, duration, speed).frictions
-        ratios = fitted[:, STICTION] / self.frictions[:, STICTION]
-        return int(np.ceil(np.max(ratios, initial=1.0)))
 
     def subtract(self, state: Floats, before: Floats) -> Floats:
         """Returns the difference of two states, shape (2n,)."""

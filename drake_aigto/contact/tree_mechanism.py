@@ -175,11 +175,6 @@ class TreeMechanism:
         fitted = tree._replace(stiction=slow, pace=np.full(len(slow), 1 / duration))
         return TreeMechanics(fitted, self.touch, 1 / duration, places, self.num_positions)
 
-    def count_substeps(self, step: float, duration: float, speed: float) -> int:
-        """Returns the number of Runge-Kutta steps in one of this length that resolves friction."""
-        ratios = self.fit(step, duration, speed).tree.stiction / self.tree.stiction
-        return int(np.ceil(np.max(ratios, initial=1.0)))
-
     def calc_inertia(self, q: Floats) -> tuple[Floats, Floats]:
         """Returns M(q), shape (n, n), and h(q, 0), shape (n,)."""
         rest = np.zeros(self.num_velocities)

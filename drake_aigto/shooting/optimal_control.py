@@ -260,11 +260,6 @@ class OptimalControlProblem:
         """Returns the mechanism's tables for compiled code and this number of steps of a stage."""
         return self.mechanism.fit(*self._measure_steps(substeps))
 
-    @property
-    def friction_substeps(self) -> int:
-        """Number of Runge-Kutta steps between knots that resolves the world's friction."""
-        return self.mechanism.count_substeps(*self._measure_steps(1))
-
     def _measure_steps(self, substeps: int) -> tuple[float, float, float]:
         """Returns the longest step [s], the duration [s], and a speed of contacts [m/s]."""
         duration = self.duration or float(np.ptp(self.times))
