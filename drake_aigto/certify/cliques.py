@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.certify.cells import BoundSearch
 from drake_aigto.certify.enclosures import (
     GRADIENT,
     HESSIAN,
@@ -31,13 +32,14 @@ from drake_aigto.certify.enclosures import (
     enclose_all,
     sum_outward,
 )
-from drake_aigto.certify.expansions import bound_tables, curvatures, separable_bound
+from drake_aigto.certify.expansions import bound_tables, may_hold_minima
 from drake_aigto.certify.formulas import Formulas, formula_of, make_tape
 from drake_aigto.certify.intervals import UNIT
 
 MOST_VARIABLES = 3  # of a clique
 _FIRST_BINS = 16
 _SWEEPS = 2  # over all bins, before their cells are bounded
+_ENTRIES = 40  # of tables, which take as long as a cell of all variables
 _LARGE = 1e290  # Sums of what is larger would overflow.
 
 
@@ -91,17 +93,15 @@ class Bins(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Formulas of as many variables, all of them costs or all of them rows.
+    """Formulas of as many variables.
 
     Attributes:
         formulas: their numbers (G,).
         variables: those that each reads (G, m).
-        rows: lower and upper bounds (2, G) of rows; (2, 0) of costs.
     """
 
     formulas: Ints
     variables: Ints
-    rows: Floats
 
     def bins(self, starts: Ints) -> tuple[Ints, Ints, Ints]:
         """Returns all S bins of each variable of each formula, in the order formula, variable, bin.
@@ -115,28 +115,26 @@ class Group:
         return *np.divmod(owners, self.variables.shape[1]), starts[read][owners] + own
 
 
-class CliqueSearch:
+class CliqueSearch(BoundSearch):
     """Dynamic programming over ever smaller bins.
 
     Args:
-        formulas: the program; its cost and rows read up to three variables each.
+        formulas: the program, without rows; summands read up to three variables each.
+        margin: as in `BoundSearch`.
         order: variables with their neighbors, as `elimination` returns them.
 
     Attributes:
-        cost: Σ_p f_p.
-        best: the best point that is known (n,).
-        least: its value.
-        lower_bound: of f over all feasible points; at most the best value.
-        is_empty: whether no point of the box meets all rows.
-        num_cells: number of cells that were bounded.
+        lower_bound: of f; at most the best value.
+        is_empty: whether f has no value anywhere in the box.
     """
 
-    def __init__(self, formulas: Formulas, order: Sequence[tuple[int, ...]]) -> None:
+    def __init__(self, formulas: Formulas, margin: float, order: Sequence[tuple[int, ...]]) -> None:
         """Cuts every range into bins."""
+        cost = self._make_groups(formulas)
+        super().__init__(cost, np.array(0.5 * formulas.lower + 0.5 * formulas.upper), margin)
         self._order = order
         self._rank = {clique[0]: number for number, clique in enumerate(order)}
         self._outer = lower, upper = formulas.lower, formulas.upper
-        self._make_groups(formulas)
         self._home = [self._first(each) for each in self._variables]
         edges = np.linspace(lower, upper, _FIRST_BINS + 1, axis=-1)
         edges[:, 0], edges[:, -1] = lower, upper
@@ -144,60 +142,45 @@ class CliqueSearch:
         self._low, self._high = edges[:, :-1].ravel(), edges[:, 1:].ravel()
         # Of each group's bins, where its formula's variables are best, as far as is known.
         self._partners: dict[Group, Floats] = {}
-        self.num_cells = 0
-        self.lower_bound = -np.inf
+        # Of bins that were bounded, the least sum with each, until they are halved.
+        self._marginals: Floats | None = None
+        self.lower_bound, self._lowest = -np.inf, np.inf  # of f, feasible or not
         self.is_empty = False
-        self.best = np.array(0.5 * lower + 0.5 * upper)
-        self.least = np.inf
 
-    def _make_groups(self, formulas: Formulas) -> None:
-        """Makes a formula for every set of variables, those of one variable first, and every row.
-
-        Formulas of as many variables are a group, rows and costs apart.
-        """
+    def _make_groups(self, formulas: Formulas) -> SumOfFormulas:
+        """Makes a formula for every set of variables, those of one variable first; returns f."""
         summands = formulas.groups()
         summands[(0,)] = summands.get((0,), []) + summands.pop((), [])
-        costs: list[tuple[int, ...]] = [(i,) for i in range(formulas.lower.size)]
-        costs += [variables for variables in summands if len(variables) > 1]
-        rows = [row for row in formulas.rows if row.variables]
-        sums = [formula_of(summands.get(each, []), each) for each in costs]
-        sums += [formula_of((row,), row.variables) for row in rows]
-        self._tape = make_tape(sums)
-        self._variables = [*costs, *(row.variables for row in rows)]
-        self.cost = SumOfFormulas(self._tape, costs)
-        found: dict[tuple[int, bool], list[int]] = {}
-        for formula, variables in enumerate(self._variables):
-            found.setdefault((len(variables), formula >= len(costs)), []).append(formula)
-        bounds = np.array([[row.lower for row in rows], [row.upper for row in rows]])
-        groups = [
-            Group(
-                np.array(numbers),
-                np.array([self._variables[k] for k in numbers]),
-                np.ascontiguousarray(bounds[:, [k - len(costs) for k in numbers if is_row]]),
-            )
-            for (_, is_row), numbers in found.items()
+        self._variables: list[tuple[int, ...]] = [(i,) for i in range(formulas.lower.size)]
+        self._variables += [variables for variables in summands if len(variables) > 1]
+        read = self._variables
+        self._tape = make_tape(formula_of(summands.get(each, []), each) for each in read)
+        found: dict[int, list[int]] = {}
+        for formula, variables in enumerate(read):
+            found.setdefault(len(variables), []).append(formula)
+        self._groups = [
+            Group(np.array(numbers), np.array([read[k] for k in numbers]))
+            for numbers in found.values()
         ]
-        self._groups = groups
-        self._costs = [group for group in groups if not group.rows.size]
-        self._coupled = [group for group in self._costs if group.variables.shape[1] > 1]
-
-    def offer(self, x: Floats, value: float) -> None:
-        """Takes a feasible point and its value, rounded up, if it is the best so far."""
-        if value < self.least:
-            self.least, self.best = value, x
+        self._coupled = [group for group in self._groups if group.variables.shape[1] > 1]
+        return SumOfFormulas(self._tape, read)
 
     @property
     def hull(self) -> Floats:
         """Lower and upper ends (2, n) of the smallest box that holds all bins that are left."""
         return np.array([self._low[self._starts[:-1]], self._high[self._starts[1:] - 1]])
 
-    def next_size(self) -> int:
-        """Returns how many cells the next step bounds."""
+    def run(self, count: int, scale: float) -> bool:
+        """Bounds the cells of all bins, once those with nothing better are gone, others halved."""
+        if self._marginals is not None:
+            self._drop(self._marginals)
+            self._marginals = None
         counts = np.diff(self._starts).tolist()
-        return sum(math.prod(counts[i] for i in each) for each in self._variables)
-
-    def step(self) -> Floats:
-        """Bounds all cells, and returns a point of the lowest ones; see `drop`."""
+        size = sum(math.prod(counts[i] for i in each) for each in self._variables)
+        enough = self.enough(min(self.least, self._lowest), scale)
+        if self.is_empty or self.lower_bound >= enough or size > count * _ENTRIES:
+            return False
+        self.num_cells += 1 + size // _ENTRIES
         self._drop_by_slopes()
         best = np.repeat(self.best, np.diff(self._starts))
         points = 0.5 * self._low + 0.5 * self._high
@@ -206,22 +189,23 @@ class CliqueSearch:
         with np.errstate(invalid="ignore"):
             self._pass_up(self._fill(bins), bins)
             if math.isfinite(self._total):
-                bound = self._total - self._margin
+                bound = self._total - self._rounding
                 self.lower_bound = max(self.lower_bound, min(bound, self.least))
-                return self._pass_down(bins)
+                self.lowest_point = self._pass_down(bins)
+                self._lowest = min(self._lowest, self.value(self.lowest_point))
+                return True
         # Nothing is known of any bin where a cell has no bound.
         self._marginals = np.full(bins.low.size, self._total)
         self.is_empty = self._total == np.inf
-        return self.best
+        return True
 
-    def drop(self) -> None:
+    def _drop(self, marginals: Floats) -> None:
         """Drops the bins that hold nothing below the best value, and halves the others."""
-        keep = self._marginals - self._margin <= self.least
+        keep = marginals - self._rounding <= self.least
         is_any = np.logical_or.reduceat(keep, self._starts[:-1])
-        self._close(keep, bool(np.all(is_any)))
         counts = np.diff(self._starts)
-        lowest = np.repeat(np.minimum.reduceat(self._marginals, self._starts[:-1]), counts)
-        keep |= ~np.repeat(is_any, counts) & (self._marginals == lowest)
+        lowest = np.repeat(np.minimum.reduceat(marginals, self._starts[:-1]), counts)
+        keep |= ~np.repeat(is_any, counts) & (marginals == lowest)
         self._narrow(keep, 2)
         middle = 0.5 * self._low + 0.5 * self._high
         self._low[1::2], self._high[::2] = middle[1::2], middle[::2]
@@ -232,8 +216,6 @@ class CliqueSearch:
         It rises or falls all over the bin, which is none of the ends; or it is concave. That holds
         however many other variables there are, and however far from the best value the bound is.
         """
-        if len(self._costs) < len(self._groups):
-            return
         for _ in range(_SWEEPS):
             keep = self._may_hold_minima()
             if np.all(keep):
@@ -244,25 +226,20 @@ class CliqueSearch:
     def _may_hold_minima(self) -> Bools:
         """Returns for each bin whether f may have a minimum in it along its own variable (K,)."""
         slopes, bends, owners = [], [], []
-        for group in self._costs:
+        for group in self._groups:
             of, local, own = group.bins(self._starts)
-            ends, rows = self.hull[:, group.variables[of]], np.arange(own.size)
-            ends[0, rows, local], ends[1, rows, local] = self._low[own], self._high[own]
+            ends, at = self.hull[:, group.variables[of]], np.arange(own.size)
+            ends[0, at, local], ends[1, at, local] = self._low[own], self._high[own]
             over = enclose_all(self._tape, group.formulas[of], ends[0], ends[1], HESSIAN)
-            slopes.append(over[rows, 1 + local])
-            bends.append(over[rows, 1 + ends.shape[2] + local * (local + 1) // 2 + local])
+            slopes.append(over[at, 1 + local])
+            bends.append(over[at, 1 + ends.shape[2] + local * (local + 1) // 2 + local])
             owners.append(own)
         whose, count = np.concatenate(owners), self._low.size
         with np.errstate(invalid="ignore"):
             rise = sum_outward(np.concatenate(slopes), whose, count)
             bend = sum_outward(np.concatenate(bends), whose, count)
-        lower, upper = (np.repeat(side, np.diff(self._starts)) for side in self._outer)
-        at_lower, at_upper = self._low == lower, self._high == upper
-        is_bent = (bend[:, 1] < 0.0) & ~at_lower & ~at_upper
-        falls, rises = (rise[:, 1] < 0.0) & ~at_upper, (rise[:, 0] > 0.0) & ~at_lower
-        # Where a Hessian is finite, f has values around the bin, too.
-        is_smooth = np.all(np.isfinite(np.hstack([rise, bend])), axis=1)
-        return ~(is_smooth & (rises | falls | is_bent))
+        outer = np.repeat(np.array(self._outer), np.diff(self._starts), axis=1)
+        return may_hold_minima(rise, bend, np.array([self._low, self._high]), outer)
 
     def _narrow(self, keep: Bools, times: int) -> None:
         """Leaves some bins, each as many times; they inherit the neighbors of their own."""
@@ -284,7 +261,7 @@ class CliqueSearch:
         tables: list[Floats] = [np.empty(0)] * len(self._variables)
         for group in self._groups:
             own = -np.repeat(slopes[group][:, None], 2, axis=1) if group in slopes else moved
-            found = bound_tables(self._tape, group.formulas, group.variables, bins, own, group.rows)
+            found = bound_tables(self._tape, group.formulas, group.variables, bins, own)
             shapes = counts[group.variables]
             parts = np.split(found, np.cumsum(np.prod(shapes, axis=1))[:-1])
             for formula, table, shape in zip(group.formulas, parts, shapes, strict=True):
@@ -305,7 +282,6 @@ class CliqueSearch:
 
     def _pass_up(self, tables: Sequence[Floats], bins: Bins) -> None:
         """Adds tables up along the elimination, and sets the total."""
-        self.num_cells += sum(table.size for table in tables)
         counts, order = np.diff(bins.starts), self._order
         self._sums = [np.zeros(counts[list(clique)]) for clique in order]
         # No sum with a larger entry is as low as the best value.
@@ -317,7 +293,7 @@ class CliqueSearch:
             self._sums[home] = _sum(self._sums[home], _spread(table, variables, order[home]))
             size += float(np.max(np.abs(table[np.isfinite(table)]), initial=0.0))
         # Every addition is off by half a unit of what is never more than all tables' largest.
-        self._margin = (len(tables) + 2 * len(order)) * UNIT * size
+        self._rounding = (len(tables) + 2 * len(order)) * UNIT * size
         self._messages: list[Floats] = []
         self._total = 0.0
         for sums, clique in zip(self._sums, order, strict=True):
@@ -376,38 +352,6 @@ class CliqueSearch:
             yield np.column_stack(
                 [bins.points[bins.starts[j] + places.get(j, 0 * best)] for j in variables]
             )
-
-    def _close(self, keep: Bools, is_any: bool) -> None:
-        """Raises the bound to the best value where all bins that are left prove to be convex."""
-        if not math.isfinite(self.least):
-            return
-        if not is_any:
-            self.lower_bound = self.least
-            return
-        low = np.minimum.reduceat(np.where(keep, self._low, np.inf), self._starts[:-1])
-        high = np.maximum.reduceat(np.where(keep, self._high, -np.inf), self._starts[:-1])
-        if np.all((low <= self.best) & (self.best <= high)):
-            bound = min(self._box_bound(low, high), self.least)
-            self.lower_bound = max(self.lower_bound, bound)
-
-    def _box_bound(self, low: Floats, high: Floats) -> float:
-        """Returns a bound over a box about the best point: tight if all f is convex there."""
-        values, slopes, bends, owners, point = [], [], [], [], self.best
-        for group in self._costs:
-            read, formulas = group.variables, group.formulas
-            about = enclose_all(self._tape, formulas, point[read], point[read], GRADIENT)
-            over = enclose_all(self._tape, formulas, low[read], high[read], HESSIAN)
-            values += list(about[:, 0])
-            slopes.append(about[:, 1:].reshape(-1, 2))
-            bends.append(curvatures(over, read.shape[1]).ravel())
-            owners.append(read.ravel())
-        whose, bend = np.concatenate(owners), np.concatenate(bends)
-        with np.errstate(invalid="ignore"):
-            total = sum_outward(np.array(values), np.zeros(len(values), dtype=np.int64), 1)[0, 0]
-            slope = sum_outward(np.concatenate(slopes), whose, low.size)
-            bend = sum_outward(np.column_stack([bend, bend]), whose, low.size)[:, 0]
-        bound = separable_bound(total, slope, bend, point, (low, high))
-        return bound if math.isfinite(bound) else -math.inf
 
 
 def _sum(a: Floats, b: Floats) -> Floats:

@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, VALUE, at, enclose, make_scratch
 from drake_aigto.certify.formulas import Tape
 from drake_aigto.certify.intervals import (
@@ -195,21 +195,6 @@ def middles(low: Floats, high: Floats) -> Floats:
 
 
 @inner
-def mean_value(value: Interval, jets: Floats, entry: int, steps: Floats) -> Interval:
-    """Returns the range of f over a cell, by itself and by the mean value theorem.
-
-    Args:
-        value: of f at a point of the cell.
-        jets: with the value and the gradient over the cell (E, J, 2).
-        entry: the jet of f.
-        steps: as `set_steps` fills them.
-    """
-    for i in range(steps.shape[0]):
-        value = plus(value, times(at(jets, entry, 1 + i), (steps[i, 0], steps[i, 1])))
-    return max(value[0], jets[entry, 0, 0]), min(value[1], jets[entry, 0, 1])
-
-
-@inner
 def _bound_about(
     tape: Tape,
     formula: int,
@@ -257,62 +242,49 @@ def make_room(tape: Tape, size: int) -> Room:
 def bound_all(
     tape: Tape,
     formula: int,
-    low: Floats,
-    high: Floats,
+    cells: tuple[Floats, Floats],
+    points: Floats,
     slopes: Floats,
     is_convex: bool,
 ) -> Floats:
-    """Returns bounds of f + s (x − c) over cells (C,), c their middles; ∞ where f has no value.
+    """Returns bounds of f + s (x − c) over cells (C,); ∞ where f has no value.
 
     Args:
         tape: holds f.
         formula: its number.
-        low: lower ends of the cells (C, L).
-        high: upper ends.
+        cells: their lower and upper ends (C, L).
+        points: c (C, L).
         slopes: s (C, L).
         is_convex: whether f is known to be convex.
     """
+    low, high = cells
     size = low.shape[1]
-    found, work, point = np.empty(len(low)), make_room(tape, size), np.empty(size)
-    ends = np.empty((size, 1, 2))
+    found, work, ends = np.empty(len(low)), make_room(tape, size), np.empty((size, 1, 2))
     for c in range(found.size):
         for i in range(size):
-            point[i] = 0.5 * low[c, i] + 0.5 * high[c, i]
             ends[i, 0, 0] = ends[i, 0, 1] = slopes[c, i]
         cell = low[c], high[c]
-        found[c] = _bound_about(tape, formula, cell, point, ends, is_convex, work)
+        found[c] = _bound_about(tape, formula, cell, points[c], ends, is_convex, work)
     return found
 
 
-@kernel
-def curvatures(over: Floats, size: int) -> Floats:
-    """Returns κ (C, L) with dᵀHd ≥ Σ κ_i d_i² for all H in jets (C, J, 2), by Gershgorin."""
-    found, scales = np.empty((len(over), size)), np.ones(size)
-    for c in range(len(over)):
-        for i in range(size):
-            found[c, i] = curvature(over[c], scales, i)
-    return found
+def may_hold_minima(slopes: Floats, bends: Floats, ends: Floats, outer: Floats) -> Bools:
+    """Returns where f may have a minimum along a variable that is within ends of it (K,).
 
-
-@kernel
-def separable_bound(
-    value: float, slopes: Floats, bends: Floats, point: Floats, box: tuple[Floats, Floats]
-) -> float:
-    """Returns a bound of v + Σ_i (g_i d_i + ½ κ_i d_i²) over a box, d the steps from a point of it.
+    It has none where it rises or falls all over, up to ends that are none of the outer ones, or is
+    concave between others. A finite Hessian says that f has values around them, too.
 
     Args:
-        value: v.
-        slopes: g (n, 2).
-        bends: κ (n,).
-        point: shape (n,).
-        box: lower and upper ends (n,).
+        slopes: ∂f/∂x_i (K, 2).
+        bends: ∂²f/∂x_i² (K, 2).
+        ends: of x_i (2, K).
+        outer: ends that it may have (2, K).
     """
-    steps = np.empty((bends.size, 2))
-    set_steps(point, box[0], box[1], steps)
-    for i in range(bends.size):
-        slope, step = (slopes[i, 0], slopes[i, 1]), (steps[i, 0], steps[i, 1])
-        value = down(value + least_quadratic(slope, bends[i], step))
-    return value
+    at_lower, at_upper = ends == outer
+    falls, rises = (slopes[:, 1] < 0.0) & ~at_upper, (slopes[:, 0] > 0.0) & ~at_lower
+    is_concave = (bends[:, 1] < 0.0) & ~at_lower & ~at_upper
+    is_smooth = np.all(np.isfinite(np.hstack([slopes, bends])), axis=1)
+    return ~(is_smooth & (rises | falls | is_concave))
 
 
 @kernel
@@ -322,19 +294,15 @@ def bound_tables(
     variables: Ints,
     bins: tuple[Ints, Floats, Floats, Floats],
     slopes: Floats,
-    rows: Floats,
 ) -> Floats:
-    """Returns bounds over all cells of formulas' bins, the last variable's bins side by side.
-
-    Of costs, of f + s (x − c); of rows, 0 where one may hold, else ∞.
+    """Returns bounds of f + s (x − c) over all cells of formulas' bins, as tables in C's order.
 
     Args:
         tape: holds the formulas.
         formulas: their numbers (G,).
         variables: those that each reads (G, m).
         bins: the first of each variable (n + 1,); their lower ends, upper ends and points c (K,).
-        slopes: s of each bin of each variable of each formula (S, 2), of costs.
-        rows: lower and upper bounds (2, G) of rows; (2, 0) of costs.
+        slopes: s of each bin of each variable of each formula (S, 2).
     """
     starts, lows, highs, points = bins
     counts, size = np.diff(starts), variables.shape[1]
@@ -352,36 +320,9 @@ def bound_tables(
                 offset -= count
                 each = starts[variables[k, i]] + rest % count
                 low[i], high[i], point[i] = lows[each], highs[each], points[each]
-                if not rows.size:
-                    own[i, 0] = slopes[offset + rest % count]
+                own[i, 0] = slopes[offset + rest % count]
                 rest //= count
-            cell_ends = low, high
-            if rows.size:
-                is_out = _is_excluded(tape, formulas[k], cell_ends, point, rows[:, k], work)
-                found[place] = np.inf if is_out else 0.0
-            else:
-                found[place] = _bound_about(tape, formulas[k], cell_ends, point, own, False, work)
+            found[place] = _bound_about(tape, formulas[k], (low, high), point, own, False, work)
             place += 1
         first += np.sum(counts[variables[k]])
     return found
-
-
-@inner
-def _is_excluded(
-    tape: Tape,
-    formula: int,
-    cell: tuple[Floats, Floats],
-    point: Floats,
-    bounds: Floats,
-    work: Room,
-) -> bool:
-    """Returns whether a row holds nowhere in a cell."""
-    jets, steps = work[0], work[3]
-    end = enclose(tape, formula, point, point, VALUE, jets)
-    value = at(jets, end, 0) if end >= 0 else (-np.inf, np.inf)
-    end = enclose(tape, formula, cell[0], cell[1], GRADIENT, jets)
-    if end < 0:
-        return True
-    set_steps(point, cell[0], cell[1], steps)
-    value = mean_value(value, jets, end, steps)
-    return value[0] > bounds[1] or value[1] < bounds[0]

@@ -105,7 +105,8 @@ class FlightFamily:
             high: upper ends.
             slopes: s (E, m).
         """
-        return bound_all(self.tape, 0, low, high, slopes, self.is_convex)
+        middles = 0.5 * low + 0.5 * high
+        return bound_all(self.tape, 0, (low, high), middles, slopes, self.is_convex)
 
 
 def _flights(

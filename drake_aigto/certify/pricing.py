@@ -15,7 +15,7 @@ _NEAR = 1e-5
 
 
 def with_prices(formulas: Formulas, x: Floats) -> Formulas:
-    """Returns a program whose cost has terms of its rows; it is no larger where these hold.
+    """Returns a program whose rows are terms of its cost, which is no larger where they hold.
 
     On all feasible x, f ≥ f + λ_j (r_j − t_j): of an equality with any λ; of an inequality that is
     at its bound t, with λ (r − t) ≤ 0. Least squares make the Lagrangian's slope at x small.
@@ -30,7 +30,7 @@ def with_prices(formulas: Formulas, x: Floats) -> Formulas:
     points = np.tile(x, (len(sums), 1))
     jets = enclose_all(tape, np.arange(len(sums)), points, points, GRADIENT)
     if not np.all(np.isfinite(jets)):
-        return formulas
+        return replace(formulas, rows=())
     values, gradients = np.mean(jets[1:, 0], axis=-1), np.mean(jets[:, 1:], axis=-1)
     low, high = (np.array([getattr(row, side) for row in rows]) for side in ("lower", "upper"))
     at_low, at_high = _is_at(values, low), _is_at(values, high)
@@ -53,7 +53,7 @@ def with_prices(formulas: Formulas, x: Floats) -> Formulas:
         )
         if price
     )
-    return replace(formulas, summands=(*formulas.summands, *priced))
+    return replace(formulas, summands=(*formulas.summands, *priced), rows=())
 
 
 def _is_at(values: Floats, bounds: Floats) -> Bools:

@@ -124,14 +124,16 @@ class Relaxation:
 
     Args:
         formulas: the program.
+        is_by_width: whether cells are cut along their longest sides, whatever the functions are.
 
     Attributes:
         structure: its columns and rows.
         effort: of one of them, in cells.
     """
 
-    def __init__(self, formulas: Formulas) -> None:
+    def __init__(self, formulas: Formulas, is_by_width: bool = False) -> None:
         """Makes the rows."""
+        self._is_by_width = is_by_width
         self.structure = structure = read_structure(formulas)
         self._lower = np.array([-np.inf, *(row.lower for row in formulas.rows)])
         self._upper = np.array([np.inf, *(row.upper for row in formulas.rows)])
@@ -265,23 +267,26 @@ class Relaxation:
         self, w: Floats, y: Floats, x: Floats, low: Floats, high: Floats
     ) -> tuple[int, float]:
         """Returns the variable that the functions farthest from their columns read, and where."""
-        violations(self.structure, self._cell, w, y, self._scores)
         width = high - low
-        shares = self._reads * np.where(np.isfinite(width), width, 1.0)
-        total = np.sum(shares, axis=1)
-        own = self._scores[self._functions]
-        parts = np.divide(own, total, out=np.zeros_like(total), where=total > 0.0)
-        scores = parts @ shares
-        widest = int(np.argmax(width / self._sides))
-        i = int(np.argmax(scores)) if np.any(scores > 0.0) else widest
-        place = float(middles(low[i : i + 1], high[i : i + 1])[0])
-        if math.isfinite(width[i]):
-            inner = _INNER * width[i]
-            place = min(max(float(x[i]), low[i] + inner), high[i] - inner)
-        if low[i] < place < high[i]:
-            return i, place
-        place = float(middles(low[widest : widest + 1], high[widest : widest + 1])[0])
-        return (widest, place) if low[widest] < place < high[widest] else (-1, place)
+        i = widest = int(np.argmax(width / self._sides))
+        if not self._is_by_width:
+            violations(self.structure, self._cell, w, y, self._scores)
+            shares = self._reads * np.where(np.isfinite(width), width, 1.0)
+            total = np.sum(shares, axis=1)
+            own = self._scores[self._functions]
+            parts = np.divide(own, total, out=np.zeros_like(total), where=total > 0.0)
+            scores = parts @ shares
+            i = int(np.argmax(scores)) if np.any(scores > 0.0) else widest
+            if math.isfinite(width[i]):
+                inner = _INNER * width[i]
+                place = min(max(float(x[i]), low[i] + inner), high[i] - inner)
+                if low[i] < place < high[i]:
+                    return i, place
+        for j in (i, widest):
+            place = float(middles(low[j : j + 1], high[j : j + 1])[0])
+            if low[j] < place < high[j]:
+                return j, place
+        return -1, place
 
 
 def sides_of(formulas: Formulas) -> Floats:

@@ -28,8 +28,9 @@ from drake_aigto.solver.staged import StagedProgram, StagedSearch
 # A local minimum of these is the global one, wherever it is.
 _CONVEX = (ProgramType.kLP, ProgramType.kQP)
 _PROVEN = 1e-6  # of the gap
-# This part of the cells is spent before the search, which may then be over.
-_FIRST_SHARE = 0.1
+# This part of the cells is spent before the search, which may then be over. Of programs with rows
+# and more variables than `_SOME`, it is the second: their cells are large linear programs.
+_FIRST_SHARE, _FIRST_SHARE_OF_MANY, _SOME = 0.1, 0.002, 10
 # At most this number times `starts` parts of the best point are moved, and this is a gain.
 _MOST_PARTS, _GAIN = 5, 1e-7
 # Programs of more variables have too many local minima for a few starts.
@@ -185,7 +186,9 @@ class Solve:
 
     @property
     def _first_cells(self) -> int:
-        return max(1, int(_FIRST_SHARE * self._options.cells))
+        is_large = self._program.nlp.num_rows > 0 and self._asked.size > _SOME
+        share = _FIRST_SHARE_OF_MANY if is_large else _FIRST_SHARE
+        return max(1, int(share * self._options.cells))
 
     @property
     def _is_proof_over(self) -> bool:
