@@ -5,7 +5,8 @@
 What counts was fixed beforehand: objects within 2 cm and 0.1 rad of their goals, in our own
 integration and on Drake's continuous plant. Exits with 1 where a plan misses that. Worlds of MJCFs
 (extra "models") are simulated in MuJoCo, too, with the file's own contact and the plan's feedback:
-what is asked for has to end within 5 cm and 0.3 rad of its goal there.
+what is asked for has to end within 5 cm and 0.3 rad of its goal there, limits that were chosen
+after the first such run.
 """
 
 from __future__ import annotations
