@@ -250,7 +250,8 @@ def test_nothing_is_fetched_and_nothing_is_complained_of(page: Page) -> None:
 
 def test_figures_and_numbers_can_be_seen(page: Page, plan: Plan) -> None:
     widths: Any = page.evaluate("[...document.images].map(image => image.naturalWidth)")
-    assert len(widths) == 3 and min(widths) > 300
+    # Motions, costs of one touch, boxes, and the phase portrait behind a click.
+    assert len(widths) == 4 and min(widths) > 300
     wide = "document.documentElement.scrollWidth <= innerWidth"
     assert page.evaluate(wide), "nothing is beside the window"
     text = page.evaluate("document.body.innerText")

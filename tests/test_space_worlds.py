@@ -175,7 +175,7 @@ def test_a_world_in_space_with_one_contact_is_shown() -> None:
     touch = Touch.bounce(scenario.duration / 2, 0)
     motion = dataclasses.replace(motion, touches=(touch,), impacts=(touch,))
     shown = publish([motion], Meshcat(), world, scenario)
-    assert "puck::rim with pusher::rim" in str(shown.scene)
+    assert "puck with pusher" in str(shown.scene)
     assert shown.beside["title"] == "puck/spin"
 
 
