@@ -198,7 +198,7 @@ class Certifier:
         self._method = Method.SUM if is_feasible else Method.ROWS
         order = _find_order(formulas)
         # Of programs with rows, whose prices are those of the last point with this cost.
-        self._order, self._priced_cost = (order, math.inf) if formulas.rows else (None, math.inf)
+        self._order, self._priced_cost = order if formulas.rows else None, math.inf
         self._floor, self._num_cells = -math.inf, 0
         if is_feasible and order is not None and not formulas.rows:
             self._method = Method.CLIQUES
