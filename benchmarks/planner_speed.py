@@ -4,11 +4,12 @@
 
 On Table I's rows and on random scenarios at N = 200, one thread each, in turns: the planner with
 ``confirm=False`` (ladder, polish, and the replays that rank its candidates), which has planned once
-for other ends, all three changed, and now plans again for these; IPOPT with CasADi's exact Hessian,
-from zero and from random guesses; Drake's IPOPT and SNOPT from zero. These solve the paper's
-literal transcription, contact rows multiplied out, δ = 1e-3 and q ≥ 0, built before; in Drake each
-kind of row is one constraint that all stages share, the fastest form there. Their options are their
-own defaults.
+for other ends, all three changed, and now plans again for these; the same without boxes
+(``ladder=()``), where contact sequences grow out of the uncontrolled motion's; IPOPT with CasADi's
+exact Hessian, from zero and from random guesses; Drake's IPOPT and SNOPT from zero. These solve the
+paper's literal transcription, contact rows multiplied out, δ = 1e-3 and q ≥ 0, built before; in
+Drake each kind of row is one constraint that all stages share, the fastest form there. Their
+options are their own defaults.
 
 Costs are what each method promises, and what a rigid wall makes of its control. Ratios are taken
 scenario by scenario, of medians over the turns; the figures are the medians over the scenarios.
@@ -46,11 +47,14 @@ from drake_aigto.world import Scenario, World
 
 ENDS = ("initial_position", "initial_velocity", "goal_position")
 _MOVED = 1.1  # The first plan's ends, in parts of those that are measured.
-PLAN, CASADI, CASADI_RANDOM = "plan", "CasADi + IPOPT from zero", "CasADi + IPOPT from random"
+PLAN, BOXLESS = "plan", "plan without boxes"
+CASADI, CASADI_RANDOM = "CasADi + IPOPT from zero", "CasADi + IPOPT from random"
 DRAKE_IPOPT, DRAKE_SNOPT = "Drake's IPOPT from zero", "Drake's SNOPT from zero"
-METHODS = (PLAN, CASADI, CASADI_RANDOM, DRAKE_IPOPT, DRAKE_SNOPT)
-# Of a plan's time, at the most.
-AGAINST_CASADI, AGAINST_DRAKE = 0.6, 0.3
+METHODS = (PLAN, BOXLESS, CASADI, CASADI_RANDOM, DRAKE_IPOPT, DRAKE_SNOPT)
+# Of a plan's time without boxes, at the most, and its time [s]; of any plan's.
+AGAINST_CASADI, MOST_SECONDS, AGAINST_DRAKE = 0.35, 5e-3, 0.3
+# Of the costs without boxes and with them, on a rigid wall, and absolute [1].
+_SAME, _NOTHING = 1.0001, 1e-9
 
 
 class Answer(NamedTuple):
@@ -122,19 +126,25 @@ def run_scenario(name: str, scenario: Scenario, arguments: argparse.Namespace) -
     world = World.from_scenario(scenario)
     literal = LiteralTranscription(world, scenario)
     options = PlanOptions(confirm=False, threads=1)
-    planners = [_make_planner(scenario, options, world) for _ in range(arguments.repeats)]
+    kinds = {PLAN: options, BOXLESS: dataclasses.replace(options, ladder=())}
+    planners = {
+        kind: [_make_planner(scenario, each, world) for _ in range(arguments.repeats)]
+        for kind, each in kinds.items()
+    }
     ends = {name: getattr(scenario, name) for name in ENDS}
     zero, generator = np.zeros(literal.prog().num_vars()), np.random.default_rng(arguments.seed)
 
-    def plan() -> Answer:
-        found = planners.pop().plan(**ends)
+    def plan(kind: str) -> Answer:
+        found = planners[kind].pop().plan(**ends)
         return Answer(found.cost, found.trajectory.times, found.trajectory.controls)
 
     def solve(solver: Solver, guess: Floats) -> Answer:
         x, _, _ = solver(guess, False)
         return Answer(literal.scenario_cost(x), literal.GetSampleTimes(), literal.split(x)[2])
 
-    works: dict[str, tuple[int, Callable[[], Answer]]] = {PLAN: (arguments.repeats, plan)}
+    works: dict[str, tuple[int, Callable[[], Answer]]] = {
+        kind: (arguments.repeats, partial(plan, kind)) for kind in kinds
+    }
     if casadi is not None:
         exact = casadi_ipopt(compile_nlp(literal.prog()))
         works[CASADI] = arguments.repeats, partial(solve, exact, zero)
@@ -173,18 +183,27 @@ def tell(name: str, runs: Sequence[Run]) -> None:
 def judge(runs: Sequence[Run], by: str) -> bool:
     """Prints the ratios, and returns whether the figures are reached."""
     print("\nMedians over the scenarios")
+    medians = {}
     for method in dict.fromkeys(run.method for run in runs):
-        ms, cost = (
+        medians[method], cost = (
             float(np.median([getattr(run, field) for run in runs if run.method == method]))
             for field in (f"{by}_seconds", "replayed_cost")
         )
-        print(f"  {method:28}{1e3 * ms:7.1f} ms, on a rigid wall {cost:.1e}")
-    print("A plan's time, as a multiple of")
-    ratios = {method: compare(runs, method, by) for method in METHODS[1:]}
-    for method, spread in ratios.items():
-        if spread is not None:
-            print(f"  {method:28}{spread.show()}")
-    against_casadi, against_drake = ratios[CASADI], ratios[DRAKE_IPOPT]
+        print(f"  {method:28}{1e3 * medians[method]:7.1f} ms, on a rigid wall {cost:.1e}")
+    for kind in (PLAN, BOXLESS):
+        print(f"A {kind}'s time, as a multiple of" if kind == PLAN else "Without boxes, likewise")
+        for method in METHODS[2:]:
+            if spread := compare(runs, kind, method, by):
+                print(f"  {method:28}{spread.show()}")
+    costs = {
+        kind: np.array([run.replayed_cost for run in runs if (run.method, run.turn) == (kind, 0)])
+        for kind in (PLAN, BOXLESS)
+    }
+    same = costs[BOXLESS] <= _SAME * costs[PLAN] + _NOTHING
+    print(f"without boxes at the same cost: {np.sum(same)} of {len(same)}")
+    is_quick = is_met("a plan without boxes [s]", medians[BOXLESS], MOST_SECONDS)
+    against_casadi = compare(runs, BOXLESS, CASADI, by)
+    against_drake = compare(runs, PLAN, DRAKE_IPOPT, by)
     if against_drake is None:
         print("MISSED a plan / Drake's IPOPT: it was not run (--drake 0)")
         met = False
@@ -193,11 +212,12 @@ def judge(runs: Sequence[Run], by: str) -> bool:
     if against_casadi is None:
         print("MISSED a plan / CasADi + IPOPT: CasADi is not installed (the extra `bench`)")
         return False
-    return is_met("a plan / CasADi + IPOPT", against_casadi.median, AGAINST_CASADI) and met
+    ratio = against_casadi.median
+    return is_met("without boxes / CasADi + IPOPT", ratio, AGAINST_CASADI) and met and is_quick
 
 
-def compare(runs: Sequence[Run], method: str, by: str) -> Spread | None:
-    """Returns the planner's time over a method's, over the scenarios; None if it never ran."""
+def compare(runs: Sequence[Run], kind: str, method: str, by: str) -> Spread | None:
+    """Returns a plan's time over a method's, over the scenarios; None if it never ran."""
     ratios = []
     for scenario in dict.fromkeys(run.scenario for run in runs):
         ours, theirs = (
@@ -206,7 +226,7 @@ def compare(runs: Sequence[Run], method: str, by: str) -> Spread | None:
                 for run in runs
                 if (run.scenario, run.method) == (scenario, each)
             ]
-            for each in (PLAN, method)
+            for each in (kind, method)
         )
         if theirs:
             ratios.append(float(np.median(ours) / np.median(theirs)))

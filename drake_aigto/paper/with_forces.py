@@ -102,8 +102,8 @@ class ForceVariables(Transcription):
         """Returns where p is among all decision variables, knot by knot, shape (N m,)."""
         return self._p.ravel()
 
-    def _box(self, positions: Floats, velocities: Floats, shares: Floats) -> tuple[Floats, Floats]:
-        center, half_width = super()._box(positions, velocities, shares)
+    def _box(self, center: Floats, shares: Floats) -> tuple[Floats, Floats]:
+        center, half_width = super()._box(center, shares)
         turned = 4 * self.inertia() * self.length_scale() / self.scenario.duration
         sizes = self.impulse_width * turned * shares[:-1]
         half_width[self.impulse_indices()] = np.repeat(sizes, self.world.num_contacts)

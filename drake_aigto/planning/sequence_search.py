@@ -104,7 +104,7 @@ class SequenceSearch(Search):
 
     def _close_at_once(self, wave: Sequence[Proposal]) -> Iterable[Any]:
         """Yields the result of each proposal; of interrupted ones, the best so far."""
-        most = self.task.num_threads
+        most = self.task.num_threads if len(wave) > 1 else 1
         for first in range(0, len(wave), most):
             at_once = wave[first : first + most]
             for each in at_once:

@@ -150,10 +150,18 @@ class Transcription(OpenProgram):
         braking), cut to the program's bounds.
         Variables that the program fixes get half width 0.
         """
-        scenario = self.scenario
-        q0, goal = scenario.initial_position, scenario.goal_position
+        return self._box(self.straight_line(), np.ones(self.num_samples()))
+
+    def straight_line(self) -> Floats:
+        """Returns all decision variables on the straight line from start to goal, not controlled.
+
+        They need no program, as the program's bounds do.
+        """
+        q0, goal = self.scenario.initial_position, self.scenario.goal_position
         path = np.linspace(q0, goal, self.num_samples())
-        return self._box(path, (goal - q0) / scenario.duration, np.ones(self.num_samples()))
+        velocities = np.tile((goal - q0) / self.scenario.duration, (len(path), 1))
+        velocities[0] = self.scenario.initial_velocity
+        return self.vector_of(path, velocities, np.zeros(self._u.shape))
 
     def box_around(
         self, positions: Floats, velocities: Floats, share: float
@@ -165,13 +173,13 @@ class Transcription(OpenProgram):
         (N+1, nq) [m] and velocities (N+1, nv) [m/s] are those at the knots.
         """
         grown = np.maximum(np.linspace(0, 1, self.num_samples()) ** 2, _LEAST_GROWN)
-        return self._box(positions, velocities, share * grown)
+        center = self.vector_of(positions, velocities, np.zeros(self._u.shape))
+        return self._box(center, share * grown)
 
-    def _box(self, positions: Floats, velocities: Floats, shares: Floats) -> tuple[Floats, Floats]:
+    def _box(self, center: Floats, shares: Floats) -> tuple[Floats, Floats]:
         """Returns center and half width, the latter times a share at each knot, within bounds."""
         q0, T = self.scenario.initial_position, self.scenario.duration
         length, inertia = self.length_scale(), self.inertia()
-        center = self.vector_of(positions, velocities, np.zeros(self._u.shape))
         reach = length * np.sum(np.abs(self.world.calc_contact_jacobian(q0)), axis=1)
         column = shares[:, np.newaxis]
         half_width = self._join(

@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
@@ -293,7 +293,7 @@ class Scenario(ModelFields):
         """Whether the task is AIGTO's: weights on ‖u‖² and on ‖q(T) − goal_position‖² alone."""
         return not self.extras
 
-    @property
+    @cached_property
     def extras(self) -> tuple[str, ...]:
         """The fields that ask for more than a plain task does."""
         values = self.__dict__

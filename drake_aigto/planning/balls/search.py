@@ -56,6 +56,7 @@ class BallSearch(BranchingSearch):
         super().__init__(task, clock)
         self._num_steps = task.num_steps
         self._least_flight_cost = task.least_flight_cost
+        self._line = task.transcription.straight_line()
         self._left_out: tuple[Origin, Floats] | None = None  # A flight's.
         # Arguments of `add` whose polish failed.
         self._given_up: list[tuple[Origin, Shown]] = []
@@ -236,7 +237,7 @@ class BallSearch(BranchingSearch):
             touches = read_touches_of(self.task.transcription.world, self.guess)
             path = self.guess.times, self.guess.positions
             if self.task.fits(touches):
-                yield [propose(Origin(GIVEN), Shown(self.task.box.center, touches, path))]
+                yield [propose(Origin(GIVEN), Shown(self._line, touches, path))]
         yield from super().propose()
         has_plan = any(each.is_feasible and each.is_confirmed for each in self.by_sequence.values())
         patient = self.task.patient
@@ -262,7 +263,7 @@ class BallSearch(BranchingSearch):
             is_left_out = has_boxes and self.task.unfolds  # Boxes around it are a rung.
             if is_possible and not is_left_out and not self.is_known(sequence):
                 path = coast.times, coast.positions
-                shown = Shown(self.task.box.center, sequence, path)
+                shown = Shown(self._line, sequence, path)
                 yield [propose(Origin(COASTING), shown)]
 
     def improve(self, sequence: TouchSequence) -> None:
