@@ -1,6 +1,8 @@
-"""Sphinx: pages in Markdown, and the API from the docstrings.
+"""Sphinx: pages in Markdown, the notebooks executed, and the API from the docstrings.
 
 sphinx-build -W -b html docs build/docs
+
+A notebook that fails ends the build; with `-D nb_execution_mode=off` none is executed.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ project = "drake_aigto"
 author = "The drake_aigto developers"
 release = drake_aigto.__version__
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.mathjax",
@@ -30,6 +32,12 @@ html_static_path = ["static"]
 html_css_files = ["wide.css"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
+
+# Notebooks are pages, each executed in its own folder, again whenever it is built.
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 600  # [s] for a cell
+nb_merge_streams = True
 
 # Of what docstrings write in backquotes, public names become links.
 default_role = "autolink"
