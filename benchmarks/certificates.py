@@ -1,7 +1,7 @@
 """Lower bounds: how near they come, how long they take, and whether any is above what is known.
 
     python -m benchmarks.certificates [--chains 50 170 1000 10000] [--univariate 1000]
-        [--programs 10000] [--scenarios 500] [--worlds 100]
+        [--programs 10000] [--scenarios 500] [--worlds 100] [--workers 1] [--keep FILE]
 
 Chains, polynomials and test functions are solved with `AigoOptions(certify=True)`, and their bounds
 held against exact optima; those of random programs, after a random number of cells, against the
@@ -16,6 +16,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from benchmarks.collections.constrained_programs import constrained_problems
 from benchmarks.collections.global_functions import global_problems, random_univariate
 from benchmarks.collections.known_optimum import ConstrainedProblem, GlobalProblem
 from benchmarks.optima import ContactOptimum
-from benchmarks.script import machine, read_flags
+from benchmarks.script import machine, read_flags, run_as, run_jobs
 from benchmarks.worlds import WORLDS
 from drake_aigto.arrays import Floats
 from drake_aigto.certify import bound_plans, certify
@@ -41,16 +42,19 @@ LOSSY = (0.8, 0.5)
 FEW = 4  # variables of the test functions
 PERMITTED = 10.0  # seconds of one of them
 SAMPLES = 10_000
+PART = 1000  # random programs at a time
 # Known optima are themselves rounded by this part of their size, or of 1.
 ROUNDING = 1e-9
 
 SOLVER = AigoSolver(AigoOptions(certify=True))
 
+# A line to print, and how many bounds are wrong.
+Found = tuple[str, int]
+
 
 def main() -> None:
     arguments = read_flags(
         __doc__,
-        workers=None,
         chains=((50, 170, 1000, 10000), ""),
         univariate=(1000, "polynomials"),
         programs=(10000, "random programs"),
@@ -59,19 +63,35 @@ def main() -> None:
         lossy=(25, "corridors of each restitution below 1"),
     )
     print(machine(), flush=True)
-    warm_up()
-    wrong = sum(chain(n) for n in arguments.chains)
-    wrong += univariate(arguments.univariate)
-    wrong += few_variables()
-    wrong += constrained()
-    wrong += random_programs(arguments.programs)
-    wrong += one_wall(arguments.scenarios)
-    for name in ("corridor", "room", "floor", "two_masses"):
-        wrong += world(name, arguments.worlds)
-    wrong += sum(world("corridor", arguments.lossy, e) for e in LOSSY)
+    worlds = ("corridor", "room", "floor", "two_masses")
+    parts = range(0, arguments.programs, PART)
+    jobs: list[tuple[Any, ...]] = [
+        *(("chain", n) for n in arguments.chains),
+        ("univariate", arguments.univariate),
+        ("few_variables",),
+        ("constrained",),
+        *(("random_programs", min(PART, arguments.programs - first), first) for first in parts),
+        ("one_wall", arguments.scenarios),
+        *(("world", name, arguments.worlds) for name in worlds),
+        *(("world", "corridor", arguments.lossy, e) for e in LOSSY),
+    ]
+    wrong = 0
+    for _, future in run_jobs(run, jobs, arguments):
+        line, above = future.result()
+        print(line, flush=True)
+        wrong += above
     print(f"bounds that were wrong, in all: {wrong}")
 
 
+def run(job: tuple[Any, ...]) -> Found:
+    """Measures one thing: the name of a function here, and what it is called with."""
+    warm_up()
+    name, *arguments = job
+    found: Found = globals()[name](*arguments)
+    return found
+
+
+@cache
 def warm_up() -> None:
     """Has machine code compiled or loaded."""
     constrained = next(each for each in constrained_problems() if each.num_variables == 2)
@@ -79,8 +99,8 @@ def warm_up() -> None:
         SOLVER.Solve(prog)
 
 
-def chain(n: int) -> int:
-    """Prints AIGO's family at one size, and returns how many bounds are wrong."""
+def chain(n: int) -> Found:
+    """Solves one of AIGO's family at one size."""
     problem = chain_problem(n, 100)
     prog, least = problem.prog(), problem.evaluate(exact_chain_minimum(problem))
     start = time.process_time()
@@ -88,20 +108,19 @@ def chain(n: int) -> int:
     seconds = time.process_time() - start
     details: AigoDetails = result.get_solver_details()
     above = (result.get_optimal_cost() - least) / abs(least)
-    print(
+    line = (
         f"chain n = {n:5}  {seconds:6.2f} s  {details.status.name:7} gap {details.gap:.1e}  "
-        f"answer {above:.1e} above the optimum  boxes {details.boxes}",
-        flush=True,
+        f"answer {above:.1e} above the optimum  boxes {details.boxes}"
     )
-    return is_wrong(details.lower_bound, least)
+    return line, is_wrong(details.lower_bound, least)
 
 
 def is_wrong(bound: float, least: float) -> int:
     return int(bound > least + ROUNDING * max(1.0, abs(least)))
 
 
-def univariate(count: int) -> int:
-    """Prints how many polynomials of one variable are proven, and what the bound takes."""
+def univariate(count: int) -> Found:
+    """Counts how many polynomials of one variable are proven, and times the bound."""
     proven, wrong, seconds = 0, 0, []
     for number in range(count):
         problem = random_univariate(DEGREES[number % len(DEGREES)], number)
@@ -113,26 +132,25 @@ def univariate(count: int) -> int:
         start = time.process_time()
         certify(prog, result.GetSolution())
         seconds.append(time.process_time() - start)
-    print(
+    line = (
         f"polynomials of one variable: {proven} of {count} proven; the bound takes "
-        f"{1e3 * np.median(seconds):.2f} ms, at most {1e3 * max(seconds, default=0.0):.2f} ms",
-        flush=True,
+        f"{1e3 * np.median(seconds):.2f} ms, at most {1e3 * max(seconds, default=0.0):.2f} ms"
     )
-    return wrong
+    return line, wrong
 
 
-def few_variables() -> int:
+def few_variables() -> Found:
     few = [problem for problem in global_problems() if problem.num_variables <= FEW]
     return _solve_all(f"test functions of up to {FEW} variables", few)
 
 
-def constrained() -> int:
+def constrained() -> Found:
     few = [problem for problem in constrained_problems() if problem.num_variables <= 3]
     return _solve_all("constrained programs of up to 3 variables", few)
 
 
-def _solve_all(name: str, problems: Sequence[GlobalProblem | ConstrainedProblem]) -> int:
-    """Prints how many problems are proven in time."""
+def _solve_all(name: str, problems: Sequence[GlobalProblem | ConstrainedProblem]) -> Found:
+    """Counts how many problems are proven in time."""
     proven, wrong, seconds, left = 0, 0, [], []
     for problem in problems:
         start = time.process_time()
@@ -143,25 +161,24 @@ def _solve_all(name: str, problems: Sequence[GlobalProblem | ConstrainedProblem]
         else:
             left.append(f"{problem.name} {details.gap:.0e}")
         wrong += is_wrong(details.lower_bound, problem.minimum)
-    print(
+    line = (
         f"{name}: {proven} of {len(seconds)} proven in {PERMITTED:g} s; median "
         f"{1e3 * np.median(seconds):.0f} ms, at most {max(seconds):.2f} s; gaps left: "
-        f"{', '.join(left) or 'none'}",
-        flush=True,
+        f"{', '.join(left) or 'none'}"
     )
-    return wrong
+    return line, wrong
 
 
-def random_programs(count: int) -> int:
-    """Prints in how many random programs a bound is above the best value of random points."""
-    generator = np.random.default_rng(0)
+def random_programs(count: int, seed: int) -> Found:
+    """Counts in how many random programs a bound is above the best value of random points."""
+    generator = np.random.default_rng(seed)
     wrong = 0
     for _ in range(count):
         draw = RandomProgram.draw(generator)
         bound = certify(draw.prog(), cells=int(generator.integers(1, 300))).lower_bound
         wrong += bound > draw.best_value(generator)
-    print(f"random programs: {wrong} of {count} bounds above the best known value", flush=True)
-    return wrong
+    line = f"random programs, from {seed} on: {wrong} of {count} bounds above the best known value"
+    return line, wrong
 
 
 @dataclass(frozen=True)
@@ -225,7 +242,7 @@ class RandomProgram:
         return float(np.min(values, initial=np.inf))
 
 
-def one_wall(count: int) -> int:
+def one_wall(count: int) -> Found:
     return _bound_all("one wall, every e", draw_one_wall(count), 1e-3, rigid_optimum)
 
 
@@ -240,8 +257,8 @@ def draw_one_wall(count: int) -> Iterator[Scenario]:
         )
 
 
-def world(name: str, count: int, restitution: float | None = None) -> int:
-    """Prints how near bounds are in a world, perhaps with another restitution."""
+def world(name: str, count: int, restitution: float | None = None) -> Found:
+    """Measures how near bounds are in a world, perhaps with another restitution."""
     study, scenarios = WORLDS[name], WORLDS[name].draw(count, 2026)
     if restitution is not None:
         name = f"{name}, e = {restitution:g}"
@@ -254,8 +271,8 @@ def _bound_all(
     scenarios: Iterator[Scenario],
     enough: float,
     optimum: Callable[[World, Scenario], RigidOptimum | ContactOptimum],
-) -> int:
-    """Prints how near bounds of plans are to the exact optima."""
+) -> Found:
+    """Measures how near bounds of plans are to the exact optima."""
     near, wrong, seconds = 0, 0, []
     for scenario in scenarios:
         place = World.from_scenario(scenario)
@@ -269,13 +286,12 @@ def _bound_all(
         dear = bound_plans(place, scenario, 1.1 * least + 1e-3 * bound.scale)
         low = dear.lower_bound or 0.0
         wrong += low > least + ROUNDING * max(least, bound.scale)
-    print(
+    line = (
         f"{name}: {near} of {len(seconds)} within {enough:g}; median "
-        f"{1e3 * np.median(seconds):.1f} ms, at most {1e3 * max(seconds, default=0.0):.1f} ms",
-        flush=True,
+        f"{1e3 * np.median(seconds):.1f} ms, at most {1e3 * max(seconds, default=0.0):.1f} ms"
     )
-    return wrong
+    return line, wrong
 
 
 if __name__ == "__main__":
-    main()
+    run_as("benchmarks.certificates")

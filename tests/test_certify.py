@@ -264,6 +264,56 @@ def test_that_coupled_rows_contradict_each_other_is_proven() -> None:
     assert certify(prog).is_infeasible
 
 
+@pytest.mark.parametrize(
+    ("make", "feasible"), [(on_a_circle, [1.0, 0.0]), (hs66, [0.0, 1.0, 2.72])]
+)
+def test_a_proof_finds_the_points_that_end_it(
+    make: Callable[[], Any], feasible: list[float]
+) -> None:
+    prog, least = make()
+    for point in (None, feasible):
+        found = certify(prog, point)
+        assert found.gap <= 1e-6
+        assert found.cells < 2000
+        assert least - 1e-5 <= found.lower_bound <= least
+        assert prog.CheckSatisfied(prog.GetAllConstraints(), found.best, 1.001e-6)
+
+
+def test_an_answer_that_a_known_bound_proves_ends_the_search() -> None:
+    """A sum of squares is 0 at least: no cells are spent on it until a point is found."""
+    prog, x = box(4, -5.0, 5.0)
+    rng = np.random.default_rng(0)
+    roots = rng.uniform(-4.0, 4.0, 4)
+    for k in range(1, 5):
+        add_cost(
+            prog,
+            sum(a * (own**k - r**k) for a, own, r in zip(rng.normal(size=4), x, roots, strict=True))
+            ** 2,
+        )
+    details = AigoSolver(CERTIFY).Solve(prog).get_solver_details()
+    assert details.status == AigoStatus.PROVEN
+    assert details.certificate.cells < 20_000
+
+
+def test_a_program_of_many_variables_is_bounded_at_once() -> None:
+    prog, x = box(60, -1.0, 2.0)
+    for i, own in enumerate(x):
+        others = sum((other * (1.0 + other) for other in x[max(0, i - 5) : i]), 0.0)
+        add_cost(prog, (own * (2.0 + 5.0 * own**2) + 1.0 - others) ** 2)
+    start = time.process_time()
+    assert certify(prog, cells=1).lower_bound == 0.0
+    assert time.process_time() - start < 5.0
+
+
+def test_what_may_be_better_is_told_when_cells_are_used_up() -> None:
+    found = certify(long_proof(), np.zeros(7), cells=300)
+    assert found.reason == (
+        f"the cells allowed were used up; those with bounds from {found.lower_bound:.6g} on may "
+        f"hold a point that is better than the one of cost {found.best_cost:.6g}"
+    )
+    assert found.lower_bound < found.best_cost - 1e-6
+
+
 def long_proof() -> MathematicalProgram:
     """Returns a program of many cells: all of seven waves are coupled."""
     prog, x = box(7, -1.0, 2.0)
@@ -321,6 +371,11 @@ def test_what_has_no_bound_is_refused_by_name() -> None:
     prog, x = program(lambda x: x, 1)
     prog.NewBinaryVariables(1, "flag")
     with pytest.raises(UnsupportedTermError, match=re.escape("flag(0) can't be solved for")):
+        certify(prog)
+    prog, x = program(lambda x: x, 1)
+    (bounds,) = prog.bounding_box_constraints()
+    bounds.evaluator().UpdateLowerBound(np.array([math.nan]))
+    with pytest.raises(UnsupportedTermError, match=re.escape("got the bounds [nan, 2]")):
         certify(prog)
 
 

@@ -9,16 +9,20 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.certify.enclosures import HESSIAN, SumOfFormulas, enclose_all
+from drake_aigto.certify.enclosures import HESSIAN, VALUE, SumOfFormulas, enclose_all
 from drake_aigto.certify.expansions import bound_all, may_hold_minima, middles
 from drake_aigto.certify.formulas import Formulas, formula_of, make_tape
-from drake_aigto.certify.relaxation import Relaxation
+from drake_aigto.certify.relaxation import Relaxation, sides_of
 
 _MOST_OPEN = 400_000  # cells
 _BATCH = 4  # this part of the open cells is cut at once, and at least this number
 _MOST_CELLS = 500  # between two reports of progress and looks at the clock
 _MOST_AT_ONCE = 250
-_MOST_BENT = 10  # variables of programs without rows whose cells are bounded by Hessians
+# Variables of programs without rows whose cells are bounded by Hessians, and by these alone.
+_MOST_BENT, _FEW_BENT = 10, 2
+_MOST_ROUNDS = 4  # over all sides of the whole
+_SPENT = 0.1  # of a side: a round over all sides that cuts off less is the last one
+_MOST_OF_ROUND = 5000  # cells
 
 
 class OpenCells(NamedTuple):
@@ -101,7 +105,7 @@ class CellSearch(BoundSearch):
     """Branch and bound over cells of a program, which may be gone on with.
 
     A cell is narrowed by its rows and the best value, and bounded by a linear relaxation; without
-    rows, and of few variables, first by an expansion about the best point.
+    rows, and of few variables, first by an expansion about the best point, or by that alone.
 
     An interruption leaves what is known in order: cells that are taken away, and what became of
     them, are changed at once.
@@ -119,7 +123,9 @@ class CellSearch(BoundSearch):
         super().__init__(cost, middles(*self._outer), margin)
         self._is_free = not formulas.rows
         self._is_bent = self._is_free and size <= _MOST_BENT
-        self._relaxation = Relaxation(formulas, is_by_width=self._is_bent)
+        is_small = self._is_free and size <= _FEW_BENT
+        self._relaxation = None if is_small else Relaxation(formulas)
+        self._sides, self._rounds = sides_of(formulas), _MOST_ROUNDS
         self._settled = math.inf  # least bound of parts that were left alone
         low, high = self._outer[:, None].copy()
         self._open = OpenCells(low, high, np.array([-np.inf]), np.array([-1]), np.zeros(1))
@@ -127,9 +133,9 @@ class CellSearch(BoundSearch):
     def run(self, count: int, scale: float) -> bool:
         """Cuts cells."""
         end, self._scale = self.num_cells + min(count, _MOST_CELLS), scale
-        if self.num_cells == 0:
-            self.num_cells = 1
-            self._open = self._whole()
+        if self._rounds:
+            self._tighten()
+            return True
         while self.num_cells < end:
             # What holds nothing better, or cannot be cut, is left alone.
             is_over = (self._open.bounds > self.enough(self.least, scale)) | (self._open.cuts < 0)
@@ -146,13 +152,24 @@ class CellSearch(BoundSearch):
         """Takes note that what is left alone has this bound."""
         self._settled = min(self._settled, bound)
 
-    def _whole(self) -> OpenCells:
-        """Returns the whole box, narrowed by linear programs."""
-        whole = self._open
-        self._settle(self.least)
-        if not self._relaxation.tighten(whole.low[0], whole.high[0], self.least):
-            return whole.some(np.zeros(1, dtype=bool))
-        return self._bounded(whole)
+    def _tighten(self) -> None:
+        """Narrows the whole box by linear programs, once around, and bounds it after the last."""
+        whole, relaxation = self._open, self._relaxation
+        low, high = whole.low[0], whole.high[0]
+        before = high - low
+        count = 2 * int(np.count_nonzero(before)) * relaxation.effort if relaxation else 0
+        self.num_cells += 1
+        rounds = 0
+        if relaxation and count <= _MOST_OF_ROUND:
+            self.num_cells += count
+            self._settle(self.least)
+            if not relaxation.tighten(low, high, self.least):
+                self._rounds, self._open = 0, whole.some(np.zeros(1, dtype=bool))
+                return
+            with np.errstate(invalid="ignore"):
+                is_shorter = bool(np.any(before - (high - low) > _SPENT * before))
+            rounds = self._rounds - 1 if is_shorter else 0
+        self._rounds, self._open = rounds, whole if rounds else self._bounded(whole)
 
     def _cut(self, count: int) -> None:
         """Cuts the lowest cells in two."""
@@ -166,21 +183,37 @@ class CellSearch(BoundSearch):
 
     def _bounded(self, cells: OpenCells) -> OpenCells:
         """Returns the cells that may hold a minimizer, narrowed, with bounds and cuts."""
-        low, high, bounds, cuts, places = cells
+        cells.cuts[:] = -1
         self._settle(self.least)
         if self._is_bent:
             self._expand(cells)
+        if self._relaxation is not None:
+            self._relax(self._relaxation, cells)
+        self._cut_widest(cells)
+        return cells.some(cells.bounds < np.inf)
+
+    def _relax(self, relaxation: Relaxation, cells: OpenCells) -> None:
+        """Raises bounds by linear relaxations, and narrows cells by them."""
+        low, high, bounds, cuts, places = cells
         lowest, enough = np.inf, self.enough(self.least, self._scale)
         for c in np.flatnonzero(bounds <= enough):
-            found = self._relaxation.bound(low[c], high[c], self.least)
-            self.num_cells += self._relaxation.effort
+            found = relaxation.bound(low[c], high[c], self.least)
+            self.num_cells += relaxation.effort
             bounds[c] = max(bounds[c], found.bound)
             if bounds[c] < lowest:
                 lowest, self.lowest_point = bounds[c], found.x
-            cuts[c], places[c] = found.cut
+            if not self._is_bent:
+                cuts[c], places[c] = found.cut
             if self._is_free:
                 self.offer(found.x, self.value(found.x))
-        return cells.some(cells.bounds < np.inf)
+
+    def _cut_widest(self, cells: OpenCells) -> None:
+        """Has cells without a cut be cut in the middle of their longest side, if it has one."""
+        alone = np.flatnonzero(cells.cuts < 0)
+        low, high = cells.low[alone], cells.high[alone]
+        own = np.arange(alone.size), np.argmax((high - low) / self._sides, axis=1)
+        places = cells.places[alone] = middles(low[own], high[own])
+        cells.cuts[alone] = np.where((low[own] < places) & (places < high[own]), own[1], -1)
 
     def _expand(self, cells: OpenCells) -> None:
         """Raises bounds by expansions about the best point where that is near, else the middle.
@@ -200,6 +233,8 @@ class CellSearch(BoundSearch):
         points = np.where(is_near[:, None], np.clip(self.best, low, high), centers)
         found = bound_all(self._tape, 0, (low, high), points, np.zeros_like(low), False)
         np.maximum(bounds, found, out=bounds)
+        values = enclose_all(self._tape, formulas, points, points, VALUE)[:, 0, 1]
+        self.offer(points[(best := np.argmin(values))], float(values[best]))
 
     @property
     def is_over(self) -> bool:

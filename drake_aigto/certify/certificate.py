@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import functools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -17,9 +18,10 @@ from drake_aigto.arrays import Floats
 from drake_aigto.certify.cells import CellSearch
 from drake_aigto.certify.cliques import MOST_VARIABLES, CliqueSearch, elimination
 from drake_aigto.certify.conflicts import narrowed
-from drake_aigto.certify.enclosures import SumOfFormulas
+from drake_aigto.certify.enclosures import VALUE, SumOfFormulas, enclose_all
 from drake_aigto.certify.formulas import (
     Formulas,
+    Tape,
     formula_of,
     make_tape,
     read_formulas,
@@ -41,6 +43,7 @@ _SOON = 2.0  # seconds from one line of progress to the next
 _LEAST_SCALE = 1e-290
 # Cells are settled at this part of the required gap.
 _MARGIN = 0.5
+_TOLERANCE = 1e-6  # of rows, at points that are found
 
 
 class Method(enum.Enum):
@@ -63,7 +66,8 @@ class Certificate:
 
     Attributes:
         lower_bound: of the cost; −∞ if none was found, ∞ if there is no feasible point.
-        best_cost: the least cost of a feasible point that was given or found; ∞ if there is none.
+        best_cost: the least cost of a point that was given, or found to meet rows to 1e-6; ∞ if
+            there is none.
         best: that point, shape (n,).
         scale: the gap is relative to the best cost, or to this where that is less in size.
         method: how it was found.
@@ -144,7 +148,7 @@ def certify(
     if known is not None:
         certifier.offer(known)
     try:
-        return certifier.run(cells)
+        return certifier.run(cells, certifier.check)
     except KeyboardInterrupt:
         return replace(certifier.certificate(), reason="interrupted: this is the bound so far")
 
@@ -221,6 +225,20 @@ class Certifier:
             self._best, self._best_cost = x, value
         if self._search is not None:
             self._search.offer(x, value)
+
+    @functools.cached_property
+    def _row_tape(self) -> Tape:
+        everything = range(self._asked.lower.size)
+        return make_tape(formula_of((row,), everything) for row in self._asked.rows)
+
+    def check(self, x: Floats) -> Floats | None:
+        """Returns a point if it meets all rows to 1e-6, else None."""
+        rows = np.arange(len(self._asked.rows))
+        points = np.tile(x, (rows.size, 1))
+        found = enclose_all(self._row_tape, rows, points, points, VALUE)[:, 0]
+        low, high = self._asked.row_bounds
+        is_met = (found[:, 0] >= low - _TOLERANCE) & (found[:, 1] <= high + _TOLERANCE)
+        return x if np.all(is_met & np.isfinite(found[:, 1])) else None
 
     def run(self, cells: int, improve: Improve = lambda _: None) -> Certificate:
         """Bounds more cells, and returns the bound so far.

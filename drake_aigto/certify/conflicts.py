@@ -26,9 +26,9 @@ Rows = tuple[BoundedFormula, ...]
 
 def narrowed(formulas: Formulas) -> tuple[Formulas, bool]:
     """Returns formulas with bounds that rows leave something of, and whether they leave any."""
-    lower, upper, rows = formulas.lower.copy(), formulas.upper.copy(), formulas.rows
-    joint = join([(row,) for row in rows], lower.size)
-    low, high = (np.array([getattr(row, side) for row in rows]) for side in ("lower", "upper"))
+    lower, upper = formulas.lower.copy(), formulas.upper.copy()
+    joint = join([(row,) for row in formulas.rows], lower.size)
+    low, high = formulas.row_bounds
     is_left = bool(np.all(lower <= upper))
     is_left = is_left and bool(contract_all(joint, low, high, lower[None], upper[None])[0])
     return (replace(formulas, lower=lower, upper=upper) if is_left else formulas), is_left

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -161,6 +162,12 @@ class Formulas:
     lower: Floats
     upper: Floats
 
+    @property
+    def row_bounds(self) -> tuple[Floats, Floats]:
+        """Lower and upper bounds of the rows (R,)."""
+        low, high = ([getattr(row, side) for row in self.rows] for side in ("lower", "upper"))
+        return np.array(low, dtype=float), np.array(high, dtype=float)
+
     def groups(self) -> dict[tuple[int, ...], list[Summand]]:
         """Returns the summands by the variables that they read."""
         found: dict[tuple[int, ...], list[Summand]] = {}
@@ -173,8 +180,8 @@ def read_formulas(prog: MathematicalProgram) -> Formulas:
     """Returns the formulas of a program.
 
     Raises:
-        UnsupportedTermError: a cost or a row has no formula that Drake gives back, or a variable is
-            not continuous.
+        UnsupportedTermError: a cost or a row has no formula that Drake gives back, a variable is
+            not continuous, or a bound is NaN.
     """
     check_continuous(prog)
     index = {variable.get_id(): i for i, variable in enumerate(prog.decision_variables())}
@@ -194,6 +201,16 @@ def read_formulas(prog: MathematicalProgram) -> Formulas:
         for formula, low, high in zip(formulas, *(b.tolist() for b in bounds), strict=True):
             rows.append(BoundedFormula(binding, formula, own, _read(formula, own), low, high))
     names = tuple(variable.get_name() for variable in prog.decision_variables())
+    of_variables = zip(names, lower.tolist(), upper.tolist(), strict=True)
+    of_rows = ((evaluator_label(row.binding), row.lower, row.upper) for row in rows)
+    for name, low, high in itertools.chain(of_variables, of_rows):
+        if math.isnan(low) or math.isnan(high):
+            raise UnsupportedTermError(
+                f"{name} can't be bounded",
+                got=f"the bounds [{low:g}, {high:g}]",
+                expected="numbers",
+                remedy="Look for a parameter that was not set.",
+            )
     return Formulas(names, tuple(summands), tuple(rows), lower, upper)
 
 

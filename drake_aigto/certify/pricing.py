@@ -32,7 +32,7 @@ def with_prices(formulas: Formulas, x: Floats) -> Formulas:
     if not np.all(np.isfinite(jets)):
         return replace(formulas, rows=())
     values, gradients = np.mean(jets[1:, 0], axis=-1), np.mean(jets[:, 1:], axis=-1)
-    low, high = (np.array([getattr(row, side) for row in rows]) for side in ("lower", "upper"))
+    low, high = formulas.row_bounds
     at_low, at_high = _is_at(values, low), _is_at(values, high)
     active = at_low | at_high
     free = ~(_is_at(x, formulas.lower) | _is_at(x, formulas.upper))

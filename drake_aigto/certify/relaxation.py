@@ -31,9 +31,7 @@ _LEAVES = (Operation.NUMBER, Operation.VARIABLE)
 _SUMS = (Operation.ADD, Operation.SHIFT, Operation.SCALE)
 _OF_TWO = (Operation.MULTIPLY, Operation.MAX, Operation.MIN)
 _MOST_ITERATIONS = 2000
-_MOST_ROUNDS = 4  # over all sides
 _INNER = 0.2  # A side is cut at no less than this part of it.
-_SPENT = 0.1  # of a side: a round over all sides that cuts off less is the last one
 # Beyond it the dual simplex of HiGHS may go on for ever from the basis of another cell.
 _LARGE = 1e15
 
@@ -124,19 +122,17 @@ class Relaxation:
 
     Args:
         formulas: the program.
-        is_by_width: whether cells are cut along their longest sides, whatever the functions are.
 
     Attributes:
         structure: its columns and rows.
         effort: of one of them, in cells.
     """
 
-    def __init__(self, formulas: Formulas, is_by_width: bool = False) -> None:
+    def __init__(self, formulas: Formulas) -> None:
         """Makes the rows."""
-        self._is_by_width = is_by_width
         self.structure = structure = read_structure(formulas)
-        self._lower = np.array([-np.inf, *(row.lower for row in formulas.rows)])
-        self._upper = np.array([np.inf, *(row.upper for row in formulas.rows)])
+        low, high = formulas.row_bounds
+        self._lower, self._upper = np.append(-np.inf, low), np.append(np.inf, high)
         size, num_columns = formulas.lower.size, structure.first.size - 1
         self._cell = LinearProgram(
             structure.values.copy(),
@@ -151,7 +147,6 @@ class Relaxation:
         self._reads = _readers(structure, size)[self._functions]
         self._starts = structure.starts.astype(np.int32)
         self._columns = structure.columns.astype(np.int32)
-        self._sides = sides_of(formulas)
         self._integrality = np.zeros(num_columns, dtype=np.int32)
         # SciPy's own binding: `linprog` takes fifteen times as long for programs of this size. It
         # takes a while to load, and most who plan need no bounds.
@@ -198,19 +193,14 @@ class Relaxation:
 
     def tighten(self, low: Floats, high: Floats, cutoff: float) -> bool:
         """Narrows a cell, in place, to the ends of each variable; returns if anything is left."""
-        for _ in range(_MOST_ROUNDS):
-            before = high - low
-            for i in np.flatnonzero(low < high):
-                for side in (low, high):
-                    if not self._fill(low, high, cutoff):
-                        return False
-                    bound, *_ = self._solve(int(i), 1.0 if side is low else -1.0)
-                    side[i] = max(low[i], bound) if side is low else min(high[i], -bound)
-                    if not (bound < np.inf and low[i] <= high[i]):
-                        return False
-            with np.errstate(invalid="ignore"):
-                if not np.any(before - (high - low) > _SPENT * before):
-                    break
+        for i in np.flatnonzero(low < high):
+            for side in (low, high):
+                if not self._fill(low, high, cutoff):
+                    return False
+                bound, *_ = self._solve(int(i), 1.0 if side is low else -1.0)
+                side[i] = max(low[i], bound) if side is low else min(high[i], -bound)
+                if not (bound < np.inf and low[i] <= high[i]):
+                    return False
         return True
 
     def _fill(self, low: Floats, high: Floats, cutoff: float) -> bool:
@@ -267,26 +257,21 @@ class Relaxation:
         self, w: Floats, y: Floats, x: Floats, low: Floats, high: Floats
     ) -> tuple[int, float]:
         """Returns the variable that the functions farthest from their columns read, and where."""
+        violations(self.structure, self._cell, w, y, self._scores)
         width = high - low
-        i = widest = int(np.argmax(width / self._sides))
-        if not self._is_by_width:
-            violations(self.structure, self._cell, w, y, self._scores)
-            shares = self._reads * np.where(np.isfinite(width), width, 1.0)
-            total = np.sum(shares, axis=1)
-            own = self._scores[self._functions]
-            parts = np.divide(own, total, out=np.zeros_like(total), where=total > 0.0)
-            scores = parts @ shares
-            i = int(np.argmax(scores)) if np.any(scores > 0.0) else widest
-            if math.isfinite(width[i]):
-                inner = _INNER * width[i]
-                place = min(max(float(x[i]), low[i] + inner), high[i] - inner)
-                if low[i] < place < high[i]:
-                    return i, place
-        for j in (i, widest):
-            place = float(middles(low[j : j + 1], high[j : j + 1])[0])
-            if low[j] < place < high[j]:
-                return j, place
-        return -1, place
+        shares = self._reads * np.where(np.isfinite(width), width, 1.0)
+        total = np.sum(shares, axis=1)
+        own = self._scores[self._functions]
+        parts = np.divide(own, total, out=np.zeros_like(total), where=total > 0.0)
+        scores = parts @ shares
+        i = int(np.argmax(scores))
+        if not scores[i] > 0.0:
+            return -1, 0.0
+        place = float(middles(low[i : i + 1], high[i : i + 1])[0])
+        if math.isfinite(width[i]):
+            inner = _INNER * width[i]
+            place = min(max(float(x[i]), low[i] + inner), high[i] - inner)
+        return (i if low[i] < place < high[i] else -1), place
 
 
 def sides_of(formulas: Formulas) -> Floats:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from drake_aigto.aigo import Box, BoxSearch, LowPoint, SearchResult
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.linear import Storage
 from drake_aigto.solver.answers import Answers
@@ -104,6 +105,63 @@ def _box(program: AigoProgram, bounds: Bounds, start: Floats, reach: Floats) -> 
         high = np.append(high, last if np.isfinite(last) else max(most, first + room))
     low, high = (np.clip(side, *bounds) for side in (low, high))
     return Box((low + high) / 2, (high - low) / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Outside:
+    """Part of the bounds (lower, upper), some of them infinite, that is outside of a box.
+
+    Its decade d is where the largest |z_i − c_i| / w_i of the variables without two bounds is
+    between 10^(d − 1) and 10^d.
+
+    Attributes:
+        box: of half widths w around c.
+        lower: shape (n,).
+        upper: shape (n,).
+        is_open: whether variables have no two bounds, shape (n,).
+    """
+
+    box: Box
+    lower: Floats
+    upper: Floats
+    is_open: Bools
+
+    def decade(self, z: Floats) -> float:
+        """Returns the decade of a point (n,), as a real number: 0 or less in the box."""
+        far = self.is_open
+        distance = np.abs(z - self.box.center)[far] / self.box.half_width[far]
+        return float(np.log10(max(1e-3, np.max(distance, initial=0.0))))
+
+    def within(self, decade: int) -> Bounds:
+        """Returns lower and upper bounds (n,) of a decade and all below."""
+        reach = np.where(self.is_open, 10.0**decade, 1.0) * self.box.half_width
+        low, high = self.box.center - reach, self.box.center + reach
+        return np.maximum(low, self.lower), np.minimum(high, self.upper)
+
+    def point(
+        self, farthest: int, exponent: float, base: Floats | None, rng: np.random.Generator
+    ) -> Floats:
+        """Returns a point (n,).
+
+        Args:
+            farthest: the variable, without two bounds, that is farthest out.
+            exponent: its decade, 0 or more.
+            base: the others, shape (n,); None draws them: in the box, or, every second one without
+                two bounds, in any decade below.
+            rng: source of random numbers.
+        """
+        n = self.lower.size
+        reach = rng.uniform(-1.0, 1.0, n)
+        is_far = self.is_open & (rng.random(n) < 0.5)
+        reach[is_far] = np.sign(reach[is_far]) * 10.0 ** (exponent * rng.random(n)[is_far])
+        reach[farthest] = rng.choice([-1.0, 1.0]) * 10.0**exponent
+        shift = reach * self.box.half_width
+        ahead, back = self.box.center + shift, self.box.center - shift
+        # The other way where a bound is in the way.
+        z = np.where((ahead < self.lower) | (ahead > self.upper), back, ahead)
+        if base is not None and np.all(np.isfinite(base)):
+            z = np.where(np.arange(n) == farthest, z, base)
+        return np.clip(z, self.lower, self.upper)
 
 
 class AugmentedLagrangian:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from pydrake.solvers import GetProgramType, ProgramType
 
 from drake_aigto.aigo import Box
-from drake_aigto.arrays import Bools, Floats
+from drake_aigto.arrays import Floats
 from drake_aigto.certify import (
     Certificate,
     Certifier,
@@ -18,19 +17,19 @@ from drake_aigto.certify import (
     relative_gap,
 )
 from drake_aigto.solver.answers import FAR, Answers, CheckedPoint, Observer
-from drake_aigto.solver.boxes import BoxStage, make_first_box
+from drake_aigto.solver.boxes import BoxStage, Outside, make_first_box
 from drake_aigto.solver.details import AigoDetails, AigoOptions, AigoStatus
 from drake_aigto.solver.presolve import presolve
 from drake_aigto.solver.program import AigoProgram, ContradictionError
-from drake_aigto.solver.ranges import LARGEST, Bounds, tighten
+from drake_aigto.solver.ranges import LARGEST, tighten
 from drake_aigto.solver.staged import StagedProgram, StagedSearch
 
 # A local minimum of these is the global one, wherever it is.
 _CONVEX = (ProgramType.kLP, ProgramType.kQP)
 _PROVEN = 1e-6  # of the gap
-# This part of the cells is spent before the search, which may then be over. Of programs with rows
-# and more variables than `_SOME`, it is the second: their cells are large linear programs.
-_FIRST_SHARE, _FIRST_SHARE_OF_MANY, _SOME = 0.1, 0.002, 10
+# At most this part of the cells is spent before the search, which may then be over; and it begins
+# where twice the cells leave more than the second of the gap.
+_FIRST_SHARE, _FIRST_CELLS, _SLOW = 0.1, 1000, 0.9
 # At most this number times `starts` parts of the best point are moved, and this is a gain.
 _MOST_PARTS, _GAIN = 5, 1e-7
 # Programs of more variables have too many local minima for a few starts.
@@ -39,61 +38,8 @@ _FEW = 30
 _SINGULAR = 1e12
 
 
-@dataclass(frozen=True, eq=False)
-class Outside:
-    """Part of the bounds (lower, upper), some of them infinite, that is outside of a box.
-
-    Its decade d is where the largest |z_i − c_i| / w_i of the variables without two bounds is
-    between 10^(d − 1) and 10^d.
-
-    Attributes:
-        box: of half widths w around c.
-        lower: shape (n,).
-        upper: shape (n,).
-        is_open: whether variables have no two bounds, shape (n,).
-    """
-
-    box: Box
-    lower: Floats
-    upper: Floats
-    is_open: Bools
-
-    def decade(self, z: Floats) -> float:
-        """Returns the decade of a point (n,), as a real number: 0 or less in the box."""
-        far = self.is_open
-        distance = np.abs(z - self.box.center)[far] / self.box.half_width[far]
-        return float(np.log10(max(1e-3, np.max(distance, initial=0.0))))
-
-    def within(self, decade: int) -> Bounds:
-        """Returns lower and upper bounds (n,) of a decade and all below."""
-        reach = np.where(self.is_open, 10.0**decade, 1.0) * self.box.half_width
-        low, high = self.box.center - reach, self.box.center + reach
-        return np.maximum(low, self.lower), np.minimum(high, self.upper)
-
-    def point(
-        self, farthest: int, exponent: float, base: Floats | None, rng: np.random.Generator
-    ) -> Floats:
-        """Returns a point (n,).
-
-        Args:
-            farthest: the variable, without two bounds, that is farthest out.
-            exponent: its decade, 0 or more.
-            base: the others, shape (n,); None draws them: in the box, or, every second one without
-                two bounds, in any decade below.
-            rng: source of random numbers.
-        """
-        n = self.lower.size
-        reach = rng.uniform(-1.0, 1.0, n)
-        is_far = self.is_open & (rng.random(n) < 0.5)
-        reach[is_far] = np.sign(reach[is_far]) * 10.0 ** (exponent * rng.random(n)[is_far])
-        reach[farthest] = rng.choice([-1.0, 1.0]) * 10.0**exponent
-        shift = reach * self.box.half_width
-        ahead, back = self.box.center + shift, self.box.center - shift
-        # The other way where a bound is in the way.
-        z = np.where((ahead < self.lower) | (ahead > self.upper), back, ahead)
-        if base is not None and np.all(np.isfinite(base)):
-            z = np.where(np.arange(n) == farthest, z, base)
-        return np.clip(z, self.lower, self.upper)
+class _ProvenError(Exception):
+    """No cost is lower than the best by more than the gap: the search is over."""
 
 
 class Solve:
@@ -115,7 +61,7 @@ class Solve:
         """Makes the first box."""
         self._options, self._asked = options, guess
         self._staged = staged = StagedProgram(whole, options.feasibility)
-        self._answers = Answers(staged, options, observe)
+        self._answers, self._observe = Answers(staged, options, self._note), observe
         self._boxes = BoxStage(self._answers, options)
         self._ladders: StagedSearch | None = None
         if staged.is_worth_ladders and options.polish != "none":
@@ -123,6 +69,7 @@ class Solve:
             self._ladders = StagedSearch(staged, options, whole.reduce(guess), polish)
         self._certifier: Certifier | None = None
         self._certificate: Certificate | None = None
+        self._cells = 0
         if options.certify:  # It reads formulas as they were given, not as presolve made them.
             self._certifier = Certifier(whole.source, _PROVEN, options.seconds, self._tell)
         self._decades = 0
@@ -153,7 +100,16 @@ class Solve:
     def _tell(self, line: str) -> None:
         """Reports the proof's progress."""
         if self._answers.best is not None:
-            self._answers.observe(self._answers.best.x, line)
+            self._observe(self._answers.best.x, line)
+
+    def _note(self, x: Floats, line: str) -> None:
+        """Reports a better point, and ends the search if the bound so far proves it."""
+        self._observe(x, line)
+        if self._certifier is not None and self._certificate is not None:
+            self._offer_best(self._certifier)
+            self._certificate = self._certifier.certificate()
+            if self._certificate.gap <= _PROVEN:
+                raise _ProvenError
 
     @property
     def _program(self) -> AigoProgram:
@@ -171,7 +127,9 @@ class Solve:
                 if not self._search_stages():
                     self._search_boxes()
                 if self._certifier and not self._is_proof_over:
-                    self._prove(self._options.cells - self._first_cells)
+                    self._prove(self._certifier, self._options.cells - self._cells)
+        except _ProvenError:
+            pass
         except KeyboardInterrupt:
             status = AigoStatus.INTERRUPTED
             if self._certifier is not None:
@@ -183,12 +141,6 @@ class Solve:
             x = self._program.answer(self._first.center)
             return x, np.inf, AigoDetails.of_nothing(AigoStatus.NOT_FINITE, x)
         return best.x, self._program.cost(best.x), self._details(best, status or self._judge(best))
-
-    @property
-    def _first_cells(self) -> int:
-        is_large = self._program.nlp.num_rows > 0 and self._asked.size > _SOME
-        share = _FIRST_SHARE_OF_MANY if is_large else _FIRST_SHARE
-        return max(1, int(share * self._options.cells))
 
     @property
     def _is_proof_over(self) -> bool:
@@ -203,18 +155,32 @@ class Solve:
         self._offer_guess()
         if not self._staged.is_beyond_boxes:
             self._answers.polish(self._program.with_slacks(self._first.center), " of the middle")
-        self._prove(self._first_cells)
+        self._prove_first(self._certifier)
         if not self._staged.is_beyond_boxes and not self._is_proof_over:
             self._cut_first_box()
         return self._is_proof_over and self._answers.best is not None
 
-    def _prove(self, cells: int) -> None:
+    def _prove_first(self, certifier: Certifier) -> None:
+        """Bounds the cost on some cells, and on as many again as long as that is worth it."""
+        most, gap, used = max(1, int(_FIRST_SHARE * self._options.cells)), math.inf, 0
+        while not self._is_proof_over and self._cells < most:
+            count = max(self._cells, _FIRST_CELLS)
+            found = self._prove(certifier, min(count, most - self._cells))
+            if found.gap > _SLOW * gap and found.cells > used:
+                return
+            gap, used = found.gap, found.cells
+
+    def _prove(self, certifier: Certifier, cells: int) -> Certificate:
         """Bounds the cost on cells, from the best point on, if it is feasible."""
-        assert self._certifier is not None
+        self._offer_best(certifier)
+        self._cells += cells
+        self._certificate = certifier.run(cells, self._answers.polish_cell)
+        return self._certificate
+
+    def _offer_best(self, certifier: Certifier) -> None:
         best = self._answers.best
         if best is not None and self._answers.is_feasible:
-            self._certifier.offer(best.x)
-        self._certificate = self._certifier.run(cells, self._answers.polish_cell)
+            certifier.offer(best.x)
 
     def _cut_first_box(self) -> None:
         """Leaves the part of the first box that may hold a minimizer."""

@@ -350,6 +350,7 @@ def read_bounds(prog: MathematicalProgram) -> tuple[Floats, Floats]:
     lower, upper = np.full(prog.num_vars(), -np.inf), np.full(prog.num_vars(), np.inf)
     for binding in prog.bounding_box_constraints():
         index = prog.FindDecisionVariableIndices(binding.variables())
-        np.maximum.at(lower, index, binding.evaluator().lower_bound())
-        np.minimum.at(upper, index, binding.evaluator().upper_bound())
+        with np.errstate(invalid="ignore"):  # NaN stays
+            np.maximum.at(lower, index, binding.evaluator().lower_bound())
+            np.minimum.at(upper, index, binding.evaluator().upper_bound())
     return lower, upper
