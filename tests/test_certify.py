@@ -236,12 +236,30 @@ def test_edges_of_numbers_and_of_domains_bring_no_false_claim(
         assert found.lower_bound <= least + 1e-9 * abs(least)
 
 
+def test_a_fixed_point_that_meets_a_row_only_nearly_is_an_answer_without_a_proof() -> None:
+    prog, x = box(2, 2.0, 2.0)
+    add_cost(prog, x[0] ** 2)
+    prog.AddConstraint(x[0] * x[1] == 4.0000005)
+    result = AigoSolver(CERTIFY).Solve(prog)
+    details = result.get_solver_details()
+    assert result.GetSolution().tolist() == [2.0, 2.0]
+    assert details.status == AigoStatus.SOLVED
+    assert details.violation == pytest.approx(5e-7, rel=1e-3)
+    assert details.certificate.is_infeasible  # No point meets the row, but for a tolerance.
+
+
 def test_a_variable_that_a_row_fixes_does_not_end_the_search() -> None:
     prog, x = program(lambda x, y, z: (x - y) ** 2 + sym.sin(3.0 * y) + y * z**2, 3)
     prog.AddConstraint(x[0] == 1.0 / 3.0)
     details = AigoSolver(CERTIFY).Solve(prog).get_solver_details()
     assert details.status == AigoStatus.PROVEN
     assert details.certificate.cells < 1000
+
+
+def test_what_a_row_narrows_is_narrow_wherever_it_is_read() -> None:
+    prog, (x, y) = program(lambda x, y: -((1.0 + x**3 + y**3) ** 2), 2)
+    prog.AddConstraint(1.0 + x**3 + y**3 == 0.0)
+    assert -1e-9 <= certify(prog, cells=1).lower_bound <= 0.0
 
 
 def test_a_concave_program_of_many_coupled_variables_is_proven() -> None:

@@ -32,7 +32,7 @@ _MOST_SWEEPS = 10
 
 
 @inner
-def _narrow(jets: Floats, entry: int, x: Interval) -> bool:
+def narrow(jets: Floats, entry: int, x: Interval) -> bool:
     """Cuts an entry's range down to an interval; returns whether anything is left."""
     low, high = at(jets, entry, 0)
     low, high = x[0] if x[0] > low else low, x[1] if x[1] < high else high
@@ -45,7 +45,7 @@ def _narrow_sizes(jets: Floats, entry: int, sizes: Interval) -> bool:
     """Cuts an entry's range down to numbers of a size within an interval, of either sign."""
     low, high = at(jets, entry, 0)
     least = -sizes[1] if low <= -sizes[0] else sizes[0]
-    return _narrow(jets, entry, (least, sizes[1] if high >= sizes[0] else -sizes[0]))
+    return narrow(jets, entry, (least, sizes[1] if high >= sizes[0] else -sizes[0]))
 
 
 @inner
@@ -60,20 +60,20 @@ def _quotient(y: Interval, x: Interval) -> Interval:
 def _narrow_both(jets: Floats, operation: int, y: Interval, a: int, b: int) -> bool:
     """Cuts the ranges of two arguments of an operation down to what may give y."""
     if operation == Operation.ADD:
-        is_left = _narrow(jets, a, plus(y, minus(at(jets, b, 0))))
-        return is_left and _narrow(jets, b, plus(y, minus(at(jets, a, 0))))
+        is_left = narrow(jets, a, plus(y, minus(at(jets, b, 0))))
+        return is_left and narrow(jets, b, plus(y, minus(at(jets, a, 0))))
     if operation == Operation.MULTIPLY:
-        is_left = _narrow(jets, a, _quotient(y, at(jets, b, 0)))
-        return is_left and _narrow(jets, b, _quotient(y, at(jets, a, 0)))
+        is_left = narrow(jets, a, _quotient(y, at(jets, b, 0)))
+        return is_left and narrow(jets, b, _quotient(y, at(jets, a, 0)))
     # One of two is y, and the other one on its side of it.
     is_max = operation == Operation.MAX
     side = (-np.inf, y[1]) if is_max else (y[0], np.inf)
-    is_left = _narrow(jets, a, side) and _narrow(jets, b, side)
+    is_left = narrow(jets, a, side) and narrow(jets, b, side)
     first, second = at(jets, a, 0), at(jets, b, 0)
     if first[1] < y[0] if is_max else first[0] > y[1]:
-        is_left = is_left and _narrow(jets, b, y)
+        is_left = is_left and narrow(jets, b, y)
     if second[1] < y[0] if is_max else second[0] > y[1]:
-        is_left = is_left and _narrow(jets, a, y)
+        is_left = is_left and narrow(jets, a, y)
     return is_left
 
 
@@ -116,7 +116,7 @@ def _go_back(jets: Floats, entry: int, operation: int, a: int, b: int, p: float)
         low = real_power((abs(y[0]), abs(y[0])), root)
         high = real_power((abs(y[1]), abs(y[1])), root)
         least = low[0] if y[0] >= 0.0 else -low[1]
-        return _narrow(jets, a, (least, high[1] if y[1] >= 0.0 else -high[0]))
+        return narrow(jets, a, (least, high[1] if y[1] >= 0.0 else -high[0]))
     if (
         operation == Operation.ADD
         or operation == Operation.MULTIPLY
@@ -124,7 +124,7 @@ def _go_back(jets: Floats, entry: int, operation: int, a: int, b: int, p: float)
         or operation == Operation.MIN
     ):
         return _narrow_both(jets, operation, y, a, b)
-    return _narrow(jets, a, _inverse(operation, y, p))
+    return narrow(jets, a, _inverse(operation, y, p))
 
 
 @inner
@@ -147,7 +147,7 @@ def _contract_once(
     if enclose(tape, 0, low, high, VALUE, jets) < 0:
         return False
     for r in range(roots.size):
-        if not _narrow(jets, roots[r], (lower[r], upper[r])):
+        if not narrow(jets, roots[r], (lower[r], upper[r])):
             return False
     for k in range(tape.operations.size - 1, -1, -1):
         operation, a = tape.operations[k], tape.a[k]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.certify.contraction import contract
+from drake_aigto.certify.contraction import contract, narrow
 from drake_aigto.certify.enclosures import at, derivatives
 from drake_aigto.certify.formulas import JointTape, Operation
 from drake_aigto.certify.intervals import (
@@ -186,6 +186,28 @@ def _put_pair(structure: Structure, cell: LinearProgram, k: int) -> None:
         _put_row(structure, cell, row + n, (1.0, 0.0) if one == i else (0.0, 1.0), ends)
 
 
+@inner
+def _narrow_value(structure: Structure, cell: LinearProgram, k: int) -> bool:
+    """Cuts a function's range down to what its arguments leave; returns if anything is left.
+
+    Rows narrow what they read, and that may be read by other functions, too.
+    """
+    tape, count = structure.joint.tape, structure.first[k + 1] - structure.first[k]
+    operation, x, b = tape.operations[k], at(cell.ranges, tape.a[k], 0), tape.b[k]
+    if count == ROWS_OF_ONE:
+        value, _, _ = derivatives(operation, x, b, tape.numbers[k], 0)
+        return narrow(cell.ranges, k, value)
+    if count == ROWS_OF_TWO:
+        y = at(cell.ranges, b, 0)
+        value = times(x, y)
+        if operation == Operation.MAX:
+            value = max(x[0], y[0]), max(x[1], y[1])
+        elif operation == Operation.MIN:
+            value = min(x[0], y[0]), min(x[1], y[1])
+        return narrow(cell.ranges, k, value)
+    return True
+
+
 @kernel
 def relax(
     structure: Structure,
@@ -209,9 +231,9 @@ def relax(
     if not contract(joint, lower, upper, low, high, cell.ranges, cell.old):
         return False
     for k in range(cell.box.shape[1]):
+        if not _narrow_value(structure, cell, k):
+            return False
         cell.box[0, k], cell.box[1, k] = at(cell.ranges, k, 0)
-    for i in range(low.size):
-        cell.box[0, i], cell.box[1, i] = low[i], high[i]
     for k in range(cell.box.shape[1]):
         count = structure.first[k + 1] - structure.first[k]
         if count == ROWS_OF_TWO:
