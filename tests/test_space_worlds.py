@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from meshcat_pages import clips
 from pydrake.geometry import Meshcat
 from pydrake.multibody.tree import JacobianWrtVariable
-from space_models import SPHERE, ball_and_finger, collision, make_scenario
+from space_models import SPHERE, ball_and_finger, collision, link, make_scenario
 
 from drake_aigto import (
     ModelPredictiveController,
@@ -276,6 +276,46 @@ def test_a_hand_reaches_where_it_pushes_the_object_along_and_sticks_to_it(tmp_pa
     controls = reaches.push(times, state, (0.4, 1.0), bounds, np.random.default_rng(0))
     replay = replay_event_driven(world, scenario, times, controls)
     assert replay.positions[-1, ball] > 0.1  # Contact does the rest.
+
+
+def make_arm(folder: Path, count: int) -> Scenario:
+    """Returns a reach of an arm without shapes, of this many hinges about y and x in turn."""
+    links, joints = "", ""
+    for k in range(count):
+        links += link(f"l{k}", 1.0, "").replace(">", f"><pose>0 0 {-0.2 * k} 0 0 0</pose>", 1)
+        joints += (
+            f'<joint name="j{k}" type="revolute"><parent>{f"l{k - 1}" if k else "world"}</parent>'
+            f"<child>l{k}</child><axis><xyz>{'0 1 0' if k % 2 else '1 0 0'}</xyz>"
+            "<dynamics><damping>0.5</damping></dynamics></axis></joint>"
+        )
+    text = f'<sdf version="1.9"><model name="arm">{links}{joints}</model></sdf>'
+    still = [0.0] * count
+    return make_scenario(
+        folder,
+        text,
+        initial_position=[0.1] * count,
+        initial_velocity=still,
+        goal_position=[0.4] * count,
+        goal_weight=10.0,
+        goal_velocity_weight=1.0,
+        control_weight=1e-3,
+    )
+
+
+def test_an_arm_of_many_hinges_that_touches_nothing_is_a_world_in_space(tmp_path: Path) -> None:
+    world = World.from_scenario(make_arm(tmp_path, 6))
+    assert isinstance(world, SpaceWorld) and not world.contacts
+    assert world.calc_contact_jacobian(np.zeros((3, 6))).shape == (3, 0, 6)
+    assert world.calc_signed_distance(np.zeros((3, 6))).shape == (3, 0)
+
+
+@pytest.mark.slow  # Shooting over trees is compiled.
+def test_an_arm_of_many_hinges_reaches_its_goal(tmp_path: Path) -> None:
+    scenario = make_arm(tmp_path, 6)
+    plan = Planner(scenario, PlanOptions(renewals=8, finalists=1)).plan()
+    idle = plan.idle
+    assert plan.holds and plan.reached and idle is not None and plan.cost < 0.1 * idle.cost
+    assert [replay.cost for replay in plan.replay] == pytest.approx([plan.cost] * 2, rel=1e-3)
 
 
 @pytest.mark.slow  # Shooting over trees is compiled.

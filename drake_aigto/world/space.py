@@ -302,7 +302,7 @@ class SpaceWorld(World):
     def calc_contact_jacobian(self, q: Floats) -> Floats:
         """Returns J(q) of φ̇ = J v, shape (…, m, nv), at q of shape (…, nq)."""
         J = np.empty((*np.shape(q)[:-1], self.num_contacts, self.num_velocities))
-        self._measure(q, J.reshape(-1, *J.shape[-2:]))
+        self._measure(q, J.reshape(len(_rows(q)), *J.shape[-2:]))
         return J
 
     def calc_slides(self, q: Floats, v: Floats) -> Floats:

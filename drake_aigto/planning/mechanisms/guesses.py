@@ -189,7 +189,7 @@ class Guesses:
         self._turns = cost.is_modulo | cost.is_chordal
         self._way = -cost.goal_errors(self._start)
         self._reaches: Reaches | None = None
-        if isinstance(world, SpaceWorld):
+        if isinstance(world, SpaceWorld) and world.contacts:
             self._reaches = Reaches(world, law, cost, measures.position)
 
     @property
