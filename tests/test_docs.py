@@ -31,7 +31,7 @@ from benchmarks import records
 from drake_aigto import Planner, Scenario, World
 from drake_aigto.cli import load_scenario, make_parser
 from drake_aigto.errors import ModelError
-from drake_aigto.world import scenario_summaries
+from drake_aigto.world import scenario_seconds, scenario_summaries
 
 API = Path(__file__).resolve().parents[1] / "docs" / "api"
 
@@ -80,11 +80,20 @@ def test_the_index_has_every_page() -> None:
             assert f"\n{page.relative_to(API.parent).with_suffix('')}\n" in index
 
 
-def test_the_gallery_has_every_shipped_scenario_with_what_it_shows() -> None:
-    text = (API.parent / "gallery.md").read_text("utf-8")
-    lines = [line for line in text.splitlines() if line.startswith("| `")]
-    told = [f"| `{name}` | {shows} |" for name, shows in scenario_summaries().items()]
-    assert lines == told
+def test_the_first_page_shows_every_plan_with_what_it_is_and_its_seconds() -> None:
+    text, seconds = (API.parent / "index.md").read_text("utf-8"), scenario_seconds()
+    shown = dict(re.findall(r"^!\[Animation.*?\((\S+)\) \*\*(\S+)\*\* .*$", text, re.MULTILINE))
+    assert sorted(shown.values()) == sorted(scenario_summaries())
+    for name, told in scenario_summaries().items():
+        took = f" {seconds[name]:g}\u00a0s." if name in seconds else ""
+        assert f"**{name}** {told}.{took}\n" in text
+    for picture in shown:
+        assert (API.parent / picture).stat().st_size < 80_000
+
+
+def test_readme_has_a_strip_of_the_first_page() -> None:
+    shown = re.findall(r'<img src="docs/(images/gallery/\w+\.webp)"', README)
+    assert len(shown) >= 5 and all((API.parent / picture).exists() for picture in shown)
 
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))

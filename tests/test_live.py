@@ -40,7 +40,8 @@ def wait_for(live: Live, is_so: Callable[[], bool]) -> None:
 
 
 def drag(live: Live, slider: str, value: float) -> Plan:
-    """Returns the plan after a slider was moved."""
+    """Returns the plan after a slider was moved, and no answer to what was asked before that."""
+    wait_for(live, lambda: not live.is_searching)
     before = live.plan
     live.meshcat.SetSliderValue(slider, value)
     wait_for(live, lambda: live.plan is not before)
@@ -150,6 +151,17 @@ def test_weights_are_powers_of_ten_of_the_scenarios(live: Live) -> None:
     assert planned.control_weight == pytest.approx(10 * before.control_weight)
     assert planned.goal_weight == before.goal_weight
     drag(live, "control weight × 10^", 0.0)
+
+
+def test_a_scene_that_is_closed_or_has_no_port_says_so(in_background: Live) -> None:
+    port = int(in_background.url.rpartition(":")[2])
+    with pytest.raises(OptionsError, match=f"port: got {port}, in use"):
+        Live(in_background.planner.scenario, port=port).start()
+    in_background.stop()
+    assert in_background._repr_html_() == "<p>The live scene is closed.</p>"
+    with pytest.raises(OptionsError, match="live scene: got closed, expected a new `Live`"):
+        in_background.start()
+    assert "call start()" in Live(in_background.planner.scenario)._repr_html_()
 
 
 def test_in_a_notebook_it_plays_in_the_background(in_background: Live) -> None:

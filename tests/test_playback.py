@@ -60,6 +60,11 @@ def test_the_first_motion_is_solid_and_others_are_ghosts_in_the_colors_of_figure
     assert [look["color"] for look in looks] == [0x0072B2, 0xD55E00, 0x009E73]
     assert [look["opacity"] for look in looks] == [1.0, pytest.approx(0.35), pytest.approx(0.35)]
     assert str(recording) == "solid: plan; ghosts: rigid; Drake"
+    # Where surfaces coincide, the plan hides its simulations, and all of them start and goal.
+    sent = [m for m in messages(meshcat.StaticHtml()) if "OffsetUnits" in m.get("property", "")]
+    depths = {m["path"].split("/")[3]: m["value"] for m in sent if "/ghosts/" not in m["path"]}
+    ghosts = {m["path"].split("/")[4]: m["value"] for m in sent if "/ghosts/" in m["path"]}
+    assert 0 < depths["2"] < depths["3"] < ghosts["goal"] < ghosts["start"]
     # Until they stand side by side, they have no world, control and contacts of their own.
     sent = [m for m in messages(meshcat.StaticHtml()) if m.get("property") == "visible"]
     hidden = {m["path"] for m in sent if m["value"] is False}

@@ -1,4 +1,4 @@
-"""Every shipped scenario in the page's player: motions fill the view, and no text covers another.
+"""Every shipped plan in the page's player: motions fill the view, and no text covers another.
 
 The player is real, in a real browser; in place of Meshcat's library, which takes seconds a scene,
 the frame has a camera of its window's shape alone. Where that looks is read off Meshcat's messages.
@@ -7,6 +7,7 @@ the frame has a camera of its window's shape alone. Where that looks is read off
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
@@ -18,7 +19,7 @@ from browser import Page as Tab
 from browser import find_chromium, start_browser
 from meshcat_pages import messages
 
-from drake_aigto import Planner, Scenario
+from drake_aigto import Planner, Scenario, World
 from drake_aigto.show import Motion, Page, Stage, open_meshcat, publish
 from drake_aigto.transcription import Touch
 from drake_aigto.world import scenario_names
@@ -28,6 +29,7 @@ pytestmark = [
     pytest.mark.skipif(find_chromium() is None, reason="no Chromium"),
 ]
 
+MOTIONS = json.loads(Path(__file__).with_name("shipped_motions.json").read_text("utf-8"))
 VIEWER = """<script>
 const nothing = () => {}, vector = { set: nothing };
 const node = { object: { position: vector, updateMatrix: nothing, visible: true } };
@@ -62,15 +64,13 @@ READ = f"""(async () => {{
 }})()"""
 
 
-def make_motion(planner: Planner) -> Motion:
-    """Returns a motion from the start to the goal that drives and touches all there is."""
-    scenario, world = planner.scenario, planner.world
-    T, m = scenario.duration, world.num_contacts
-    ends = np.array([scenario.initial_position, scenario.goal_position])
-    rates = np.array([scenario.initial_velocity, np.zeros(world.num_velocities)])
-    motion = Motion.from_path("plan", world, np.array([0.0, T]), np.hstack([ends, rates]))
-    touches = tuple(Touch.bounce((i + 1) / (m + 1) * T, i) for i in range(m))
-    driven = motion.under(np.array([0.0, T]), np.ones((1, world.actuation.shape[1])))
+def read_motion(name: str, world: World) -> Motion:
+    """Returns the motion of a scenario's plan, as `docs.make_gallery` has written it."""
+    told = MOTIONS[name]
+    times, states = np.array(told["times"]), np.array(told["states"])
+    motion = Motion.from_path("plan", world, times, states)
+    touches = tuple(Touch(*touch) for touch in told["touches"])
+    driven = motion.under(np.array(told["control_times"]), np.array(told["controls"]))
     return dataclasses.replace(driven, touches=touches, impacts=touches)
 
 
@@ -111,7 +111,7 @@ def test_what_moves_fills_the_view_and_no_text_covers_another(tab: Tab, tmp_path
     scenes, corners, pages = {}, {}, {}
     for name in scenario_names():
         planner = Planner(Scenario.named(name))  # Its scenario has numbers in place of names.
-        motion = make_motion(planner)
+        motion = read_motion(name, planner.world)
         ghost = dataclasses.replace(motion, label="simulation: compliant (Drake)")
         stage = Stage(planner.world, motion.positions)
         shapes = [actor for actor in stage.actors if actor.moves]

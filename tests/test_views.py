@@ -63,6 +63,9 @@ def test_a_video_without_ffmpeg_names_the_extra_and_other_files_are_refused(
         plan.animate(tmp_path / "plan.png")
     with pytest.raises(OutputFileError, match="no folder"):
         plan.animate(tmp_path / "nowhere" / "plan.gif")
+    for name in ("rate", "speed", "width"):
+        with pytest.raises(OptionsError, match=f"`{name}` of an animation: got 0, expected more"):
+            plan.animate(tmp_path / "plan.gif", **{name: 0})
 
 
 def test_a_table_has_a_row_for_each_knot(
@@ -99,7 +102,7 @@ def test_plans_of_one_world_are_compared_on_one_page(
     assert len(text.encode()) < 3e6
     assert plan.made_in is not None
     other = dataclasses.replace(plan, made_in=dataclasses.replace(plan.made_in, coordinates=("q",)))
-    with pytest.raises(ModelError, match="Plan again: "):
+    with pytest.raises(ModelError, match="on one page: got b: .*, expected plans for the world of a"):
         compare({"a": plan, "b": other})
     with pytest.raises(OptionsError, match="plans: got none"):
         compare({})

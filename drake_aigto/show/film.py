@@ -54,6 +54,9 @@ _TURN = np.deg2rad(250.0)  # that an arc takes
 _SECTIONS, _SIDES = 36, 8  # of the ring that an arc is made of
 _RIBS = 4  # of an open cone
 _RIB, _WIDEST = 0.018, 0.12  # Half their thickness, of its length; of its radius at most.
+# Of what is hidden by another shape in its place, a layer: in steps of the depth buffer, 3e-5 each
+# of the window's size for cameras as of `look_at`.
+_UNITS = 40.0
 _FILLED = 0.4  # how much a filled cone covers of what is behind it
 
 # Of a picture: colors; a color that is off by more than this is another one; as a part of the
@@ -235,9 +238,9 @@ def put_in_front(path: str, shape: Shape, meshcat: Meshcat, color: Rgba) -> None
     _draw_last(path, meshcat)
 
 
-def put_behind(path: str, meshcat: Meshcat) -> None:
-    """Has a shape hidden by another one in the same place."""
-    for name, value in (("", True), ("Factor", 2.0), ("Units", 8.0)):
+def put_behind(path: str, meshcat: Meshcat, layer: int) -> None:
+    """Has a shape hidden by those of lower layers in the same place, or a thousandth in front."""
+    for name, value in (("", True), ("Factor", 2.0 * layer), ("Units", _UNITS * layer)):
         meshcat.SetProperty(f"{path}/<object>", f"material.polygonOffset{name}", value)
 
 

@@ -105,6 +105,7 @@ class Live:
         self.message, self.latency = "", np.nan
         self._say, self._port = say or (lambda text: None), port
         self._ended, self._opened = threading.Event(), threading.Event()
+        self._refusal: OptionsError | None = None  # of the thread that `start` waits for
         self._thread: threading.Thread | None = None
         self._clicks: dict[str, int] = {}
         self._began = time.monotonic()
@@ -118,7 +119,7 @@ class Live:
         """Plays until Ctrl-C, `stop`, or for some time [s].
 
         Raises:
-            OptionsError: Meshcat's port is in use.
+            OptionsError: from `open`.
         """
         self.open()
         self._say(f"Open the controls at {self.url} to drag sliders; press Ctrl-C to stop.")
@@ -130,12 +131,26 @@ class Live:
         del self.meshcat  # In its own thread.
 
     def start(self) -> Live:
-        """Plays in the background; returns itself, which a notebook shows."""
-        self._thread = threading.Thread(target=self.run, daemon=True)
+        """Plays in the background; returns itself, which a notebook shows.
+
+        Raises:
+            OptionsError: from `open`.
+        """
+        self._thread = threading.Thread(target=self._play, daemon=True)
         self._thread.start()
         atexit.register(self.stop)
         self._opened.wait()
+        if self._refusal:
+            raise self._refusal
         return self
+
+    def _play(self) -> None:
+        """Runs, and hands a refusal to the thread that waits for it."""
+        try:
+            self.run()
+        except OptionsError as error:
+            self._refusal = error
+            self._opened.set()
 
     def stop(self) -> None:
         """Ends it, and waits until nothing is shown any more."""
@@ -145,7 +160,10 @@ class Live:
             self._thread.join()
 
     def _repr_html_(self) -> str:
-        """Returns Meshcat in a frame; it is served by this process."""
+        """Returns Meshcat in a frame, which this process serves until the scene is closed."""
+        if self._ended.is_set() or not self._opened.is_set():
+            state = "is closed" if self._ended.is_set() else "is not open: call start()"
+            return f"<p>The live scene {state}.</p>"
         look = "width: 100%; height: 560px; border: 0"
         return f'<iframe src="{self.url}" style="{look}"></iframe>'
 
@@ -153,8 +171,10 @@ class Live:
         """Opens Meshcat, which this thread alone may use from now on, and asks for the first plan.
 
         Raises:
-            OptionsError: its port is in use.
+            OptionsError: its port is in use, or the scene was closed by `stop`.
         """
+        if self._ended.is_set():
+            raise OptionsError("the live scene", got="closed", expected="a new `Live` to open")
         self.meshcat = meshcat = open_meshcat(self._port)
         self.url = meshcat.web_url()
         scenario = self.planner.scenario

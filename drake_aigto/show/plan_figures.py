@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm, to_rgb
+from matplotlib.colors import LogNorm
 from matplotlib.patches import Polygon
 from matplotlib.ticker import LogLocator, MaxNLocator
 from pydrake.geometry import Capsule, Cylinder, Sphere
@@ -126,15 +126,15 @@ def draw_goal(axes: Axes, stage: Stage, world: World, scenario: Scenario, goal: 
 
 
 def draw_moving(axes: Axes, stage: Stage, q: Floats, index: int, alpha: float) -> list[Polygon]:
-    """Draws links at q in their own colors, or that of the motion of an index."""
+    """Draws links at q in their colors in the motion of an index (`Stage.color`)."""
     # From the back to the front: in a plane, none comes nearer as it moves.
     moving = [actor for actor in stage.actors if actor.moves]
     moving.sort(key=lambda actor: np.sum(stage.extent([actor], q[np.newaxis])[:, 2]))
     patches = []
     for actor in moving:
-        color = actor.color
-        own = (color.r(), color.g(), color.b()) if color else to_rgb(color_of(index))
-        look = {"facecolor": own, "edgecolor": "#222222", "linewidth": 0.4}
+        color = stage.color(actor, index)
+        look = {"facecolor": (color.r(), color.g(), color.b()), "edgecolor": "#222222"}
+        look |= {"linewidth": 0.4}
         patches += _draw(axes, stage, [actor], q, {**look, "alpha": alpha, "zorder": 2 + alpha})
     return patches
 

@@ -41,7 +41,7 @@ from drake_aigto.show.report_figures import (
     motions_of_switches,
 )
 from drake_aigto.show.run_facts import describe_ticks, run_facts
-from drake_aigto.show.scene import play, publish
+from drake_aigto.show.scene import publish
 from drake_aigto.show.text import (
     contact_names,
     cost_text,
@@ -115,18 +115,19 @@ def report_plan(
     add_question(page, plan.scenario, world, float(plan.trajectory.times[-1]))
     add_answer(page, plan, world)
     say("recording the plan, its simulations, and the boxes")
-    meshcat = open_meshcat(_ANY_PORT)
-    scenes = {"Plan and simulations": play(plan, meshcat, world).scene}
+    meshcat, motions = open_meshcat(_ANY_PORT), motions_of_plan(plan, world)
+    control = plan.trajectory.times, plan.trajectory.controls
+    driven = [motion.under(*control) for motion in motions]
+    scenes = {"Plan and simulations": publish(driven, meshcat, world, plan.scenario).scene}
     if run is not None:
         scenes["AIGO's boxes"] = play_boxes(plan, meshcat, world, run).scene
     page.heading("In motion")
     page.scenes(scenes)
     say("drawing figures")
     page.heading("Figures")
-    for figure, caption in figures_of_plan(plan, world, run):
+    for figure, caption in figures_of_plan(plan, motions, world, run):
         page.figure(figure, caption)
-    portraits = draw_portraits(motions_of_plan(plan, world), world, plan.scenario)
-    page.figure(*portraits, is_folded=True)
+    page.figure(*draw_portraits(motions, world, plan.scenario), is_folded=True)
     if no_boxes:
         page.paragraph(no_boxes)
     _add_candidates(page, plan, world)

@@ -28,7 +28,6 @@ from drake_aigto.show.motion import (
     calc_contact_forces,
     calc_friction,
     color_of,
-    motions_of_plan,
 )
 from drake_aigto.show.plan_figures import (
     plot_contact_forces,
@@ -52,9 +51,14 @@ _MARGIN = 0.02  # before and after a run, as a part of it
 _MOST_NAMED = 3  # plans that have a name of their own in a legend
 
 
-def figures_of_plan(plan: Plan, world: World, run: BoxRun | None) -> Iterator[tuple[Figure, str]]:
-    """Yields the figures of a report, each with its caption; of boxes, if there are any."""
-    n, motions = world.num_velocities, motions_of_plan(plan, world)
+def figures_of_plan(
+    plan: Plan, motions: Sequence[Motion], world: World, run: BoxRun | None
+) -> Iterator[tuple[Figure, str]]:
+    """Yields the figures of a report, each with its caption; of boxes, if there are any.
+
+    Motions are those of the plan (`motions_of_plan`).
+    """
+    n = world.num_velocities
     is_driven = np.any(world.actuation, axis=1)
     for rows, coordinates in ((3, np.flatnonzero(is_driven)), (2, np.flatnonzero(~is_driven))):
         for first in range(0, len(coordinates), _COLUMNS):

@@ -41,7 +41,6 @@ from drake_aigto.show.shapes import (
     Actor,
     find_goal,
     has_goal,
-    moves_straight,
     moving_joints,
 )
 from drake_aigto.show.stage import Stage
@@ -244,10 +243,14 @@ class _Scene:
         rows = {film.frame(time): q for time, q in zip(motion.times, motion.positions, strict=True)}
         rows[film.last_frame] = last
 
-        def put(actor: Actor, folder: str, q: Floats, color: Rgba | None) -> str:
+        def put(
+            actor: Actor, folder: str, q: Floats, color: Rgba | None, layer: int = 0
+        ) -> str:
             path = f"{ROOT}/{folder}/{actor.name}"
             film.meshcat.SetObject(path, actor.shape, color or _GRAY)
             film.meshcat.SetTransform(path, stage.pose(actor, q))
+            if layer:
+                put_behind(path, film.meshcat, layer)
             return path
 
         folder, start = f"motions/{index + 1}", self._scenario.initial_position
@@ -255,13 +258,12 @@ class _Scene:
             if not actor.moves:
                 put(actor, f"worlds/{index + 1}", first, actor.color)
                 continue
-            put(actor, f"ghosts/{index + 1}/start", start, _GHOSTS["start"])
+            last_layer = len(self._motions) + 1
+            put(actor, f"ghosts/{index + 1}/start", start, _GHOSTS["start"], last_layer)
             if np.any(stage.movers_of(actor.index) & self._asked_for):
-                put(actor, f"ghosts/{index + 1}/goal", goal, _GHOSTS["goal"])
-            own = None if index or moves_straight(self._world) else actor.color
-            path = put(actor, folder, first, own or color)
-            if index:
-                put_behind(path, film.meshcat)
+                put(actor, f"ghosts/{index + 1}/goal", goal, _GHOSTS["goal"], last_layer - 1)
+            look = color if index else stage.color(actor, index)
+            path = put(actor, folder, first, look, index)
             for frame, q in rows.items():
                 film.move(frame, path, stage.pose(actor, q))
         for number, way in enumerate(stage.trace(motion.positions)):

@@ -7,19 +7,21 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from pydrake.geometry import Box, Sphere
+from matplotlib.colors import to_rgb
+from pydrake.geometry import Box, Rgba, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex, JacobianWrtVariable, Joint, PrismaticJoint, RigidBody
 from pydrake.systems.framework import Context
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.show.motion import Motion, find_row
+from drake_aigto.show.motion import Motion, color_of, find_row
 from drake_aigto.show.shapes import (
     Actor,
     box_corners,
     find_hinge,
     moving_bodies,
     moving_joints,
+    moves_straight,
     outboard_joints,
     read_actors,
 )
@@ -96,6 +98,11 @@ class Stage:
         boxes = (inspector.GetObbInGeometryFrame(pair[0]) for pair in self._world.shapes)
         sizes = (float(np.min(box.half_width())) for box in boxes)
         return max(sizes, default=_SMALL * self.size)
+
+    def color(self, actor: Actor, index: int) -> Rgba:
+        """Returns a link's own color in the first motion; that of the motion for balls and ghosts."""
+        own = None if index or moves_straight(self._world) else actor.color
+        return own or Rgba(*to_rgb(color_of(index)))
 
     def pose(self, actor: Actor, q: Floats) -> RigidTransform:
         """Returns the pose of an actor's drawn shape in the world, at q of shape (nq,)."""

@@ -13,7 +13,7 @@ from matplotlib import pyplot
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from matplotlib.figure import Figure
 
-from drake_aigto.errors import OptionsError
+from drake_aigto.errors import ModelError, OptionsError
 from drake_aigto.output import check_writable
 from drake_aigto.planning import VIEWS, Plan
 from drake_aigto.show.columns import to_dataframe
@@ -37,7 +37,8 @@ from drake_aigto.show.text import (
 from drake_aigto.world import World
 
 _INCH, _DPI = 8.0, 100  # width of figures, and their dots per inch
-_WIDTH, _LEAST_HEIGHT, _MOST_HEIGHT = 6.0, 1.2, 5.0  # of an animation [in]
+_WIDTH, _TITLE = 6.0, 0.4  # of an animation, and the height of its title [in]
+_LEAST_SHAPE, _MOST_SHAPE = 0.2, 0.83  # its height to its width
 _GHOST = 0.35  # how much a ghost covers
 _HOLD = 0.5  # that the end stands [s]
 _VIDEO = (".mp4", ".m4v", ".mov")
@@ -62,7 +63,13 @@ def plot(plan: Plan, world: World | None = None) -> Figure:
 
 
 def animate(
-    plan: Plan, path: str | Path, world: World | None = None, rate: int = 25, speed: float = 1.0
+    plan: Plan,
+    path: str | Path,
+    world: World | None = None,
+    rate: int = 25,
+    speed: float = 1.0,
+    width: float = _WIDTH,
+    has_title: bool = True,
 ) -> Path:
     """Writes the plan's motion, solid, and its first simulation, a ghost; returns the path.
 
@@ -72,12 +79,18 @@ def animate(
         world: see `Plan.find_world`.
         rate: frames per second.
         speed: of the motion; 0.5 is slow motion.
+        width: of the picture, in hundreds of pixels.
+        has_title: whether time and labels stand above.
 
     Raises:
         ModelError: the world has to be given.
-        OptionsError: there is no ffmpeg for a video, or nothing that writes such a file.
+        OptionsError: there is no ffmpeg for a video, or nothing that writes such a file; or a
+            number is not positive.
         OutputFileError: the file can't be written.
     """
+    for name, value in {"rate": rate, "speed": speed, "width": width}.items():
+        if not value > 0:
+            raise OptionsError(f"`{name}` of an animation", got=value, expected="more than 0")
     path, world = Path(path), plan.find_world(world)
     writer = _find_writer(path, rate)
     check_writable(path)
@@ -86,8 +99,9 @@ def animate(
     goal = find_goal(world, plan.scenario, planned.positions[-1])
     stage = Stage(world, np.vstack([goal, *(motion.positions for motion in motions)]))
     across, up = (stage.high - stage.low).tolist()
-    tall = float(np.clip(_WIDTH * up / across, _LEAST_HEIGHT, _MOST_HEIGHT))
-    figure = Figure(figsize=(_WIDTH, tall + 0.4), layout="constrained")
+    shape = np.clip(up / across, _LEAST_SHAPE, _MOST_SHAPE)
+    size = width, float(width * shape) + _TITLE * has_title
+    figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()
     draw_still(axes, stage, planned.positions[0])
     draw_goal(axes, stage, world, plan.scenario, goal)
@@ -107,7 +121,9 @@ def animate(
             for index, motion in reversed(list(enumerate(motions))):
                 (q,) = positions_at(motion, np.array([time]))
                 patches += draw_moving(axes, stage, q, index, _GHOST if index else 1.0)
-            axes.set_title(f"{time:.2f} s   solid: {planned.label}{ghost}", fontsize="small")
+            if has_title:
+                title = f"{time:.2f} s   solid: {planned.label}{ghost}"
+                axes.set_title(title, fontsize="small")
             writer.grab_frame()
             for patch in patches:
                 patch.remove()
@@ -164,8 +180,12 @@ def compare(plans: Mapping[str, Plan], world: World | None = None) -> Page:
         raise OptionsError("plans", got="none", expected="at least one")
     first, *_ = plans.values()
     world = first.find_world(world)
-    for plan in plans.values():
-        plan.find_world(world)
+    for name, plan in plans.items():
+        try:
+            plan.find_world(world)
+        except ModelError as error:
+            expected = f"plans for the world of {next(iter(plans))}"
+            raise ModelError("plans on one page", got=f"{name}: {error}", expected=expected) from error
     asked = dict.fromkeys(plan_name(plan.scenario, world) for plan in plans.values())
     page = Page(f"Plans for {join_words([*asked])}: {', '.join(plans)}")
     numbers = ("cost J", "dynamics defect", "deepest penetration", "energy ratio", "J simulated")
