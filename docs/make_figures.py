@@ -120,14 +120,6 @@ def draw_in_the_loop(path: Path) -> None:
     figure.savefig(path, dpi=100)
 
 
-def draw_gallery(folder: Path) -> None:
-    """Writes animations of some of the shipped scenarios."""
-    for name in ("cart_pole/soft_06", "hopper/hop", "billiard/spin_shot", "three_carts/apart"):
-        found = plan(Scenario.named(name))
-        speed = max(1.0, found.trajectory.times[-1] / 2)  # In two seconds or less.
-        found.animate(folder / f"{name.replace('/', '_')}.webp", rate=15, speed=speed)
-
-
 def main(folder: Path) -> None:
     """Writes all of them."""
     draw_product(folder / "integrated_product.png")
@@ -139,7 +131,6 @@ def main(folder: Path) -> None:
     draw_landscape(found, world, folder / "landscape.png")
     draw_cart_pole(folder / "cart_pole.png")
     draw_in_the_loop(folder / "in_the_loop.png")
-    draw_gallery(folder)
 
 
 if __name__ == "__main__":

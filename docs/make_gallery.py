@@ -66,7 +66,9 @@ def shorten(motion: Motion) -> dict[str, Any]:
         "controls": motion.controls[held],
     }
     plain = {name: _round(values).tolist() for name, values in arrays.items()}
-    touches = [[_round(touch.start), _round(touch.end), int(touch.contact)] for touch in motion.touches]
+    touches = [
+        [_round(touch.start), _round(touch.end), int(touch.contact)] for touch in motion.touches
+    ]
     return {**plain, "touches": touches}
 
 
@@ -112,8 +114,8 @@ def main(folder: Path, names: Sequence[str]) -> None:
         compress(drawn, picture_of(name))
         motions = json.loads(MOTIONS.read_text("utf-8")) if MOTIONS.exists() else {}
         motions[name] = shorten(motions_of_plan(found, world)[0])
-        lines = (f"{json.dumps(key)}: {json.dumps(motions[key])}" for key in sorted(motions))
-        MOTIONS.write_text("{\n" + ",\n".join(lines) + "\n}\n", "utf-8")
+        rows = (f"{json.dumps(key)}: {json.dumps(motions[key])}" for key in sorted(motions))
+        MOTIONS.write_text("{\n" + ",\n".join(rows) + "\n}\n", "utf-8")
         print(f"{name}: {picture_of(name).stat().st_size / 1000:.0f} kB", flush=True)
     text = PAGE.read_text("utf-8")
     lines = "\n".join(list_plans())

@@ -123,7 +123,7 @@ def test_turns_of_the_goal_that_do_not_count_bring_it_near(world: World, soft: S
 def test_a_report_has_a_mechanism_in_pictures(world: World, soft: Scenario) -> None:
     motions = [move([1.0, 0.5]), move([1.0, 0.6])]
     captions = [caption for _, caption in draw_mechanism(motions, world, soft)]
-    assert [caption.split()[0] for caption in captions] == ["Links", "What"]
+    assert [caption.split()[0] for caption in captions] == ["Links", "Contact"]
     away = [move([-0.2, 0.1])]
     assert len(list(draw_mechanism(away, world, soft))) == 1
 

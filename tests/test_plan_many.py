@@ -201,7 +201,10 @@ def test_the_command_prints_each_answer_and_keeps_it(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["table1/1", "table1/1"], "SCENARIO table1/1: got two of one name, expected each once"),
+        (
+            ["table1/1", "table1/1"],
+            "SCENARIO table1/1: got the same name twice, expected each once",
+        ),
         (["table1/1", "nowhere"], "unknown scenario 'nowhere'"),
         (["no.yaml"], "no.yaml"),
         (["table1/1", "--resume"], "--resume: got no folder, expected --into FOLDER"),

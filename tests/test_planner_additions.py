@@ -177,7 +177,7 @@ def test_a_plan_that_a_simulation_breaks_a_constraint_of_does_not_hold() -> None
     assert plan.holds and not failing.holds
     text = format_plan(failing, found.world)
     assert "on Drake's plant, breaks 'waypoint'" in " ".join(text.split())
-    assert "waypoint missed by 3e-03 of the task's scales" in text
+    assert "waypoint violated by 3e-03 of the task's scales" in text
 
 
 def test_what_no_motion_meets_is_an_error_that_names_it() -> None:

@@ -177,7 +177,7 @@ def test_where_doing_nothing_ends_is_left_out_once_it_is_far_away(plan: Plan, wo
     idle = dataclasses.replace(plan.idle, replay=replay)
     others = tuple(each for each in plan.candidates if not each.is_idle)
     text = format_replays(dataclasses.replace(plan, candidates=(*others, idle)), world)
-    assert "and flies or falls far away, which no wall of the model stops\n" in text
+    assert "and flies or falls far away: no wall of the model stops it\n" in text
 
 
 def test_what_is_not_known_is_left_out(plan: Plan, world: World) -> None:

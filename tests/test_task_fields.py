@@ -295,7 +295,7 @@ def test_a_plan_of_a_mechanism_is_written() -> None:
     ("more", "reached", "told"),
     [
         ({"angles": "modulo"}, True, "reached: it ends 1.0 mm and 2.0 mrad off"),
-        ({}, False, "the weights trade it for cost, of which control takes 0 %"),
+        ({}, False, "the weights trade it for a lower cost, of which control takes 0 %"),
         (
             {"velocity_upper": [0.0, np.inf]},
             False,

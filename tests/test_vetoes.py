@@ -176,7 +176,7 @@ def test_where_no_polish_succeeds_there_is_still_doing_nothing(
     found = plan(table1(1, **COARSE))
     assert found.best.is_idle
     assert not any(candidate.is_feasible for candidate in found.candidates[1:])
-    assert "this is the plan: nothing that was found and holds costs less" in format_plan(found)
+    assert "this is the plan: no other plan that holds costs less" in format_plan(found)
 
 
 def test_a_dead_stop_from_high_speed_is_no_reason_for_a_veto() -> None:

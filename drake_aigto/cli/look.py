@@ -98,7 +98,7 @@ def _complete(_: argparse.Namespace) -> int:
 
 def add_look(commands: Any) -> None:
     """Adds the command that tells what is understood of a model."""
-    text = "say what is understood of a model's file or a scenario, before any planning"
+    text = "show how a model's file or a scenario is understood, before any planning"
     look = add_command(commands, "look", _look, text, _EXAMPLES)
     add_scenario(look)
     look.add_argument("--png", metavar="FILE", help="draw the model, at its start")

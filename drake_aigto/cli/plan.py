@@ -117,7 +117,7 @@ def _read_options(options: argparse.Namespace) -> PlanOptions | LiteralOptions:
             "--transcription",
             got=options.transcription,
             expected="literal",
-            remedy="Leave it out: whether balls or a mechanism are planned for, the world says.",
+            remedy="Leave it out: the world decides between plans for balls and for mechanisms.",
         )
     literal = "--transcription literal"
     kinds: list[type[PlanOptions | LiteralOptions]] = [PlanOptions, LiteralOptions]
@@ -225,14 +225,14 @@ def _read_questions(names: list[str]) -> dict[str, Scenario]:
     """Returns scenarios by name; those of files by the files' names.
 
     Raises:
-        OptionsError: two of one name.
+        OptionsError: the same name twice.
         ScenarioError: one can't be read.
     """
     questions: dict[str, Scenario] = {}
     for name in names:
         short = Path(name).stem if is_file(name) else name
         if short in questions:
-            raise OptionsError(f"SCENARIO {name}", got="two of one name", expected="each once")
+            raise OptionsError(f"SCENARIO {name}", got="the same name twice", expected="each once")
         questions[short] = read_scenario(name)
     return questions
 

@@ -136,14 +136,14 @@ def verdict_facts(plan: Plan, world: World) -> Iterator[Fact]:
     if plan.idleness:
         yield "moving", join_items(_why_idle(plan, world))
     if best.is_idle:
-        yield "no control", "this is the plan: nothing that was found and holds costs less"
+        yield "no control", "this is the plan: no other plan that holds costs less"
     elif plan.idle is not None:
         less = "doing nothing is better: " if plan.is_beaten else ""
         idle = plan.idle.replay
         miss = f"ends {miss_text(idle, plan.scenario, world)} off the goal"
         ways = np.ptp(idle.positions, axis=0)[~world.is_hinge]
         if np.max(ways, initial=0.0) > _FAR * best.scales.length:
-            miss = "flies or falls far away, which no wall of the model stops"
+            miss = "flies or falls far away: no wall of the model stops it"
         yield "no control", f"{less}it costs {cost_text(idle.cost, 3)} and {miss}"
     if plan.bound is not None:
         yield "bound", _describe_bound(plan)
@@ -169,11 +169,11 @@ def answer_facts(plan: Plan, world: World) -> Iterator[Fact]:
         yield "steps", f"{steps} instead of {asked}, {why}"
     if scenario.duration_range is not None:
         T, (least, most) = plan.trajectory.times[-1], scenario.duration_range
-        text = f"{T:.4g} s, as it was free"
+        text = f"{T:.4g} s, chosen by the plan"
         if abs(T - least) <= _AT_END * least:
-            text = f"{T:.4g} s, the least that it may be: with less, a plan may cost less"
+            text = f"{T:.4g} s, its lower bound: a shorter plan may cost less"
         elif abs(T - most) <= _AT_END * most:
-            text = f"{T:.4g} s, the most that it may be: with more, a plan may cost less"
+            text = f"{T:.4g} s, its upper bound: a longer plan may cost less"
         yield "duration", text
     limits = (name for name in best.replay.violations if name not in plan.additions)
     yield from list_fact("limits", _misses(plan, limits))
@@ -203,7 +203,7 @@ def _why_idle(plan: Plan, world: World) -> Iterator[str]:
     """Yields what the best motion that differs from the uncontrolled one costs, and why."""
     moving = [each for each in plan.candidates if not each.is_idle and each.is_feasible]
     if not moving:
-        yield f"nothing else that was found is feasible ({len(plan.candidates)} candidates)"
+        yield f"no other candidate is feasible ({len(plan.candidates)} candidates)"
         return
     best = min(moving, key=lambda candidate: candidate.cost)
     scale, path = best.scales.cost, best.trajectory
@@ -307,7 +307,7 @@ def _additions(plan: Plan) -> Iterator[str]:
     known = best.added_costs.keys(), best.replay.violations.keys()
     if any((each.added_costs.keys(), each.violations.keys()) != known for each in plan.replay):
         yield from constraints
-        yield "of which a plan file has the names alone: simulated and compared without"
+        yield "simulated and compared without them: a plan file has only their names"
         return
     yield from _misses(plan, constraints)
 
@@ -316,7 +316,7 @@ def _misses(plan: Plan, names: Iterable[str]) -> Iterator[str]:
     """Yields by how much simulations miss bounds, a hard goal, or constraints with these names."""
     for name in names:
         missed = max(replay.violations[name] for replay in plan.replay)
-        yield f"{name} missed by {missed:.0e} {_OF_SCALES}" if missed else f"{name} met"
+        yield f"{name} violated by {missed:.0e} {_OF_SCALES}" if missed else f"{name} met"
 
 
 def _find_delay(plan: Plan, world: World) -> float | None:

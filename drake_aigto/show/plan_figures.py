@@ -133,8 +133,8 @@ def draw_moving(axes: Axes, stage: Stage, q: Floats, index: int, alpha: float) -
     patches = []
     for actor in moving:
         color = stage.color(actor, index)
-        look = {"facecolor": (color.r(), color.g(), color.b()), "edgecolor": "#222222"}
-        look |= {"linewidth": 0.4}
+        own = color.r(), color.g(), color.b()
+        look = {"facecolor": own, "edgecolor": "#222222", "linewidth": 0.4}
         patches += _draw(axes, stage, [actor], q, {**look, "alpha": alpha, "zorder": 2 + alpha})
     return patches
 

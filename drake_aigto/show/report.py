@@ -196,7 +196,7 @@ def _add_candidates(page: Page, plan: Plan, world: World) -> None:
     page.paragraph(f"Candidates: {count_candidates(plan)}.")
     if plan.stats.flight_left_out is not None:
         least = plan.stats.flight_left_out
-        page.paragraph(f"A free flight was left out, as it costs {cost_text(least)} at least.")
+        page.paragraph(f"A free flight was skipped: it costs at least {cost_text(least)}.")
     rows = []
     for number, candidate in enumerate(plan.candidates[:_MOST_CANDIDATES], 1):
         *numbers, touches = candidate_texts(candidate, plan.scenario, world)
@@ -225,7 +225,7 @@ def _add_reproduction(page: Page, plan: Plan) -> None:
     if plan.additions:
         names = ", ".join(plan.additions)
         page.paragraph(
-            f"That leaves out what was added to the planner's program in Python: {names}."
+            f"These lines lack the additions to the planner's program in Python: {names}."
         )
     seconds = sum(plan.stats.seconds.values())
     page.paragraph(f"Planned in {seconds:.1f} s: {plan.stats}. {describe_versions()}")
@@ -240,7 +240,7 @@ def _describe_options(options: SearchOptions | None) -> str:
     if options is None:
         return "The plan's file does not say its options."
     changed = [
-        "a ladder of one's own" if field.name == "ladder" else f"{field.name} = {value}"
+        "a custom ladder" if field.name == "ladder" else f"{field.name} = {value}"
         for field in fields(options)
         if (value := getattr(options, field.name)) not in (BALL_LADDER, field.default)
     ]

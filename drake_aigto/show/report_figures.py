@@ -85,8 +85,8 @@ def figures_of_plan(
         yield (
             figure,
             (
-                "AIGO's boxes, center ± half width, as they shrink, and what that costs. The last "
-                "center only proposes a contact sequence; the plan is polished from it."
+                "AIGO's shrinking boxes, center ± half width, and their cost. The last center only "
+                "proposes a contact sequence; the plan is polished from it."
             ),
         )
 
@@ -109,8 +109,8 @@ def _draw_ways(plan: Plan, motions: Sequence[Motion], world: World) -> Iterator[
         plot_cost_landscape(figure.subplots(), world, plan.scenario, {"plan": plan.best})
         yield (
             figure,
-            "What motions cost that touch the wall once, by when and how fast, with the exact "
-            "optimum, which the planner does not know.",
+            "Cost of motions that touch the wall once, over the time and speed of the touch, with "
+            "the exact optimum, which the planner does not know.",
         )
 
 
@@ -155,7 +155,7 @@ def draw_mechanism(
     if any(np.any(calc_contact_forces(motion, world, scenario) > 0) for motion in motions):
         figure = Figure(figsize=(9, 3.6), layout="constrained")
         plot_contact_forces(figure.subplots(), motions, world, scenario)
-        yield figure, "What contacts push with over time."
+        yield figure, "Contact forces over time."
     yield from _draw_friction(motions[0], world, scenario)
 
 
@@ -166,7 +166,7 @@ def _draw_friction(
     if any(np.any(each.largest > 0) for each in calc_friction(motion, world, scenario)):
         figure = Figure(figsize=(9, 3.6), layout="constrained")
         plot_friction(figure.subplots(), motion, world, scenario)
-        yield figure, "Friction of the first over time, within its cone: rings stick, crosses slip."
+        yield figure, "Friction of the plan over time, within its cone: rings stick, crosses slip."
 
 
 def motion_of_run(run: ClosedLoopRun) -> Motion:
@@ -278,24 +278,24 @@ def figures_of_run(run: ClosedLoopRun) -> Iterator[tuple[Figure, str]]:
     world = run.true_world
     yield (
         _draw_rows(run),
-        "What was simulated, over the plans: dashed from when they were taken, dotted as they "
-        "would have gone on; and the control that was held.",
+        "The simulated motion over the plans, which are dashed from when they were taken and "
+        "dotted as they would have continued; and the control that was held.",
     )
     if moves_straight(world) and world.num_positions > 1:
         figure = Figure(figsize=(6, 5), layout="constrained")
         motions = [motion_of_run(run), *motions_of_switches(run)]
         plot_path(figure.subplots(), motions, world, run.scenario)
-        yield figure, "The way that was simulated, and those that were planned."
+        yield figure, "The simulated path, and the planned ones."
     moments = [] if moves_straight(run.world) else run.switches[:_MOST_NAMED]
     for index, switch in enumerate(moments):
         figure = Figure(figsize=(12, 3.9), layout="constrained")
         plot_mind(figure.subplots(1, 3), run, index)
-        text = f"The moment at {switch.time:.2f} s, and what came after it; early links pale."
+        text = f"The motions from {switch.time:.2f} s on; early links are pale."
         yield figure, text
     if run.ticks:
         figure = Figure(figsize=(9, 3.2), layout="constrained")
         plot_promises(figure.subplots(), run)
-        yield figure, "What plans promise as time goes on: plans, no simulation."
+        yield figure, "The promised cost to go over time: of plans, not of a simulation."
 
 
 def _draw_rows(run: ClosedLoopRun) -> Figure:

@@ -59,7 +59,10 @@ def run_facts(run: ClosedLoopRun) -> Iterator[Fact]:
     }
     yield "disturbed", "; ".join(text for text, is_so in disturbed.items() if is_so) or "by nothing"
     first = cost_text(run.promised, 3)
-    yield "cost", f"{cost_text(run.cost, 3)} along what happened; the first plan promises {first}"
+    yield (
+        "cost",
+        f"{cost_text(run.cost, 3)} along the simulated motion; the first plan promises {first}",
+    )
     yield "ends", f"at {run.duration:g} s"
     pairs = zip(replay.bounce_times, replay.bounce_contacts, strict=True)
     touches = list_some(name_touch(pair, touch_names(world)) for pair in pairs)
@@ -71,10 +74,10 @@ def run_facts(run: ClosedLoopRun) -> Iterator[Fact]:
         yield "ticks", describe_ticks(run)
         times = ", ".join(f"{switch.time:.2f} s" for switch in run.switches)
         taken = f"another plan was taken at {times}"
-        yield "switches", taken if times else "the first plan was improved only"
+        yield "switches", taken if times else "the first plan was only improved"
         learned, known = run.ticks[-1].restitution, run.scenario.restitution
         if learned not in (None, known):
-            yield "learned", f"walls return {learned:.3f} of a speed; the scenario says {known:g}"
+            yield "learned", f"walls restore {learned:.3f} of a speed; the scenario says {known:g}"
 
 
 def describe_ticks(run: ClosedLoopRun) -> str:

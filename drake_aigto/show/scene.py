@@ -243,9 +243,7 @@ class _Scene:
         rows = {film.frame(time): q for time, q in zip(motion.times, motion.positions, strict=True)}
         rows[film.last_frame] = last
 
-        def put(
-            actor: Actor, folder: str, q: Floats, color: Rgba | None, layer: int = 0
-        ) -> str:
+        def put(actor: Actor, folder: str, q: Floats, color: Rgba | None, layer: int = 0) -> str:
             path = f"{ROOT}/{folder}/{actor.name}"
             film.meshcat.SetObject(path, actor.shape, color or _GRAY)
             film.meshcat.SetTransform(path, stage.pose(actor, q))

@@ -19,9 +19,9 @@ from drake_aigto.show.shapes import (
     Actor,
     box_corners,
     find_hinge,
+    moves_straight,
     moving_bodies,
     moving_joints,
-    moves_straight,
     outboard_joints,
     read_actors,
 )
@@ -100,7 +100,7 @@ class Stage:
         return max(sizes, default=_SMALL * self.size)
 
     def color(self, actor: Actor, index: int) -> Rgba:
-        """Returns a link's own color in the first motion; that of the motion for balls and ghosts."""
+        """Returns a link's own color in the first motion, else, and of balls, the motion's."""
         own = None if index or moves_straight(self._world) else actor.color
         return own or Rgba(*to_rgb(color_of(index)))
 

@@ -202,7 +202,7 @@ def report_table1(table: Table1, progress: Callable[[str], None] | None = None) 
     asked = f"--rows {' '.join(map(str, table.rows))} --guesses {table.num_guesses}"
     confirm = "" if table.confirm else " --no-confirm"
     page.code(f"drake-aigto table1 {asked} --seed {table.seed}{confirm} --html table1.html")
-    page.paragraph(f"Times apart, the numbers will be the same. {describe_versions()}")
+    page.paragraph(f"All numbers but times will be the same. {describe_versions()}")
     return page.to_html()
 
 

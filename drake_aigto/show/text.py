@@ -126,7 +126,10 @@ def goal_items(arrival: Arrival, effort: float | None = None) -> list[str]:
     if arrival.active_bounds:
         return [f"not reached: {off}", f"held back by {join_words(arrival.active_bounds)}"]
     share = "" if effort is None else f", of which control takes {100 * effort:.0f} %"
-    return [f"not reached: {off}", f"no bound is active: the weights trade it for cost{share}"]
+    return [
+        f"not reached: {off}",
+        f"no bound is active: the weights trade it for a lower cost{share}",
+    ]
 
 
 def miss_text(run: Candidate | Replay, scenario: Scenario, world: World) -> str:

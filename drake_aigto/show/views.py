@@ -185,7 +185,9 @@ def compare(plans: Mapping[str, Plan], world: World | None = None) -> Page:
             plan.find_world(world)
         except ModelError as error:
             expected = f"plans for the world of {next(iter(plans))}"
-            raise ModelError("plans on one page", got=f"{name}: {error}", expected=expected) from error
+            raise ModelError(
+                "plans on one page", got=f"{name}: {error}", expected=expected
+            ) from error
     asked = dict.fromkeys(plan_name(plan.scenario, world) for plan in plans.values())
     page = Page(f"Plans for {join_words([*asked])}: {', '.join(plans)}")
     numbers = ("cost J", "dynamics defect", "deepest penetration", "energy ratio", "J simulated")
