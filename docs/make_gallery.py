@@ -81,7 +81,7 @@ def kind_of(world: World) -> str:
     """Returns the heading that a scenario of a world is below."""
     if isinstance(world, SpaceWorld):
         return "In space"
-    if world.has_constant_inertia and not world.frictions:
+    if world.num_contacts and world.has_constant_inertia and not world.frictions:
         return "Balls between rigid walls"
     return "Contact with friction" if world.frictions else "Mechanisms"
 
@@ -91,10 +91,11 @@ def list_plans() -> Iterator[str]:
     seconds, kinds = scenario_seconds(), dict[str, list[str]]()
     for name, text in scenario_summaries().items():
         world = World.from_scenario(Scenario.named(name))
-        where = picture_of(name).relative_to(DOCS)
-        figure = f"![Animation: the plan for {name}, and a simulation of its control]({where})"
+        where = picture_of(name)
+        figure = f"![Animation: the plan for {name}, and a simulation of its control]"
+        figure += f"({where.relative_to(DOCS)}) "
         took = f" {seconds[name]:g}\u00a0s." if name in seconds else ""
-        line = f"{figure} **{name}** {text}.{took}"
+        line = f"{figure if where.exists() else ''}**{name}** {text}.{took}"
         kinds.setdefault(kind_of(world), []).append(line)
     for kind, lines in kinds.items():
         yield f"### {kind}\n"
