@@ -70,10 +70,10 @@ def main() -> None:
         ("univariate", arguments.univariate),
         ("few_variables",),
         ("constrained",),
-        *(("random_programs", min(PART, arguments.programs - first), first) for first in parts),
         ("one_wall", arguments.scenarios),
         *(("world", name, arguments.worlds) for name in worlds),
         *(("world", "corridor", arguments.lossy, e) for e in LOSSY),
+        *(("random_programs", min(PART, arguments.programs - first), first) for first in parts),
     ]
     wrong = 0
     for _, future in run_jobs(run, jobs, arguments):

@@ -33,6 +33,7 @@ from drake_aigto.solver import AigoOptions, AigoSolver
 PROVEN = 1e-6
 _LATE = 1.1  # of the seconds: what ends by then counts
 QUICK, SLOW = 0.1, 1.0  # [s]: what all peers prove in the first should take us no more
+_LARGEST = 20  # variables of the programs that warm up
 _WARM_UP = AigoOptions(certify=True, cells=1000, rounds=1, starts=1)
 
 Prover = Callable[[MathematicalProgram, float], tuple[float, float]]
@@ -102,17 +103,17 @@ def problems() -> dict[str, ConstrainedProblem]:
 
 
 @cache
-def warm_up(most: int) -> None:
+def warm_up() -> None:
     """Has all machine code compiled or loaded in this process, before anything is timed."""
-    for problem in problems().values():
-        if problem.num_variables <= most:
+    for problem in {each.num_variables: each for each in problems().values()}.values():
+        if problem.num_variables <= _LARGEST:
             AigoSolver(_WARM_UP).Solve(problem.prog())
 
 
 def run(name: str, *, seconds: float) -> dict[str, Outcome]:
     """Runs all provers on a program."""
     problem = problems()[name]
-    warm_up(max(10, problem.num_variables))
+    warm_up()
     provers: dict[str, Prover] = {"ours": ours, "SCIP": scip}
     if importlib.util.find_spec("gurobipy"):
         provers["Gurobi"] = gurobi

@@ -27,8 +27,8 @@ from drake_aigto.solver.staged import StagedProgram, StagedSearch
 # A local minimum of these is the global one, wherever it is.
 _CONVEX = (ProgramType.kLP, ProgramType.kQP)
 _PROVEN = 1e-6  # of the gap
-# At most this part of the cells is spent before the search, which may then be over; and it begins
-# where twice the cells leave more than the second of the gap.
+# Before the search, which may then be over, at most this part of all cells is spent: this number at
+# first, and twice as many as long as that leaves no more than the last part of the gap.
 _FIRST_SHARE, _FIRST_CELLS, _SLOW = 0.1, 1000, 0.9
 # At most this number times `starts` parts of the best point are moved, and this is a gain.
 _MOST_PARTS, _GAIN = 5, 1e-7
