@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from functools import cache
 from typing import Any
 
@@ -98,14 +99,8 @@ def test_deviations_end_where_simulations_lead_them(name: str) -> None:
     sweep = Sweep(world, scenario, trajectory)
     assert [stretch.find_mode(0) for stretch in sweep.stretches] == modes
     times, x = trajectory.times, np.concatenate([q, v])
-    whole = left = sweep.stretches[0].calc_projection(x)
-    for stretch, phase in zip(sweep.stretches, sweep.run(), strict=True):
-        if stretch.first > 0:
-            whole = sweep.calc_saltation(stretch.first) @ whole
-        for k in range(stretch.first, stretch.last):
-            state, h = phase.calc_state(times[k]), times[k + 1] - times[k]
-            F, _ = sweep.calc_slopes(stretch, state, trajectory.controls[k], h)
-            whole = F @ stretch.calc_projection(state) @ whole
+    left = sweep.stretches[0].calc_projection(x)
+    whole = functools.reduce(lambda product, F: F @ product, sweep.calc_transitions(), left)
     controls, h = trajectory.controls[:, 0], 1e-4
     ends = [end(replay(world, scenario, times, controls, x + h * dx)) for dx in (*left.T, *-left.T)]
     slopes = np.subtract(*np.split(np.array(ends), 2)).T / (2 * h)

@@ -205,10 +205,6 @@ class Feedback(Controller):
 
     After its end the goal is held by a `Regulator` where there is one, else the last state by the
     last gains.
-
-    Attributes:
-        phases: of the plan, in order.
-        stretches: of the plan, which the phases are of; none of a plan that is one phase.
     """
 
     def __init__(
@@ -235,7 +231,7 @@ class Feedback(Controller):
                 at the start, or one that only grazes a wall: no feedback is known there.
         """
         check_sizes(world, trajectory)
-        self._world, times, self._transitions = world, trajectory.times, np.empty((0, 0, 0))
+        self._world, times = world, trajectory.times
         self._scales = tangent_scales(world, scenario)
         self.start, self.end = float(times[0]), float(times[-1])
         self.longest_hold = float(np.max(np.diff(times)))
@@ -245,14 +241,12 @@ class Feedback(Controller):
         self._norm = scenario.control_norm or np.inf
         touches = scenario.contact == "rigid" and touches_walls(world, trajectory)
         self.feels_contact = touches or not needs_shooting(world, scenario)
-        self.phases, self.stretches = list(phases), list[Stretch]()
+        self._sweep: Sweep | None = None
+        if phases:
+            self.phases = list(phases)
         if self.feels_contact:
             check_impacts(world, trajectory)
-            sweep = Sweep(world, scenario, trajectory)
-            self.stretches = sweep.stretches
-            if not phases:
-                self.phases = sweep.run()
-                self._transitions = np.array(sweep.transitions)
+            self._sweep = Sweep(world, scenario, trajectory)
         elif not phases:
             mechanism = mechanism or make_mechanism(world, contact_law(world, scenario))
             parts, smoothing = 1, _SMOOTHING
@@ -267,6 +261,17 @@ class Feedback(Controller):
             self._transitions = problem.linearize(u, steps, 0.0, states).transitions
             self.phases = [FeedbackPhase(times, states, u, gains)]
 
+    @property
+    def stretches(self) -> list[Stretch]:
+        """Stretches of the plan, which the phases are of; none of a plan that is one phase."""
+        return self._sweep.stretches if self._sweep else []
+
+    @cached_property
+    def phases(self) -> list[FeedbackPhase]:
+        """Phases of the plan, in order."""
+        assert self._sweep
+        return self._sweep.run()
+
     @cached_property
     def regulator(self) -> Regulator | None:
         """The regulator of the goal; None: there is none."""
@@ -274,8 +279,9 @@ class Feedback(Controller):
 
     @cached_property
     def growth(self) -> Growth:
-        """Growth of errors along the plan without feedback, where the gains were computed here."""
-        return calc_growth(self._transitions, self._scales)
+        """Growth of errors along the plan without feedback, where the gains are not given."""
+        transitions = self._sweep.calc_transitions() if self._sweep else self._transitions
+        return calc_growth(transitions, self._scales)
 
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
         """Returns u_k + K_k (x − x_i(t)), within bounds; after the end that of the regulator."""

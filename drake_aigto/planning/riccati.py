@@ -88,7 +88,6 @@ class Sweep:
 
     Attributes:
         stretches: of the plan.
-        transitions: F and Ξ of all stretches in order, once they were swept.
     """
 
     def __init__(self, world: World, scenario: Scenario, trajectory: Trajectory) -> None:
@@ -97,21 +96,28 @@ class Sweep:
         self._cost = TaskCost.of(world, scenario)
         self._friction = world.friction_coefficients(scenario)
         self.stretches = read_stretches(world, self._friction, trajectory)
-        self.transitions = list[Floats]()
 
     def run(self) -> list[FeedbackPhase]:
         """Returns the phases of all stretches."""
-        value, phases, transitions = self._find_final(), [], list[Floats]()
+        value, phases = self._find_final(), list[FeedbackPhase]()
         for stretch in reversed(self.stretches):
-            phase, value, passed = self._sweep(stretch, value)
+            phase, value = self._sweep(stretch, value)
             phases.append(phase)
-            transitions += passed
             if stretch.first > 0:
                 jump = self.calc_saltation(stretch.first)
                 value = jump.T @ value @ jump
-                transitions.append(jump)
-        self.transitions = transitions[::-1]
         return phases[::-1]
+
+    def calc_transitions(self) -> Floats:
+        """Returns F, of what walls leave of a deviation, and Ξ of all stretches in order."""
+        found = list[Floats]()
+        for stretch in self.stretches:
+            if stretch.first > 0:
+                found.append(self.calc_saltation(stretch.first))
+            times, states, controls = self._take(stretch)
+            F, _ = self.calc_slopes(stretch, states[:-1], controls, np.diff(times))
+            found += [F @ stretch.calc_projection(x) for F, x in zip(F, states, strict=False)]
+        return np.array(found)
 
     def _find_final(self) -> Floats:
         """Returns V at the end, shape (2n, 2n)."""
@@ -125,61 +131,61 @@ class Sweep:
                 value[n:, n:] += _HARD * scales.cost / scales.velocity**2 * np.eye(n)
         return value
 
-    def _sweep(self, stretch: Stretch, value: Floats) -> tuple[FeedbackPhase, Floats, list[Floats]]:
-        """Returns the phase of a stretch, V where it begins, and its F from last to first."""
+    def _sweep(self, stretch: Stretch, value: Floats) -> tuple[FeedbackPhase, Floats]:
+        """Returns the phase of a stretch, and V where it begins."""
         times, states, controls = self._continue(stretch)
         begin, end = np.searchsorted(times, self._plan.times[[stretch.first, stretch.last]])
-        gains = np.zeros((len(controls), controls.shape[1], states.shape[1]))
-        values, passed = {end: value}, list[Floats]()
+        gains, steps = np.zeros((len(controls), controls.shape[1], states.shape[1])), np.diff(times)
+        F, G = self.calc_slopes(stretch, states[:end], controls[:end], steps[:end])
+        values = {end: value}
         for k in reversed(range(end)):
-            gains[k], values[k], F = self._step(
-                stretch, states[k], controls[k], times[k + 1] - times[k], values[k + 1]
-            )
-            if k >= begin:
-                passed.append(F)
+            gain, value = self._step(F[k], G[k], steps[k], values[k + 1])
+            left = stretch.calc_projection(states[k])
+            gains[k], values[k] = gain @ left, left.T @ value @ left
         gains[end:] = gains[end - 1]
-        return FeedbackPhase(times, states, controls, gains), values[begin], passed
+        return FeedbackPhase(times, states, controls, gains), values[begin]
 
-    def _step(
-        self, stretch: Stretch, x: Floats, u: Floats, h: float, value: Floats
-    ) -> tuple[Floats, Floats, Floats]:
-        """Returns K_k and V_k, from V_{k+1}, and F_k of what walls leave of a deviation."""
+    def _step(self, F: Floats, G: Floats, h: float, value: Floats) -> tuple[Floats, Floats]:
+        """Returns K_k and V_k, from V_{k+1}, of any deviation."""
         cost = self._cost
-        F, G = self.calc_slopes(stretch, x, u, h)
         stage = h * np.diag(np.concatenate([cost.Q, cost.Qv]))
         curvature, cross = h * np.diag(cost.R) + G.T @ value @ G, G.T @ value @ F
-        gain = -np.linalg.solve(curvature, cross)
+        gain = np.asarray(-np.linalg.solve(curvature, cross), dtype=np.float64)
         value = stage + F.T @ value @ F + gain.T @ cross
-        left = stretch.calc_projection(x)
-        return gain @ left, left.T @ ((value + value.T) / 2) @ left, F @ left
+        return gain, (value + value.T) / 2
 
     def calc_slopes(
-        self, stretch: Stretch, x: Floats, u: Floats, h: float
+        self, stretch: Stretch, x: Floats, u: Floats, h: Floats
     ) -> tuple[Floats, Floats]:
-        """Returns F and G of a control that is held for h [s], shapes (2n, 2n) and (2n, nu)."""
-        size, world = len(x), self._world
+        """Returns F and G of K controls that are held for h [s], (K, 2n, 2n) and (K, 2n, nu)."""
+        size, world = x.shape[1], self._world
         if self._is_parabola(stretch):
-            eye, none = np.eye(size // 2), np.zeros((size // 2, size // 2))
-            lift = world.constant_inertia.inverse_mass @ world.actuation
-            return np.block([[eye, h * eye], [none, eye]]), np.vstack([h**2 / 2 * lift, h * lift])
+            lift, h = world.constant_inertia.inverse_mass @ world.actuation, h[:, None, None]
+            F = np.eye(size) + h * np.eye(size, k=size // 2)
+            return F, np.concatenate([h**2 / 2 * lift, h * lift], axis=1)
 
         def go(z: Floats) -> Floats:
-            return _flow(stretch, z[..., :size], z[..., size:], h)
+            return _flow(stretch, z[..., :size], z[..., size:], h[:, None, None, None])
 
-        slopes = _differentiate(go, np.concatenate([x, u]))
-        return slopes[:, :size], slopes[:, size:]
+        slopes = _differentiate(go, np.hstack([x, u]))
+        return slopes[..., :size], slopes[..., size:]
 
     def _is_parabola(self, stretch: Stretch) -> bool:
         """Returns whether accelerations are constant under a held control."""
         return self._world.has_constant_dynamics and not len(stretch.closed.contacts)
 
-    def _continue(self, stretch: Stretch) -> tuple[Floats, Floats, Floats]:
-        """Returns knots, states and controls of a phase, and of what is before and after it."""
+    def _take(self, stretch: Stretch) -> tuple[Floats, Floats, Floats]:
+        """Returns knots, states and controls of a phase."""
         plan, first, last = self._plan, stretch.first, stretch.last
-        times, controls = plan.times[first : last + 1], plan.controls[first:last]
         states = np.hstack([plan.positions, plan.velocities])[first : last + 1]
         if plan.impulses[first].any():
             states[0] = self._hit(int(np.argmax(plan.impulses[first])), stretch, states[0])
+        return plan.times[first : last + 1], states, plan.controls[first:last]
+
+    def _continue(self, stretch: Stretch) -> tuple[Floats, Floats, Floats]:
+        """Returns knots, states and controls of a phase, and of what is before and after it."""
+        plan, first, last = self._plan, stretch.first, stretch.last
+        times, states, controls = self._take(stretch)
         duration, step = float(plan.times[-1] - plan.times[0]), float(np.mean(np.diff(times)))
         coast, span = _coast, _BEYOND * duration
         if self._is_parabola(stretch):
@@ -245,7 +251,7 @@ def _calc_rates(stretch: Stretch, x: Floats, u: Floats) -> Floats:
     return np.concatenate([v, stretch.closed.calc_push(x, u).acceleration], axis=-1)
 
 
-def _flow(stretch: Stretch, x: Floats, u: Floats, duration: float) -> Floats:
+def _flow(stretch: Stretch, x: Floats, u: Floats, duration: float | Floats) -> Floats:
     """Returns where states (…, 2n) are led to by held controls (…, nu), back in time if < 0."""
     h = duration / _SUBSTEPS
     for _ in range(_SUBSTEPS):
@@ -278,7 +284,8 @@ def _fly(stretch: Stretch, x: Floats, u: Floats, step: float, span: float) -> tu
 
 
 def _differentiate(function: Callable[[Floats], Floats], x: Floats) -> Floats:
-    """Returns the derivatives of a function (…, n) → (…, m) at x, shape (m, n)."""
-    steps = _DIFFERENCE * np.eye(len(x))
-    ends = [function(x + part * steps) for part in (1.0, -1.0, 2.0, -2.0)]
-    return ((8 * (ends[0] - ends[1]) - (ends[2] - ends[3])) / (12 * _DIFFERENCE)).T
+    """Returns the derivatives of a function (…, n) → (…, m) at x (…, n), shape (…, m, n)."""
+    steps = _DIFFERENCE * np.multiply.outer([1.0, -1.0, 2.0, -2.0], np.eye(x.shape[-1]))
+    ends = np.moveaxis(function(x[..., None, None, :] + steps), -3, 0)
+    slopes = (8 * (ends[0] - ends[1]) - (ends[2] - ends[3])) / (12 * _DIFFERENCE)
+    return np.swapaxes(slopes, -1, -2)
