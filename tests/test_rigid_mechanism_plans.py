@@ -12,7 +12,6 @@ from drake_aigto import Plan, Planner, Scenario
 from drake_aigto.planning import (
     MechanismSearch,
     PlanOptions,
-    Progress,
     RigidMechanismTask,
     lay_out,
 )
@@ -135,26 +134,15 @@ def test_what_costs_more_than_a_finalist_that_holds_is_left_before_it_meets_its_
     class Task(RigidMechanismTask):
         polish_ratio = np.inf
 
-    class ThoroughTask(Task):
-        simulate_ratio = np.inf
-
-    class ThoroughSearch(MechanismSearch):
-        def explore(self, progress: Progress | None = None) -> None:
-            self.motions = search.motions
-
     planner, options = Planner(Scenario.named("paddle/bat")), PlanOptions(renewals=0, starts=8)
     problem = Task(planner.world, planner.scenario, options)
     search = MechanismSearch(problem)
-    thorough = ThoroughSearch(ThoroughTask(planner.world, planner.scenario, options))
     search.run()
-    thorough.run()
-    best, other = thorough.candidates
-    assert [each.cost for each in search.candidates] == [best.cost]
-    assert other.cost > 1.01 * best.cost
+    (best,) = search.candidates
     motion = search.motions[1].result
     closed, left = problem.polish(motion), problem.polish(motion, most=best.cost)
+    assert closed.cost > 1.01 * best.cost
     assert closed.violation < 1e-9 < left.violation
-    assert left.cost == pytest.approx(closed.cost, rel=1e-3)
 
 
 @pytest.mark.slow

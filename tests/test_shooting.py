@@ -211,10 +211,12 @@ def test_bounds_at_knots_and_a_hard_goal_hold() -> None:
     assert result.violation <= ShootingOptions().feasibility
     assert np.all(np.abs(result.states[1:, 0]) <= 0.2 + 1e-4)
     np.testing.assert_allclose(result.states[-1, :3], goal[:3], atol=1e-4)
-    dear = problem.solve(np.ones((30, 1)), most=0.1 * result.cost)
+    options = [ShootingOptions(most_promised=each * result.cost) for each in (0.1, 10.0)]
+    dear, same = (problem.solve(np.ones((30, 1)), options=each) for each in options)
+    assert dear.is_left
     assert dear.violation > ShootingOptions().feasibility
     assert dear.iterations < result.iterations
-    assert problem.solve(np.ones((30, 1)), most=10 * result.cost).cost == result.cost
+    assert same.cost == result.cost
 
 
 @pytest.mark.parametrize("how", ["is_modulo", "is_chordal"])

@@ -147,8 +147,8 @@ class PlanOptions(SearchOptions):
             (): none, and no program is compiled for boxes: candidates come from a guess that is
             given, the uncontrolled motion, and neighbors of both.
         finalists: how many of the best candidates are improved; for mechanisms at most: fewer if
-            the next ones promise no lower cost than those found, and between rigid walls not to
-            the end if they cost more.
+            the next ones promise no lower cost than those found, and not to the end if they cost
+            more.
         certify: whether a lower bound of all plans is found, too (`Plan.lower_bound`), or the
             reason why there is none.
         local_solver: balls: see `SearchOptions`, as for threads and confirm. Threads pay where

@@ -357,12 +357,15 @@ def _check_reach(world: World, scenario: Scenario) -> None:
 def _choose(search: Search) -> Candidate:
     """Returns the best candidate that holds; if none does, the best."""
     best = search.find_best()
-    if search.confirm(best):
-        return best
-    search.add_left_out()
-    others = (other for other in search.find_feasible() if other.is_confirmed)
-    holds = (other for other in others if other is not best and search.confirm(other))
-    return next(holds, best)
+    tried = [best]
+    while not search.confirm(tried[-1]):
+        search.add_left_out()
+        others = (other for other in search.find_feasible() if other.is_confirmed)
+        untried = (other for other in others if all(other is not each for each in tried))
+        if (candidate := next(untried, None)) is None:
+            return best
+        tried.append(candidate)
+    return tried[-1]
 
 
 def _nothing_holds(found: Plan, sources: str) -> PlanningError:

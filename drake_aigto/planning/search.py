@@ -369,4 +369,4 @@ class Search(ABC):
 
 def scaled(factor: float, cost: float) -> float:
     """Returns a multiple of a cost; for negative ones (of users), the same relative increase."""
-    return cost + (factor - 1) * abs(cost)
+    return cost + (factor - 1) * abs(cost) if cost < math.inf else cost

@@ -92,7 +92,6 @@ class ShootingProblem(OptimalControlProblem):
         states: Floats | None = None,
         options: ShootingOptions | None = None,
         prices: Floats | None = None,
-        most: float = np.inf,
     ) -> ShootingResult:
         """Returns a local optimum near a motion.
 
@@ -102,14 +101,12 @@ class ShootingProblem(OptimalControlProblem):
                 None: those that do.
             options: numerics.
             prices: initial ones of bounds, from a result of this problem under other options.
-            most: a motion with larger J after a pass that ended is returned as it is, and one with
-                far larger J after a pass that was cut off: as bounds count more, J rises.
 
         Raises:
             ProgramError: a shape does not fit.
         """
         options = options or ShootingOptions()
-        return self._start(controls, states, options, prices).run(most)
+        return self._start(controls, states, options, prices).run()
 
     def simulate(
         self, controls: Floats, substeps: int, smoothing: float = 0.0, order: int = 4

@@ -58,7 +58,8 @@ class ShootingOptions:
         is_wary: whether steps that close gaps of a guess may raise the cost by little only. Most
             motions are found sooner without; where they diverge, few are.
         most_promised: motions that promise to cost more in the last pass, with penalties, are
-            left unfinished.
+            left unfinished; so are those that cost more after a pass that ended, and far more
+            after one that was cut off: as bounds count more, costs rise.
 
     Raises:
         OptionsError: an option is out of its range.
@@ -250,17 +251,19 @@ class ShootingRun:
             laid[1:, nx + 1] = np.cumsum(layout.shares * laid[1:, nx])
         return laid
 
-    def run(self, most: float) -> ShootingResult:
+    def run(self) -> ShootingResult:
         """Runs all rungs, then the last one until bounds hold, or J is above the most."""
         rungs, before, stuck = self._choose_rungs(), np.inf, 0
+        most = self._options.most_promised
         for rung in rungs:
             outcome = self._run_rung(rung, before)
             before = outcome.violation
         for _ in range(self._options.multiplier_updates if self._is_bounded else 0):
             before, has_ended = outcome.violation, outcome.iterations < rungs[-1].iterations
             limit = most if has_ended else most + (_FALLING - 1) * abs(most)
+            outcome = outcome._replace(is_left=outcome.is_left or outcome.cost > limit)
             is_done = before <= self._options.feasibility or stuck == _PATIENCE
-            if is_done or outcome.cost > limit:
+            if is_done or outcome.is_left:
                 break
             outcome = self._run_rung(rungs[-1], before)
             stuck = stuck + 1 if outcome.violation > _STUCK * before else 0

@@ -11,6 +11,7 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, TreeMechanism, calc_dissipation
 from drake_aigto.planning.feedback import count_damper_steps
+from drake_aigto.planning.search import scaled
 from drake_aigto.shooting import (
     ShootingOptions,
     ShootingProblem,
@@ -87,6 +88,8 @@ _STEADY = 0.1
 # In space steps are short enough if the exact law costs this many times more than them at most:
 # plans promise their costs to 1e-3.
 _AGREES = 1.0005
+# Costs fall by up to this factor after the first pass in space.
+_LEFT = 1.2
 # Times the cost of a motion that another one costs at most, which is as good.
 _HARDLY = 1.05
 # A motion that violates its bounds by more (relative to the scales) won't become a plan.
@@ -286,10 +289,12 @@ def close_gaps(
     if found.violation <= HOPELESS and found.cost <= _HARDLY * motion.cost:
         return found
     other = problem.solve(controls, states, options, prices)
-    return min(found, other, key=lambda each: (each.violation > HOPELESS, each.cost))
+    return min(
+        *(found, other), key=lambda each: (each.is_left or each.violation > HOPELESS, each.cost)
+    )
 
 
-def halve_steps(problem: ShootingProblem, motion: ShootingResult) -> ShootingResult:
+def halve_steps(problem: ShootingProblem, motion: ShootingResult, most: float) -> ShootingResult:
     """Returns the local optimum near a motion, its Runge-Kutta steps halved until they agree.
 
     A motion whose bounds are violated by much is returned as it is found.
@@ -297,6 +302,7 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult) -> ShootingRes
     Args:
         problem: in the motion's time steps.
         motion: whose states are kept, and gaps between them closed, where steps change it.
+        most: what promises to cost more is left, if steps change it little, by that at least.
     """
     has_friction, options = problem.mechanism.has_friction, POLISH
     error = problem.estimate_error(motion) if has_friction else 0.0
@@ -307,12 +313,16 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult) -> ShootingRes
         # Under other steps or walls its controls would lead elsewhere.
         is_unstable = problem.is_unstable(motion)
         states = motion.states if is_unstable or error > _STEADY else None
-        options = dataclasses.replace(options, is_wary=is_unstable)
+        # Its cost says little there until they are closed.
+        limit = np.inf if states is not None else scaled(1 + error, most)
+        options = dataclasses.replace(options, is_wary=is_unstable, most_promised=limit)
         motion = close_gaps(problem, motion, motion.controls, states, options, motion.prices)
-        if motion.violation > HOPELESS or motion.substeps >= _MOST_SUBSTEPS:
+        is_over = motion.is_left or motion.violation > HOPELESS
+        if is_over or motion.substeps >= _MOST_SUBSTEPS:
             return motion
         error = problem.estimate_error(motion)
-        if error <= _EXACT:
+        is_known = motion.is_converged and error <= _STEADY
+        if error <= _EXACT or (is_known and motion.cost > scaled(1 + error, most)):
             return motion
         # Where contact begins and ends, steps are of second order. Contacts that stick in long
         # steps slip in short ones.
@@ -338,19 +348,24 @@ def settle(
         scenario: the task.
         problem: in the motion's time steps.
         motion: whose states are kept, and gaps between them closed, where steps change it.
-        most: motions that cost more are not followed up.
+        most: what promises to cost more, after a first pass by `_LEFT`, is left unfinished.
     """
     rough, sharp = IN_SPACE
-    options = dataclasses.replace(POLISH, rungs=(rough,), substeps=motion.substeps)
+    limit, substeps = scaled(_LEFT, most), motion.substeps
+    options = dataclasses.replace(POLISH, rungs=(rough,), substeps=substeps, most_promised=limit)
     while True:
         prices = motion.prices
         motion = close_gaps(problem, motion, motion.controls, motion.states, options, prices)
         is_finite = np.isfinite(motion.exact_cost)
-        if motion.violation > HOPELESS or motion.cost > most or not is_finite:
+        is_over = motion.is_left or motion.cost > options.most_promised or not is_finite
+        if is_over or motion.violation > HOPELESS:
             return motion
         if options.rungs == (sharp,):
             found = steady(world, scenario, problem, motion)
             cost = np.inf if found.replay is None else found.replay.cost
             if cost <= _AGREES * motion.exact_cost or motion.substeps >= _MOST_SUBSTEPS:
                 return found
-        options = dataclasses.replace(options, rungs=(sharp,), substeps=2 * motion.substeps)
+        substeps *= 2
+        options = dataclasses.replace(
+            options, rungs=(sharp,), substeps=substeps, most_promised=most
+        )

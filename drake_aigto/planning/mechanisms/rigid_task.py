@@ -91,6 +91,8 @@ _STEADY = 1.0
 _UNPOLISHED = 1.2
 # A polish diverged if it raised the cost by more than this factor.
 _FAR = 1.05
+# Costs fall by up to this factor while walls are cleared, and met to rounding.
+_UNSETTLED = 1.01
 _COARSE = ShootingOptions(rungs=(Smoothing(0.0, 40, 1e-3),), multiplier_updates=4)
 # With friction, motions that cost more than this times the best while violations only have a price
 # are left unfinished. Of 185 neighbors in a shot with spin no costlier one led to a new and better
@@ -105,8 +107,6 @@ class RigidMechanismTask(MechanismTask):
     read off, and shooting continues in phases that meet there (`Phases`): on rigid
     walls, with impacts at knots with free times.
     """
-
-    simulate_ratio = 1.01
 
     @property
     def polish_ratio(self) -> float:
@@ -184,7 +184,7 @@ class RigidMechanismTask(MechanismTask):
         tried = list[ShootingResult]()
         for _ in range(1 + _MOST_ADDED):
             motion = self._with_depth(self._shoot(touches, guess, self.search_steps, _COARSE, most))
-            if motion.cost > most:
+            if motion.is_left or motion.cost > most:
                 return min([*tried, motion], key=self.rank)
             dip = find_deepest(self.world, motion) if np.isfinite(motion.cost) else None
             tried.append(motion)
@@ -249,23 +249,25 @@ class RigidMechanismTask(MechanismTask):
 
         Args:
             motion: the motion.
-            most: an optimum that costs more is returned before it clears its walls, or meets them
-                to rounding.
+            most: what promises to cost more is left before it clears its walls, or meets them to
+                rounding.
         """
         num_steps, margin = self.scenario.num_steps, _MARGIN * self.measures.length
         grazes = find_grazes(self.world, motion, _SLOW * self.measures.speed)
         touches = tuple(each for i, each in enumerate(motion.touches) if i not in grazes)
         is_as_is = not grazes and len(motion.controls) == num_steps
-        first = motion if is_as_is else self._shoot(touches, motion, num_steps, _FINE)
-        found = self._with_depth(self._refine(first))
-        if self.price(found) > scaled(_FAR, self.price(motion)):
+        limit = scaled(_UNSETTLED, most)
+        first = motion if is_as_is else self._shoot(touches, motion, num_steps, _FINE, limit)
+        found = self._with_depth(self._refine(first, most=limit))
+        if scaled(_FAR, self.price(motion)) < self.price(found) and self.price(motion) < most:
             # That is another optimum, because of other steps or of a graze left out.
-            wary = self._shoot(touches, motion, num_steps, _FINE.wary)
-            others = [self._refine(wary, is_wary=True)]
+            wary = self._shoot(touches, motion, num_steps, _FINE.wary, limit)
+            others = [self._refine(wary, is_wary=True, most=limit)]
             if not is_as_is:
-                others.append(self._refine(motion))
-            found = min(found, *map(self._with_depth, others), key=self.rank)
-        if found.cost > most:
+                others.append(self._refine(motion, most=limit))
+            tried = found, *map(self._with_depth, others)
+            found = min(tried, key=lambda each: (each.is_left, self.rank(each)))
+        if found.is_left or found.cost > limit:
             return found
         clearances = np.zeros((len(found.times), self.world.num_contacts))
         for _ in range(_MOST_LIFTS):
@@ -276,7 +278,7 @@ class RigidMechanismTask(MechanismTask):
             if self.price(lifted) > scaled(_FAR, self.price(found)):
                 break
             found, clearances = lifted, clearances + lacks
-        return self._with_depth(self._settle(found, clearances))
+        return self._with_depth(self._settle(found, clearances, most))
 
     def _with_depth(self, motion: ShootingResult) -> ShootingResult:
         """Returns a motion whose violation includes penetrations between its knots."""
@@ -302,12 +304,15 @@ class RigidMechanismTask(MechanismTask):
         middles = (times[1:] + times[:-1]) / 2
         row = np.clip(np.searchsorted(guess.times, middles) - 1, 0, len(guess.controls) - 1)
         states = sample(self.world, guess, times)
-        return self.pose_phases(times, phases).solve(
-            guess.controls[row], states, options, most=most
-        )
+        options = dataclasses.replace(options, most_promised=most)
+        return self.pose_phases(times, phases).solve(guess.controls[row], states, options)
 
     def _refine(
-        self, motion: ShootingResult, clearances: Floats | None = None, is_wary: bool = False
+        self,
+        motion: ShootingResult,
+        clearances: Floats | None = None,
+        is_wary: bool = False,
+        most: float = np.inf,
     ) -> ShootingResult:
         """Returns the optimum near a motion, with as many substeps as its accuracy takes.
 
@@ -316,20 +321,25 @@ class RigidMechanismTask(MechanismTask):
         """
         problem, found = self.pose_phases(motion.times, motion.phases, clearances), motion
         error, is_unsteady = problem.estimate_error(found), False
-        while True:
+        while not found.is_left:
             penalty = _GENTLE if self.rigid_law.has_friction else _FINE.penalty
             options = dataclasses.replace(
-                _FINE, substeps=found.substeps, penalty=penalty, is_wary=is_wary or is_unsteady
+                _FINE,
+                substeps=found.substeps,
+                penalty=penalty,
+                is_wary=is_wary or is_unsteady,
+                most_promised=most,
             )
             states = found.states if is_unsteady or error > _STEADY else None
             found = problem.starting_from(found).solve(found.controls, states, options)
             error = problem.starting_from(found).estimate_error(found)
-            if error <= _EXACT or found.substeps >= _MOST_SUBSTEPS:
-                return found
+            if error <= _EXACT or found.substeps >= _MOST_SUBSTEPS or found.cost > most:
+                break
             is_unsteady = problem.is_unstable(found)
             found = dataclasses.replace(found, substeps=2 * found.substeps)
+        return found
 
-    def _settle(self, motion: ShootingResult, clearances: Floats) -> ShootingResult:
+    def _settle(self, motion: ShootingResult, clearances: Floats, most: float) -> ShootingResult:
         """Returns a polished motion that meets its walls as closely as rounding allows.
 
         A slow bounce is late by its distance to the wall over its speed, and an unstable motion
@@ -341,14 +351,14 @@ class RigidMechanismTask(MechanismTask):
         error, substeps = problem.estimate_error(motion), motion.substeps
         while error > _TRUE and substeps < _MOST_SUBSTEPS:
             error, substeps = error / 2**motion.order, 2 * substeps
-        options = dataclasses.replace(_SETTLED, substeps=substeps)
+        options = dataclasses.replace(_SETTLED, substeps=substeps, most_promised=most)
         is_other = substeps != motion.substeps
         states = motion.states if is_other and problem.is_unstable(motion) else None
         settled = problem.solve(motion.controls, states, options, motion.prices)
         is_better = settled.violation < motion.violation and self.price(settled) <= scaled(
             _FAR, self.price(motion)
         )
-        return settled if is_better else motion
+        return settled if settled.is_left or is_better else motion
 
     def pose_phases(
         self, times: Floats, phases: Phases, clearances: Floats | None = None

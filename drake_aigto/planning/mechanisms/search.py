@@ -49,8 +49,8 @@ _NARROWED, _MOST_NARROWED = {BOUNDS, CLEARANCE}, 2
 # A polish that costs more than this times the motion before it broke its promise: whirled by a
 # wall, a motion in short steps may cost twice as much, or no more, as in long ones.
 _BROKEN = 1.05
-# The polish of a motion diverged if it costs more than this times the best that holds.
-_DIVERGED = 2.0
+# Polished motions that cost more than this times the best that holds are not simulated.
+_SIMULATED = 1.01
 # Every second renewal is of the best motion, the others are of one of this many.
 _MOST_RENEWED = 4
 # Neighbors are tried of at most 3 of the best motions, which cost at most 1.5 times the best, and
@@ -99,9 +99,9 @@ class MechanismSearch(Search):
 
     Between rigid walls, a touch of the best motions is dropped, added, swapped with the next, or,
     with friction, changed to another mode or divided into two after each wave of proposals, until
-    no change improves a motion. Most time of a polish is spent there on meeting walls to rounding,
-    which lowers the cost by less than half a percent: motions that cost more are not polished so
-    far. Work is cut off by counts, and what is drawn depends on the seed alone, not on threads.
+    no change improves a motion. A polish is left unfinished as soon as it does not promise less
+    than the best finalist that holds. Work is cut off by counts, and what is drawn depends on the
+    seed alone, not on threads.
 
     Attributes:
         motions: the best so far.
@@ -116,7 +116,7 @@ class MechanismSearch(Search):
         self._candidates: list[Candidate] = []
         self._tight: list[KeptMotion] = []  # The best motions, in shorter steps.
         self._known: list[KeptMotion] = []  # Motions before and after their polish.
-        self._not_simulated: list[tuple[KeptMotion, ShootingResult]] = []  # But polished.
+        self._left_out: list[KeptMotion] = []  # As another one that holds costs less.
         self._aim = Aim()
         self._num_closed = self._num_of_use = self._num_broken = 0
         self._rigid = task if isinstance(task, RigidMechanismTask) else None
@@ -334,12 +334,13 @@ class MechanismSearch(Search):
     def _judge_best(self) -> None:
         """Polishes and judges the motions that remain, one of those that are near each other.
 
-        It ends once enough finalists hold, or promise to cost more than one that holds. Those whose
-        polish broke a promise say nothing of the next ones, which have their turn, too.
+        It ends once enough finalists hold or cost more than one that does, or those that remain
+        promise to. Finalists whose polish broke a promise say nothing of the next ones, which have
+        their turn, too.
         """
         for motion in self._tight:
             enough = self.task.finalists + self._num_broken
-            is_full = len(self._holding) + len(self._not_simulated) >= enough
+            is_full = len(self._holding) + len(self._left_out) >= enough
             is_ended = self.is_interrupted and self._known
             if is_full or is_ended or motion.cost > self._scale_best(self.task.polish_ratio):
                 return
@@ -362,12 +363,6 @@ class MechanismSearch(Search):
         """Returns a multiple of the best cost that holds, infinite while there is none."""
         return scaled(times, min(self._holding, default=np.inf))
 
-    def _has_diverged(self, polished: ShootingResult) -> bool:
-        """Returns whether a polish ended far above the cost of a plan that holds."""
-        misses, cost = self.task.rank(polished)
-        most = self._scale_best(_DIVERGED)
-        return most < np.inf and (misses or not cost <= most)
-
     def _polish(self, motion: KeptMotion) -> ShootingResult:
         """Adds the candidate of a motion, and returns the polished motion.
 
@@ -382,14 +377,12 @@ class MechanismSearch(Search):
                     self.clock("polish"),
                     self.ended_by_ctrl_c(lambda: [] if self._candidates else [start]),
                 ):
-                    most = self._scale_best(self.task.simulate_ratio)
-                    polished = problem.polish(polished, most)
-                if self._has_diverged(polished):
-                    _LOG.info("  diverged: cost %.6g", polished.cost)
-                    return polished
-                if self.task.price(polished) > self._scale_best(self.task.simulate_ratio):
-                    _LOG.info("  not simulated: cost %.6g", polished.cost)
-                    self._not_simulated.append((motion, polished))
+                    polished = problem.polish(polished, self._scale_best(1.0))
+                most = self._scale_best(_SIMULATED)
+                is_worse = most < np.inf and not self.task.rank(polished) <= (False, most)
+                if polished.is_left or is_worse:
+                    _LOG.info("  left out: cost %.6g", polished.cost)
+                    self._left_out.append(motion)
                     return polished
                 candidate = self._simulate(motion, polished)
                 if self.is_interrupted or not _NARROWED & {*candidate.replay.broken}:
@@ -416,12 +409,9 @@ class MechanismSearch(Search):
 
     def add_left_out(self) -> None:
         """Judges candidates left out because of one that a simulation has contradicted since."""
-        left_out, self._not_simulated = self._not_simulated, []
-        for motion, polished in left_out:
-            try:
-                self._add(self._simulate(motion, polished))
-            except TrajectoryError as error:
-                _LOG.info("  not a candidate: %s", error)
+        left_out, self._left_out = self._left_out, []
+        for motion in left_out:
+            self._polish(motion)
         self._judge_best()
 
     def rank(self, candidate: Candidate) -> tuple[float, ...]:

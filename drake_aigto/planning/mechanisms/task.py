@@ -89,10 +89,8 @@ _PRICE, _MUCH = 10.0, 1e-2
 _LONG = 4.0
 # The factor by which costs fall at most as steps become shorter, which changes their order, and how
 # many times as many finalists are polished for that: without friction; with it; and in space, where
-# motions are ranked after few iterations, and a polish leaves those that cost more than the best
-# times `_LEFT` after its first pass.
+# motions are ranked after few iterations.
 _PLAIN, _SLIDING, _IN_SPACE = (1.0, 1), (1.2, 2), (2.0, 4)
-_LEFT = 1.2
 # Motions that promise to cost more than this times the worst kept one are left unfinished. In 3,072
 # boxes around cart-poles between soft walls that saves 31 % of all iterations and loses 10 of 346
 # motions that would have been the best so far; 1.0 saves 37 % and loses 13, and 1.5 22 % and 8.
@@ -146,12 +144,10 @@ class MechanismTask:
         measures: units of the search.
         search_steps: of motions during the search.
         shooting: the problem in any number of time steps.
-        simulate_ratio: those that do after their polish are not simulated, but are finalists.
     """
 
     transcription_name: ClassVar[str] = "shooting"
     remedy: ClassVar[str] = "Allow more time or control, or try more renewals."
-    simulate_ratio: float = 2.0
 
     def __init__(
         self,
@@ -330,7 +326,7 @@ class MechanismTask:
 
         Args:
             motion: the motion.
-            most: in space and between rigid walls, motions that cost more are left as they are.
+            most: what promises to cost more is left unfinished.
         """
         has_friction, num_steps = self.mechanism.has_friction, self.scenario.num_steps
         if len(motion.controls) < num_steps or motion.substeps < POLISH.substeps:
@@ -343,10 +339,10 @@ class MechanismTask:
             cooled = problem.starting_from(motion).solve(motion.controls, None, cooling)
             motion = min(motion, cooled, key=self.rank)
         if isinstance(self.world, SpaceWorld) and has_friction:
-            most *= _LEFT / self.simulate_ratio
             return settle(self.world, self.scenario, problem, motion, most)
-        motion = halve_steps(problem, motion)
-        if motion.violation > HOPELESS or not (has_friction and np.isfinite(motion.exact_cost)):
+        motion = halve_steps(problem, motion, most)
+        is_done = motion.is_left or motion.violation > HOPELESS
+        if is_done or not (has_friction and np.isfinite(motion.exact_cost)):
             return motion
         return steady(self.world, self.scenario, problem.starting_from(motion), motion)
 
