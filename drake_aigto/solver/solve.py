@@ -12,6 +12,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.certify import (
     Certificate,
     Certifier,
+    Method,
     explain_infeasibility,
     is_infeasible,
     relative_gap,
@@ -69,7 +70,6 @@ class Solve:
             self._ladders = StagedSearch(staged, options, whole.reduce(guess), polish)
         self._certifier: Certifier | None = None
         self._certificate: Certificate | None = None
-        self._cells = 0
         if options.certify:  # It reads formulas as they were given, not as presolve made them.
             self._certifier = Certifier(whole.source, _PROVEN, options.seconds, self._tell)
         self._decades = 0
@@ -126,8 +126,8 @@ class Solve:
             if not self._begin_proof():
                 if not self._search_stages():
                     self._search_boxes()
-                if self._certifier and not self._is_proof_over:
-                    self._prove(self._certifier, self._options.cells - self._cells)
+                if self._certifier and self._certificate and not self._is_proof_over:
+                    self._prove(self._certifier, self._options.cells - self._certificate.cells)
         except _ProvenError:
             pass
         except KeyboardInterrupt:
@@ -161,19 +161,22 @@ class Solve:
         return self._is_proof_over and self._answers.best is not None
 
     def _prove_first(self, certifier: Certifier) -> None:
-        """Bounds the cost on some cells, and on as many again as long as that is worth it."""
-        most, gap, used = max(1, int(_FIRST_SHARE * self._options.cells)), math.inf, 0
-        while not self._is_proof_over and self._cells < most:
-            count = max(self._cells, _FIRST_CELLS)
-            found = self._prove(certifier, min(count, most - self._cells))
-            if found.gap > _SLOW * gap and found.cells > used:
+        """Bounds the cost on some cells, and on as many again as long as that is worth it.
+
+        Bins of cliques are halved until they prove it: the first halves may be worth nothing.
+        """
+        most, has_rows = int(_FIRST_SHARE * self._options.cells), self._program.nlp.num_rows > 0
+        count, gap, used = max(1, min(_FIRST_CELLS, most)), math.inf, 0
+        while not self._is_proof_over and max(used, count) <= max(1, most):
+            found = self._prove(certifier, count)
+            is_slow = found.gap > _SLOW * gap and found.cells > used
+            if is_slow and (has_rows or found.method != Method.CLIQUES):
                 return
-            gap, used = found.gap, found.cells
+            gap, used, count = found.gap, found.cells, 2 * count
 
     def _prove(self, certifier: Certifier, cells: int) -> Certificate:
         """Bounds the cost on cells, from the best point on, if it is feasible."""
         self._offer_best(certifier)
-        self._cells += cells
         self._certificate = certifier.run(cells, self._answers.polish_cell)
         return self._certificate
 
