@@ -219,6 +219,8 @@ def _look(hint: Any) -> dict[str, Any]:
         return {"action": argparse.BooleanOptionalAction}
     if "Named" in names:
         return {"type": yaml.safe_load, "metavar": "{NAME: …}"}
+    if "Thruster" in names:
+        return {"type": yaml.safe_load, "metavar": "{body: …}", "nargs": "+"}
     if "str" in names:
         return {"metavar": "NAME", "nargs": "+"} if "tuple" in names else {"metavar": "URI"}
     if names & {"ndarray", "Any"}:

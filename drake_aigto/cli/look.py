@@ -30,6 +30,7 @@ from drake_aigto.world import (
     STIFFNESS,
     Scenario,
     World,
+    name_controls,
     read_property,
     scenario_names,
     scenario_seconds,
@@ -131,7 +132,9 @@ def _tell(world: World, scenario: Scenario) -> Iterator[str]:
     )
     bounds = world.limits.control_items(plant, scenario)
     names = [
-        name for name in plant.GetActuatorNames() if not any(b.startswith(name) for b in bounds)
+        name
+        for name in name_controls(plant, world.num_actuators)
+        if not any(b.startswith(name) for b in bounds)
     ]
     yield ""
     yield "actuators"

@@ -139,10 +139,15 @@ class TreeMechanism:
 
     @property
     def actuation(self) -> Floats:
-        """B, shape (n, nu)."""
-        found = np.empty_like(self.tree.actuation)
-        found[self.tree.velocities] = self.tree.actuation
-        return found
+        """B where no link is turned, shape (n, nu)."""
+        return self.tree.calc_actuation(self._unturned)
+
+    @property
+    def _unturned(self) -> Floats:
+        """Positions at which no link is turned, shape (nq,)."""
+        q = np.zeros(self.num_positions)
+        q[self.tree.positions[self.tree.kinds == QUATERNION]] = 1.0
+        return q
 
     @property
     def has_friction(self) -> bool:
@@ -163,9 +168,8 @@ class TreeMechanism:
             speed: of contacts [m/s], which those of a tree do not need.
         """
         tree = self.tree
-        q = np.zeros(self.num_positions)  # No link is turned.
-        q[tree.positions[tree.kinds == QUATERNION]] = 1.0
-        mobility = np.diag(np.linalg.inv(tree.calc_mass_matrix(q)))[tree.velocities]
+        masses = tree.calc_mass_matrix(self._unturned)
+        mobility = np.diag(np.linalg.inv(masses))[tree.velocities]
         slow = np.maximum(tree.stiction, tree.friction * mobility * step)
         places = np.full(self.num_velocities, -1)
         for i, kind in enumerate(tree.kinds):

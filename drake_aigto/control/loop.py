@@ -94,8 +94,7 @@ class LoopRecorder:
         plant = self._world.plant
         context = plant.GetMyContextFromRoot(root)
         x = plant.GetPositionsAndVelocities(context)
-        u = np.array(plant.get_actuation_input_port().Eval(context))
-        self._rows.append(StepEnd(root.get_time(), np.array(x), u))
+        self._rows.append(StepEnd(root.get_time(), np.array(x), self._world.read_control(root)))
         self._say(f"simulating, {root.get_time():.2f} of {self._end:.2f} s")
 
     def _look(self, controller: ModelPredictiveController, context: Context) -> None:

@@ -5,6 +5,8 @@ from .equations import Contact as Contact
 from .equations import EquationsOfMotion as EquationsOfMotion
 from .equations import calc_friction_share as calc_friction_share
 from .equations import smooth_sign as smooth_sign
+from .frame_kernels import add_frame_costs as add_frame_costs
+from .frame_kernels import measure_frames as measure_frames
 from .recursions import factor as factor
 from .recursions import gather as gather
 from .recursions import place as place
@@ -18,8 +20,10 @@ from .spatial import cross_motion as cross_motion
 from .spatial import dot as dot
 from .spatial import find_rate as find_rate
 from .spatial import find_turning as find_turning
+from .spatial import multiply as multiply
 from .spatial import multiply_quaternions as multiply_quaternions
 from .spatial import read_turn as read_turn
+from .spatial import rotate as rotate
 from .spatial import subtract_positions as subtract_positions
 from .sum_kernels import divide_by_masses as divide_by_masses
 from .sum_kernels import evaluate_sums as evaluate_sums
@@ -35,13 +39,16 @@ from .tree_kernels import prepare_slopes as prepare_slopes
 from .tree_kernels import push_tree as push_tree
 from .tree_kernels import repeat_accelerations as repeat_accelerations
 from .tree_kernels import turn_positions as turn_positions
+from .tree_reader import Thrust as Thrust
 from .tree_reader import check_constraints as check_constraints
 from .tree_reader import check_force as check_force
 from .tree_reader import find_joint as find_joint
 from .tree_reader import refuse_loop as refuse_loop
+from .tree_tables import NO_FRAMES as NO_FRAMES
 from .tree_tables import PRISMATIC as PRISMATIC
 from .tree_tables import QUATERNION as QUATERNION
 from .tree_tables import TRANSLATION as TRANSLATION
+from .tree_tables import FrameTable as FrameTable
 from .tree_tables import TreeMemory as TreeMemory
 from .tree_tables import TreeTables as TreeTables
 from .tree_tables import make_tree_memory as make_tree_memory

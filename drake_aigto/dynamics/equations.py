@@ -168,6 +168,14 @@ class EquationsOfMotion:
         """Returns q̇, shape (…, nq)."""
         return np.broadcast_to(v, np.shape(q))
 
+    def find_frames(self, goals: Any) -> Any:
+        """Returns goals of frames (`FrameGoals`); None: only worlds in space have any."""
+        return None
+
+    def calc_actuation(self, q: Floats) -> Floats:
+        """Returns B(q), shape (…, nv, nu)."""
+        return self.actuation
+
     @property
     def num_actuators(self) -> int:
         """The number of controls, nu."""
@@ -346,7 +354,8 @@ class EquationsOfMotion:
             forces: f of contacts, shape (…, m) [N]; None: no contact.
             drag: d, friction of contacts, shape (…, nv) [N, N m]; None: none.
         """
-        force = u @ self.actuation.T - self.calc_bias(q, v)
+        push = self.calc_actuation(q) @ np.asarray(u)[..., np.newaxis]
+        force = push[..., 0] - self.calc_bias(q, v)
         if forces is not None:
             force = force + self._calc_push(q, forces)
         if drag is not None:

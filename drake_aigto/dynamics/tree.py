@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cache
 from types import ModuleType
 
@@ -12,16 +13,17 @@ from pydrake.multibody.tree import MultibodyForces
 from pydrake.systems.framework import Context
 
 from drake_aigto.arrays import Floats
-from drake_aigto.dynamics.tree_reader import check_force, read_tables
+from drake_aigto.dynamics.tree_reader import Thrust, check_force, read_tables
 from drake_aigto.dynamics.tree_tables import NUM_POSITIONS, TreeTables, make_tree_memory
 
+_ROUNDING = 1e-12  # Of the largest thrust on a coordinate.
 _NUM_PROBES = 2  # States at which forces are compared to Drake's: one might agree by chance.
 
 
 class Tree(TreeTables):
     """A tree of joints and bodies, for code that is compiled once for all robots.
 
-        M(q) v̇ + h(q, v) = B u,    q̇ = N(q) v
+        M(q) v̇ + h(q, v) = B(q) u,    q̇ = N(q) v
 
     q and v are ordered as the plant has them. Tangent vectors δ, q ⊕ δ, are like v: turns about
     axes that are fixed in the parent. A shape's "…" are axes of many states at once.
@@ -35,6 +37,7 @@ class Tree(TreeTables):
         plant: MultibodyPlant,
         context: Context | None = None,
         dry_friction: Floats | None = None,
+        thrusts: Sequence[Thrust] = (),
     ) -> Tree:
         """Returns the tree of a finalized plant.
 
@@ -42,6 +45,7 @@ class Tree(TreeTables):
             plant: with joints of any kind that Drake has, but for curvilinear ones.
             context: of the plant, with its masses; None: the default one.
             dry_friction: F of each velocity, shape (nv,); None: none.
+            thrusts: the last controls'.
 
         Raises:
             ModelError: a joint, a force or a constraint is none that a tree has; says which.
@@ -49,7 +53,7 @@ class Tree(TreeTables):
         context = context or plant.CreateDefaultContext()
         if dry_friction is None:
             dry_friction = np.zeros(plant.num_velocities())
-        tree = cls(*read_tables(plant, context, dry_friction))
+        tree = cls(*read_tables(plant, context, dry_friction, thrusts))
         _check_forces(plant, tree, context)
         return tree
 
@@ -68,6 +72,17 @@ class Tree(TreeTables):
         rows, n = self._rows(q), self.num_velocities
         masses = load_kernels().calc_masses(self, rows, make_tree_memory(self))
         return np.asarray(masses.reshape(*np.shape(q)[:-1], n, n))
+
+    def calc_actuation(self, q: Floats) -> Floats:
+        """Returns B(q), shape (nv, nu), at one q; that of joints is constant."""
+        B = np.empty_like(self.actuation)
+        B[self.velocities] = self.actuation
+        if count := len(self.thruster_links):
+            n, still = self.num_velocities, np.zeros(sum(self.actuation.shape))
+            slopes = self.calc_acceleration_slopes(q, still[:n], still[n:])[:, -count:]
+            found = self.calc_mass_matrix(q) @ slopes
+            B[:, -count:] = np.where(np.abs(found) > _ROUNDING * np.abs(found).max(), found, 0.0)
+        return B
 
     def calc_bias(self, q: Floats, v: Floats) -> Floats:
         """Returns h(q, v), shape (…, nv): all that B u must balance at v̇ = 0.

@@ -79,6 +79,39 @@ def push_tree(
     if has_slopes:
         prepare_slopes(tree, memory)
         differentiate_joints(tree, eps, memory)
+    for t in range(tree.thruster_links.size):
+        _thrust(tree, t, u[u.size - tree.thruster_links.size + t], has_slopes, memory)
+
+
+@pasted
+def _thrust(tree: TreeTables, t: int, u: float, has_slopes: bool, memory: TreeMemory) -> None:
+    """Adds the force of a thruster, which turns with its link, and its derivatives if asked.
+
+    With F the wrench, δ_j turns and moves it by S_j ×* F, and S_i as well if j is of a link before
+    i's: then S_i · F stays as it is.
+    """
+    link, unit, F, turned = tree.thruster_links[t], tree.thrusts[t], memory.room[0], memory.room[1]
+    pose = memory.poses[link]
+    column = memory.slopes.shape[1] - tree.thruster_links.size + t
+    F[0], F[1], F[2] = rotate(pose, unit[0], unit[1], unit[2])
+    F[3], F[4], F[5] = rotate(pose, unit[3], unit[4], unit[5])
+    F[0] += pose[10] * F[5] - pose[11] * F[4]
+    F[1] += pose[11] * F[3] - pose[9] * F[5]
+    F[2] += pose[9] * F[4] - pose[10] * F[3]
+    j = tree.dofs[link + 1] - 1
+    while j >= 0:
+        by_u = dot(memory.motions[j], F)
+        memory.force[j] += by_u * u
+        if has_slopes:
+            memory.slopes[j, column] += by_u
+            for k in range(6):
+                turned[k] = 0.0
+            add_cross_force(memory.motions[j], F, turned)
+            i = tree.dofs[tree.links[j] + 1] - 1
+            while i >= 0:
+                memory.slopes[i, j] += u * dot(memory.motions[i], turned)
+                i = tree.up[i]
+        j = tree.up[j]
 
 
 @pasted

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -98,10 +98,19 @@ _CHAINS = {
 }
 
 
-def read_tables(plant: MultibodyPlant, context: Context, dry_friction: Floats) -> TreeTables:
+class Thrust(NamedTuple):
+    """A force that turns with the body that it pushes, such as a propeller's."""
+
+    body: int  # its index
+    wrench: Floats  # moment about the body's origin, and force, for u = 1, in its frame; shape (6,)
+
+
+def read_tables(
+    plant: MultibodyPlant, context: Context, dry_friction: Floats, thrusts: Sequence[Thrust]
+) -> TreeTables:
     """Returns the tables of a plant, see `Tree.of`."""
     check_constraints(plant)
-    return _PlantTree(plant, context).build(dry_friction)
+    return _PlantTree(plant, context).build(dry_friction, thrusts)
 
 
 class _Link(NamedTuple):
@@ -156,7 +165,7 @@ class _PlantTree:
             link, X_LF = len(self._links) - 1, RigidTransform()
         self._places[child] = link, X_LF @ X_BM.inverse()
 
-    def build(self, dry_friction: Floats) -> TreeTables:
+    def build(self, dry_friction: Floats, thrusts: Sequence[Thrust]) -> TreeTables:
         """Returns the tree."""
         links, num_velocities = self._links, self._plant.num_velocities()
         kinds = np.array([link.part.kind for link in links], dtype=np.int64)
@@ -174,6 +183,7 @@ class _PlantTree:
         stiffnesses, rests = self._read_springs()
         masses, centers, inertias = self._read_inertias()
         bodies = [self._places[i] for i in range(self._plant.num_bodies())]
+        actuation = np.pad(actuation, ((0, 0), (0, len(thrusts))))
         return TreeTables(
             parents=parents,
             kinds=kinds,
@@ -198,10 +208,27 @@ class _PlantTree:
             stiction=np.full(num_velocities, STICTION_SPEED),
             pace=np.zeros(num_velocities),
             actuation=np.ascontiguousarray(actuation[velocities]),
+            thruster_links=_ints(self._places[thrust.body][0] for thrust in thrusts),
+            thrusts=_floats(map(self._move_thrust, thrusts), 6),
             body_links=_ints(link for link, _ in bodies),
             body_rotations=_floats((X.rotation().matrix() for _, X in bodies), 9),
             body_offsets=_floats((X.translation() for _, X in bodies), 3),
         )
+
+    def _move_thrust(self, thrust: Thrust) -> Floats:
+        """Returns the wrench of a thruster in its link's frame, shape (6,).
+
+        Raises:
+            ModelError: the body stands still.
+        """
+        link, X = self._places[thrust.body]
+        if link < 0:
+            name = self._plant.get_body(BodyIndex(thrust.body)).name()
+            raise ModelError(
+                f"a thruster on {name!r}", "a body that nothing moves", "one that moves"
+            )
+        moment, force = (X.rotation() @ part for part in np.split(thrust.wrench, 2))
+        return np.concatenate([moment + np.cross(X.translation(), force), force])
 
     def _read_inertias(self) -> tuple[Floats, Floats, Floats]:
         """Returns masses (L,), centers (L, 3) and moments of inertia about these (L, 6)."""

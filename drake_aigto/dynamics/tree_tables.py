@@ -20,12 +20,13 @@ NUM_VELOCITIES = np.array([1, 1, 1, 3, 3, 3])
 class TreeTables(NamedTuple):
     """Tables of a tree of joints and bodies, see `Tree`.
 
-        M(q) v̇ + h(q, v) = B u,    q̇ = N(q) v
+        M(q) v̇ + h(q, v) = B(q) u,    q̇ = N(q) v
 
     Bodies that are welded together are one link. Drake's planar, universal and floating joints are
     chains of links, all but the last one without mass: a floating body translates, then turns. A
     link's frame is that of its joint on the child (Drake's M), which moves in the one on the parent
-    (F). Letters: L links, n = nv degrees of freedom, nu actuators, B bodies of the plant.
+    (F). Letters: L links, n = nv degrees of freedom, nu controls, of which the
+    last T are thrusters', B bodies of the plant.
 
     q and v are ordered as the plant has them. Degrees of freedom are numbered from the world
     outward, each link's in a row; the plant has those of a floating body in another order, see
@@ -55,10 +56,28 @@ class TreeTables(NamedTuple):
     friction: Floats  # F of dry friction, −F σ(v / w), w² = stiction² + (ε pace)²; shape (n,)
     stiction: Floats  # speed below which joints stick, shape (n,)
     pace: Floats  # shape (n,) [1/s]
-    actuation: Floats  # B, of degrees of freedom, shape (n, nu)
+    actuation: Floats  # B, of degrees of freedom, shape (n, nu); 0 of thrusters
+    thruster_links: Ints  # that they push, shape (T,)
+    thrusts: Floats  # moment about its frame's origin, and force, for u = 1, in it; shape (T, 6)
     body_links: Ints  # of each body, −1: fixed to the world; shape (B,)
     body_rotations: Floats  # of bodies in their links, by rows, shape (B, 9)
     body_offsets: Floats  # their origins in the links' frames, shape (B, 3) [m]
+
+
+class FrameTable(NamedTuple):
+    """Frames and their goals for compiled code, F of them."""
+
+    links: Ints  # that they are fixed to, shape (F,)
+    rotations: Floats  # in the link, by rows, shape (F, 9)
+    offsets: Floats  # their origins in the link, shape (F, 3) [m]
+    goal_rotations: Floats  # in the world, by rows, shape (F, 9)
+    goals: Floats  # p*, shape (F, 3) [m]
+    weights: Floats  # of p − p* along the world's axes, and of the turn, shape (F, 4)
+
+
+NO_FRAMES = FrameTable(
+    np.zeros(0, dtype=np.int64), *(np.zeros((0, size)) for size in (9, 3, 9, 3, 4))
+)
 
 
 class TreeMemory(NamedTuple):

@@ -133,8 +133,8 @@ def _find_hold(world: World, scenario: Scenario, q: Floats) -> Floats | None:
     still = not TaskCost.of(world, scenario).goal_velocity.any()
     if world.dry_friction is not None or not still or np.any(world.calc_clearance(q) <= 0):
         return None
-    load, B = world.calc_bias(q, np.zeros(world.num_velocities)), world.actuation
-    u = world.inverse_actuation @ load
+    load, B = world.calc_bias(q, np.zeros(world.num_velocities)), world.calc_actuation(q)
+    u = np.linalg.pinv(B) @ load
     low, high = world.bounds(scenario).control
     is_balanced = np.max(np.abs(B @ u - load)) <= _BALANCED * np.max(np.abs(load), initial=1.0)
     return u if is_balanced and np.all((u >= low) & (u <= high)) else None

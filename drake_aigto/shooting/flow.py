@@ -9,6 +9,7 @@ from drake_aigto.kernels import borrowing, pasted
 from drake_aigto.shooting.hold import hold_stage, strike_stage
 from drake_aigto.shooting.stages import (
     accelerate_stage,
+    add_frames,
     bend,
     compare,
     enter,
@@ -259,7 +260,7 @@ def jump(
 
 @borrowing
 def measure_end(program: Program, z: Floats, has_slopes: bool, memory: Memory) -> float:
-    """Returns eᵀ W e of the last state, with its derivatives if asked."""
+    """Returns eᵀ W e of the last state and costs of frames, with derivatives if asked."""
     mechanics, task = program.mechanics, program.task
     K, room, cost = memory.controls.shape[0], memory.flow, 0.0
     weights, x, errors, squares = task.final, room.points[0], room.points[4], room.points[5]
@@ -284,4 +285,4 @@ def measure_end(program: Program, z: Floats, has_slopes: bool, memory: Memory) -
             l1[i] = 2 * total
     if has_slopes:
         turn_end(mechanics, l1, l2, room.mechanics)
-    return cost
+    return cost + add_frames(mechanics, task.frames, z, has_slopes, l1, l2, room.mechanics)

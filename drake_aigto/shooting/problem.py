@@ -9,6 +9,7 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.contact import COEFFICIENT, SOURCE, AnyMechanism, copy_writable
+from drake_aigto.dynamics import NO_FRAMES
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.optimal_control import OptimalControlProblem, StageLayout
@@ -315,6 +316,7 @@ def _make_task(cost: TaskCost) -> CostTable:
         goal=np.concatenate([cost.goal, cost.goal_velocity]),
         times=cost.times,
         reference=np.hstack([cost.positions, cost.velocities]),
+        frames=NO_FRAMES if cost.frames is None else cost.frames.table,
     )
 
 

@@ -28,7 +28,9 @@ from drake_aigto.contact import (
 )
 from drake_aigto.dynamics import (
     QUATERNION,
+    FrameTable,
     TreeTables,
+    add_frame_costs,
     add_tangent,
     find_rate,
     find_turning,
@@ -218,6 +220,20 @@ def turn_end(mechanics: TreeMechanics, l1: Floats, l2: Floats, memory: TreeMecha
             x, y, z = l2[c, at], l2[c, at + 1], l2[c, at + 2]
             for k in range(3):
                 l2[c, at + k] = x * J[k] + y * J[3 + k] + z * J[6 + k]
+
+
+@only_of(TreeMechanics)
+def add_frames(
+    mechanics: TreeMechanics,
+    frames: FrameTable,
+    z: Floats,
+    has_slopes: bool,
+    l1: Floats,
+    l2: Floats,
+    memory: TreeMechanicsMemory,
+) -> float:
+    """Returns what frames cost, and adds the derivatives by δ if asked."""
+    return add_frame_costs(mechanics.tree, frames, z, has_slopes, l1, l2, memory.tree)
 
 
 def subtract_tree(mechanics: TreeMechanics, z: Floats, before: Floats, off: Floats) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.contact import TreeMechanics, make_mechanics_memory
+from drake_aigto.dynamics import FrameTable
 
 # Kinds of stages; others are impacts, given by their contact.
 FLOW, START = -1, -2
@@ -26,6 +27,7 @@ class CostTable(NamedTuple):
     goal: Floats  # shape (2n,)
     times: Floats  # of the reference, shape (L,) [s]
     reference: Floats  # shape (L, 2n)
+    frames: FrameTable  # that have goals
 
 
 class Bounds(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.planning import Plan
-from drake_aigto.world import World
+from drake_aigto.world import World, name_controls
 
 
 def read_columns(plan: Plan, world: World | None = None) -> dict[str, Floats]:
@@ -23,7 +23,7 @@ def read_columns(plan: Plan, world: World | None = None) -> dict[str, Floats]:
     t, m = path.times, range(world.num_contacts)
     names = world.plant.GetPositionNames(add_model_instance_prefix=False)
     rates = world.plant.GetVelocityNames(add_model_instance_prefix=False)
-    driven = world.plant.GetActuatorNames(add_model_instance_prefix=False)
+    driven = name_controls(world.plant, world.num_actuators, has_prefix=False)
     last = np.full((1, 1), np.nan)
     columns = {"time": t}
     for kind, labels, rows in (

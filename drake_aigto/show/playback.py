@@ -17,7 +17,7 @@ from drake_aigto.show.motion import Motion
 from drake_aigto.show.page import Page, Scene
 from drake_aigto.show.shapes import coordinate_names, read_coordinates
 from drake_aigto.show.text import touch_names
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, World, list_units, name_controls
 
 _APART = 1.06  # from one motion to the next when they stand side by side, in windows
 _MOST_NUMBERS = 400  # rows of the table of numbers
@@ -106,11 +106,11 @@ def list_numbers(motion: Motion, world: World, scenario: Scenario) -> dict[str, 
     if motion.controls is not None and motion.control_times is not None:
         held = np.searchsorted(motion.control_times, times, side="right") - 1
         columns += list(motion.controls[np.clip(held, 0, len(motion.controls) - 1)].T)
-        turns = world.turns[np.argmax(np.abs(world.actuation), axis=0)]
-        driven = world.plant.GetActuatorNames(add_model_instance_prefix=False)
+        count = world.num_actuators
+        driven = name_controls(world.plant, count, has_prefix=False)
         names += [
-            f"control {name} [{'N m' if is_torque else 'N'}]".replace("_", " ")
-            for name, is_torque in zip(driven, turns, strict=True)
+            f"control {name} [{unit}]".replace("_", " ")
+            for name, unit in zip(driven, list_units(world.plant, count), strict=True)
         ]
     seen = [np.where(np.abs(c) > _NOTHING * np.max(np.abs(c)), c, 0.0) for c in columns]
     rounded = [[float(f"{value:.4g}") for value in column] for column in seen]

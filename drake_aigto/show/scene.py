@@ -296,7 +296,8 @@ class _Scene:
         torques: dict[str, tuple[Floats, Floats]] = {}
         if motion.controls is None:
             return forces, torques
-        generalized = (motion.controls @ self._world.actuation.T)[find_held(motion)]
+        held = motion.controls[find_held(motion)][..., np.newaxis]
+        generalized = (self._world.calc_actuation(motion.positions) @ held)[..., 0]
         for joint in moving_joints(self._world):
             start = joint.velocity_start()
             if not np.any(self._world.actuation[start : start + joint.num_velocities()]):

@@ -65,16 +65,19 @@ class Arrival:
         first, turns = np.arange(2 * n) < n, np.tile(world.turns, 2)
         kinds = (first & ~turns, first & turns, ~first & ~turns, ~first & turns)
         most = [float(np.max(sizes[kind], initial=0.0)) for kind in kinds]
+        missed = [errors[kind & asked] for kind in kinds]
+        for i, off in enumerate(() if cost.frames is None else cost.frames.asked(q)):
+            way = np.maximum(np.abs(off - off[-1]).max(axis=0), np.abs(off[0]))
+            most[i] = max(most[i], _NEAR * float(np.max(way, initial=0.0)))
+            missed[i] = np.concatenate([missed[i], off[-1]])
         most[1] = min(most[1], _NEAR)
         is_reached = all(
-            np.all(np.abs(errors[kind & asked]) <= size)
-            for kind, size in zip(kinds, most, strict=True)
+            np.all(np.abs(off) <= size) for off, size in zip(missed, most, strict=True)
         )
         active: tuple[str, ...] = ()
         if u is not None and not is_reached and world.bounds(scenario).are_any:
             active = tuple(world.limits.active_items(world.plant, scenario, q, v, u))
         distance, angle, speed, turn_rate = (
-            float(np.linalg.norm(errors[kind & asked])) if np.any(kind & asked) else None
-            for kind in kinds
+            float(np.linalg.norm(off)) if off.size else None for off in missed
         )
         return cls(is_reached, distance, angle, speed, turn_rate, active)

@@ -103,7 +103,7 @@ def _simulate(world: World, scenario: Scenario, controller: Controller) -> tuple
             x = plant.GetPositionsAndVelocities(context)
             held = controller.sample(now, x, trace.bounces)
             trace.hold(now, held)
-            plant.get_actuation_input_port().FixValue(context, held.control)
+            world.fix_control(root, held.control)
             if contacts is not None:
                 contacts.plan(root)
         simulator.AdvanceTo(held.until if held.until > now else controller.end)

@@ -6,7 +6,10 @@ from .files import scenario_names as scenario_names
 from .files import scenario_seconds as scenario_seconds
 from .files import scenario_summaries as scenario_summaries
 from .fingerprint import Fingerprint as Fingerprint
+from .frames import FrameGoals as FrameGoals
 from .limits import Limits as Limits
+from .limits import list_units as list_units
+from .limits import name_controls as name_controls
 from .material import DISSIPATION as DISSIPATION
 from .material import STIFFNESS as STIFFNESS
 from .material import read_given as read_given
@@ -18,6 +21,9 @@ from .model_fields import Material as Material
 from .model_fields import ModelFields as ModelFields
 from .model_reader import add_dry_friction as add_dry_friction
 from .model_reader import build_diagram as build_diagram
+from .places import FrameGoal as FrameGoal
+from .places import Pose as Pose
+from .places import PoseWeight as PoseWeight
 from .scenario import Scenario as Scenario
 from .space import SpaceWorld as SpaceWorld
 from .task_cost import Scales as Scales

@@ -72,12 +72,13 @@ def find_plant(diagram: Diagram) -> tuple[MultibodyPlant, SceneGraph]:
     return found[0], found[1]
 
 
-def check_plant(plant: MultibodyPlant, in_space: bool = False) -> None:
+def check_plant(plant: MultibodyPlant, in_space: bool = False, has_thrusters: bool = False) -> None:
     """Refuses a plant that can't be planned for, whatever its equations are.
 
     Args:
         plant: finalized.
         in_space: whether it is read as a tree (`SpaceWorld`), which joints of any kind make.
+        has_thrusters: whether these drive it, beside actuators of joints or alone.
 
     Raises:
         ModelError: discrete, no moving joint, q̇ ≠ v, a joint of another kind, links that are
@@ -100,7 +101,7 @@ def check_plant(plant: MultibodyPlant, in_space: bool = False) -> None:
         _check_velocities(plant)
         find_hinges(plant)
     check_constraints(plant)
-    _check_actuators(plant)
+    _check_actuators(plant, has_thrusters)
 
 
 def scale_masses(plant: MultibodyPlant, context: Context, factor: float) -> None:
@@ -205,9 +206,9 @@ def hide_half_space_warning() -> Iterator[None]:
         logger.removeFilter(is_other)
 
 
-def _check_actuators(plant: MultibodyPlant) -> None:
+def _check_actuators(plant: MultibodyPlant, has_thrusters: bool) -> None:
     """Refuses a plant that nothing drives, or that something else drives than the control."""
-    if plant.num_actuators() == 0:
+    if plant.num_actuators() == 0 and not has_thrusters:
         raise ModelError(
             "the model lacks an actuator",
             remedy="In SDF drop <effort>0</effort> from the joint's <limit>; in URDF add a "

@@ -12,7 +12,7 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from drake_aigto.dynamics import EquationsOfMotion
 from drake_aigto.errors import ModelError
-from drake_aigto.world.limits import Limits
+from drake_aigto.world.limits import Limits, name_controls
 
 _Rows = tuple[tuple[float, ...], ...]
 
@@ -73,7 +73,7 @@ class Fingerprint:
         return cls(
             model=model,
             coordinates=tuple(plant.GetPositionNames()),
-            actuators=tuple(plant.GetActuatorNames()),
+            actuators=tuple(name_controls(plant, motion.num_actuators)),
             contacts=tuple(contact.name for contact in motion.contacts),
             restitutions=tuple(contact.restitution for contact in motion.contacts),
             accelerations=_rows(motion.calc_acceleration(q, v, controls)),

@@ -42,6 +42,7 @@ class Limits:
         plant: MultibodyPlant,
         efforts: Mapping[str, tuple[float, float]],
         joints: Limited = "model",
+        thrusters: int = 0,
     ) -> Limits:
         """Returns those of a plant's joints and actuators.
 
@@ -50,6 +51,7 @@ class Limits:
             efforts: least and largest u by actuator, which may be narrower than the plant's, whose
                 limits are the same both ways.
             joints: "ignore": those of joints count for nothing.
+            thrusters: their number, which have no limits.
         """
         position = np.array([plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()])
         velocity = np.array([plant.GetVelocityLowerLimits(), plant.GetVelocityUpperLimits()])
@@ -57,6 +59,8 @@ class Limits:
             for each in (position, velocity):
                 each[:] = [[-np.inf], [np.inf]]
         control = np.array([plant.GetEffortLowerLimits(), plant.GetEffortUpperLimits()])
+        free = np.tile([[-np.inf], [np.inf]], thrusters)
+        control = np.hstack([control, free])
         for name, bounds in efforts.items():
             control[:, plant.GetJointActuatorByName(name).input_start()] = bounds
         return cls(read_only(position), read_only(velocity), read_only(control))
@@ -74,7 +78,7 @@ class Limits:
     def control_items(self, plant: MultibodyPlant, scenario: Scenario) -> list[str]:
         """Returns what bounds the control of each actuator that is bounded, and who says so."""
         bounds = self.narrowed(scenario).control
-        names, units = plant.GetActuatorNames(), _list_units(plant)
+        names, units = name_controls(plant, bounds.shape[1]), list_units(plant, bounds.shape[1])
         return [
             f"{names[i]} from {' to '.join(map(_tell_origin, bounds[:, i], self.control[:, i]))} "
             f"{units[i]}"
@@ -97,7 +101,7 @@ class Limits:
         for kind, names, values in (
             ("position", plant.GetPositionNames(), q),
             ("velocity", plant.GetVelocityNames(), v),
-            ("control", plant.GetActuatorNames(), u),
+            ("control", name_controls(plant, u.shape[1]), u),
         ):
             ends, own = getattr(bounds, kind), getattr(self, kind)
             for row, side, most in ((0, -1.0, "at least"), (1, 1.0, "at most")):
@@ -182,11 +186,18 @@ def _tell_origin(bound: float, own: float) -> str:
     return f"{bound:g} ({'model' if bound == own else 'scenario'})"
 
 
-def _list_units(plant: MultibodyPlant) -> list[str]:
+def name_controls(plant: MultibodyPlant, count: int, has_prefix: bool = True) -> list[str]:
+    """Returns names of all controls: of actuators, then of thrusters."""
+    names = plant.GetActuatorNames(add_model_instance_prefix=has_prefix)
+    return [*names, *(f"thruster_{i + 1}" for i in range(count - len(names)))]
+
+
+def list_units(plant: MultibodyPlant, count: int) -> list[str]:
     """Returns the unit of each control, (nu,)."""
     actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
     ordered = sorted(actuators, key=lambda actuator: int(actuator.input_start()))
-    return ["N" if each.joint().type_name() == "prismatic" else "N m" for each in ordered]
+    units = ["N" if each.joint().type_name() == "prismatic" else "N m" for each in ordered]
+    return [*units, *["N"] * (count - len(units))]
 
 
 def _narrow(scenario: Scenario, name: str, limits: Floats) -> Floats:

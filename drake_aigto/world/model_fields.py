@@ -36,6 +36,15 @@ class Servo(NamedTuple):
     damping: float = 0.0  # d [N s/m, N m s/rad]
 
 
+class Thruster(NamedTuple):
+    """A force of its control u along a direction in a link's frame, with a moment about it."""
+
+    body: str
+    xyz: tuple[float, ...] = (0.0, 0.0, 0.0)  # where it acts [m]
+    direction: tuple[float, ...] = (0.0, 0.0, 1.0)  # of unit length
+    drag: float = 0.0  # moment about the direction, per u [m]
+
+
 _Item = TypeVar("_Item")
 
 
@@ -152,6 +161,34 @@ def as_servo(name: str, value: object) -> Servo:
     return Servo(*numbers)
 
 
+def as_thrusters(name: str, value: Any) -> tuple[Thruster, ...]:
+    """Returns thrusters, from a list of mappings.
+
+    Raises:
+        ScenarioError: one is none; says which.
+    """
+    if not isinstance(value, list | tuple):
+        raise ScenarioError(name, got=repr(value), expected="a list of thrusters")
+    return tuple(_as_thruster(f"{name}[{i}]", item) for i, item in enumerate(value))
+
+
+def _as_thruster(name: str, value: Any) -> Thruster:
+    given = value._asdict() if isinstance(value, Thruster) else value
+    if not isinstance(given, Mapping) or "body" not in given or set(given) - set(Thruster._fields):
+        expected = f"a mapping of body, and some of {', '.join(Thruster._fields[1:])}"
+        raise ScenarioError(name, got=repr(value), expected=expected)
+    made = Thruster(**given)
+    places = [as_vector(f"{name}.{key}", getattr(made, key)) for key in ("xyz", "direction")]
+    length = float(np.linalg.norm(places[1]))
+    if {place.size for place in places} != {3} or not length > 0.0:
+        expected = "3 numbers in each, and a direction that is not 0"
+        raise ScenarioError(f"{name}.xyz, direction", f"{made.xyz}, {made.direction}", expected)
+    xyz, direction = places[0], places[1] / length
+    drag = as_number(f"{name}.drag", made.drag, unit="m")
+    body = as_text(f"{name}.body", made.body)
+    return Thruster(body, tuple(xyz.tolist()), tuple(direction.tolist()), drag)
+
+
 def as_globs(name: str, value: object) -> tuple[str, ...]:
     """Returns patterns of names, from a list of them, or from "all" or "none"."""
     if isinstance(value, str) and value in ("all", "none"):
@@ -180,6 +217,9 @@ class ModelFields(ArrayRecord):
             place of the model's.
         servos: driven joint → stiffness k and damping d of a position controller in it, of which
             the control is u = k q*, with q* the set point [N, N m] (`Servo`).
+        thrusters: forces that turn with their links, whose controls follow those of the actuators:
+            mappings of body, xyz where it acts in the link's frame [m], direction there, and drag,
+            the moment about the direction per force [m] (`Thruster`). In space.
         weightless: models in the file whose gravity is compensated, globs of their names.
         limits: "model", or "ignore": limits of positions and velocities count for nothing.
         collisions: shapes that may touch anything, "all", "none" or globs; others are not even
@@ -203,6 +243,7 @@ class ModelFields(ArrayRecord):
     servos: ArrayField[Named[Servo]] = ArrayField(
         as_mapping(as_servo, "{shoulder: [100, 5]}"), Named()
     )
+    thrusters: ArrayField[tuple[Thruster, ...]] = ArrayField(as_thrusters, ())
     weightless: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ())
     limits: Limited = "model"
     collisions: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ("*",))

@@ -56,6 +56,7 @@ from drake_aigto.world.model_shapes import (
 from drake_aigto.world.model_text import read_model_text
 from drake_aigto.world.pairs import order_pair
 from drake_aigto.world.space_pairs import order_shapes
+from drake_aigto.world.thrusters import add_actuation, find_propeller
 
 _TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 # What Drake says of joints that form a loop.
@@ -179,7 +180,7 @@ def _read_model(
         if _LOOP in str(error):
             raise refuse_loop(f"a loop of joints in {path}") from error
         raise ModelError(f"Drake can't parse the model {path}", got=error) from error
-    check_plant(plant, in_space)
+    check_plant(plant, in_space, bool(fields.thrusters))
     plant.set_stiction_tolerance(stiction_speed)
     choose_ends(scene_graph, ends)
     leave_pairs_out(scene_graph, order_shapes if in_space else order_pair, facts)
@@ -189,7 +190,7 @@ def _read_model(
     if friction is not None:
         check_size("dry_friction", friction, plant.num_velocities())
         add_dry_friction(builder, plant, friction, stiction_speed)
-    builder.ExportInput(plant.get_actuation_input_port(), "actuation")
+    add_actuation(builder, plant, path, fields.thrusters)
     builder.ExportOutput(plant.get_state_output_port(), "state")
     builder.ExportOutput(plant.get_contact_results_output_port(), "contact_results")
     builder.ExportOutput(scene_graph.get_query_output_port(), "query")
@@ -301,7 +302,7 @@ def _drive(plant: MultibodyPlant, path: Path, facts: ModelFacts) -> None:
             )
         known[name][0].set_effort_limit(limit)
         facts.efforts.pop(known[name][0].name(), None)
-    if moving and not driven:
+    if moving and not driven and not facts.fields.thrusters:
         idle = sorted(facts.no_effort & set(moving))
         first = (idle or sorted(moving))[0]
         remedy = f"effort_limits: {{{first}: ...}}" if idle else f"actuators: [{first}, ...]"
@@ -392,7 +393,11 @@ def open_diagram(
     diagram = copy_diagram(diagram) if fields.material else diagram
     plant, scene_graph = find_plant(diagram)
     set_materials(plant, scene_graph, fields.material)
-    check_plant(plant, in_space)
+    has_thrusters = find_propeller(diagram) is not None
+    if has_thrusters and not in_space:
+        remedy = "Read it by SpaceWorld.from_diagram."
+        raise ModelError("Propeller", "thrusters, in a plane", "a world in space", remedy)
+    check_plant(plant, in_space, has_thrusters)
     if dry_friction is not None:
         check_friction_acts(plant, diagram)
     return fields, diagram, plant, scene_graph

@@ -32,6 +32,13 @@ class PoseWeight(NamedTuple):
     turn: tuple[float, ...]  # about them
 
 
+class FrameGoal(NamedTuple):
+    """Where a frame should be in the world at the end, and the weights of its error."""
+
+    pose: Pose
+    weight: PoseWeight  # of the turn, one number
+
+
 # Joint or floating body → its positions.
 Places: TypeAlias = Named["tuple[float, ...] | Pose"]
 
@@ -65,6 +72,26 @@ def _as_place(name: str, value: Any) -> tuple[float, ...] | Pose:
         angles = np.deg2rad(turn) if turns == ["rpy_deg"] else turn
         turn = RollPitchYaw(angles).ToQuaternion().wxyz()
     return Pose(tuple(place.tolist()), tuple(turn.tolist()))
+
+
+def as_frame_goal(name: str, value: Any) -> FrameGoal:
+    """Returns the goal of a frame, from its pose and a mapping of weights.
+
+    Raises:
+        ScenarioError: it is none, or has no weight; says which.
+    """
+    if isinstance(value, FrameGoal):
+        return value
+    if not isinstance(value, Mapping) or not isinstance(value.get("weight"), Mapping):
+        expected = f"a pose: {_POSE}; and weight: {{xyz: ..., turn: ...}}"
+        raise ScenarioError(name, got=repr(value), expected=expected)
+    pose = _as_place(name, {key: item for key, item in value.items() if key != "weight"})
+    weight = _as_weight(f"{name}.weight", value["weight"])
+    assert isinstance(pose, Pose) and isinstance(weight, PoseWeight), "both are mappings"
+    if len(set(weight.turn)) > 1 or not any((*weight.xyz, *weight.turn)):
+        expected = "one number for the turn, and one weight above 0"
+        raise ScenarioError(f"{name}.weight", got=repr(value["weight"]), expected=expected)
+    return FrameGoal(pose, weight)
 
 
 def by_name(check: Callable[[str, Any], _Checked]) -> Callable[[str, Any], _Checked]:

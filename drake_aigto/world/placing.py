@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from pydrake.multibody.tree import Joint
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ScenarioError
 from drake_aigto.world.files import suggest
+from drake_aigto.world.frames import reach_frames
 from drake_aigto.world.model_fields import Named
 from drake_aigto.world.places import Pose, PoseWeight
 from drake_aigto.world.scenario import Scenario
@@ -27,21 +29,29 @@ _FLOATING = "quaternion_floating"
 def place_scenario(plant: MultibodyPlant, scenario: Scenario) -> Scenario:
     """Returns a scenario with all positions and weights as arrays, quaternions of unit length.
 
-    Goals of joints that are not named are where these start.
+    Goals of joints that are not named are where these start; or of those that nothing weighs, where
+    frames are at their goals.
 
     Raises:
         ScenarioError: a name is no joint or floating body of the model, or has another size.
     """
     changed: dict[str, Any] = {}
     start = _place(plant, "initial_position", scenario.initial_position, None)
-    for name, default in (("initial_position", None), ("goal_position", start)):
+    for name in _WEIGHTS:
+        if isinstance(value := getattr(scenario, name), Named):
+            changed[name] = _weigh(plant, name, value)
+    goal = start
+    if scenario.frame_goals and isinstance(scenario.goal_position, Mapping):
+        weights = np.asarray(changed.get("goal_weight", scenario.goal_weight))
+        is_free = ~np.any(np.atleast_2d(weights), axis=0) * np.ones(plant.num_velocities())
+        for joint in (_find(plant, "goal_position", key) for key in scenario.goal_position):
+            is_free[joint.velocity_start() :][: joint.num_velocities()] = 0.0
+        goal = reach_frames(plant, scenario.frame_goals, start, is_free)
+    for name, default in (("initial_position", None), ("goal_position", goal)):
         value = getattr(scenario, name)
         found = _place(plant, name, value, default)
         if found is not value:
             changed[name] = found
-    for name in _WEIGHTS:
-        if isinstance(value := getattr(scenario, name), Named):
-            changed[name] = _weigh(plant, name, value)
     return dataclasses.replace(scenario, **changed) if changed else scenario
 
 

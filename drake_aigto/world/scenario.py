@@ -31,8 +31,22 @@ from drake_aigto.world.fields import (
     check_reference,
 )
 from drake_aigto.world.files import read_scenario, scenario_files, suggest
-from drake_aigto.world.model_fields import Material, ModelFields, Named, as_globs, as_mapping
-from drake_aigto.world.places import Pose, PoseWeight, as_places, by_name
+from drake_aigto.world.model_fields import (
+    Material,
+    ModelFields,
+    Named,
+    Thruster,
+    as_globs,
+    as_mapping,
+)
+from drake_aigto.world.places import (
+    FrameGoal,
+    Pose,
+    PoseWeight,
+    as_frame_goal,
+    as_places,
+    by_name,
+)
 
 DEFAULT_MODEL = "package://drake_aigto_models/point_mass_and_wall.sdf"
 
@@ -64,7 +78,7 @@ _EXTRAS = (
     *("reference_times", "reference_positions", "reference_velocities"),
     *("position_lower", "position_upper", "velocity_lower", "velocity_upper"),
     *("control_lower", "control_upper", "control_norm", "contact", "dry_friction"),
-    *("stiction_speed", "clearance"),
+    *("stiction_speed", "clearance", "frame_goals"),
 )
 
 # Whole numbers of steps are recognized up to this relative error: 1.0 / 0.005 is not 200 exactly.
@@ -77,6 +91,7 @@ _running = by_name(partial(as_weight, at_least=0.0))
 _final = by_name(as_weight_matrix)
 _places = cast(Callable[[str, object], Floats], as_places)  # Names are replaced by numbers.
 _apart = as_mapping(partial(as_number, above=0.0, unit="m"), "{ball against left_wall: 0.05}")
+_frames = as_mapping(as_frame_goal, "{hand: {xyz: [0.5, 0, 0.3], weight: {xyz: 100}}}")
 _price = partial(as_weight, above=0.0)  # At zero no optimum is unique.
 
 
@@ -123,6 +138,10 @@ class Scenario(ModelFields):
         control_weight: R > 0, one number or (nu,) [1/(N² s)], [1/((N m)² s)].
         goal_weight: Q_T ≥ 0, one number, (nv,), or a symmetric matrix (nv, nv) [1/m²], [1/rad²]; or
             by names, 0 of others: numbers of a joint, or xyz and turn of a floating body.
+        frame_goals: where frames should be at T, and weights of that: frame or link → xyz, a turn
+            (`rpy_deg`, `rpy` or `quaternion`), and weight: {xyz: 1 or 3 numbers, turn: 1 number};
+            costs Σ w_k (p − xyz)_k² + w_turn (2 sin(θ/2))² beside the above. Of joints that neither
+            a `goal_position` by names nor a weight names, it has inverse kinematics. In space.
         goal_velocity_weight: Q_vT ≥ 0, of the same kinds [s²/m²], [s²/rad²].
         position_weight: Q ≥ 0, one number or (nv,) [1/(m² s)], [1/(rad² s)]; or by names.
         velocity_weight: Q_v ≥ 0, one number or (nv,) [s/m²], [s/rad²]; or by names.
@@ -175,6 +194,7 @@ class Scenario(ModelFields):
     )
     control_weight: _Weight = ArrayField(_price, 1e-3)
     goal_weight: _Weight = ArrayField(_final, 1.0)
+    frame_goals: ArrayField[Named[FrameGoal]] = ArrayField(_frames, Named())
     goal_velocity_weight: _Weight = ArrayField(_final, 0.0)
     position_weight: _Weight = ArrayField(_running, 0.0)
     velocity_weight: _Weight = ArrayField(_running, 0.0)
@@ -409,10 +429,12 @@ _DEFAULTS = {field.name: field.default for field in dataclasses.fields(Scenario)
 def _as_plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist()
-    if isinstance(value, Pose | PoseWeight):
-        return {name: list(item) for name, item in value._asdict().items()}
+    if isinstance(value, FrameGoal):
+        return {**_as_plain(value.pose), "weight": _as_plain(value.weight)}
+    if isinstance(value, Pose | PoseWeight | Thruster):
+        return {name: _as_plain(item) for name, item in value._asdict().items()}
     if isinstance(value, Material):
         return {name: item for name, item in value._asdict().items() if item is not None}
     if isinstance(value, Mapping):
         return {name: _as_plain(item) for name, item in value.items()}
-    return list(value) if isinstance(value, tuple) else value
+    return list(map(_as_plain, value)) if isinstance(value, tuple) else value

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 from pydrake.geometry import GeometryId, SceneGraph
-from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.plant import MultibodyPlant, Propeller
 from pydrake.symbolic import Expression, MakeVectorVariable
-from pydrake.systems.framework import Diagram
+from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.dynamics import (
@@ -28,13 +28,15 @@ from drake_aigto.dynamics import (
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.geometry import make_closest
 from drake_aigto.world.diagram import find_plant, scale_masses
+from drake_aigto.world.frames import FrameGoals
 from drake_aigto.world.limits import Limits, check_sizes
 from drake_aigto.world.material import SpringMaterial, combine_springs
 from drake_aigto.world.model_facts import find_errors
-from drake_aigto.world.model_fields import Limited, as_globs
+from drake_aigto.world.model_fields import Limited, Named, as_globs
 from drake_aigto.world.model_reader import open_diagram
 from drake_aigto.world.model_shapes import choose_pairs
 from drake_aigto.world.pair_errors import explain_no_contact
+from drake_aigto.world.places import FrameGoal
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.space_pairs import (
     EXPECTED,
@@ -45,6 +47,7 @@ from drake_aigto.world.space_pairs import (
     read_shapes,
 )
 from drake_aigto.world.task_cost import TaskCost
+from drake_aigto.world.thrusters import find_propeller, read_thrusts
 from drake_aigto.world.world import World
 
 # Bodies that are deeper in each other than this part of the smaller one overlap at the start.
@@ -64,12 +67,15 @@ class SpaceWorld(World):
         pairs: of shapes that may touch, one per contact.
         geometry: the same, for compiled code.
         angular: whether each velocity turns, shape (nv,).
+        propeller: of thrusters, whose B turns with their links: `actuation` is that at the plant's
+            default positions; None: there are none.
     """
 
     tree: Tree = field(kw_only=True)
     pairs: tuple[ShapePair, ...] = field(kw_only=True)
     geometry: SpaceShapes = field(kw_only=True)
     angular: Bools = field(kw_only=True)
+    propeller: Propeller | None = field(kw_only=True, default=None)
 
     @classmethod
     def from_diagram(
@@ -100,7 +106,10 @@ class SpaceWorld(World):
         pairs = _choose_pairs(plant, scene_graph, globs)
         context = plant.CreateDefaultContext()
         scale_masses(plant, context, mass_factor)
-        tree = Tree.of(plant, context, dry_friction)
+        propeller = find_propeller(diagram)
+        thrusts = () if propeller is None else read_thrusts(plant, diagram, propeller)
+        tree = Tree.of(plant, context, dry_friction, thrusts)
+        nu = tree.actuation.shape[1]
         n, notes = plant.num_velocities(), []
         if not pairs and (why := explain_no_contact(scene_graph, bool(globs))):
             notes.append(why)
@@ -115,12 +124,12 @@ class SpaceWorld(World):
             is_hinge=angles,
             positions=read_only(MakeVectorVariable(plant.num_positions(), "q"), object),
             velocities=read_only(MakeVectorVariable(n, "v"), object),
-            controls=read_only(MakeVectorVariable(plant.num_actuated_dofs(), "u"), object),
+            controls=read_only(MakeVectorVariable(nu, "u"), object),
             mass_matrix=nothing,
             bias=nothing,
-            actuation=read_only(plant.MakeActuationMatrix()),
+            actuation=read_only(tree.calc_actuation(plant.GetDefaultPositions())),
             contacts=tuple(contacts),
-            limits=Limits.of(plant, {}, limits),
+            limits=Limits.of(plant, {}, limits, len(thrusts)),
             _reachable=(),
             _stuck=(),
             ignored_shapes=globs,
@@ -133,6 +142,7 @@ class SpaceWorld(World):
             pairs=pairs,
             geometry=read_shapes(plant, scene_graph, tree, pairs),
             angular=turns,
+            propeller=propeller,
         )
 
     @property
@@ -286,6 +296,33 @@ class SpaceWorld(World):
         """Returns q̇ = N(q) v, shape (…, nq)."""
         rows = [self.tree.calc_position_rate(*row) for row in zip(_rows(q), _rows(v), strict=True)]
         return np.array(rows).reshape(np.shape(q))
+
+    def find_frames(self, goals: Named[FrameGoal]) -> FrameGoals | None:
+        """Returns goals of frames, checked; None: there are none."""
+        return FrameGoals.of(self.plant, self.tree, goals)
+
+    def calc_actuation(self, q: Floats) -> Floats:
+        """Returns B(q), shape (…, nv, nu), at q of shape (…, nq)."""
+        if self.propeller is None:
+            return self.actuation
+        found = [self.tree.calc_actuation(row) for row in _rows(q)]
+        return np.reshape(found, (*np.shape(q)[:-1], *self.actuation.shape))
+
+    def fix_control(self, root: Context, control: Floats) -> None:
+        """Holds a control, shape (nu,), in a context of the diagram."""
+        joints, thrusts = np.split(control, [self.plant.num_actuated_dofs()])
+        super().fix_control(root, joints)
+        if self.propeller is not None:
+            context = self.propeller.GetMyMutableContextFromRoot(root)
+            self.propeller.get_command_input_port().FixValue(context, thrusts)
+
+    def read_control(self, root: Context) -> Floats:
+        """Returns the control that acts in a context of the diagram, shape (nu,)."""
+        joints = super().read_control(root)
+        if self.propeller is None:
+            return joints
+        context = self.propeller.GetMyContextFromRoot(root)
+        return np.concatenate([joints, self.propeller.get_command_input_port().Eval(context)])
 
     def calc_mass_matrix(self, q: Floats) -> Floats:
         """Returns M(q), shape (…, nv, nv), at q of shape (…, nq)."""

@@ -13,6 +13,7 @@ from drake_aigto.arrays import ArrayRecord, Bools, Floats, interpolate, read_onl
 from drake_aigto.dynamics import EquationsOfMotion
 from drake_aigto.errors import ScenarioError
 from drake_aigto.world.fields import check_size
+from drake_aigto.world.frames import FrameGoals
 from drake_aigto.world.scenario import Scenario
 
 _TURN = 2.0 * np.pi
@@ -25,6 +26,7 @@ class TaskCost(ArrayRecord):
     """The cost of a scenario in its world, with every weight an array.
 
         J = ∫₀ᵀ [ uᵀ R u + e_qᵀ Q e_q + e_vᵀ Qv e_v ] dt + e_q(T)ᵀ QT e_q(T) + e_v(T)ᵀ QTv e_v(T)
+            + costs of frames at T (`FrameGoals`)
 
     with e_q = q − q_ref(t) and e_v = v − v_ref(t) under the integral, and q − goal and
     v − goal_velocity at T. Of a hinge that `is_modulo`, e is taken to the nearest of e + 2πk; of
@@ -47,6 +49,7 @@ class TaskCost(ArrayRecord):
         velocities: v_ref, (K, n); the goal's.
         subtract: of positions, the difference, (…, n).
         measure: the same, whose squares are weighed: of turns in space 2 sin(θ/2) about their axis.
+        frames: goals of frames; None: there are none.
     """
 
     R: Floats
@@ -63,6 +66,7 @@ class TaskCost(ArrayRecord):
     velocities: Floats
     subtract: Callable[[Any, Any], Floats] = np.subtract
     measure: Callable[[Any, Any], Floats] = np.subtract
+    frames: FrameGoals | None = None
 
     @classmethod
     def of(cls, world: EquationsOfMotion, scenario: Scenario) -> TaskCost:
@@ -73,7 +77,7 @@ class TaskCost(ArrayRecord):
                 is given for coordinates of different units, or angles can't be compared as asked.
         """
         n, is_hinge = world.num_velocities, world.turns
-        is_turning = np.any(world.actuation[is_hinge] != 0, axis=0)  # Of u: a torque, no force.
+        pushes = np.any(world.actuation[~is_hinge] != 0, axis=0)  # Of u: a force, no torque.
         given = ("goal_velocity", "reference_positions", "reference_velocities")
         for name in (name for name in given if getattr(scenario, name) is not None):
             size = world.num_positions if name == "reference_positions" else n
@@ -86,10 +90,13 @@ class TaskCost(ArrayRecord):
         final = np.zeros((n, n))
         if not scenario.hard_goal:
             final = _weigh(scenario, "goal_weight", is_hinge)
+        elif scenario.frame_goals:
+            got = f"a hard goal, and goals of {', '.join(scenario.frame_goals)}"
+            raise ScenarioError("frame_goals", got, "no hard_goal, as these are costs")
         if scenario.angles != "exact":
             _check_angles(scenario.angles, final, is_hinge)
         return cls(
-            R=_weigh(scenario, "control_weight", is_turning).diagonal(),
+            R=_weigh(scenario, "control_weight", ~pushes).diagonal(),
             Q=_weigh(scenario, "position_weight", is_hinge).diagonal(),
             Qv=_weigh(scenario, "velocity_weight", is_hinge).diagonal(),
             QT=final,
@@ -103,11 +110,12 @@ class TaskCost(ArrayRecord):
             velocities=np.tile(speed, (len(times), 1)) if speeds is None else speeds,
             subtract=world.subtract if world.num_positions != n else np.subtract,
             measure=world.measure if world.num_positions != n else np.subtract,
+            frames=world.find_frames(scenario.frame_goals),
         )
 
     def __post_init__(self) -> None:
         """Makes every array read-only."""
-        for field in fields(self)[:-2]:
+        for field in fields(self)[:-3]:
             values = getattr(self, field.name)
             object.__setattr__(self, field.name, read_only(values, np.asarray(values).dtype))
 
@@ -124,7 +132,8 @@ class TaskCost(ArrayRecord):
     def final(self, q: ArrayLike, v: ArrayLike) -> Floats:
         """Returns what the end costs, of states (…, n)."""
         e_q, e_v = self.position_error(q, self.goal), np.asarray(v) - self.goal_velocity
-        return _square(e_q, self.QT) + _square(e_v, self.QTv)
+        of_frames = 0.0 if self.frames is None else self.frames.cost(np.asarray(q))
+        return _square(e_q, self.QT) + _square(e_v, self.QTv) + of_frames
 
     def reference(self, t: ArrayLike) -> tuple[Floats, Floats]:
         """Returns q_ref and v_ref at times (…), (…, n) each."""
@@ -154,14 +163,16 @@ class TaskCost(ArrayRecord):
     def is_asked(self) -> Bools:
         """Of which coordinates it matters where they end, shape (n,).
 
-        Those that the goal weighs; all if it weighs none, as a hard goal does.
+        Those that the goal weighs; all if it weighs none and no frame, as a hard goal does.
         """
         is_weighed = np.any(self.QT, axis=0)
-        return np.asarray(is_weighed | (not is_weighed.any()))
+        return np.asarray(is_weighed | (not is_weighed.any() and self.frames is None))
 
     def goal_error(self, q: ArrayLike) -> Floats:
-        """Returns the norm of `goal_errors`, of coordinates whose end matters, (…)."""
-        return np.linalg.norm(self.goal_errors(q)[..., self.is_asked], axis=-1)
+        """Returns the norm of `goal_errors`, of coordinates and frames whose end matters, (…)."""
+        errors = self.goal_errors(q)[..., self.is_asked]
+        of_frames = () if self.frames is None else self.frames.asked(np.asarray(q))
+        return np.linalg.norm(np.concatenate([errors, *of_frames], axis=-1), axis=-1)
 
 
 def take_nearest_turn(error: Floats, does_turn: Bools) -> Floats:

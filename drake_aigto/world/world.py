@@ -146,6 +146,11 @@ class World(EquationsOfMotion):
         friction = scenario.dry_friction, scenario.stiction_speed
         asked = scenario.model, *friction, scenario.model_fields
         in_space = cls is not World
+        of_space = [name for name in ("thrusters", "frame_goals") if getattr(scenario, name)]
+        if of_space and not in_space:
+            remedy = "Ask for contact: compliant (--contact compliant)."
+            expected = "none, but of models that are read in space"
+            raise ModelError(of_space[0], "them, in a plane", expected, remedy)
         found = read_model(*asked, is_bare=True, in_space=in_space)
         if found.is_bare:
             if errors := cls._check_plant(scenario, found.diagram):
@@ -163,7 +168,12 @@ class World(EquationsOfMotion):
             world,
             model=scenario.model,
             model_fields=scenario.model_fields,
-            limits=Limits.of(plant, found.efforts, scenario.limits),
+            limits=Limits.of(
+                plant,
+                found.efforts,
+                scenario.limits,
+                world.num_actuators - plant.num_actuated_dofs(),
+            ),
             ignored=found.ignored,
             notes=(*found.notes, *world.notes),
         )
@@ -392,6 +402,16 @@ class World(EquationsOfMotion):
             shapes = pick_shapes("ignored_shapes", self.ignored_shapes, names)
             exclude_shapes(self.scene_graph, root, shapes)
         return root
+
+    def fix_control(self, root: Context, control: Floats) -> None:
+        """Holds a control, shape (nu,), in a context of the diagram."""
+        context = self.plant.GetMyMutableContextFromRoot(root)
+        self.plant.get_actuation_input_port().FixValue(context, control)
+
+    def read_control(self, root: Context) -> Floats:
+        """Returns the control that acts in a context of the diagram, shape (nu,)."""
+        context = self.plant.GetMyContextFromRoot(root)
+        return np.array(self.plant.get_actuation_input_port().Eval(context))
 
     @property
     def sphere_mass(self) -> float:
