@@ -83,8 +83,7 @@ def test_the_index_has_every_page() -> None:
 def test_the_first_page_shows_every_plan_with_what_it_is_and_its_seconds() -> None:
     text, seconds = (API.parent / "index.md").read_text("utf-8"), scenario_seconds()
     shown = dict(re.findall(r"^!\[Animation.*?\((\S+)\) \*\*(\S+)\*\* .*$", text, re.MULTILINE))
-    # Its model is in another package.
-    assert {*scenario_summaries()} - {*shown.values()} <= {"half_cheetah/leap"}
+    assert {*scenario_summaries()} == {*shown.values()}
     for name, told in scenario_summaries().items():
         took = f" {seconds[name]:g}\u00a0s." if name in seconds else ""
         assert f"**{name}** {told}.{took}\n" in text
