@@ -37,6 +37,7 @@ from drake_aigto.show import (
     motions_of_plan,
     plot_motions,
     publish,
+    task_items,
 )
 from drake_aigto.simulation import replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
@@ -276,6 +277,14 @@ def test_a_hand_reaches_where_it_pushes_the_object_along_and_sticks_to_it(tmp_pa
     controls = reaches.push(times, state, (0.4, 1.0), bounds, np.random.default_rng(0))
     replay = replay_event_driven(world, scenario, times, controls)
     assert replay.positions[-1, ball] > 0.1  # Contact does the rest.
+
+
+def test_numbers_of_a_quaternion_have_no_unit(tmp_path: Path) -> None:
+    world, scenario = build(make_scenario(tmp_path))
+    first = world.plant.GetJointByName("thing").position_start()
+    assert world.units_of_positions[first : first + 7] == ("", "", "", "", "m", "m", "m")
+    (start, *_) = task_items(scenario, world)
+    assert "1, 0, 0, 0, 0 m, 0 m, 0.0493 m" in start and "rad" not in start
 
 
 def make_arm(folder: Path, count: int) -> Scenario:

@@ -117,6 +117,11 @@ class EquationsOfMotion:
         return tuple("rad" if turns else "m" for turns in self.turns)
 
     @property
+    def units_of_positions(self) -> tuple[str, ...]:
+        """The unit of each position, nq of them; none, "", of the numbers of a quaternion."""
+        return self.units
+
+    @property
     def num_velocities(self) -> int:
         """The number of generalized velocities, nv = nq."""
         return len(self.velocities)

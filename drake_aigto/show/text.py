@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from drake_aigto.arrays import Bools, Floats
+from drake_aigto.arrays import Floats
 from drake_aigto.contact import RigidLaw, contact_law
 from drake_aigto.errors import ScenarioError
 from drake_aigto.planning import Candidate
@@ -69,16 +69,17 @@ def task_items(scenario: Scenario, world: World | None = None) -> list[str]:
 
     Without a world, all coordinates are lengths.
     """
-    is_hinge = turns = np.zeros(scenario.initial_position.shape, bool)
+    of_positions = of_velocities = ["m"] * len(scenario.initial_position)
     if world is not None:
-        is_hinge, turns = world.is_hinge, world.turns
+        of_positions, of_velocities = list(world.units_of_positions), list(world.units)
+    of_velocities = [f"{unit}/s" for unit in of_velocities]
     items = [
-        f"q(0) = {_numbers(scenario.initial_position, is_hinge)}",
-        f"v(0) = {_numbers(scenario.initial_velocity, turns, '/s')}",
-        f"goal {_numbers(scenario.goal_position, is_hinge)}",
+        f"q(0) = {_numbers(scenario.initial_position, of_positions)}",
+        f"v(0) = {_numbers(scenario.initial_velocity, of_velocities)}",
+        f"goal {_numbers(scenario.goal_position, of_positions)}",
     ]
     if scenario.goal_velocity is not None:
-        items.append(f"goal velocity {_numbers(scenario.goal_velocity, turns, '/s')}")
+        items.append(f"goal velocity {_numbers(scenario.goal_velocity, of_velocities)}")
     for name in (name for name in scenario.extras if name in _SHOWN):
         value, words = getattr(scenario, name), name.replace("_", " ")
         if name == "reference_times":
@@ -355,12 +356,11 @@ def run_texts(run: Candidate, digits: int = 2) -> tuple[str, str, str, str]:
     return cost, defect, length_text(run.max_penetration), energy_text(run.energy_ratio)
 
 
-def _numbers(values: Floats, is_hinge: Bools, per: str = "") -> str:
+def _numbers(values: Floats, units: Sequence[str]) -> str:
     """Returns numbers with their unit: one for all, or of each where they differ; 0 of zeros."""
-    units = [f"rad{per}" if hinge else f"m{per}" for hinge in is_hinge]
     texts = [
-        pi_text(value) if hinge and not per else f"{value:g}"
-        for value, hinge in zip(values, is_hinge, strict=True)
+        pi_text(value) if unit == "rad" else f"{value:g}"
+        for value, unit in zip(values, units, strict=True)
     ]
     if len(texts) == 1:
         return f"{texts[0]} {units[0]}"
@@ -369,4 +369,4 @@ def _numbers(values: Floats, is_hinge: Bools, per: str = "") -> str:
     if not np.any(values):
         return "0"
     pairs = zip(texts, units, strict=True)
-    return f"({', '.join(f'{text} {unit}' for text, unit in pairs)})"
+    return f"({', '.join(f'{text} {unit}'.strip() for text, unit in pairs)})"

@@ -288,6 +288,15 @@ class SpaceWorld(World):
         kinds, dofs = self.tree.kinds, self.tree.dofs[:-1]
         return [int(self.tree.velocities[dofs[i]]) for i in np.flatnonzero(kinds >= QUATERNION)]
 
+    @property
+    def units_of_positions(self) -> tuple[str, ...]:
+        """The unit of each position, nq of them; none, "", of the numbers of a quaternion."""
+        found = ["rad" if turns else "m" for turns in self.is_hinge]
+        for i in np.flatnonzero(self.tree.kinds >= QUATERNION):
+            first = int(self.tree.positions[i])
+            found[first : first + 4] = [""] * 4
+        return tuple(found)
+
     def middle(self, one: Floats, other: Floats) -> Floats:
         """Returns positions halfway between two, (…, nq)."""
         return self.add(one, self.subtract(other, one) / 2)
