@@ -1,9 +1,9 @@
 """How long the first plan takes from an installed wheel that has machine code.
 
-    DRAKE_AIGTO_MACHINE_CODE=all python -m build --wheel --no-isolation
-    python -m benchmarks.first_plans --wheel dist/*.whl [--scenarios NAME,NAME]
+    python -m benchmarks.first_plans [--wheel dist/NAME.whl] [--scenarios NAME,NAME]
 
-The wheel is installed into a folder of its own, without its dependencies. Each scenario is planned
+A wheel is built with machine code of all shipped scenarios, which takes some twenty minutes, unless
+one is given. It is installed into a folder of its own, without its dependencies. Each scenario is planned
 for twice in a process of its own that finds an empty cache of Numba's: CPU seconds of the first
 plan, with all imports, those of the second, and how many functions Numba compiled. Exits with 1
 where one was compiled, or the first plan took more than 2 s above the second.
@@ -42,13 +42,14 @@ def main() -> int:
     arguments = read_flags(
         __doc__,
         workers=None,
-        wheel=(Path(), "that has machine code"),
+        wheel=(Path(), "that has machine code; built if none is given"),
         scenarios=("", "names, with commas between; all that are shipped"),
     )
     met = []
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as built:
+        wheel = arguments.wheel if arguments.wheel != Path() else build_wheel(built)
         command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
-        subprocess.run([*command, "--target", folder, str(arguments.wheel)], check=True)
+        subprocess.run([*command, "--target", folder, str(wheel)], check=True)
         print(f"{'scenario':28}{'first':>8}{'second':>8}{'compiled':>10}  cost")
         for name in arguments.scenarios.split(",") if arguments.scenarios else scenario_names():
             first, second, compiled, cost = plan_twice(folder, name)
@@ -56,6 +57,15 @@ def main() -> int:
             met.append(is_met(f"{name}: functions compiled", compiled, 0))
             met.append(is_met(f"{name}: first above second [CPU s]", first - second, MOST_MORE))
     return 0 if all(met) else 1
+
+
+def build_wheel(folder: str) -> Path:
+    """Returns a wheel with machine code of all scenarios, in a folder."""
+    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder]
+    environment = {**os.environ, "DRAKE_AIGTO_MACHINE_CODE": "all"}
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env=environment)
+    (wheel,) = Path(folder).glob("*.whl")
+    return wheel
 
 
 def plan_twice(folder: str, name: str) -> tuple[float, float, int, float]:

@@ -85,6 +85,7 @@ RECORDS: Mapping[str, str] = {
     "plan_profile": f"python -m benchmarks.plan_profile {_SPEED}",
     "newton_speed": f"python -m benchmarks.newton_speed {_SPEED}",
     "growth": f"python -m benchmarks.growth --repeats 1 {_SPEED}",
+    "first_plans": "python -m benchmarks.first_plans",
     "start_time": f"python -m benchmarks.start_time --repeats 3 {_SPEED}",
     "global_functions": f"python -m benchmarks.global_functions --workers 2 --seeds 1 {_SOLVER}",
     "constrained_programs": f"python -m benchmarks.constrained_programs --workers 2 {_SOLVER}",
@@ -226,6 +227,12 @@ FIGURES: Mapping[str, Figure] = {
     **_soft("06"),
     **_soft("10"),
     **_planner_speed("plan", "plan"),
+    **_planner_speed("boxless", "plan without boxes"),
+    "boxless_ratio": Figure(
+        "planner_speed", rf"(?s)Without boxes, likewise\n  CasADi \+ IPOPT from zero +{_NUMBER}"
+    ),
+    "boxless_same": Figure("planner_speed", r"without boxes at the same cost: (\d+) of"),
+    "boxless_count": Figure("planner_speed", r"without boxes at the same cost: \d+ of (\d+)"),
     **_planner_speed("casadi", "CasADi + IPOPT from zero"),
     **_planner_speed("casadi_random", "CasADi + IPOPT from random"),
     **_planner_speed("ipopt", "Drake's IPOPT from zero"),
@@ -283,6 +290,10 @@ FIGURES: Mapping[str, Figure] = {
     "start_plan": Figure("start_time", rf"^drake-aigto plan table1/1 +{_NUMBER} \("),
     "start_libraries": Figure("start_time", rf"^libraries alone +{_NUMBER} \("),
     "start_first": Figure("start_time", rf"^first plan, compiling +{_NUMBER} \("),
+    "wheel_soft_first": Figure("first_plans", rf"^cart_pole/soft_06 +{_NUMBER}"),
+    "wheel_soft_second": Figure("first_plans", rf"^cart_pole/soft_06 +\S+ +{_NUMBER}"),
+    "wheel_rigid_first": Figure("first_plans", rf"^cart_pole/rigid_06 +{_NUMBER}"),
+    "wheel_rigid_second": Figure("first_plans", rf"^cart_pole/rigid_06 +\S+ +{_NUMBER}"),
 }
 
 

@@ -23,6 +23,9 @@ _LOG = logging.getLogger(__name__)
 
 Polish = Callable[..., Any]
 
+# Python answers a Ctrl-C that comes just before a wait begins only when the wait ends [s].
+_PATIENCE = 0.1
+
 
 class SequenceSearch(Search):
     """Search for candidates by contact sequence, each judged as soon as it is closed.
@@ -128,7 +131,8 @@ class SequenceSearch(Search):
         with ThreadPoolExecutor(len(wave)) as pool:
             try:
                 runs.extend(pool.submit(each.close) for each in wave)
-                wait(runs)
+                while wait(runs, _PATIENCE).not_done:
+                    pass
             except KeyboardInterrupt:
                 self._is_stopped.set()
         return runs, self._is_stopped.is_set()
