@@ -3,10 +3,10 @@
     python -m benchmarks.first_plans [--wheel dist/NAME.whl] [--scenarios NAME,NAME]
 
 A wheel is built with machine code of all shipped scenarios, which takes some twenty minutes, unless
-one is given. It is installed into a folder of its own, without its dependencies. Each scenario is planned
-for twice in a process of its own that finds an empty cache of Numba's: CPU seconds of the first
-plan, with all imports, those of the second, and how many functions Numba compiled. Exits with 1
-where one was compiled, or the first plan took more than 2 s above the second.
+one is given. It is installed into a folder of its own, without its dependencies. Each scenario is
+planned for twice in a process of its own that finds an empty cache of Numba's: CPU seconds of the
+first plan, with all imports, those of the second, and how many functions Numba compiled. Exits with
+1 where one was compiled, or the first plan took more than 2 s above the second.
 """
 
 from __future__ import annotations
