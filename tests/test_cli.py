@@ -230,7 +230,7 @@ def test_table1_prints_every_method_with_its_replays(
         ),
         (
             ["plan", "table1/1", "--transcription", "rigid"],
-            "--transcription: got rigid, expected literal. Leave it out: whether balls or",
+            "--transcription: got rigid, expected literal. Leave it out: the world decides",
         ),
         (["plan", "table1/1", "--renewals", "9"], "renewals: got 9 for balls between rigid walls"),
         (

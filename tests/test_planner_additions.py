@@ -202,8 +202,8 @@ def test_a_saved_plan_names_what_was_added_and_replays_without_it(
     assert Plan.load(path) == plan
     assert main(["replay", str(path), "--no-confirm"]) == 0
     text = " ".join(capsys.readouterr().out.split())
-    assert re.search(r"near the wall \d\S+, slow end \d\S+, waypoint, of which a plan file", text)
-    assert "simulated and compared without" in text
+    assert re.search(r"near the wall \d\S+, slow end \d\S+, waypoint, simulated and compared", text)
+    assert "a plan file has only their names" in text
 
 
 @pytest.mark.slow
