@@ -215,6 +215,9 @@ class World(EquationsOfMotion):
     ) -> World:
         """Reads a diagram of your own, which holds one continuous plant and its scene graph.
 
+        It is read as sums of products, for few joints in a plane; `SpaceWorld.from_diagram` reads
+        bodies that float, arms of many joints, and friction along faces.
+
         Of a box that the sphere can only move along one line to, that face counts which the sphere
         faces at the plant's default positions; of another box, every face that it can reach.
 
