@@ -10,7 +10,7 @@ import time
 from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 
 Progress = Callable[[str], None]
+
+# Python answers a Ctrl-C that comes just before a wait begins only when the wait ends [s].
+_PATIENCE = 0.1
 
 _Self = TypeVar("_Self", bound="Search")
 
@@ -210,7 +213,14 @@ class Search(ABC):
             # The first one of all compiles; where Ctrl-C is raised, that ends it.
             first = [] if self.list_found() else [each.close() for each in wave[:1]]
             yield from first
-            yield from pool.map(lambda proposal: proposal.close(), wave[len(first) :])
+            runs = [pool.submit(proposal.close) for proposal in wave[len(first) :]]
+            try:
+                for run in runs:
+                    wait_for([run])
+                    yield run.result()
+            finally:
+                for run in runs:
+                    run.cancel()
 
     @abstractmethod
     def keep(self, origin: Origin, found: Any) -> None:
@@ -370,3 +380,9 @@ class Search(ABC):
 def scaled(factor: float, cost: float) -> float:
     """Returns a multiple of a cost; for negative ones (of users), the same relative increase."""
     return cost + (factor - 1) * abs(cost) if cost < math.inf else cost
+
+
+def wait_for(runs: Sequence[Future[Any]]) -> None:
+    """Waits for all runs; a Ctrl-C, whenever it comes, is answered within `_PATIENCE`."""
+    while wait(runs, _PATIENCE).not_done:
+        pass

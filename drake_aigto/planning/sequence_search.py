@@ -7,7 +7,7 @@ import math
 import threading
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from itertools import count
 from typing import Any
@@ -17,14 +17,11 @@ from drake_aigto.arrays import Floats
 from drake_aigto.planning.candidate import Candidate, Origin
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.program_task import ContactSequence, ProgramTask
-from drake_aigto.planning.search import Proposal, Search, Stopwatch
+from drake_aigto.planning.search import Proposal, Search, Stopwatch, wait_for
 
 _LOG = logging.getLogger(__name__)
 
 Polish = Callable[..., Any]
-
-# Python answers a Ctrl-C that comes just before a wait begins only when the wait ends [s].
-_PATIENCE = 0.1
 
 
 class SequenceSearch(Search):
@@ -131,8 +128,7 @@ class SequenceSearch(Search):
         with ThreadPoolExecutor(len(wave)) as pool:
             try:
                 runs.extend(pool.submit(each.close) for each in wave)
-                while wait(runs, _PATIENCE).not_done:
-                    pass
+                wait_for(runs)
             except KeyboardInterrupt:
                 self._is_stopped.set()
         return runs, self._is_stopped.is_set()
