@@ -14,7 +14,7 @@ from pydrake.multibody.tree import (
     UnitInertia,
     default_model_instance,
 )
-from trees import JOINTS, add_body, attach, make_zoo, sample_state
+from trees import JOINTS, add_body, attach, difference_slopes, make_zoo, sample_state
 
 from drake_aigto.dynamics import Tree
 from drake_aigto.errors import ModelError
@@ -61,16 +61,9 @@ def test_many_states_at_once_are_each_by_itself(plant: MultibodyPlant) -> None:
 
 
 def test_slopes_are_differences_along_the_manifold(plant: MultibodyPlant) -> None:
-    # Central differences err by 1e-12 of the third derivative, and 1e-10 of rounding.
-    tree, rng, step = Tree.of(plant), np.random.default_rng(5), 1e-6
+    tree, rng = Tree.of(plant), np.random.default_rng(5)
     q, v, u = sample_state(plant, rng)
-    calc, n, nu = tree.calc_acceleration, len(v), len(u)
-    columns = [
-        calc(tree.add(q, each), v, u) - calc(tree.add(q, -each), v, u) for each in step * np.eye(n)
-    ]
-    columns += [calc(q, v + each, u) - calc(q, v - each, u) for each in step * np.eye(n)]
-    columns += [calc(q, v, u + each) - calc(q, v, u - each) for each in step * np.eye(nu)]
-    expected = np.array(columns).T / (2 * step)
+    expected = difference_slopes(tree, q, v, u)
     assert relative(tree.calc_acceleration_slopes(q, v, u), expected) < 1e-6
 
 

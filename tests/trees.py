@@ -22,6 +22,8 @@ from pydrake.multibody.tree import (
     WeldJoint,
 )
 
+from drake_aigto.dynamics import Tree
+
 AXIS = np.array([0.36, 0.48, 0.8])
 
 
@@ -104,3 +106,17 @@ def sample_state(
             values[:4] /= np.linalg.norm(values[:4])
         q[start : start + count] = values
     return q, rng.normal(size=plant.num_velocities()), rng.normal(size=plant.num_actuators())
+
+
+def difference_slopes(tree: Tree, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Returns central differences of v̇ along the manifold, by v and by u, shape (n, 2 n + nu).
+
+    They err by 1e-12 of the third derivative, and 1e-10 of rounding.
+    """
+    calc, n, nu, step = tree.calc_acceleration, len(v), len(u), 1e-6
+    columns = [
+        calc(tree.add(q, each), v, u) - calc(tree.add(q, -each), v, u) for each in step * np.eye(n)
+    ]
+    columns += [calc(q, v + each, u) - calc(q, v - each, u) for each in step * np.eye(n)]
+    columns += [calc(q, v, u + each) - calc(q, v, u - each) for each in step * np.eye(nu)]
+    return np.array(columns).T / (2 * step)

@@ -31,7 +31,8 @@ def add_actuation(
     if not thrusters:
         builder.ExportInput(joints, "actuation")
         return
-    bodies = {body.name(): body for body in map(plant.get_body, _list_links(plant))}
+    links = (plant.get_body(BodyIndex(i)) for i in range(1, plant.num_bodies()))
+    bodies = {body.name(): body for body in links}
     infos = []
     for i, thruster in enumerate(thrusters):
         if thruster.body not in bodies:
@@ -55,10 +56,6 @@ def add_actuation(
         builder.Connect(split.get_output_port(1), commands)
         commands = split.get_input_port()
     builder.ExportInput(commands, "actuation")
-
-
-def _list_links(plant: MultibodyPlant) -> list[BodyIndex]:
-    return [BodyIndex(i) for i in range(1, plant.num_bodies())]
 
 
 def find_propeller(diagram: Diagram) -> Propeller | None:
