@@ -291,6 +291,24 @@ def _can_move_walls(world: World, scenario: Scenario) -> bool:
     return True
 
 
+def list_jobs(names: Sequence[str], seeds: int) -> list[Job]:
+    """Returns all worlds, seeds and disturbances.
+
+    Whenever time is up, all worlds have had about as many.
+    """
+    asked = {each: Scenario.named(each) for each in names}
+    worlds = {each: World.from_scenario(scenario) for each, scenario in asked.items()}
+    listed = [
+        (seed, number, name, what)
+        for seed in range(seeds)
+        for name, world in worlds.items()
+        for number, (what, _) in enumerate(
+            list_disturbances(world, asked[name], seed, np.ones(world.num_actuators))
+        )
+    ]
+    return [(name, seed, what) for seed, _, name, what in sorted(listed)]
+
+
 def make_controller(method: str, prepared: Prepared, delay: float) -> Any:
     """Returns a method's controller."""
     world, plan, planner, period, options = prepared
@@ -359,19 +377,7 @@ def main() -> int:
     )
     print(machine(), flush=True)
     names = [each for each in WORLDS if options.only in each]
-    asked = {each: Scenario.named(each) for each in names}
-    worlds = {each: World.from_scenario(scenario) for each, scenario in asked.items()}
-    listed = [
-        (seed, number, name, what)
-        for seed in range(options.seeds)
-        for name, world in worlds.items()
-        for number, (what, _) in enumerate(
-            list_disturbances(world, asked[name], seed, np.ones(world.num_actuators))
-        )
-    ]
-    # Whenever time is up, all worlds have had about as many.
-    jobs = [(name, seed, what) for seed, _, name, what in sorted(listed)]
-    done = run_all(run, jobs, options)
+    done = run_all(run, list_jobs(names, options.seeds), options)
     for name in names:
         runs = [(what, found) for (other, _, what), found in done if other == name]
         if runs:

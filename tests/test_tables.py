@@ -243,7 +243,7 @@ def between_walls(plan: Plan) -> Plan:
     )
     bounces = {"bounce_times": (0.15, 0.66, 1.18), "bounce_contacts": (0, 1, 0)}
     told = with_replays(plan, **bounces, energies_before=(1.0,) * 3, energies_after=(1.0,) * 3)
-    elsewhere = dataclasses.replace(told, made_in=None, world=None)
+    elsewhere = dataclasses.replace(told, world=None)
     return with_best(elsewhere, dataclasses.replace(plan.best, contacts=contacts))
 
 
@@ -296,5 +296,5 @@ def test_letters_do_not_run_out(plan: Plan, corridor: World) -> None:
     many = dataclasses.replace(corridor, contacts=corridor.contacts * 14)
     last = dataclasses.replace(plan.best, contacts=(PlannedContact(0.5, 0.5, 1.0, 1.0, 27),))
     alone = Replays(plan.replay.event_driven, None)
-    text = format_plan(dataclasses.replace(with_best(plan, last), made_in=None, replay=alone), many)
+    text = format_plan(dataclasses.replace(with_best(plan, last), replay=alone), many)
     assert "b1 ball against right wall" in text and "  b1 at 0.500 s\n" in text

@@ -276,7 +276,8 @@ def make_plan(scenario: Scenario) -> Plan:
         replay=run,
         scales=Scales.of(cart_pole(), scenario),
     )
-    return Plan(scenario, "mechanism", (candidate,), Replays(run, None), PlanStats(1, 1, {}), None)
+    replays, stats, made_in = Replays(run, None), PlanStats(1, 1, {}), cart_pole().fingerprint
+    return Plan(scenario, "mechanism", (candidate,), replays, stats, made_in)
 
 
 def test_a_plan_of_a_mechanism_is_written() -> None:

@@ -349,7 +349,7 @@ class ScenarioQuestion(StudyQuestion):
     def _check_spreads(self) -> None:
         """Refuses ends of spreads that no scenario can have."""
         world = World.from_scenario(usual := self._make(_USUAL))
-        world.check_frictionless(usual)
+        world.rubbing.check_none(usual.friction)
         for name in FIELDS:
             spread: Spread = getattr(self, name)
             for value in spread.values:

@@ -120,7 +120,7 @@ def _obstacle(world: World, scenario: Scenario) -> str:
     if world.is_hinge.any():
         return "hinges turn, so that flights are no cubics"
     try:
-        world.check_frictionless(scenario)
+        world.rubbing.check_none(scenario.friction)
         dynamics = world.constant_dynamics
     except ModelError as error:
         return f"friction, or dynamics that vary: {error}"
@@ -261,7 +261,7 @@ def out_of_reach(world: World, scenario: Scenario) -> str:
     if not scenario.hard_goal or scenario.contact != "rigid" or world.is_hinge.any():
         return ""
     try:
-        world.check_frictionless(scenario)
+        world.rubbing.check_none(scenario.friction)
         dynamics = world.constant_dynamics
     except ModelError:
         return ""

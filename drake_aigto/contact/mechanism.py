@@ -9,13 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints, read_only
-from drake_aigto.contact.acceleration import (
-    Row,
-    accelerate,
-    evaluate_tape,
-    fit_to_steps,
-    list_friction,
-)
+from drake_aigto.contact.acceleration import accelerate, evaluate_tape
+from drake_aigto.contact.friction import Row, fit_to_steps, list_friction
 from drake_aigto.contact.laws import ContactLaw, RigidLaw
 from drake_aigto.contact.tables import (
     COEFFICIENT,

@@ -126,7 +126,6 @@ class TrackingController(LoopController):
         self.plan = plan
         self.feedback = Feedback(world, plan.scenario, plan.trajectory, period=self.period)
         self._bodies = find_bodies(world)
-        m = world.num_contacts
         self._results = self.DeclareAbstractInputPort("contact_results", Value(ContactResults()))
         self._doubt = WALL_DOUBT * Scales.of(world, plan.scenario).length
         hits = [each for each in self.feedback.stretches if each.cut == Cut.HIT]
@@ -135,8 +134,8 @@ class TrackingController(LoopController):
         self._motion = PlannedMotion.of(plan.best)
         self._never = np.append(-np.inf, np.zeros(len(self._units)))
         self._catch = Catch(world, plan.scenario, self.period)
-        none = np.zeros(m), np.zeros(m), self._never, self._never
-        groups = self._no_commands.ravel(), *none, np.zeros(6)
+        none = np.zeros((2, world.num_contacts))
+        groups = self._no_commands.ravel(), *none, self._never, self._never, np.zeros(6)
         self._groups = _Groups(*map(self.DeclareDiscreteState, groups))
         self.DeclareInitializationDiscreteUpdateEvent(self._start)
         self.DeclarePeriodicDiscreteUpdateEvent(self.period, 0.0, self._sample)
@@ -234,14 +233,10 @@ class TrackingController(LoopController):
         """Returns whether an estimate is of use, how far off, and with angles near the plan's."""
         if np.isinf(self._read(context, self._groups.last)[0]) and self._is_empty(context, x):
             return "none", np.inf, x
-        planned = self._find_planned(context)
+        bounces = _list_bounces(self._read(context, self._groups.bounces))
+        planned = self.feedback.find_state(self._find_time(context), bounces)
         x = self._unwrap(x, planned)
         return *self._judge(x, planned, self._motion.reach), x
-
-    def _find_planned(self, context: Context) -> Floats:
-        """Returns q and v of the plan now, shape (nq + n,)."""
-        bounces = _list_bounces(self._read(context, self._groups.bounces))
-        return self.feedback.find_state(self._find_time(context), bounces)
 
     def _is_empty(self, context: Context, x: Floats) -> bool:
         """Returns whether a state may be what a hold has before its first sample."""

@@ -1,5 +1,6 @@
 from .constant import ConstantDynamics as ConstantDynamics
 from .constant import ConstantInertia as ConstantInertia
+from .coordinates import Coordinates as Coordinates
 from .equations import STICTION_SPEED as STICTION_SPEED
 from .equations import Contact as Contact
 from .equations import EquationsOfMotion as EquationsOfMotion

@@ -106,7 +106,7 @@ def plan_literal(
     options, clock = options or LiteralOptions(), Stopwatch()
     world = world or World.from_scenario(scenario)
     world.check(scenario)
-    world.check_frictionless(scenario)
+    world.rubbing.check_none(scenario.friction)
     if options.confirm:
         contact_delay(world)  # A wall without stiffness is refused before long work.
     with clock("build"):

@@ -85,8 +85,7 @@ class Origin:
     Attributes:
         proposer: AIGO's algorithm, as the options name it, or another guess: "zero", "random",
             "no control" (the uncontrolled motion), that motion's contacts, or "the given guess".
-        rung: the start of AIGO; None for another guess, and in plan files of version 3, whose
-            whole sentence is the proposer.
+        rung: the start of AIGO; None for another guess.
         changes: of the contact sequence that was proposed, in order.
         renewals: how many times a stretch of the motion was opened to boxes again.
     """

@@ -95,10 +95,10 @@ class Plan:
         candidates: all of them, the best first.
         replay: simulations of the best one's control.
         stats: iterations and seconds.
-        made_in: fingerprint of its world; None for files of version 3.
+        made_in: fingerprint of its world.
         is_interrupted: whether Ctrl-C ended the search before it was done.
         bound: lower bound of the cost of any plan; None unless requested by the options.
-        options: that it was made with; None for files of version 3.
+        options: that it was made with; None: not known.
         world: that it was made in, while it is in memory: files and copies in other processes do
             not have it (`find_world`).
     """
@@ -108,7 +108,7 @@ class Plan:
     candidates: tuple[Candidate, ...]
     replay: Replays
     stats: PlanStats
-    made_in: Fingerprint | None
+    made_in: Fingerprint
     is_interrupted: bool = False
     bound: PlanBound | None = None
     options: SearchOptions | None = field(default=None, metadata=LEFT_OUT)
@@ -259,33 +259,15 @@ class Plan:
         world = world or self.world or self._build_world()
         if world is self.world:
             return world
-        if self.made_in is None:
-            self._check_sizes(world)
-        else:
-            remedy = "Give the world that the plan was made in."
-            if world.model is not None and world.model == self.made_in.model:
-                remedy = f"Plan again: {world.model} is not as it was when the plan was made."
-            self.made_in.check(world.fingerprint, remedy)
+        remedy = "Give the world that the plan was made in."
+        if world.model is not None and world.model == self.made_in.model:
+            remedy = f"Plan again: {world.model} is not as it was when the plan was made."
+        self.made_in.check(world.fingerprint, remedy)
         world.check(self.scenario)
         return world
 
-    def _check_sizes(self, world: World) -> None:
-        """Refuses a world that can't be that of a file without a fingerprint."""
-        q, u, p = self.trajectory.positions, self.trajectory.controls, self.trajectory.impulses
-        there = q.shape[1], u.shape[1], p.shape[1]
-        here = world.num_positions, world.num_actuators, world.num_contacts
-        if here != there:
-            raise ModelError(
-                "the world is not the one that the plan was made in",
-                got="{} coordinates, {} actuators, {} contacts".format(*here),
-                expected="{}, {}, {}".format(*there),
-                remedy="Give the world that the plan was made in.",
-            )
-
     def _build_world(self) -> World:
         """Returns the world of the model that the plan was made in."""
-        if self.made_in is None:
-            return World.from_scenario(self.scenario)
         if self.made_in.model is None:
             raise ModelError(
                 "the plan was made in a diagram of one's own",
@@ -344,23 +326,23 @@ class Plan:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Plan:
-        """Reads a plan file, of this version of the format or the one before.
+        """Reads a plan file.
 
         Raises:
             PlanFileError: no such file, cut short, not a plan, or of another version.
         """
         data = read_json(path, "plan file", PlanFileError)
-        version = _take_version(path, data)
+        _check_version(path, data)
         try:
-            return _read_version_3(data) if version == 3 else _read(data)
+            return _read(data)
         except (AigtoError, AttributeError, TypeError) as error:
             raise PlanFileError(
                 f"plan file {path} is damaged", got=error, remedy="Plan again."
             ) from error
 
 
-def _take_version(path: str | os.PathLike[str], data: Any) -> int:
-    """Returns the version of a plan file, and removes it and the format from its data."""
+def _check_version(path: str | os.PathLike[str], data: Any) -> None:
+    """Removes the format and its version from a plan file's data, and refuses others."""
     if not isinstance(data, dict) or data.pop("format", None) != FORMAT:
         raise PlanFileError(
             f"{path} is not a plan file",
@@ -368,14 +350,13 @@ def _take_version(path: str | os.PathLike[str], data: Any) -> int:
             remedy="Write one with `drake-aigto plan SCENARIO --json FILE`.",
         )
     version = data.pop("version", None)
-    if version not in (3, FORMAT_VERSION):
+    if version != FORMAT_VERSION:
         raise PlanFileError(
             f"plan file {path}",
             got=f"version {version!r}",
-            expected=f"version {FORMAT_VERSION}, or 3",
+            expected=f"version {FORMAT_VERSION}",
             remedy="Plan again with this version of drake_aigto.",
         )
-    return int(version)
 
 
 def _read(data: dict[str, Any]) -> Plan:
@@ -395,16 +376,3 @@ def _read(data: dict[str, Any]) -> Plan:
         _LOG.warning("options of another version of drake_aigto are left out: %s", names)
     known = {name: options[name] for name in options.keys() - unknown}
     return dataclasses.replace(plan, options=from_plain(kind, known, "plan.options"))
-
-
-def _read_version_3(data: dict[str, Any]) -> Plan:
-    """Returns the plan of a file that has sentences as origins, and neither options nor world.
-
-    Tolerances were absolute then: parts of 1 m, 1 s, and a cost of 1.
-    """
-    scales = {"length": 1.0, "time": 1.0, "cost": 1.0}
-    candidates = [
-        {**candidate, "origin": {"proposer": candidate.get("origin")}, "scales": scales}
-        for candidate in data.get("candidates", ())
-    ]
-    return from_plain(Plan, {**data, "candidates": candidates, "made_in": None}, "plan")

@@ -16,7 +16,7 @@ from drake_aigto.contact import (
 )
 from drake_aigto.kernels import borrowing, inner
 from drake_aigto.shooting.flow import clear
-from drake_aigto.shooting.hold import measure_modes
+from drake_aigto.shooting.modes import measure_modes
 from drake_aigto.shooting.stages import read_coordinate
 from drake_aigto.shooting.tables import (
     FLOW,

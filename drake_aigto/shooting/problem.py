@@ -7,12 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from drake_aigto.arrays import Bools, Floats
-from drake_aigto.contact import COEFFICIENT, SOURCE, AnyMechanism, copy_writable
-from drake_aigto.dynamics import NO_FRAMES
+from drake_aigto.arrays import Floats
+from drake_aigto.contact import AnyMechanism
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
-from drake_aigto.shooting.optimal_control import OptimalControlProblem, StageLayout
+from drake_aigto.shooting.optimal_control import OptimalControlProblem
+from drake_aigto.shooting.program import make_program
 from drake_aigto.shooting.solve import (
     MotionExpansion,
     ShootingOptions,
@@ -20,29 +20,9 @@ from drake_aigto.shooting.solve import (
     ShootingRun,
     Smoothing,
 )
-from drake_aigto.shooting.tables import (
-    CHORDAL,
-    EXACT,
-    FLOW,
-    MODULO,
-    Bounds,
-    CostTable,
-    Program,
-)
+from drake_aigto.shooting.tables import Program
 from drake_aigto.simulation import MOST_GROWTH, calc_growth, tangent_scales
 from drake_aigto.world import Limits, Scales, Scenario, TaskCost, World
-
-# Time of each evaluation of a Runge-Kutta step, as a part of the step, and its weight. Its state is
-# ahead of the start by that part of the slope before it; before the first one only positions move.
-# So order 2 is the leapfrog method for forces without velocities, which suits stiff springs.
-_METHODS = {
-    2: np.array([[0.5, 0.0], [0.5, 1.0]]),
-    4: np.array([[0.0, 1 / 6], [0.5, 1 / 3], [0.5, 1 / 3], [1.0, 1 / 6]]),
-}
-# A control's curvature counts as small below this share of the cost's scale per its own, squared.
-_FLOOR = 1e-6
-# No phase is shorter than this share of the longest total.
-_SHORTEST = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +193,7 @@ class ShootingProblem(OptimalControlProblem):
         """
         key = options.substeps, options.order
         if key not in self._programs:
-            self._programs[key] = _make_program(self, *key)
+            self._programs[key] = make_program(self, *key)
         program = self._programs[key]
         multipliers = np.zeros_like(program.bounds.multipliers)
         return program._replace(bounds=program.bounds._replace(multipliers=multipliers))
@@ -250,161 +230,3 @@ def limit_states(world: World, bounds: Limits) -> Floats:
     """Returns bounds of q and v in the tangent space, (2, 2n); turns in space have none."""
     free = np.array([[-np.inf], [np.inf]])
     return np.hstack([world.in_tangent(bounds.position, free), bounds.velocity])
-
-
-def _make_program(problem: OptimalControlProblem, substeps: int, order: int) -> Program:
-    """Returns the tables of a problem, its multipliers zero.
-
-    Args:
-        problem: the task.
-        substeps: Runge-Kutta steps of a stage.
-        order: of their error, 2 or 4.
-    """
-    layout = problem.layout
-    closed, leans, restitutions = _find_closed(layout, problem.mechanism)
-    times = problem.times if problem.phases is None else None
-    added, limits = problem.added.lay_out(layout.kinds, layout.shares, times)
-    program = Program(
-        mechanics=problem.fit_mechanism(substeps),
-        task=_make_task(problem.cost),
-        bounds=_make_bounds(problem, layout, limits),
-        added=added,
-        kinds=layout.kinds,
-        held=layout.held,
-        modes=layout.modes,
-        closed=closed,
-        leans=leans,
-        restitutions=restitutions,
-        steps=layout.shares,
-        times=problem.times if problem.phases is None else np.zeros(len(layout.kinds) + 1),
-        substeps=substeps,
-        method=_METHODS[order],
-    )
-    return copy_writable(program)
-
-
-def _find_closed(layout: StageLayout, mechanism: AnyMechanism) -> tuple[Bools, Floats, Floats]:
-    """Returns which rows vanish in each stage, (K, m + R), how contacts lean, (K, m), and e, (K,).
-
-    Contacts are held during flights, and struck at impacts.
-    """
-    hits, e = np.flatnonzero(layout.kinds >= 0), np.zeros(len(layout.kinds))
-    contacts, frictions = layout.kinds[hits], mechanism.frictions
-    touching = layout.held & ((layout.kinds == FLOW) | (layout.kinds >= 0))[:, np.newaxis]
-    touching[hits, contacts] = True
-    e[hits] = np.where(layout.held[hits, contacts], 0.0, mechanism.contacts[contacts, 2])
-    sticks, leans = np.zeros((len(touching), len(frictions)), dtype=bool), np.zeros(touching.shape)
-    for r in np.flatnonzero(frictions[:, SOURCE] >= 0).tolist():
-        contact, friction = int(frictions[r, SOURCE]), frictions[r, COEFFICIENT]
-        modes = layout.modes[:, contact]
-        sticks[:, r] = touching[:, contact] & (modes == 0)
-        leans[:, contact] = np.where(touching[:, contact], -friction * modes, 0.0)
-    return np.hstack([touching, sticks]), leans, e
-
-
-def _make_task(cost: TaskCost) -> CostTable:
-    n = len(cost.Q)
-    final = np.zeros((2 * n, 2 * n))
-    final[:n, :n], final[n:, n:] = cost.QT, cost.QTv
-    errors = np.where(cost.is_modulo, MODULO, np.where(cost.is_chordal, CHORDAL, EXACT))
-    running = np.concatenate([cost.Q, cost.Qv])
-    return CostTable(
-        control=cost.R,
-        running=running,
-        final=(final + final.T) / 2,
-        errors=np.concatenate([errors, np.full(n, EXACT)]),
-        goal=np.concatenate([cost.goal, cost.goal_velocity]),
-        times=cost.times,
-        reference=np.hstack([cost.positions, cost.velocities]),
-        frames=NO_FRAMES if cost.frames is None else cost.frames.table,
-    )
-
-
-def _make_bounds(problem: OptimalControlProblem, layout: StageLayout, of_users: Floats) -> Bounds:
-    """Returns bounds at knots after the first, the hard goal among them."""
-    lower, upper = _bound_states(problem, len(layout.kinds))
-    low, high = _bound_distances(problem, layout)
-    low_control, high_control = _bound_controls(problem, layout)
-    T, nx, nz, m = np.ptp(problem.times), len(problem.scales), lower.shape[1], low.shape[1]
-    scales = np.concatenate([problem.scales, np.full(nz - nx, T)])
-    units = problem.added.measure_units(np.concatenate([problem.scales, problem.control_scales]))
-    weights = np.concatenate([scales**-2, np.full(m, float(problem.length) ** -2), units**-2])
-    start = problem.start[: problem.mechanism.num_positions]
-    # A hard goal of a hinge is modulo 2π.
-    n, does_turn = nx // 2, np.zeros(nz, dtype=bool)
-    turns = problem.cost.is_modulo | problem.cost.is_chordal
-    does_turn[:n] = turns & np.isfinite(problem.hard_goal[:n])
-    floors = np.tile(problem.control_scales**-2.0, (len(layout.kinds), 1))
-    floors[layout.starts] = T**-2.0
-    finite = [np.isfinite(a) | np.isfinite(b) for a, b in ((lower, upper), (low, high), of_users)]
-    is_bounded = np.stack([each.any(axis=1) for each in finite], axis=1)
-    is_bounded[0, :2] = False
-    return Bounds(
-        lower=np.hstack([lower, low, of_users[0]]),
-        upper=np.hstack([upper, high, of_users[1]]),
-        weights=weights,
-        does_turn=does_turn,
-        is_bounded=is_bounded,
-        multipliers=np.zeros((1 + len(layout.kinds), len(weights) + 1 + 3 * m)),
-        slowest=float(problem.slowest),
-        approach_weight=float(T / problem.length) ** 2,
-        force_weight=float(T * np.max(problem.cost.R)) / problem.cost_scale,
-        mobilities=problem.mechanism.calc_mobilities(start),
-        lower_control=low_control,
-        upper_control=high_control,
-        norm=float(problem.control_norm),
-        floors=_FLOOR * problem.cost_scale * floors,
-    )
-
-
-def _bound_states(problem: OptimalControlProblem, num_stages: int) -> Floats:
-    """Returns lower and upper bounds of z at knots, shape (2, K + 1, nz); with total duration."""
-    bounds = np.repeat(problem.state_bounds[:, np.newaxis], num_stages + 1, axis=1)
-    is_hard = np.isfinite(problem.hard_goal)
-    bounds[:, -1, is_hard] = problem.hard_goal[is_hard]
-    if problem.phases is None:
-        return bounds
-    free = np.full((num_stages + 1, 2), np.inf)
-    times = np.stack([-free, free])
-    if len(problem.phases.durations) > 1:
-        times[:, -1, 1] = problem.phases.total
-    return np.concatenate([bounds, times], axis=2)
-
-
-def _bound_distances(problem: OptimalControlProblem, layout: StageLayout) -> Floats:
-    """Returns lower and upper bounds of φ at knots, shape (2, K + 1, m)."""
-    m, num_stages = problem.mechanism.num_contacts, len(layout.kinds)
-    free = np.full((num_stages + 1, m), np.inf)
-    bounds = np.stack([-free, free])
-    if problem.phases is not None:
-        is_rigid = problem.mechanism.contacts[:, 0] == 0
-        bounds[0][:, is_rigid] = 0.0
-        if problem.clearances is not None:
-            knots = np.concatenate([[0], np.cumsum(layout.kinds == FLOW)])
-            bounds[0][:, is_rigid] = problem.clearances[knots][:, is_rigid]
-        touching, hit = np.zeros(free.shape, dtype=bool), np.flatnonzero(layout.kinds >= 0)
-        touching[:-1] = layout.held
-        touching[hit, layout.kinds[hit]] = True
-        edges = np.where(touching[..., np.newaxis], problem.mechanism.edges, np.inf)
-        most = np.min(edges, axis=1, initial=np.inf)
-        beside = np.isfinite(most) & ~touching
-        bounds[0, :-1][layout.held] = -np.inf
-        bounds[0][beside], bounds[1][beside] = -np.inf, most[beside]
-        bounds[:, hit, layout.kinds[hit]] = 0.0
-    if problem.least_distances is not None:
-        bounds[0] = np.maximum(bounds[0], problem.least_distances)
-    return bounds
-
-
-def _bound_controls(problem: OptimalControlProblem, layout: StageLayout) -> Floats:
-    """Returns lower and upper bounds of controls of stages, shape (2, K, nu)."""
-    bounds = np.array(problem.control_bounds)
-    if bounds.shape[1] == 1:
-        norm = problem.control_norm
-        bounds = np.clip(bounds, -norm, norm)
-    tiled = np.repeat(bounds[:, np.newaxis], len(layout.kinds), axis=1)
-    if problem.phases is not None:
-        least, most = problem.phases.total
-        ends = np.array([_SHORTEST * most if len(problem.phases.durations) > 1 else least, most])
-        tiled[:, layout.starts] = ends[:, np.newaxis, np.newaxis]
-    return tiled

@@ -216,7 +216,7 @@ def _add_reproduction(page: Page, plan: Plan) -> None:
         f"drake-aigto plan scenario.yaml{literal} --json plan.json\n"
         "drake-aigto report plan.json --html report.html"
     )
-    if plan.made_in and plan.made_in.model is None:  # Of a diagram of one's own: only in Python.
+    if plan.made_in.model is None:  # Of a diagram of one's own: only in Python.
         command = (
             'scenario, world = Scenario.load("scenario.yaml"), World.from_diagram(diagram)\n'
             "page = report_plan(plan(scenario, world=world))"

@@ -16,10 +16,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.dynamics import (
-    PRISMATIC,
-    QUATERNION,
     STICTION_SPEED,
-    TRANSLATION,
     Contact,
     Tree,
     TreeMemory,
@@ -37,7 +34,14 @@ from drake_aigto.world.model_reader import open_diagram
 from drake_aigto.world.model_shapes import choose_pairs
 from drake_aigto.world.pair_errors import explain_no_contact
 from drake_aigto.world.places import FrameGoal
+from drake_aigto.world.reading import check_made_for
 from drake_aigto.world.scenario import Scenario
+from drake_aigto.world.space_coordinates import (
+    SpaceCoordinates,
+    broadcast_rows,
+    find_angles,
+    list_rows,
+)
 from drake_aigto.world.space_pairs import (
     EXPECTED,
     ShapePair,
@@ -55,26 +59,20 @@ _OVERLAP = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class SpaceWorld(World):
+class SpaceWorld(SpaceCoordinates, World):
     """A world of which numbers alone are known: M, h, φ and J at states, by recursion over a tree.
 
-    Velocities v are as Drake's plant has them; differences of positions, errors of goals and
-    weights are in the tangent space, of shape (nv,). Contacts are compliant, one per pair of
-    shapes.
+    Contacts are compliant, one per pair of shapes.
 
     Attributes:
-        tree: of joints and bodies.
         pairs: of shapes that may touch, one per contact.
         geometry: the same, for compiled code.
-        angular: whether each velocity turns, shape (nv,).
         propeller: of thrusters, whose B turns with their links: `actuation` is that at the plant's
             default positions; None: there are none.
     """
 
-    tree: Tree = field(kw_only=True)
     pairs: tuple[ShapePair, ...] = field(kw_only=True)
     geometry: SpaceShapes = field(kw_only=True)
-    angular: Bools = field(kw_only=True)
     propeller: Propeller | None = field(kw_only=True, default=None)
 
     @classmethod
@@ -113,7 +111,7 @@ class SpaceWorld(World):
         n, notes = plant.num_velocities(), []
         if not pairs and (why := explain_no_contact(scene_graph, bool(globs))):
             notes.append(why)
-        angles, turns = _find_angles(tree)
+        angles, turns = find_angles(tree)
         nothing = read_only(np.zeros((0, 0)), object)
         contacts = [Contact(p.name, Expression(), np.zeros(n), i) for i, p in enumerate(pairs)]
         return cls(
@@ -153,11 +151,6 @@ class SpaceWorld(World):
     has_constant_dynamics = has_constant_inertia
 
     @property
-    def turns(self) -> Bools:
-        """Whether each velocity is an angular one, shape (nv,)."""
-        return self.angular
-
-    @property
     def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
         """The shapes of each contact, in the scene graph."""
         return tuple(pair.shapes for pair in self.pairs)
@@ -195,7 +188,7 @@ class SpaceWorld(World):
         check_sizes(self.plant, scenario)
         TaskCost.of(self, scenario)
         self.bounds(scenario)
-        self._check_made_for(scenario)
+        check_made_for(self, scenario)
         if scenario.clearance:
             got = f"{', '.join(scenario.clearance)}, in space"
             raise ScenarioError("clearance", got, "none, as pairs are kept apart in the plane")
@@ -222,7 +215,7 @@ class SpaceWorld(World):
             )
 
     @staticmethod
-    def _check_plant(scenario: Scenario, diagram: Diagram) -> list[ModelError]:
+    def find_plant_errors(scenario: Scenario, diagram: Diagram) -> list[ModelError]:
         """Returns what is wrong with pairs of shapes."""
         plant, scene_graph = find_plant(diagram)
         return find_errors(lambda: _choose_pairs(plant, scene_graph, scenario.ignored_shapes))
@@ -232,80 +225,6 @@ class SpaceWorld(World):
         """Zero: distances are those of surfaces, shape (m,)."""
         return np.zeros(self.num_contacts)
 
-    def normalized(self, q: Floats) -> Floats:
-        """Returns positions with quaternions of unit length, shape (…, nq)."""
-        return self.add(q, np.zeros(self.num_velocities))
-
-    def add(self, q: Floats, delta: Floats) -> Floats:
-        """Returns q ⊕ δ, shape (…, nq): links turned by rotation vectors, and moved."""
-        q, delta = _broadcast(q, delta)
-        rows = [self.tree.add(*row) for row in zip(_rows(q), _rows(delta), strict=True)]
-        return np.array(rows).reshape(q.shape)
-
-    def subtract(self, after: Floats, before: Floats) -> Floats:
-        """Returns the shortest δ with before ⊕ δ = after, shape (…, nv), of positions (…, nq)."""
-        from drake_aigto.world.space_kernels import subtract_rows
-
-        after, before = np.broadcast_arrays(after, before)
-        found = subtract_rows(self.tree, _rows(after), _rows(before))
-        return found.reshape(*after.shape[:-1], self.num_velocities)
-
-    def measure(self, after: Floats, before: Floats) -> Floats:
-        """Returns the same difference for costs, smooth: turns in space by 2 sin(θ/2), not θ."""
-        found = self.subtract(after, before)
-        for first in self._turns_in_space:
-            turn = found[..., first : first + 3]
-            angle = np.linalg.norm(turn, axis=-1, keepdims=True)
-            turn *= np.sinc(angle / (2 * np.pi))
-        return found
-
-    def take_nearest(self, q: Floats, about: Floats) -> Floats:
-        """Returns positions as many turns on as bring them nearest to others, shape (…, nq).
-
-        Of both quaternions of a turn that is the one on the other's side.
-        """
-        found = super().take_nearest(q, about)
-        for i in np.flatnonzero(self.tree.kinds == QUATERNION):
-            turn = slice(self.tree.positions[i], self.tree.positions[i] + 4)
-            dots = np.sum(found[..., turn] * about[..., turn], axis=-1, keepdims=True)
-            found[..., turn] *= np.where(dots < 0, -1.0, 1.0)
-        return found
-
-    def in_tangent(self, positions: Floats, turn: Floats) -> Floats:
-        """Returns numbers of positions (…, nq) by velocities (…, nv); of turns in space `turn`.
-
-        The latter has the shape (…, 1).
-        """
-        tree, places = self.tree, np.full(self.num_velocities, -1)
-        for i in np.flatnonzero(tree.kinds < QUATERNION):
-            dofs = tree.velocities[tree.dofs[i] : tree.dofs[i + 1]]
-            places[dofs] = tree.positions[i] + np.arange(len(dofs))
-        return np.where(places >= 0, positions[..., places], turn)
-
-    @cached_property
-    def _turns_in_space(self) -> list[int]:
-        """Where velocities of links that turn about three axes start."""
-        kinds, dofs = self.tree.kinds, self.tree.dofs[:-1]
-        return [int(self.tree.velocities[dofs[i]]) for i in np.flatnonzero(kinds >= QUATERNION)]
-
-    @property
-    def units_of_positions(self) -> tuple[str, ...]:
-        """The unit of each position, nq of them; none, "", of the numbers of a quaternion."""
-        found = ["rad" if turns else "m" for turns in self.is_hinge]
-        for i in np.flatnonzero(self.tree.kinds >= QUATERNION):
-            first = int(self.tree.positions[i])
-            found[first : first + 4] = [""] * 4
-        return tuple(found)
-
-    def middle(self, one: Floats, other: Floats) -> Floats:
-        """Returns positions halfway between two, (…, nq)."""
-        return self.add(one, self.subtract(other, one) / 2)
-
-    def calc_position_rate(self, q: Floats, v: Floats) -> Floats:
-        """Returns q̇ = N(q) v, shape (…, nq)."""
-        rows = [self.tree.calc_position_rate(*row) for row in zip(_rows(q), _rows(v), strict=True)]
-        return np.array(rows).reshape(np.shape(q))
-
     def find_frames(self, goals: Named[FrameGoal]) -> FrameGoals | None:
         """Returns goals of frames, checked; None: there are none."""
         return FrameGoals.of(self.plant, self.tree, goals)
@@ -314,7 +233,7 @@ class SpaceWorld(World):
         """Returns B(q), shape (…, nv, nu), at q of shape (…, nq)."""
         if self.propeller is None:
             return self.actuation
-        found = [self.tree.calc_actuation(row) for row in _rows(q)]
+        found = [self.tree.calc_actuation(row) for row in list_rows(q)]
         return np.reshape(found, (*np.shape(q)[:-1], *self.actuation.shape))
 
     def fix_control(self, root: Context, control: Floats) -> None:
@@ -339,7 +258,7 @@ class SpaceWorld(World):
 
     def calc_bias(self, q: Floats, v: Floats) -> Floats:
         """Returns h(q, v), shape (…, nv), with dry friction, at q (…, nq) and v (…, nv)."""
-        return self.tree.calc_bias(*_broadcast(q, v))
+        return self.tree.calc_bias(*broadcast_rows(q, v))
 
     def calc_signed_distance(self, q: Floats) -> Floats:
         """Returns φ(q), shape (…, m) [m], at q of shape (…, nq)."""
@@ -348,13 +267,13 @@ class SpaceWorld(World):
     def calc_contact_jacobian(self, q: Floats) -> Floats:
         """Returns J(q) of φ̇ = J v, shape (…, m, nv), at q of shape (…, nq)."""
         J = np.empty((*np.shape(q)[:-1], self.num_contacts, self.num_velocities))
-        self._measure(q, J.reshape(len(_rows(q)), *J.shape[-2:]))
+        self._measure(q, J.reshape(len(list_rows(q)), *J.shape[-2:]))
         return J
 
     def calc_slides(self, q: Floats, v: Floats) -> Floats:
         """Returns how the first shape of each pair slides along the second, (…, m, 3) [m/s]."""
         found = []
-        for (n, J), speed in zip(map(self.relate, _rows(q)), _rows(v), strict=True):
+        for (n, J), speed in zip(map(self.relate, list_rows(q)), list_rows(v), strict=True):
             rate = J @ speed
             found.append(rate - n * np.sum(n * rate, axis=1, keepdims=True))
         return np.array(found).reshape(*np.shape(q)[:-1], self.num_contacts, 3)
@@ -375,7 +294,7 @@ class SpaceWorld(World):
 
         J = np.empty((0, self.num_contacts, self.num_velocities)) if J is None else J
         memory = memory or make_tree_memory(self.tree)
-        at = self.tree, *self.geometry, np.array(self.signs), _rows(q)
+        at = self.tree, *self.geometry, np.array(self.signs), list_rows(q)
         return measure_pairs(*at, memory, make_closest(), J)
 
     def relate(self, q: Floats) -> tuple[Floats, Floats]:
@@ -403,7 +322,7 @@ class SpaceWorld(World):
         return read_only(moves[links[:, 0]] - moves[links[:, 1]])
 
     def _divide_by_mass(self, q: Floats, momentum: Floats) -> Floats:
-        q, momentum = _broadcast(q, momentum)
+        q, momentum = broadcast_rows(q, momentum)
         found = np.linalg.solve(self.calc_mass_matrix(q), momentum[..., np.newaxis])
         return np.asarray(found[..., 0], dtype=np.float64)
 
@@ -415,28 +334,3 @@ def _choose_pairs(
     inspector: Any = scene_graph.model_inspector()
     pairs = choose_pairs(plant, scene_graph, ignored, order_shapes, EXPECTED)
     return tuple(ShapePair(" with ".join(map(inspector.GetName, pair)), pair) for pair in pairs)
-
-
-def _rows(values: Floats) -> Floats:
-    """Returns values as writable, contiguous rows."""
-    array = np.asarray(values, dtype=float)
-    return np.array(array.reshape(-1, array.shape[-1]), order="C")
-
-
-def _broadcast(one: Floats, other: Floats) -> tuple[Floats, Floats]:
-    """Returns rows of both at all states of either."""
-    shape = np.broadcast_shapes(np.shape(one)[:-1], np.shape(other)[:-1])
-    each = (np.broadcast_to(a, (*shape, np.shape(a)[-1])) for a in (one, other))
-    first, second = each
-    return first, second
-
-
-def _find_angles(tree: Tree) -> tuple[Bools, Bools]:
-    """Returns which positions (nq,) and which velocities (nv,) turn."""
-    q, v = np.ones(tree.num_positions, dtype=bool), np.ones(tree.num_velocities, dtype=bool)
-    for i in np.flatnonzero(np.isin(tree.kinds, (PRISMATIC, TRANSLATION))):
-        dofs = slice(tree.dofs[i], tree.dofs[i + 1])
-        v[tree.velocities[dofs]] = False
-        count, first = tree.dofs[i + 1] - tree.dofs[i], tree.positions[i]
-        q[first : first + count] = False
-    return read_only(q, bool), read_only(v, bool)

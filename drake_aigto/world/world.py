@@ -6,39 +6,30 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property, partial
-from pkgutil import resolve_name
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from pydrake.geometry import GeometryId, SceneGraph
-from pydrake.multibody.plant import MultibodyPlant
+from pydrake.geometry import GeometryId
 from pydrake.symbolic import MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Bools, Floats, read_only
-from drake_aigto.dynamics import STICTION_SPEED, EquationsOfMotion, SumMap
-from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.dynamics import STICTION_SPEED, SumMap
+from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import (
-    exclude_shapes,
     find_hinges,
     find_plant,
-    hide_half_space_warning,
     move_shape,
-    scale_masses,
 )
 from drake_aigto.world.fields import as_number
 from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.limits import Limits, check_clearance, check_sizes, find_least_distances
 from drake_aigto.world.material import SpringMaterial, read_materials, read_springs, read_stiffness
-from drake_aigto.world.model_facts import FixableError, find_errors, gather
-from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
-from drake_aigto.world.model_reader import open_diagram, read_model
-from drake_aigto.world.model_shapes import (
-    choose_pairs,
-    name_shapes,
-    pick_shapes,
-)
+from drake_aigto.world.model_facts import find_errors
+from drake_aigto.world.model_fields import Limited, as_globs
+from drake_aigto.world.model_reader import open_diagram
+from drake_aigto.world.model_shapes import choose_pairs
 from drake_aigto.world.pair_errors import check_work, explain_no_contact
 from drake_aigto.world.pairs import (
     ReachableFace,
@@ -50,56 +41,27 @@ from drake_aigto.world.pairs import (
     refuse_beside,
     refuse_inside,
 )
-from drake_aigto.world.placing import place_scenario
 from drake_aigto.world.plant_reader import PlantReader
+from drake_aigto.world.plant_world import PlantWorld
+from drake_aigto.world.reading import check_made_for, read_world
 from drake_aigto.world.rubbing import Rubbing
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.task_cost import TaskCost
 
-# Where models are read that fit no plane; it imports this module.
-_IN_SPACE = "drake_aigto.world.space:SpaceWorld"
-# Coordinates of compliant mechanisms that are read as sums; recursions are faster for more.
-_MOST_SUMMED = 5
 # A sphere this near to a wall with friction lies against it, however its place was rounded [m].
 _TOUCHING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class World(EquationsOfMotion):
+class World(PlantWorld):
     """Equations of motion, and the plant and scene graph that they are read from.
 
     M, h and B come from the plant's numbers and φ from the scene graph's shapes: nothing is assumed
     about masses, springs, dampers, gravity, or where the walls are.
-
-    Attributes:
-        diagram: holds the plant and its scene graph.
-        plant: the continuous MultibodyPlant, as the model has it.
-        scene_graph: its geometry.
-        mass: replaces the model's mass of the only body with spheres that touch [kg], or None. The
-            plant is not edited: it acts in all that is read here and in `create_context`.
-        mass_factor: of masses and inertias of all links that move, the `mass` too; acts likewise.
-        limits: how far the model's joints and actuators go.
-        ignored_shapes: names of the collision shapes that touch nothing, neither here nor in
-            contexts that are made by `create_context`.
-        model: what it was built from; None: a diagram of one's own.
-        model_fields: how the model was read.
-        ignored: what the model says and is left out, as the scenario allowed it.
-        notes: what else differs from the model's file.
     """
 
-    diagram: Diagram
-    plant: MultibodyPlant
-    scene_graph: SceneGraph
-    mass: float | None
-    limits: Limits
-    _reachable: tuple[ReachableFace, ...] = field(repr=False)
-    _stuck: tuple[SphereAndFace, ...] = field(repr=False)
-    model: str | None = None
-    ignored_shapes: tuple[str, ...] = ()
-    model_fields: ModelFields = ModelFields()  # noqa: RUF009
-    ignored: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    mass_factor: float = 1.0
+    _reachable: tuple[ReachableFace, ...] = field(repr=False, kw_only=True)
+    _stuck: tuple[SphereAndFace, ...] = field(repr=False, kw_only=True)
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> World:
@@ -123,75 +85,10 @@ class World(EquationsOfMotion):
         Raises:
             ModelError, ScenarioError: as `from_scenario` does.
         """
-        try:
-            world = cls._read(scenario, start)
-            if cls is World and scenario.contact == "compliant":
-                # What is refused here, a world in space may have.
-                world.friction_coefficients(scenario)
-                _ = world.springs
-                if world.num_velocities > _MOST_SUMMED:
-                    raise ModelError("the model has too many joints for sums of products")
-        except ModelError as error:
-            if cls is World and scenario.contact == "compliant":
-                in_space: type[World] = resolve_name(_IN_SPACE)
-                return in_space.from_model(scenario, start)
-            if not isinstance(error, FixableError):
-                raise
-            raise gather(cls._find_errors, scenario, error) from error
-        return world
-
-    @classmethod
-    def _read(cls, scenario: Scenario, start: Floats | None) -> World:
-        """Reads a model, and stops at the first thing that is wrong with it."""
-        friction = scenario.dry_friction, scenario.stiction_speed
-        asked = scenario.model, *friction, scenario.model_fields
-        in_space = cls is not World
-        of_space = [name for name in ("thrusters", "frame_goals") if getattr(scenario, name)]
-        if of_space and not in_space:
-            remedy = "Ask for contact: compliant (--contact compliant)."
-            expected = "none, but of models that are read in space"
-            raise ModelError(of_space[0], "them, in a plane", expected, remedy)
-        found = read_model(*asked, is_bare=True, in_space=in_space)
-        if found.is_bare:
-            if errors := cls._check_plant(scenario, found.diagram):
-                raise errors[0]
-            found = read_model(*asked, in_space=in_space)
-        plant, _ = find_plant(found.diagram)
-        if start is not None:
-            scenario = place_scenario(plant, scenario)
-            check_sizes(plant, scenario)
-            plant.SetDefaultPositions(scenario.initial_position)
-        friction = found.dry_friction, scenario.stiction_speed
-        given = scenario.mass, scenario.ignored_shapes, *friction, scenario.limits
-        world = cls.from_diagram(found.diagram, *given)
-        return dataclasses.replace(
-            world,
-            model=scenario.model,
-            model_fields=scenario.model_fields,
-            limits=Limits.of(
-                plant,
-                found.efforts,
-                scenario.limits,
-                world.num_actuators - plant.num_actuated_dofs(),
-            ),
-            ignored=found.ignored,
-            notes=(*found.notes, *world.notes),
-        )
-
-    @classmethod
-    def _find_errors(cls, scenario: Scenario) -> list[ModelError]:
-        """Returns what is refused of a model at once, whatever its start is."""
-        is_in_space, found = cls is not World, list[ModelError]()
-
-        def check() -> None:
-            fields = scenario.model_fields
-            model = read_model(scenario.model, fields=fields, is_bare=True, in_space=is_in_space)
-            found.extend(cls._check_plant(scenario, model.diagram))
-
-        return [*find_errors(check), *found]
+        return read_world(cls, scenario, start)
 
     @staticmethod
-    def _check_plant(scenario: Scenario, diagram: Diagram) -> list[ModelError]:
+    def find_plant_errors(scenario: Scenario, diagram: Diagram) -> list[ModelError]:
         """Returns what is wrong with contacts, and with the joints that M depends on."""
         plant, scene_graph = find_plant(diagram)
         pairs = cache(
@@ -276,14 +173,6 @@ class World(EquationsOfMotion):
             mass_factor=mass_factor,
         )._within_reach()
 
-    def place(self, scenario: Scenario) -> Scenario:
-        """Returns a scenario whose positions and weights by names are arrays (`place_scenario`).
-
-        Raises:
-            ScenarioError: a name is none of this world, or has another size.
-        """
-        return place_scenario(self.plant, scenario)
-
     def of_diagram(self, diagram: Diagram, mass_factor: float | None = None) -> World:
         """Returns the world of another diagram with a copy of its plant, all else as it is here.
 
@@ -352,16 +241,6 @@ class World(EquationsOfMotion):
         """
         return read_springs(self.scene_graph, self._reachable)
 
-    def bounds(self, scenario: Scenario) -> Limits:
-        """Returns within which bounds a motion has to stay: the model's and the scenario's.
-
-        Raises:
-            ScenarioError: start or goal is outside, or the bounds do not fit the model.
-        """
-        bounds = self.limits.narrowed(scenario)
-        bounds.check_task(scenario, self.is_hinge)
-        return bounds
-
     def least_distances(self, scenario: Scenario) -> Floats:
         """Returns the least φ of each contact by the clearance, shape (m,) [m]; −∞: any.
 
@@ -393,28 +272,12 @@ class World(EquationsOfMotion):
 
     def create_context(self) -> Context:
         """Returns a new root context, at defaults, with masses as here and shapes ignored."""
-        with hide_half_space_warning():
-            root = self.diagram.CreateDefaultContext()
-        context = self.plant.GetMyMutableContextFromRoot(root)
-        scale_masses(self.plant, context, self.mass_factor)
+        root = super().create_context()
         if self.mass is not None:
             body = find_sphere_body(self.plant, self._reachable)
+            context = self.plant.GetMyMutableContextFromRoot(root)
             body.SetMass(context, self.mass_factor * self.mass)
-        if self.ignored_shapes:
-            names = name_shapes(self.plant, self.scene_graph)
-            shapes = pick_shapes("ignored_shapes", self.ignored_shapes, names)
-            exclude_shapes(self.scene_graph, root, shapes)
         return root
-
-    def fix_control(self, root: Context, control: Floats) -> None:
-        """Holds a control, shape (nu,), in a context of the diagram."""
-        context = self.plant.GetMyMutableContextFromRoot(root)
-        self.plant.get_actuation_input_port().FixValue(context, control)
-
-    def read_control(self, root: Context) -> Floats:
-        """Returns the control that acts in a context of the diagram, shape (nu,)."""
-        context = self.plant.GetMyContextFromRoot(root)
-        return np.array(self.plant.get_actuation_input_port().Eval(context))
 
     @property
     def sphere_mass(self) -> float:
@@ -437,14 +300,10 @@ class World(EquationsOfMotion):
         """
         face = self._reachable[contact].face
         if not self.plant.IsAnchored(face.face_body):
-            raise ModelError(
-                f"the wall of {face.pair}",
-                got=f"a shape on link {face.face_body.name()!r}, which moves",
-                expected="one that stands still",
-            )
+            got = f"a shape on link {face.face_body.name()!r}, which moves"
+            raise ModelError(f"the wall of {face.pair}", got, "one that stands still")
         translation = distance * face.X_BF.rotation().col(2)
-        moved = move_shape(self.diagram, face.shapes[1], translation)
-        return self.of_diagram(moved)
+        return self.of_diagram(move_shape(self.diagram, face.shapes[1], translation))
 
     def check_plain(self, scenario: Scenario) -> None:
         """Refuses what is not planned for where balls are, so that nothing is dropped in silence.
@@ -454,7 +313,7 @@ class World(EquationsOfMotion):
             ModelError: there are limits or friction, or nothing can touch.
         """
         scenario.check_plain()
-        self.check_frictionless(scenario)
+        self.rubbing.check_none(scenario.friction)
         self.limits.check_none(self.plant)
         if not self.contacts:
             raise ModelError(
@@ -479,13 +338,12 @@ class World(EquationsOfMotion):
                 inside or behind it, or beside its face, or is beyond joint limits; or the start
                 lacks its clearance.
             ModelError: friction acts where a sphere can slide in two directions, or is stuck in a
-                shape; or the model lacks what compliant
-                contact takes (`springs`).
+                shape; or the model lacks what compliant contact takes (`springs`).
         """
         check_sizes(self.plant, scenario)
         TaskCost.of(self, scenario)
         self.bounds(scenario)
-        self._check_made_for(scenario)
+        check_made_for(self, scenario)
         if scenario.contact == "compliant":
             _ = self.springs
         self.friction_coefficients(scenario)
@@ -493,40 +351,6 @@ class World(EquationsOfMotion):
         for name in ("initial_position", "goal_position"):
             self._check_place(name, getattr(scenario, name), scenario)
         check_clearance(self, self.least_distances(scenario), scenario.initial_position)
-
-    def check_frictionless(self, scenario: Scenario) -> None:
-        """Refuses friction, for planning without it, so that it is not dropped in silence.
-
-        Raises:
-            ModelError: a sphere can slide with friction, and the scenario does not leave it out.
-        """
-        self.rubbing.check_none(scenario.friction)
-
-    def _check_made_for(self, scenario: Scenario) -> None:
-        """Refuses a scenario with another mass or friction, or other ignored shapes, than here."""
-        given, mine = scenario.dry_friction, self.dry_friction
-        each = (scenario.mass, self.mass)
-        masses = ["None, the model's" if mass is None else f"{mass:g} kg" for mass in each]
-        shapes = [", ".join(names) for names in (scenario.ignored_shapes, self.ignored_shapes)]
-        speeds = [f"{side.stiction_speed:g} m/s" for side in (scenario, self)]
-        frictions = ["none" if side is None else side.tolist() for side in (given, mine)]
-        is_other_shape = set(scenario.ignored_shapes) != set(self.ignored_shapes)
-        own = 0.0 if mine is None else mine
-        for name, is_other, (got, expected) in (
-            ("mass", scenario.mass not in (None, self.mass), masses),
-            ("ignored_shapes", scenario.ignored_shapes and is_other_shape, shapes),
-            ("dry_friction", given is not None and not np.array_equal(given, own), frictions),
-            ("stiction_speed", scenario.stiction_speed != self.stiction_speed, speeds),
-            *(
-                (key, value != own_value, (value, f"{own_value}, as the world has it"))
-                for key, own_value in vars(self.model_fields).items()
-                for value in [getattr(scenario, key)]
-            ),
-        ):
-            if is_other:
-                remedy = f"Give the scenario the world's {name}, or make the world with this one: "
-                remedy += "World.from_scenario(scenario), or from_diagram with the same arguments."
-                raise ScenarioError(name, got, expected or "none", remedy)
 
     def _within_reach(self) -> World:
         """Returns this world without walls that are farther off than its joints go, with notes.
