@@ -241,25 +241,30 @@ def test_a_search_closes_what_may_be_kept_and_no_more_than_it_has_to() -> None:
     assert not aims[-1].is_patient and search.motions[-1].cost <= aims[-1].most < np.inf
 
 
-def test_a_search_ends_the_later_the_less_often_its_best_motion_was_found() -> None:
-    waves: list[tuple[float, int]] = []
-
+def test_a_search_ends_once_its_patience_would_find_less_than_one_better_motion() -> None:
     class Watched(MechanismSearch):
         def vary(self) -> Iterator[Sequence[Proposal]]:
             for wave in super().vary():
+                chances.append(self.chance)
                 yield wave
-                waves.append((self.motions[0].cost, self.found))
+            chances.append(self.chance)
 
+    chances: list[float] = []
     scenario, options = Scenario.named("acrobot/swing_up"), PlanOptions(patience=96)
     search = Watched(MechanismTask(World.from_scenario(scenario), scenario, options))
     search.explore()
-    idle = [
-        sum(cost <= last * (1 + 1e-3) for cost, _ in waves[:end])
-        for end, (last, _) in enumerate(waves, 1)
-    ]
-    trust = [8 * (count - 1) * found for count, (_, found) in zip(idle, waves, strict=True)]
-    assert len(waves) < options.renewals / 8
-    assert trust[-1] >= options.patience > max(trust[:-1])
+    assert 1 < len(chances) < options.renewals / 8
+    assert chances[-1] < 1 / options.patience <= min(chances[:-1])
+
+
+def test_the_chance_of_a_better_motion_falls_with_every_time_that_the_best_is_found() -> None:
+    scenario = Scenario.named("cart_pole/soft_06")
+    search = MechanismSearch(MechanismTask(World.from_scenario(scenario), scenario, QUICK))
+    first, *_ = next(search.propose())
+    for count in range(1, 5):
+        search.close([first])
+        assert search.found == search.searches == count
+        assert search.chance == pytest.approx((1.5 if count == 1 else 0.5) / (count * (count + 1)))
 
 
 @pytest.mark.parametrize(

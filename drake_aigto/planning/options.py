@@ -166,9 +166,9 @@ class PlanOptions(SearchOptions):
         starts: mechanisms: how many guesses of motions are closed first.
         renewals: mechanisms: how many more guesses are closed at most, near the best motions and
             around other starts in turn.
-        patience: mechanisms: renewals in a row that find nothing better, times how often the best
-            motion was found by searches that do not begin with it, after which there are no more.
-            A motion that was found once may have been luck, and is not trusted as soon.
+        patience: mechanisms: there are no more renewals once as many would find less than one
+            better motion, as far as can be told from how often the best ones were found
+            (`MechanismSearch.chance`).
         search_steps: mechanisms: number of time steps of candidates, at most; finalists have the
             scenario's.
         seed: mechanisms: of random draws.
@@ -182,7 +182,7 @@ class PlanOptions(SearchOptions):
     branches: int = 3
     starts: int = 12
     renewals: int = 240
-    patience: int = 144
+    patience: int = 180
     search_steps: int = 60
     seed: int = 0
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple, TypeAlias
 
@@ -42,6 +42,8 @@ _MOST_KEPT, _SAME = 8, 1e-3
 _NEAR = 0.05
 # Renewals per wave: they are drawn from the motions that are kept, and closed together.
 _WAVE = 8
+# Motions that cost at most this times the best are near it, as far as a chance of better ones goes.
+_NEARLY = 1.1
 # Costs below this part of the task's scale count as zero.
 _NOTHING = 1e-12
 # What is narrowed where a simulation exceeds it, and how often at most.
@@ -70,11 +72,13 @@ class KeptMotion:
         origin: where it came from.
         result: of shooting.
         rank: whether it violates bounds or a hard goal by much; J, plus a price for violations.
+        found: how many searches found it that did not begin with it.
     """
 
     origin: Origin
     result: ShootingResult
     rank: tuple[bool, float]
+    found: int = 1
 
     @property
     def cost(self) -> float:
@@ -171,17 +175,27 @@ class MechanismSearch(Search):
     def vary(self) -> Iterator[Sequence[Proposal]]:
         """Yields renewals of the best motions, and new starts in turn."""
         options = self.task.options
-        best, idle = (True, np.inf), 0
         for first in range(0, options.renewals if self.motions else 0, _WAVE):
-            misses, cost = rank = self.motions[0].rank
-            is_better = misses < best[0] or not cost + _SAME * abs(cost) >= best[1]
-            best, idle = (rank, 0) if is_better else (best, idle + _WAVE)
+            cost = self.motions[0].cost
             is_free = not self.task.additions and cost <= _NOTHING * self.task.scales.cost
-            if idle * self.found >= options.patience or is_free:
+            if is_free or options.patience * self.chance < 1:
                 break
             self.tell(f"renewal {first} of {options.renewals}; the best costs {cost:.6g}")
             last = min(first + _WAVE, options.renewals)
             yield [self._draw(number) for number in range(first, last)]
+
+    @property
+    def chance(self) -> float:
+        """The estimated chance that the next search finds a motion better than all.
+
+        Of n searches, N came near the best, and s of these found what no other did. So the next
+        comes near it with N / n, finds something new there with (s + ½) / N (Good and Turing), and
+        any of those N + 1 is as likely to be the best: (s + ½) / (n (N + 1)).
+        """
+        misses, cost = self.motions[0].rank
+        limit = misses, scaled(_NEARLY, cost)
+        near = [motion.found for motion in self.motions if motion.rank <= limit]
+        return (near.count(1) + 0.5) / (self.searches * (sum(near) + 1))
 
     def _draw(self, number: int) -> Proposal:
         """Returns a renewal, or every second time a random start."""
@@ -287,15 +301,17 @@ class MechanismSearch(Search):
         self._num_of_use += self.task.is_of_use(result)
         motion = KeptMotion(origin, result, self.task.rank(result))
         self.searches += 1
-        if not self.motions or not self._are_same(self.motions[0], motion):
-            is_best = not self.motions or motion.rank < self.motions[0].rank
-            self.found = 1 if is_best else self.found
-        elif parent is None or not self._are_same(self.motions[0], parent):
-            self.found += 1
+        if not np.isfinite(motion.cost):
+            return
         near = [known for known in self.motions if self._are_same(known, motion)]
-        if np.isfinite(motion.cost) and all(self._is_better(motion, known) for known in near):
-            others = [known for known in self.motions if known not in near]
-            self.motions = sorted([*others, motion], key=lambda each: each.rank)[:_MOST_KEPT]
+        anew = parent is None or not self._are_same(parent, motion)
+        times = near[0].found + anew if near else 1
+        if not all(self._is_better(motion, known) for known in near):
+            near, motion = near[:1], near[0]
+        others = [known for known in self.motions if known not in near]
+        kept = [*others, replace(motion, found=times)]
+        self.motions = sorted(kept, key=lambda each: each.rank)[:_MOST_KEPT]
+        self.found = self.motions[0].found
 
     def _is_better(self, motion: KeptMotion, known: KeptMotion) -> bool:
         """Returns whether a motion costs less, or as much with fewer touches.
