@@ -263,7 +263,7 @@ def _step_back(
 ) -> float:
     """Computes the cost to go before the stage, and returns the gain of its control."""
     Q1, Q2, V1, V2, slope = memory.Q1, memory.Q2, memory.V1, memory.V2, memory.room[0]
-    gain = 0.0
+    both, gain = memory.VF, 0.0
     for i in range(size):
         Hu = 0.0
         for j in range(size):
@@ -272,16 +272,23 @@ def _step_back(
         slope[i] = Q1[nz + i] + Hu
     for i in range(size):
         Q2[nz + i, nz + i] += multiplier
+    # V2 = Q_zz + Kᵀ (Q_uu K + Q_uz) + Q_zu K.
+    for i in range(size):
+        for d in range(nz):
+            both[i, d] = Q2[nz + i, d]
+        for j in range(size):
+            Q2_ij = Q2[nz + i, nz + j]
+            for d in range(nz):
+                both[i, d] += Q2_ij * gains[j, d]
     for c in range(nz):
         V1[c] = Q1[c]
-        for i in range(size):
-            V1[c] += Q2[c, nz + i] * du[i] + gains[i, c] * slope[i]
         for d in range(c, nz):
-            total = Q2[c, d]
-            for i in range(size):
-                row = Q2[nz + i, d]
-                for j in range(size):
-                    row += Q2[nz + i, nz + j] * gains[j, d]
-                total += gains[i, c] * row + Q2[c, nz + i] * gains[i, d]
-            V2[c, d] = V2[d, c] = total
+            V2[c, d] = Q2[c, d]
+        for i in range(size):
+            gain_ic, Q2_ic = gains[i, c], Q2[nz + i, c]
+            V1[c] += Q2_ic * du[i] + gain_ic * slope[i]
+            for d in range(c, nz):
+                V2[c, d] += gain_ic * both[i, d] + Q2_ic * gains[i, d]
+        for d in range(c + 1, nz):
+            V2[d, c] = V2[c, d]
     return gain
