@@ -162,4 +162,5 @@ def himmelblau(tilt: float = 1.0) -> tuple[MathematicalProgram, Any]:
 
 
 def solve(prog: MathematicalProgram, **options: Any) -> MathematicalProgramResult:
-    return AigoSolver(AigoOptions(**options)).Solve(prog)
+    """Searches, unless options have it proven at once."""
+    return AigoSolver(AigoOptions(**{"cells": 0, **options})).Solve(prog)

@@ -16,7 +16,7 @@ from benchmarks.collections.constrained_programs import constrained_problems, pl
 from benchmarks.collections.global_functions import global_problems, random_univariate
 from benchmarks.collections.known_optimum import ConstrainedProblem, GlobalProblem
 from drake_aigto.errors import OptionsError
-from drake_aigto.solver import AigoSolver
+from drake_aigto.solver import AigoOptions, AigoSolver
 
 FUNCTIONS = {problem.name: problem for problem in global_problems()}
 SMALL = [problem for problem in FUNCTIONS.values() if problem.num_variables <= 12]
@@ -195,7 +195,7 @@ def scale(problem: ConstrainedProblem) -> float:
 @pytest.mark.parametrize("name", ["HS 18", "HS 40", "HS 106", "HS 108", "Floudas-Pardalos 2.1"])
 def test_ours_solves_those_that_once_were_missed_or_slow(name: str) -> None:
     problem = PROGRAMS[name]
-    result = AigoSolver().Solve(problem.prog())
+    result = AigoSolver(AigoOptions(cells=0)).Solve(problem.prog())
     assert result.is_success() and problem.violation(result.get_x_val()) <= 1e-6
     assert result.get_optimal_cost() <= problem.minimum + 1e-5 * scale(problem)
 

@@ -364,7 +364,7 @@ def test_a_program_with_a_shared_variable_is_solved_and_the_choice_reported() ->
     for x_k in x:
         values = {a.get_id(): x_k, b.get_id(): scale[0]}
         prog.AddCost(stage, vars=[values[v.get_id()] for v in stage.vars()])
-    result = AigoSolver(AigoOptions(rounds=2)).Solve(prog)
+    result = AigoSolver(AigoOptions(cells=0, rounds=2)).Solve(prog)
     details = result.get_solver_details()
     assert result.is_success()
     assert details.box_storage.factorization is Factorization.SPARSE

@@ -53,7 +53,7 @@ def test_a_lifted_function_costs_what_it_does_without_lift_and_its_rows_hold(
 @pytest.mark.parametrize("problem", SMALL[::4], ids=lambda problem: str(problem.name))
 def test_variables_of_a_lift_are_gone_and_back_in_the_answer(problem: Any) -> None:
     prog = lift(problem, 3)
-    result = AigoSolver().Solve(prog)
+    result = AigoSolver(AigoOptions(cells=0)).Solve(prog)
     details = result.get_solver_details()
     assert result.is_success()
     assert prog.num_vars() - len(details.substituted) <= problem.num_variables
@@ -81,7 +81,9 @@ def double_integrator(num_steps: int, most: float) -> MathematicalProgram:
 @pytest.mark.parametrize("most", [pytest.param(20.0, marks=pytest.mark.slow), 4.5])
 def test_controls_of_a_chain_vanish_their_bounds_stay_and_so_does_the_optimum(most: float) -> None:
     prog = double_integrator(20, most)
-    found = [AigoSolver(AigoOptions(presolve=on, rounds=5)).Solve(prog) for on in (True, False)]
+    found = [
+        AigoSolver(AigoOptions(cells=0, presolve=on, rounds=5)).Solve(prog) for on in (True, False)
+    ]
     assert all(result.is_success() for result in found)
     costs = [result.get_optimal_cost() for result in found]
     assert costs[0] == pytest.approx(costs[1], rel=1e-6)
@@ -133,7 +135,7 @@ def test_a_definition_that_overflows_far_out_is_no_warning() -> None:
     prog, x = make_program(
         2, lambda x: (x[0] - 1) ** 2 + x[1] ** 2, lambda x: exp(x[0]) + x[1] == 20
     )
-    result = AigoSolver().Solve(prog)
+    result = AigoSolver(AigoOptions(cells=0)).Solve(prog)
     u, v = result.GetSolution(x)
     assert result.is_success() and np.exp(u) + v == pytest.approx(20)
     # There the slope along the row, v = 20 − exp(u), vanishes.
@@ -146,13 +148,13 @@ def test_rows_that_contradict_each_other_by_substitution_are_told() -> None:
     prog, _ = make_program(
         2, lambda x: x[0] ** 2, lambda x: x[0] == x[1] + 1, lambda x: x[0] == x[1] + 2
     )
-    details = AigoSolver().Solve(prog).get_solver_details()
+    details = AigoSolver(AigoOptions(cells=0)).Solve(prog).get_solver_details()
     assert details.status is AigoStatus.CONTRADICTORY_BOUNDS
 
 
 def test_answers_are_polished_as_they_were_asked_where_multiplied_out_costs_are_rounded() -> None:
     (problem,) = (each for each in lifted_problems() if each.name == "Perm 1 n=5")
-    result = AigoSolver(AigoOptions(rounds=3)).Solve(lift(problem, 11))
+    result = AigoSolver(AigoOptions(cells=0, rounds=3)).Solve(lift(problem, 11))
     assert result.is_success() and result.get_solver_details().substituted
     assert result.get_optimal_cost() <= problem.minimum + 1e-6
 

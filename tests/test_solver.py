@@ -219,6 +219,14 @@ def test_points_where_a_row_has_no_slope_may_be_passed() -> None:
     assert result.get_optimal_cost() == pytest.approx(0.0, abs=1e-6)
 
 
+def test_what_few_cells_prove_is_not_searched() -> None:
+    found = AigoSolver().Solve(himmelblau()[0]).get_solver_details()
+    searched = solve(himmelblau()[0]).get_solver_details()
+    assert found.status is AigoStatus.PROVEN and found.boxes == 0 < searched.boxes
+    assert searched.status is AigoStatus.SOLVED and searched.certificate is None
+    assert found.cost == pytest.approx(searched.cost, abs=1e-9)
+
+
 def test_bounds_hold_exactly() -> None:
     prog, x = make_program(3, lambda x: (x[2] - 0.3) ** 2, low=[-1, 2, 0.1], high=[1, 3, 0.1])
     prog.AddLinearCost(-x[0] + x[1])
@@ -228,7 +236,7 @@ def test_bounds_hold_exactly() -> None:
 @pytest.mark.parametrize("guess", [None, 40.0, -1e3])
 def test_without_bounds_it_is_found_from_any_guess(guess: float | None) -> None:
     prog, x = make_program(1, lambda x: (x[0] - 3) ** 2 * (x[0] + 2) ** 2 + 0.1 * x[0])
-    result = AigoSolver().Solve(prog, None if guess is None else [guess])
+    result = AigoSolver(AigoOptions(cells=0)).Solve(prog, None if guess is None else [guess])
     assert result.GetSolution(x[0]) == pytest.approx(-2, abs=0.01)
 
 
@@ -240,7 +248,7 @@ def test_the_same_program_gives_the_same_bits() -> None:
 def test_where_rounding_hides_which_point_is_better_the_formula_decides() -> None:
     # Multiplied out, (x − 1000)⁶ is known to 1e-14 of 1000⁶ only: to 1e4.
     prog, x = make_program(1, lambda x: (x[0] - 1000) ** 6, low=990, high=1010.5)
-    result = AigoSolver(AigoOptions(rounds=5)).Solve(prog, [1000.0])
+    result = AigoSolver(AigoOptions(cells=0, rounds=5)).Solve(prog, [1000.0])
     assert result.get_optimal_cost() == (result.GetSolution(x[0]) - 1000) ** 6
     assert result.get_optimal_cost() <= 1e-12
 

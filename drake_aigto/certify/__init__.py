@@ -8,14 +8,15 @@ from drake_aigto.certify.certificate import (
     certify,
     relative_gap,
 )
-from drake_aigto.certify.conflicts import explain_infeasibility, is_infeasible
+from drake_aigto.certify.contraction import explain_infeasibility, is_infeasible
 from drake_aigto.certify.enclosures import enclose_all
 from drake_aigto.certify.flights import Line, Wall
-from drake_aigto.certify.formulas import Operation, Tape, formula_of, make_tape, read_formulas
+from drake_aigto.certify.formulas import formula_of, read_formulas
 from drake_aigto.certify.plans import PlanBound, bound_plans, fold, out_of_reach
 from drake_aigto.certify.relaxation import Relaxation
 from drake_aigto.certify.relaxation_kernels import safe_bound
 from drake_aigto.certify.scip import write_sum
+from drake_aigto.certify.tape import Operation, Tape, make_tape
 from drake_aigto.certify.touches import bound_line
 
 __all__ = [

@@ -11,7 +11,7 @@ import numpy as np
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.certify.enclosures import HESSIAN, VALUE, SumOfFormulas, enclose_all
 from drake_aigto.certify.expansions import bound_all, may_hold_minima, middles
-from drake_aigto.certify.formulas import Formulas, formula_of, make_tape
+from drake_aigto.certify.formulas import Formulas, tape_of
 from drake_aigto.certify.relaxation import Relaxation, sides_of
 
 _MOST_OPEN = 400_000  # cells
@@ -22,7 +22,8 @@ _MOST_AT_ONCE = 250
 _MOST_BENT, _FEW_BENT = 10, 2
 _MOST_ROUNDS = 4  # over all sides of the whole
 _SPENT = 0.1  # of a side: a round over all sides that cuts off less is the last one
-_MOST_OF_ROUND = 5000  # cells
+# Such a round takes up to this number of cells, or this part of those that are left.
+_MOST_OF_ROUND, _PART_OF_ROUND = 5000, 0.5
 
 
 class OpenCells(NamedTuple):
@@ -118,14 +119,17 @@ class CellSearch(BoundSearch):
     def __init__(self, formulas: Formulas, margin: float) -> None:
         """Opens the whole box."""
         size, self._outer = formulas.lower.size, np.array([formulas.lower, formulas.upper])
-        self._tape = make_tape([formula_of(formulas.summands, range(size))])
+        self._tape = tape_of([formulas.summands], size)
         cost = SumOfFormulas(self._tape, [range(size)])
         super().__init__(cost, middles(*self._outer), margin)
         self._is_free = not formulas.rows
         self._is_bent = self._is_free and size <= _MOST_BENT
         is_small = self._is_free and size <= _FEW_BENT
         self._relaxation = None if is_small else Relaxation(formulas)
-        self._sides, self._rounds = sides_of(formulas), _MOST_ROUNDS
+        self._sides, self._rounds = sides_of(formulas), _MOST_ROUNDS if self._relaxation else 0
+        # Variables that a round has not come to yet, and the sides that it found.
+        self._left: list[int] = []
+        self._found = self._sides
         self._settled = math.inf  # least bound of parts that were left alone
         low, high = self._outer[:, None].copy()
         self._open = OpenCells(low, high, np.array([-np.inf]), np.array([-1]), np.zeros(1))
@@ -133,8 +137,12 @@ class CellSearch(BoundSearch):
     def run(self, count: int, scale: float) -> bool:
         """Cuts cells."""
         end, self._scale = self.num_cells + min(count, _MOST_CELLS), scale
-        if self._rounds:
-            self._tighten()
+        if not self.num_cells:
+            self.num_cells += 1
+            self._open = self._bounded(self._open)
+            return True
+        if self._relaxation and self._rounds and self._open.bounds.size:
+            self._tighten(self._relaxation, count, end)
             return True
         while self.num_cells < end:
             # What holds nothing better, or cannot be cut, is left alone.
@@ -152,24 +160,27 @@ class CellSearch(BoundSearch):
         """Takes note that what is left alone has this bound."""
         self._settled = min(self._settled, bound)
 
-    def _tighten(self) -> None:
-        """Narrows the whole box by linear programs, once around, and bounds it after the last."""
-        whole, relaxation = self._open, self._relaxation
+    def _tighten(self, relaxation: Relaxation, count: int, end: int) -> None:
+        """Narrows sides of the whole box by linear programs; bounds it after the last round."""
+        whole, effort = self._open, 2 * relaxation.effort
         low, high = whole.low[0], whole.high[0]
-        before = high - low
-        count = 2 * int(np.count_nonzero(before)) * relaxation.effort if relaxation else 0
-        self.num_cells += 1
-        rounds = 0
-        if relaxation and count <= _MOST_OF_ROUND:
-            self.num_cells += count
+        if not self._left:
+            self._found, self._left = high - low, np.flatnonzero(low < high).tolist()
+            if effort * len(self._left) > max(_MOST_OF_ROUND, _PART_OF_ROUND * count):
+                self._rounds = 0
+                return
+        while self._left and self.num_cells < end:
+            self.num_cells += effort
             self._settle(self.least)
-            if not relaxation.tighten(low, high, self.least):
+            if not relaxation.tighten(self._left.pop(0), low, high, self.least):
                 self._rounds, self._open = 0, whole.some(np.zeros(1, dtype=bool))
                 return
+        if not self._left:
             with np.errstate(invalid="ignore"):
-                is_shorter = bool(np.any(before - (high - low) > _SPENT * before))
-            rounds = self._rounds - 1 if is_shorter else 0
-        self._rounds, self._open = rounds, whole if rounds else self._bounded(whole)
+                is_shorter = bool(np.any(self._found - (high - low) > _SPENT * self._found))
+            self._rounds = self._rounds - 1 if is_shorter else 0
+            if not self._rounds:
+                self._open = self._bounded(whole)
 
     def _cut(self, count: int) -> None:
         """Cuts the lowest cells in two."""

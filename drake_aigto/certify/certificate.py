@@ -17,17 +17,17 @@ from pydrake.solvers import MathematicalProgram
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.cells import CellSearch
 from drake_aigto.certify.cliques import MOST_VARIABLES, CliqueSearch, elimination
-from drake_aigto.certify.conflicts import narrowed
-from drake_aigto.certify.enclosures import VALUE, SumOfFormulas, enclose_all
+from drake_aigto.certify.contraction import narrowed
+from drake_aigto.certify.enclosures import SumOfFormulas
 from drake_aigto.certify.formulas import (
     Formulas,
-    Tape,
-    formula_of,
-    make_tape,
     read_formulas,
+    tape_of,
+    values_at,
+    with_prices,
 )
-from drake_aigto.certify.pricing import with_prices
 from drake_aigto.certify.scip import bound_by_scip
+from drake_aigto.certify.tape import Tape
 from drake_aigto.errors import OptionsError
 
 # A point → a feasible one near it, if there is one.
@@ -209,7 +209,12 @@ class Certifier:
             self._search = CliqueSearch(formulas, _MARGIN * gap, order)
         elif is_feasible and formulas.lower.size:
             self._method, self._search = Method.CELLS, CellSearch(formulas, _MARGIN * gap)
-        self._cost = _sum_of(formulas) if self._search is None else self._search.cost
+        size = formulas.lower.size
+        self._cost = (
+            SumOfFormulas(tape_of([formulas.summands], size), [range(size)])
+            if self._search is None
+            else self._search.cost
+        )
         least, most = self._cost.range(formulas.lower, formulas.upper)
         self.least_sum = least if is_feasible else math.inf
         # The variation of the cost over the bounds, if that is below 1 in its own unit.
@@ -228,14 +233,11 @@ class Certifier:
 
     @functools.cached_property
     def _row_tape(self) -> Tape:
-        everything = range(self._asked.lower.size)
-        return make_tape(formula_of((row,), everything) for row in self._asked.rows)
+        return tape_of(((row,) for row in self._asked.rows), self._asked.lower.size)
 
     def check(self, x: Floats) -> Floats | None:
         """Returns a point if it meets all rows to 1e-6, else None."""
-        rows = np.arange(len(self._asked.rows))
-        points = np.tile(x, (rows.size, 1))
-        found = enclose_all(self._row_tape, rows, points, points, VALUE)[:, 0]
+        found = values_at(self._row_tape, x)[:, 0]
         low, high = self._asked.row_bounds
         is_met = (found[:, 0] >= low - _TOLERANCE) & (found[:, 1] <= high + _TOLERANCE)
         return x if np.all(is_met & np.isfinite(found[:, 1])) else None
@@ -363,13 +365,6 @@ def _find_order(formulas: Formulas) -> list[tuple[int, ...]] | None:
     if max(map(len, read), default=0) > MOST_VARIABLES:
         return None
     return elimination(size, read, MOST_VARIABLES)
-
-
-def _sum_of(formulas: Formulas) -> SumOfFormulas:
-    """Returns the cost as a sum of formulas, one for each set of variables."""
-    groups = formulas.groups()
-    tape = make_tape(formula_of(parts, read) for read, parts in groups.items())
-    return SumOfFormulas(tape, list(groups))
 
 
 def _missing(formulas: Formulas) -> str:

@@ -33,8 +33,9 @@ from drake_aigto.certify.enclosures import (
     sum_outward,
 )
 from drake_aigto.certify.expansions import bound_tables, may_hold_minima
-from drake_aigto.certify.formulas import Formulas, formula_of, make_tape
+from drake_aigto.certify.formulas import Formulas, formula_of
 from drake_aigto.certify.intervals import UNIT
+from drake_aigto.certify.tape import make_tape
 
 MOST_VARIABLES = 3  # of a clique
 _FIRST_BINS = 16

@@ -19,7 +19,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.certify.formulas import Operation, Tape
 from drake_aigto.certify.intervals import (
     UNIT,
     Interval,
@@ -36,6 +35,7 @@ from drake_aigto.certify.intervals import (
     times,
     widened,
 )
+from drake_aigto.certify.tape import Operation, Tape
 from drake_aigto.kernels import inner, kernel
 
 VALUE, GRADIENT, HESSIAN = range(3)

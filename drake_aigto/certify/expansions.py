@@ -19,7 +19,6 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, VALUE, at, enclose, make_scratch
-from drake_aigto.certify.formulas import Tape
 from drake_aigto.certify.intervals import (
     TINY,
     UNIT,
@@ -31,6 +30,7 @@ from drake_aigto.certify.intervals import (
     up_product,
     up_quotient,
 )
+from drake_aigto.certify.tape import Tape
 from drake_aigto.kernels import inner, kernel
 
 # A Cholesky factor of A − δ I that rounding lets be found shows A to be positive definite where

@@ -13,7 +13,7 @@ import pydrake.symbolic as sym
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.enclosures import GRADIENT, VALUE, enclose_all
 from drake_aigto.certify.expansions import bound_all
-from drake_aigto.certify.formulas import Formula, Tape, make_tape
+from drake_aigto.certify.tape import Formula, Tape, make_tape
 
 # Places along a flight, as parts of its time, that have to be between the walls.
 _PLACES = (0.25, 0.5, 0.75, 1.0)

@@ -1,13 +1,12 @@
-"""A MathematicalProgram as formulas, and formulas as tapes: one operation after the other."""
+"""A MathematicalProgram as formulas: summands of its cost, rows, and rows at prices."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from enum import IntEnum
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from pydrake.solvers import (
@@ -23,7 +22,18 @@ from pydrake.solvers import (
 )
 from pydrake.symbolic import Expression, ExpressionKind
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Bools, Floats
+from drake_aigto.certify.enclosures import GRADIENT, VALUE, enclose_all
+from drake_aigto.certify.tape import (
+    Entry,
+    Formula,
+    Index,
+    JointTape,
+    NoEnclosureError,
+    Operation,
+    Tape,
+    make_tape,
+)
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.terms import (
     CONES,
@@ -48,100 +58,37 @@ _ROWS = (
     "Write it symbolically.",
 )
 
-_MOST_EXPONENT = 1e6  # in size; rounding errors of larger ones would leave nothing of a power
-
-# Id of a variable ↦ its index in the program, or its place in a formula.
-Index = Mapping[int, int]
-
-
-class Operation(IntEnum):
-    """Functions of earlier entries a and b of a tape, and of a number p."""
-
-    NUMBER = 0  # p
-    VARIABLE = 1  # x_a
-    SHIFT = 2  # a + p
-    SCALE = 3  # p a
-    ADD = 4  # a + b
-    MULTIPLY = 5  # a b
-    RECIPROCAL = 6  # 1 / a
-    POWER = 7  # a^b of a whole number b
-    REAL_POWER = 8  # a^p, a ≥ 0
-    EXP = 9
-    LOG = 10
-    SIN = 11
-    COS = 12
-    ABS = 13
-    MAX = 14
-    MIN = 15
-    TANH = 16
-    ATAN = 17
-
-
-# Operation, a, b and p.
-Entry = tuple[int, int, int, float]
-
-
-class Tape(NamedTuple):
-    """Formulas, one behind the other.
-
-    Attributes:
-        operations: `Operation` of each entry (E,).
-        a: its first argument, counted from its formula's first entry (E,).
-        b: its second argument, or an exponent (E,).
-        numbers: its p (E,).
-        starts: first entry of each formula, and E (F + 1,). A formula's value is its last entry.
-    """
-
-    operations: Ints
-    a: Ints
-    b: Ints
-    numbers: Floats
-    starts: Ints
-
-
-class JointTape(NamedTuple):
-    """Formulas that share their entries.
-
-    Attributes:
-        tape: all of them as one; its first entries are the variables.
-        roots: entries of the formulas (R,).
-    """
-
-    tape: Tape
-    roots: Ints
+# A row or a variable is at its bound where it is this near, relative to its size.
+_NEAR = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
 class Summand:
-    """A summand of the cost.
+    """factor · (formula − target): a summand of the cost, or a row at a price.
 
     Attributes:
         binding: the cost that it came from; of a row, the constraint.
         expression: its formula.
         index: of its variables.
         variables: indices of those that it reads, rising.
+        factor: as above.
+        target: as above.
     """
 
     binding: Binding
     expression: Expression
     index: Index
     variables: tuple[int, ...]
+    factor: float = 1.0
+    target: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class BoundedFormula(Summand):
     """lower ≤ formula ≤ upper."""
 
-    lower: float
-    upper: float
-
-
-@dataclass(frozen=True, eq=False)
-class PricedRow(Summand):
-    """factor · (formula − target) of a row, which is 0 or less where the row holds."""
-
-    factor: float
-    target: float
+    lower: float = -math.inf
+    upper: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +146,8 @@ def read_formulas(prog: MathematicalProgram) -> Formulas:
             continue
         formulas, own = _expressions(binding, index, *_ROWS)
         for formula, low, high in zip(formulas, *(b.tolist() for b in bounds), strict=True):
-            rows.append(BoundedFormula(binding, formula, own, _read(formula, own), low, high))
+            read = _read(formula, own)
+            rows.append(BoundedFormula(binding, formula, own, read, lower=low, upper=high))
     names = tuple(variable.get_name() for variable in prog.decision_variables())
     of_variables = zip(names, lower.tolist(), upper.tolist(), strict=True)
     of_rows = ((evaluator_label(row.binding), row.lower, row.upper) for row in rows)
@@ -247,228 +195,101 @@ def formula_of(parts: Sequence[Summand], variables: Sequence[int]) -> list[Entry
         UnsupportedTermError: one has a function without an enclosure, by name.
     """
     formula = Formula()
-    formula.add_all(parts, {variable: k for k, variable in enumerate(variables)})
+    _add_all(formula, parts, {variable: k for k, variable in enumerate(variables)})
     return formula.finish()
+
+
+def tape_of(sums: Iterable[Sequence[Summand]], num_variables: int) -> Tape:
+    """Returns sums of summands as formulas over all n variables; raises as `formula_of` does."""
+    return make_tape(formula_of(parts, range(num_variables)) for parts in sums)
 
 
 def join(
     sums: Iterable[Sequence[Summand]], num_variables: int, is_nested: bool = True
 ) -> JointTape:
-    """Returns sums of summands as formulas that share their entries.
+    """Returns sums of summands as formulas that share their entries; raises as `formula_of` does.
 
     Args:
         sums: the formulas.
         num_variables: n.
         is_nested: whether powers of one variable are written as Horner does.
-
-    Raises:
-        UnsupportedTermError: as in `formula_of`.
     """
     formula, places = Formula(is_nested), {i: i for i in range(num_variables)}
     for i in range(num_variables):
         formula.put(Operation.VARIABLE, i)
     roots = []
     for parts in sums:
-        formula.add_all(parts, places)
+        _add_all(formula, parts, places)
         roots.append(formula.pop())
     return JointTape(make_tape([formula.entries]), np.array(roots, dtype=np.int64))
 
 
-def make_tape(formulas: Iterable[Sequence[Entry]]) -> Tape:
-    """Returns formulas as one tape."""
-    lists = list(formulas)
-    entries = [entry for each in lists for entry in each]
-    columns = list(zip(*entries, strict=True)) or [(), (), (), ()]
-    operations, a, b = (np.array(column, dtype=np.int64) for column in columns[:3])
-    starts = np.cumsum([0, *map(len, lists)], dtype=np.int64)
-    return Tape(operations, a, b, np.array(columns[3], dtype=float), starts)
+def _add_all(formula: Formula, parts: Sequence[Summand], places: Index) -> None:
+    """Adds summands; index of a variable in the program ↦ its place among the formula's."""
+    # Summands of one binding are added again, as powers of one variable are bounded together.
+    for _, alike in itertools.groupby(
+        parts, lambda part: id(part if part.target or part.factor != 1.0 else part.binding)
+    ):
+        first, *others = alike
+        total = sum((part.expression for part in others), first.expression)
+        own = {i: places[j] for i, j in first.index.items() if j in places}
+        try:
+            formula.add(own, total, first.factor, first.target)
+        except NoEnclosureError as error:
+            raise UnsupportedTermError(
+                f"{evaluator_label(first.binding)} can't be bounded",
+                got=f"{error} in {shown(total)}",
+                expected="sums, products, quotients, powers, roots, exp, log, sin, cos, tan, "
+                "tan⁻¹, tanh, |x|, max and min",
+            ) from None
 
 
-class _NoEnclosureError(Exception):
-    """A formula has a function without an enclosure; its message is the function."""
+def values_at(tape: Tape, x: Floats, order: int = VALUE) -> Floats:
+    """Returns jets (F, J, 2) of all formulas of a tape at a point (n,)."""
+    count = tape.starts.size - 1
+    points = np.tile(x, (count, 1))
+    return enclose_all(tape, np.arange(count), points, points, order)
 
 
-_FUNCTIONS = {
-    getattr(ExpressionKind, name): Operation[name.upper()]
-    for name in ("Exp", "Log", "Sin", "Cos", "Abs", "Tanh", "Atan", "Max", "Min")
-}
+def with_prices(formulas: Formulas, x: Floats) -> Formulas:
+    """Returns a program whose rows are terms of its cost, which is no larger where they hold.
 
-
-class Formula:
-    """A sum of expressions as entries of a tape, each made once.
+    On all feasible x, f ≥ f + λ_j (r_j − t_j): of an equality with any λ; of an inequality that is
+    at its bound t, with λ (r − t) ≤ 0. Least squares make the Lagrangian's slope at x small.
 
     Args:
-        is_nested: whether powers of one variable are written as Horner does.
+        formulas: the program.
+        x: a point, the nearer to an optimum the better (n,).
     """
-
-    def __init__(self, is_nested: bool = True) -> None:
-        """Starts empty."""
-        self._place: Index = {}
-        self._known: dict[Entry, int] = {}
-        self._last: int | None = None
-        self._is_nested = is_nested
-
-    @property
-    def entries(self) -> list[Entry]:
-        """All of them, in their order."""
-        return list(self._known)
-
-    def add(self, place_of: Index, e: Expression) -> None:
-        """Adds an expression to the sum.
-
-        Args:
-            place_of: id of a variable ↦ its place among the formula's.
-            e: the expression.
-        """
-        self._place = place_of
-        self._add(self._enter(e))
-
-    def _add(self, place: int) -> None:
-        self._last = place if self._last is None else self.put(Operation.ADD, self._last, place)
-
-    def add_all(self, parts: Sequence[Summand], places: Index) -> None:
-        """Adds summands; index of a variable in the program ↦ its place among the formula's."""
-        # Summands of one binding are added again, as powers of one variable are bounded together.
-        for _, alike in itertools.groupby(
-            parts, lambda part: id(part) if isinstance(part, PricedRow) else id(part.binding)
-        ):
-            first, *others = alike
-            total = sum((part.expression for part in others), first.expression)
-            try:
-                self._place = {i: places[j] for i, j in first.index.items() if j in places}
-                place = self._enter(total)
-            except _NoEnclosureError as error:
-                raise UnsupportedTermError(
-                    f"{evaluator_label(first.binding)} can't be bounded",
-                    got=f"{error} in {shown(total)}",
-                    expected="sums, products, quotients, powers, roots, exp, log, sin, cos, tan, "
-                    "tan⁻¹, tanh, |x|, max and min",
-                ) from None
-            if isinstance(first, PricedRow):
-                place = self.put(Operation.SHIFT, place, 0, -first.target)
-                place = self.put(Operation.SCALE, place, 0, first.factor)
-            self._add(place)
-
-    def pop(self) -> int:
-        """Returns the entry of the sum, 0 if it is empty, and begins a new one."""
-        last = self.put(Operation.NUMBER) if self._last is None else self._last
-        self._last = None
-        return last
-
-    def finish(self) -> list[Entry]:
-        """Returns the entries, that of the sum last."""
-        last, entries = self.pop(), self.entries
-        if last < len(entries) - 1:
-            entries.append((int(Operation.SHIFT), last, 0, 0.0))
-        return entries
-
-    def put(self, operation: Operation, a: int = 0, b: int = 0, number: float = 0.0) -> int:
-        """Returns the place of an entry, which is new or known."""
-        return self._known.setdefault((int(operation), a, b, number), len(self._known))
-
-    def _enter(self, e: Expression) -> int:
-        """Enters an expression, and returns the place of its value."""
-        kind = e.get_kind()
-        if kind == ExpressionKind.Constant:
-            return self.put(Operation.NUMBER, number=e.Evaluate())
-        if kind == ExpressionKind.Var:
-            (variable,) = e.GetVariables()
-            return self.put(Operation.VARIABLE, self._place[variable.get_id()])
-        parts = operands(e)
-        if kind in _FUNCTIONS:
-            return self.put(_FUNCTIONS[kind], *map(self._enter, parts))
-        if kind == ExpressionKind.Add:
-            return self._sum(parts)
-        if kind == ExpressionKind.Mul:
-            number, others = _split_number(parts, 1.0)
-            return self._scaled(self._fold(Operation.MULTIPLY, others), number)
-        if kind == ExpressionKind.Pow:
-            return self._power(*parts)
-        if kind == ExpressionKind.Sqrt:
-            return self.put(Operation.REAL_POWER, self._enter(parts[0]), number=0.5)
-        if kind == ExpressionKind.Tan:
-            place = self._enter(parts[0])
-            return self._divide(self.put(Operation.SIN, place), self.put(Operation.COS, place))
-        if kind == ExpressionKind.Div:
-            return self._divide(*map(self._enter, parts))
-        raise _NoEnclosureError(kind.name)
-
-    def _sum(self, parts: Sequence[Expression]) -> int:
-        """Adds summands, numbers last: x − a is one entry; powers of one variable as Horner does.
-
-        Of an interval, a x² + b x + c is wider than (a x + b) x + c, and ∞ − ∞ if that has no end.
-        """
-        if self._is_nested and (powers := _powers_of_one(parts)):
-            return self._nested(*powers)
-        number, others = _split_number(parts, 0.0)
-        total = self._fold(Operation.ADD, others)
-        return self.put(Operation.SHIFT, total, 0, number) if number else total
-
-    def _fold(self, operation: Operation, parts: Sequence[Expression]) -> int:
-        """Enters a sum or a product, from left to right."""
-        total = self._enter(parts[0])
-        for part in parts[1:]:
-            total = self.put(operation, total, self._enter(part))
-        return total
-
-    def _nested(self, variable: Expression, coefficients: Mapping[int, float]) -> int:
-        """Adds Σ a_p x^p: x^r (… (a_p x^(p−q) + a_q) …)."""
-        x, total = self._enter(variable), -1
-        exponents = sorted(coefficients, reverse=True)
-        for p, q in itertools.pairwise([*exponents, 0]):
-            if p > q:
-                factor = x if p == q + 1 else self.put(Operation.POWER, x, p - q)
-                if total < 0:
-                    total = self._scaled(factor, coefficients[p])
-                else:
-                    total = self.put(Operation.MULTIPLY, factor, total)
-            if q in coefficients and q < p:
-                total = self.put(Operation.SHIFT, total, 0, coefficients[q])
-        return total
-
-    def _scaled(self, place: int, number: float) -> int:
-        return self.put(Operation.SCALE, place, 0, number) if number != 1.0 else place
-
-    def _power(self, base: Expression, exponent: Expression) -> int:
-        if exponent.get_kind() != ExpressionKind.Constant:
-            raise _NoEnclosureError("power with an exponent that is no number")
-        p = exponent.Evaluate()
-        place = self._enter(base)
-        if abs(p) > _MOST_EXPONENT:
-            raise _NoEnclosureError(f"power with the exponent {p:g}")
-        if p != int(p):
-            return self.put(Operation.REAL_POWER, place, number=p)
-        if p >= 0:
-            return self.put(Operation.POWER, place, int(p))
-        return self.put(Operation.RECIPROCAL, self.put(Operation.POWER, place, int(-p)))
-
-    def _divide(self, above: int, below: int) -> int:
-        return self.put(Operation.MULTIPLY, above, self.put(Operation.RECIPROCAL, below))
+    rows = formulas.rows
+    tape = tape_of([formulas.summands, *((row,) for row in rows)], x.size)
+    jets = values_at(tape, x, GRADIENT)
+    if not np.all(np.isfinite(jets)):
+        return replace(formulas, rows=())
+    values, gradients = np.mean(jets[1:, 0], axis=-1), np.mean(jets[:, 1:], axis=-1)
+    low, high = formulas.row_bounds
+    at_low, at_high = _is_at(values, low), _is_at(values, high)
+    active = at_low | at_high
+    free = ~(_is_at(x, formulas.lower) | _is_at(x, formulas.upper))
+    prices = np.zeros(len(rows))
+    while np.any(active) and np.any(free):
+        matrix = gradients[1:][np.ix_(active, free)].T
+        prices[active] = np.linalg.lstsq(matrix, -gradients[0][free], rcond=None)[0]
+        # Of the side that is active: λ ≥ 0 at the upper one, ≤ 0 at the lower one.
+        wrong = active & (low != high) & np.where(at_high, prices <= 0.0, prices >= 0.0)
+        if not np.any(wrong):
+            break
+        active &= ~wrong
+        prices[~active] = 0.0
+    targets = np.where(at_high, high, low).tolist()
+    priced = (
+        Summand(row.binding, row.expression, row.index, row.variables, price, target)
+        for row, price, target in zip(rows, prices.tolist(), targets, strict=True)
+        if price
+    )
+    return replace(formulas, summands=(*formulas.summands, *priced), rows=())
 
 
-def _split_number(parts: Sequence[Expression], neutral: float) -> tuple[float, list[Expression]]:
-    """Returns the number among some parts, of which Drake keeps one, and the others."""
-    numbers = [part.Evaluate() for part in parts if part.get_kind() == ExpressionKind.Constant]
-    others = [part for part in parts if part.get_kind() != ExpressionKind.Constant]
-    return (numbers[0] if numbers else neutral), others
-
-
-def _powers_of_one(parts: Sequence[Expression]) -> tuple[Expression, dict[int, float]] | None:
-    """Returns the variable and the coefficients of Σ a_p x^p; None if it is another sum."""
-    found: dict[int, float] = {}
-    base: Expression | None = None
-    for part in parts:
-        is_product = part.get_kind() == ExpressionKind.Mul
-        number, factors = _split_number(operands(part) if is_product else [part], 1.0)
-        exponent = 0.0
-        for x in factors:
-            power = operands(x) if x.get_kind() == ExpressionKind.Pow else [x, Expression(1.0)]
-            is_number = power[1].get_kind() == ExpressionKind.Constant
-            is_other = base is not None and not base.EqualTo(power[0])
-            if exponent or is_other or not is_number or power[0].get_kind() != ExpressionKind.Var:
-                return None
-            base, exponent = power[0], power[1].Evaluate()
-        if exponent < 0.0 or exponent != int(exponent) or int(exponent) in found:
-            return None
-        found[int(exponent)] = number
-    return None if base is None else (base, found)
+def _is_at(values: Floats, bounds: Floats) -> Bools:
+    """Returns which values are next to their bounds, which are finite then."""
+    return np.abs(values - bounds) <= _NEAR * np.maximum(1.0, np.abs(values))

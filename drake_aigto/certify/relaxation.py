@@ -14,7 +14,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.expansions import middles
-from drake_aigto.certify.formulas import Formulas, JointTape, Operation, join
+from drake_aigto.certify.formulas import Formulas, join
 from drake_aigto.certify.relaxation_kernels import (
     LARGEST_COEFFICIENT,
     ROWS_OF_ONE,
@@ -26,6 +26,7 @@ from drake_aigto.certify.relaxation_kernels import (
     safe_bound,
     violations,
 )
+from drake_aigto.certify.tape import JointTape, Operation
 
 _LEAVES = (Operation.NUMBER, Operation.VARIABLE)
 _SUMS = (Operation.ADD, Operation.SHIFT, Operation.SCALE)
@@ -191,16 +192,15 @@ class Relaxation:
         x = np.clip(w[: low.size], low, high)
         return Relaxed(bound, x, self._choose_cut(w, y, x, low, high))
 
-    def tighten(self, low: Floats, high: Floats, cutoff: float) -> bool:
-        """Narrows a cell, in place, to the ends of each variable; returns if anything is left."""
-        for i in np.flatnonzero(low < high):
-            for side in (low, high):
-                if not self._fill(low, high, cutoff):
-                    return False
-                bound, *_ = self._solve(int(i), 1.0 if side is low else -1.0)
-                side[i] = max(low[i], bound) if side is low else min(high[i], -bound)
-                if not (bound < np.inf and low[i] <= high[i]):
-                    return False
+    def tighten(self, i: int, low: Floats, high: Floats, cutoff: float) -> bool:
+        """Narrows a cell, in place, to the ends of a variable; returns if anything is left."""
+        for side in (low, high):
+            if not self._fill(low, high, cutoff):
+                return False
+            bound, *_ = self._solve(i, 1.0 if side is low else -1.0)
+            side[i] = max(low[i], bound) if side is low else min(high[i], -bound)
+            if not (bound < np.inf and low[i] <= high[i]):
+                return False
         return True
 
     def _fill(self, low: Floats, high: Floats, cutoff: float) -> bool:

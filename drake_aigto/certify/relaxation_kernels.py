@@ -17,7 +17,6 @@ import numpy as np
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.certify.contraction import contract, narrow
 from drake_aigto.certify.enclosures import at, derivatives
-from drake_aigto.certify.formulas import JointTape, Operation
 from drake_aigto.certify.intervals import (
     Interval,
     down,
@@ -28,6 +27,7 @@ from drake_aigto.certify.intervals import (
     up_product,
     up_quotient,
 )
+from drake_aigto.certify.tape import JointTape, Operation
 from drake_aigto.kernels import inner, kernel
 
 ROWS_OF_ONE, ROWS_OF_TWO = 6, 4  # of a function of one argument, and of two

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.certify.formulas import Entry, Formulas, Operation, Summand, formula_of
+from drake_aigto.certify.formulas import Formulas, Summand, formula_of
+from drake_aigto.certify.tape import Entry, Operation
 from drake_aigto.errors import OptionsError, UnsupportedTermError
 
 _LARGE = 1e20  # infinite to SCIP
@@ -50,8 +51,8 @@ def bound_by_scip(
     scip = _scip()
     model = scip.Model()
     model.hideOutput()
-    names = [(float(a), float(b)) for a, b in zip(formulas.lower, formulas.upper, strict=True)]
-    x = [model.addVar(lb=_end(low), ub=_end(high)) for low, high in names]
+    ends = np.clip([formulas.lower, formulas.upper], -_LARGE, _LARGE).T.tolist()
+    x = [model.addVar(lb=low, ub=high) for low, high in ends]
     functions = {
         Operation.EXP: scip.exp,
         Operation.LOG: scip.log,
@@ -83,10 +84,6 @@ def bound_by_scip(
     best = model.getBestSol() if model.getNSols() else None
     point = None if best is None else np.array([best[each] for each in x])
     return (bound if bound > -_LARGE else -math.inf), point
-
-
-def _end(bound: float) -> float | None:
-    return bound if math.isfinite(bound) else None
 
 
 def write_sum(

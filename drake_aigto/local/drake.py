@@ -98,7 +98,7 @@ def as_program(nlp: PolynomialNlp) -> MathematicalProgram:
         y = MakeVectorVariable(block.variables.shape[1], "y")
         # NumPy takes Drake's boxed constants for invalid numbers, and warns.
         with np.errstate(invalid="ignore"):
-            formula = evaluate(from_terms(block.terms), y * Expression(1.0))[()]
+            formula = evaluate(from_terms(block.terms), y * Expression(1.0))
         is_cost = number < len(nlp.costs)
         each = ExpressionCost(formula) if is_cost else ExpressionConstraint([formula], [0.0], [0.0])
         places = {variable.get_id(): i for i, variable in enumerate(y)}

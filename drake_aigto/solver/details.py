@@ -53,9 +53,10 @@ class AigoOptions:
         decades: where variables have no bounds, as many points again are spread beyond the first
             box and polished, up to its half width times 10 to this power; farther, as long as that
             leads to lower ones. 0: none.
-        certify: whether a lower bound of the cost is found too (`drake_aigto.certify`): it ends the
-            search once it proves the answer, and bounds the first box.
-        cells: the most cells that bounds are taken of.
+        certify: whether a lower bound of the cost (`drake_aigto.certify`) is raised until it proves
+            the answer, and bounds the first box. Without it, programs of up to 100 variables are
+            bounded by 400 cells, which ends the search where they prove the answer.
+        cells: the most cells that bounds are taken of; 0, without `certify`: none, no bound.
         seconds: the most that these take in all; None: as long as it takes. The bound depends on
             the clock then, and `AigoDetails.certificate` says so.
         presolve: whether variables that an equality defines are substituted.
@@ -83,7 +84,7 @@ class AigoOptions:
             raise OptionsError("polish", got=repr(self.polish), expected=expected)
         check_positive(self, "feasibility", "first_half_width")
         check_counts(self, rounds=0, patience=1, max_doublings=0, starts=0, decades=0, seed=0)
-        check_counts(self, cells=1)
+        check_counts(self, cells=int(self.certify))
         if self.seconds is not None:
             check_positive(self, "seconds")
         for name in ("rounds", "patience", "max_doublings", "starts", "decades", "cells", "seed"):
@@ -172,7 +173,7 @@ class AigoDetails:
         box_storage: order, storage and factorization of Newton systems over boxes, and why;
             None where no box was shrunk.
         kkt_storage: the same of the local solver's; None where there was no polish of ours.
-        certificate: a lower bound of the cost; None unless the options ask for it.
+        certificate: a lower bound of the cost; None where it was neither asked for nor cheap.
         conflict: rows that contradict each other, one a line, with what the others leave of each;
             empty unless the program is infeasible, and ranges of rows prove it.
     """

@@ -10,7 +10,7 @@ import numpy as np
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.solvers import Binding, EvaluatorBase, MathematicalProgram
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.local import PolynomialNlp
@@ -261,20 +261,30 @@ class AigoProgram:
         It is relative to a row's size where that is below 1 (`ParsedProgram.row_sizes`), and
         without the change of a row that rounding of x alone may lead to.
         """
-        worst = 0.0
-        sizes = self.given.row_sizes
-        for binding, rows in zip(self.source.GetAllConstraints(), self.lifted.rows, strict=True):
-            evaluator = binding.evaluator()
-            value = self._value(binding, x)
-            if not np.all(np.isfinite(value)):
-                return np.inf
-            excess = np.maximum(evaluator.lower_bound() - value, value - evaluator.upper_bound())
-            if np.any(excess > _NOTICED):
-                read = x[self.source.FindDecisionVariableIndices(binding.variables())]
-                excess -= _rounding(evaluator, read)
-            excess /= np.concatenate([sizes[row] for row in rows])
-            worst = max(worst, float(np.max(excess, initial=0.0)))
-        return worst
+        bindings, owners, lower, upper, sizes = self._source_rows
+        value = np.concatenate([np.empty(0), *(self._value(each, x) for each in bindings)])
+        if not np.all(np.isfinite(value)):
+            return np.inf
+        excess = np.maximum(lower - value, value - upper)
+        for number in np.unique(owners[excess > _NOTICED]).tolist():
+            binding, own = bindings[number], owners == number
+            read = x[self.source.FindDecisionVariableIndices(binding.variables())]
+            excess[own] -= _rounding(binding.evaluator(), read)
+        return float(np.max(excess / sizes, initial=0.0))
+
+    @cached_property
+    def _source_rows(self) -> tuple[list[Binding], Ints, Floats, Floats, Floats]:
+        """The source's constraints; of all their R rows: whose, lower and upper bounds, sizes."""
+        bindings = self.source.GetAllConstraints()
+        evaluators = [binding.evaluator() for binding in bindings]
+        sizes = (self.given.row_sizes[row] for rows in self.lifted.rows for row in rows)
+        return (
+            bindings,
+            np.repeat(np.arange(len(bindings)), [each.num_constraints() for each in evaluators]),
+            np.concatenate([np.empty(0), *(each.lower_bound() for each in evaluators)]),
+            np.concatenate([np.empty(0), *(each.upper_bound() for each in evaluators)]),
+            np.concatenate([np.empty(0), *sizes]),
+        )
 
     def reduce(self, x: Floats) -> Floats:
         """Returns z of x (n,)."""
@@ -288,7 +298,7 @@ class AigoProgram:
         x = np.clip(x, lower, upper)
         for j, total in reversed(self.definitions):
             with np.errstate(over="ignore", invalid="ignore"):  # Far out a definition may overflow.
-                x[j] = np.clip(evaluate(total, x), lower[j], upper[j])
+                x[j] = min(max(float(evaluate(total, x)), lower[j]), upper[j])
         return x[: self.source.num_vars()]
 
     def with_slacks(self, z: Floats) -> Floats:

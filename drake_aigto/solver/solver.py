@@ -73,8 +73,8 @@ class AigoSolver(SolverInterface):
     The mean of f over boxes, or with constraints that of its augmented Lagrangian, is minimized
     in closed form while they shrink (AIGTO Sec. II; Labbe & Del Prete 2025); a local solver then
     improves their centers on the true constraints. An answer is called a solution if its
-    constraints hold; that it is the global one is likely, not proven, unless
-    `AigoOptions.certify` asks for a lower bound (`AigoDetails.lower_bound`) and the status says so.
+    constraints hold; that it is the global one is likely, not proven, unless the status says so:
+    `AigoOptions.certify` has a lower bound raised until it does (`AigoDetails.lower_bound`).
     Where variables have no bounds, points are polished far out too, and the status and
     `AigoDetails.searched` say how far: `SOLVED_IN_PART`.
     """

@@ -196,16 +196,16 @@ def _split_affine(total: Sum) -> tuple[list[tuple[int, float]], float]:
 
 def evaluate(total: Sum, x: Floats) -> Floats:
     """Returns a sum of powers, sines and cosines at points (…, n), shape (…), or at Expressions."""
-    kind = np.result_type(x, float)
-    values = np.zeros(x.shape[:-1], dtype=kind)
+    columns = np.moveaxis(x, -1, 0)  # Of a single point these are numbers, which is much faster.
+    values = np.zeros(x.shape[:-1], dtype=np.result_type(x, float))[()]
     for parts, a in total.items():
-        product = np.full(x.shape[:-1], a, dtype=kind)
+        product = a
         for part in parts:
-            of = x[..., part.variable]
-            product *= of**part.exponent
+            of = columns[part.variable]
+            product = product * of**part.exponent
             if part.kind != _POWER:
-                product *= _WAVES[part.kind](float(part.scale) * of + float(part.offset))
-        values += product
+                product = product * _WAVES[part.kind](float(part.scale) * of + float(part.offset))
+        values = values + product
     return values
 
 
