@@ -185,6 +185,19 @@ def test_what_promises_to_cost_too_much_is_left_half_way_and_nothing_else_is() -
     assert again.cost == left.cost
 
 
+def test_what_costs_too_much_after_a_wide_pass_is_left_there() -> None:
+    problem, (wide, last) = pose(soft("cart-pole"), weigh([0.3, np.pi]), np.zeros(4)), FINE.rungs
+    first = problem.solve(np.zeros((30, 1)), None, replace(FINE, rungs=(wide,)))
+    dear, same = (
+        problem.solve(np.zeros((30, 1)), None, replace(FINE, rungs=(limited, last)))
+        for limited in (wide._replace(most=each * first.cost) for each in (0.99, 1.01e3))
+    )
+    whole = problem.solve(np.zeros((30, 1)), None, FINE)
+    assert dear.is_left and not same.is_left
+    assert dear.iterations <= first.iterations < same.iterations == whole.iterations
+    assert same.cost == whole.cost < dear.cost
+
+
 def test_tables_that_are_kept_carry_nothing_from_one_solve_to_the_next() -> None:
     bounds = np.array([[-0.2, -np.inf, -np.inf, -3.0], [0.2, np.inf, np.inf, 3.0]])
     used, fresh = (

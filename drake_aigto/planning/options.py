@@ -182,7 +182,7 @@ class PlanOptions(SearchOptions):
     branches: int = 3
     starts: int = 12
     renewals: int = 240
-    patience: int = 180
+    patience: int = 220
     search_steps: int = 60
     seed: int = 0
 

@@ -36,11 +36,14 @@ class Smoothing(NamedTuple):
         smoothing: ε in units of the problem's length.
         iterations: at most.
         tolerance: of the decrease that the next step promises, as a share of the cost.
+        most: motions that cost more at its end, or promise to, are left unfinished; of the last
+            pass `ShootingOptions.most_promised` counts instead.
     """
 
     smoothing: float
     iterations: int
     tolerance: float
+    most: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -258,6 +261,9 @@ class ShootingRun:
         for rung in rungs:
             outcome = self._run_rung(rung, before)
             before = outcome.violation
+            outcome = outcome._replace(is_left=outcome.is_left or outcome.cost > rung.most)
+            if outcome.is_left:
+                return self.finish(outcome)
         for _ in range(self._options.multiplier_updates if self._is_bounded else 0):
             before, has_ended = outcome.violation, outcome.iterations < rungs[-1].iterations
             limit = most if has_ended else most + (_FALLING - 1) * abs(most)
@@ -314,7 +320,7 @@ class ShootingRun:
             tolerance=float(rung.tolerance),
             scale=float(1e-3 * self._problem.cost_scale),
             is_wary=self._options.is_wary,
-            most=float(self._options.most_promised if is_last else np.inf),
+            most=float(self._options.most_promised if is_last else rung.most),
             updates=updates,
             fits_lengths=isinstance(self._program.mechanics, TreeMechanics),
         )

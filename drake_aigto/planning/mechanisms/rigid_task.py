@@ -109,14 +109,9 @@ class RigidMechanismTask(MechanismTask):
     """
 
     @property
-    def polish_ratio(self) -> float:
-        """Motions that cost more than this times the best finalist are not polished."""
-        return _UNPOLISHED
-
-    @property
-    def finalists(self) -> int:
-        """How many of the best motions are polished, at most."""
-        return self.options.finalists
+    def _falls(self) -> tuple[float, int]:
+        """By how much costs may fall in a polish, and how many times more motions it is for."""
+        return _UNPOLISHED, 1
 
     @property
     def close_ratio(self) -> float:

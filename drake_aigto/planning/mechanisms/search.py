@@ -258,9 +258,9 @@ class MechanismSearch(Search):
         of 3,072 around cart-poles between soft walls 403 were, and two of these were kept.
         """
         is_full = len(self.motions) == _MOST_KEPT
-        limits = self.motions[:1] if self._rigid else self.motions[-1:] if is_full else []
-        misses, cost = limits[0].rank if limits else (True, np.inf)
-        most = np.inf if misses else scaled(self.task.close_ratio, cost)
+        costs = [motion.cost for motion in self.motions if not motion.rank[0]]
+        limits = costs[:1] if self._rigid else costs[-1:] if is_full else []
+        most = scaled(self.task.close_ratio, min(limits, default=np.inf))
         self._aim = Aim(most, is_patient=2 * self._num_of_use <= self._num_closed)
         super().close(wave)
 
@@ -280,13 +280,8 @@ class MechanismSearch(Search):
         near, found = NEAR * self.task.scenario.duration, motion.result
         for change, touches in self._rigid.find_neighbors(found):
             key = tuple(
-                (
-                    each.contact,
-                    each.mode,
-                    round(each.start / near),
-                    round((each.end - each.start) / near),
-                )
-                for each in touches
+                (t.contact, t.mode, round(t.start / near), round((t.end - t.start) / near))
+                for t in touches
             )
             if key not in self._tried:
                 self._tried.add(key)
@@ -400,21 +395,14 @@ class MechanismSearch(Search):
                     _LOG.info("  left out: cost %.6g", polished.cost)
                     self._left_out.append(motion)
                     return polished
-                candidate = self._simulate(motion, polished)
+                with self.clock("replay"):
+                    candidate = self.task.judge(motion.origin, motion.result, polished)
                 if self.is_interrupted or not _NARROWED & {*candidate.replay.broken}:
                     break
                 problem = problem.narrowed(polished, candidate.replay)
         except TrajectoryError as error:
             _LOG.info("  not a candidate: %s", error)
             return polished
-        self._add(candidate)
-        return polished
-
-    def _simulate(self, motion: KeptMotion, polished: ShootingResult) -> Candidate:
-        with self.clock("replay"):
-            return self.task.judge(motion.origin, motion.result, polished)
-
-    def _add(self, candidate: Candidate) -> None:
         self._candidates.append(candidate)
         _LOG.info(
             "  %s: cost %.6g, replayed %.6g",
@@ -422,6 +410,7 @@ class MechanismSearch(Search):
             candidate.cost,
             candidate.replay.cost,
         )
+        return polished
 
     def add_left_out(self) -> None:
         """Judges candidates left out because of one that a simulation has contradicted since."""

@@ -275,7 +275,9 @@ class MechanismTask:
     def close(self, guess: Guess, aim: Aim) -> ShootingResult:
         """Returns the motion after a few steps from a guess."""
         options = begin_at(self._closing, guess.width)
-        return self._close_on_springs(guess, aim.limit(options), aim.is_patient)
+        is_telling = self.mechanism.has_friction and not isinstance(self.world, SpaceWorld)
+        options = aim.limit(options, is_telling)
+        return self._close_on_springs(guess, options, aim.is_patient)
 
     @cached_property
     def _closing(self) -> ShootingOptions:
