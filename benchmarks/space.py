@@ -27,6 +27,7 @@ from drake_aigto.world import TaskCost
 FROM_WHEELS = ("half_cheetah/leap",)
 WORLDS = (
     "drone/deliver",
+    "drone/perch",
     "finger_and_ball/roll",
     "finger_and_box/push",
     "finger_and_box/tip",

@@ -37,7 +37,7 @@ def test_joints_are_driven_and_limited_as_the_scenario_says(gantry: Any) -> None
 
 def test_a_servo_pulls_its_joint_to_where_the_control_says(gantry: Any, arm: Any) -> None:
     q, v, u = np.array([0.3, -0.2]), np.array([0.5, 0.4]), np.array([7.0])
-    plain, world = gantry(), gantry({"servos": {"x": [20, 3]}})
+    plain, world = gantry(), gantry({"servos": {"x*": [20, 3]}})
     force = world.actuation @ u - world.calc_bias(q, v)
     force -= plain.actuation @ u - plain.calc_bias(q, v)
     np.testing.assert_allclose(force, [-20 * q[0] - 3 * v[0], 0.0], atol=1e-12)

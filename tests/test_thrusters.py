@@ -90,8 +90,22 @@ def test_thrusters_that_can_not_be_are_refused(
 
 
 @pytest.mark.slow
-def test_a_drone_brings_its_load_to_a_place_and_both_replays_confirm_it() -> None:
-    plan = Planner(Scenario.named("drone/deliver"), PlanOptions(renewals=2, finalists=1)).plan()
+def test_friction_holds_a_perched_drone_without_thrust_in_drake() -> None:
+    asked = Scenario.named("drone/perch")
+    perched = dataclasses.replace(asked, initial_position=asked.goal_position, duration=1.0)
+    world = World.from_scenario(perched)
+    perched = world.place(perched)
+    replay = replay_drake(world, perched, np.array([0.0, 1.0]), np.zeros((1, 4)))
+    assert replay.goal_error < 0.01  # [m, rad]; it creeps, as friction is regularized.
+    slippery = dataclasses.replace(perched, friction=0.4)  # Less than tan 25° = 0.47.
+    world = World.from_scenario(slippery)
+    assert replay_drake(world, slippery, np.array([0.0, 1.0]), np.zeros((1, 4))).goal_error > 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "renewals"), [("drone/deliver", 2), ("drone/perch", 0)])
+def test_drones_reach_their_goals_and_both_replays_confirm_it(name: str, renewals: int) -> None:
+    plan = Planner(Scenario.named(name), PlanOptions(renewals=renewals, finalists=1)).plan()
     assert plan.holds and plan.reached
     arrival = plan.find_arrival()
     assert arrival.distance is not None and arrival.distance < 0.02

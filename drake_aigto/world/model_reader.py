@@ -320,9 +320,10 @@ def _add_servos(plant: MultibodyPlant, path: Path, facts: ModelFacts) -> None:
     """Gives joints the springs and dampers that servos are; their controls are efforts k q*."""
     actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
     driven = {each.joint().name(): each.joint() for each in actuators}
-    servos = {**facts.servos, **facts.fields.servos}
-    for name in pick(f"servos in {path}", servos, driven):
-        (k, d), joint = servos[name], driven[name]
+    given, what = {**facts.servos, **facts.fields.servos}, f"servos in {path}"
+    servos = {name: given[each] for each in given for name in pick(what, [each], driven)}
+    for name, (k, d) in servos.items():
+        joint = driven[name]
         own = facts.springs.get(name, Spring(0.0, 0.0))
         total = k + own.stiffness
         rest = own.stiffness * own.reference / total if total else 0.0

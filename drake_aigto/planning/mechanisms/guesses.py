@@ -204,12 +204,21 @@ class Guesses:
             return tuple(name for each in others for name in (_PUSH, each))
         return tuple(others)
 
-    def plain(self, start: StartName) -> Guess:
+    @property
+    def sharp_starts(self) -> tuple[StartName, ...]:
+        """Those that are closed with hardly smoothed contact, too: in space.
+
+        There contact from afar pushes whatever flies or walks off its path.
+        """
+        return () if self._reaches is None else tuple(n for n in STARTS if n in self.starts)
+
+    def plain(self, start: StartName, width: float = 1.0) -> Guess:
         """Returns the guess of a start as it is: no wait, no waves, no control."""
         times = self._problem.knot_times
         if start == "controls":
-            return Guess(times, np.zeros((len(times) - 1, self._world.num_actuators)))
-        return self._follow(times, self._find_path(start, times, 0.0, times[-1]))
+            none = np.zeros((len(times) - 1, self._world.num_actuators))
+            return Guess(times, none, width=width)
+        return self._follow(times, self._find_path(start, times, 0.0, times[-1]), width)
 
     def draw(self, start: StartName, rng: np.random.Generator) -> Guess:
         """Returns a random guess around a start."""

@@ -153,14 +153,22 @@ class MechanismSearch(Search):
 
         A fast start touches a wall at once, where springs are too coarse to tell how.
         """
-        count = self.task.options.starts
-        self.tell(f"shooting from {count} starts")
-        plain = len(self.task.guesses.starts)
+        guesses, count = self.task.guesses, self.task.options.starts
+        self.tell(f"shooting from {self.task.num_starts} starts")
+        plain = len(guesses.starts)
         given = []
         if self.guess is not None:
-            follow = partial(self.task.guesses.follow, self.guess)
+            follow = partial(guesses.follow, self.guess)
             given.append(Proposal(Origin(GIVEN), partial(self._close, follow)))
-        yield [*given, *(self._start(number, number < plain) for number in range(count))]
+        starts = (self._start(number, number < plain) for number in range(count))
+        sharp = [
+            Proposal(
+                Origin(f"shooting {_WORDS[each]}, contact sharp"),
+                partial(self._close, partial(guesses.plain, each, 0.0)),
+            )
+            for each in guesses.sharp_starts
+        ]
+        yield [*given, *starts, *sharp]
         if (shorter := self.task.shortened()) is not None:
             search = MechanismSearch(shorter, self.clock)
             search.explore(self._progress)

@@ -217,9 +217,14 @@ class MechanismTask:
         return problem.simulate(controls, substeps=4)
 
     @property
+    def num_starts(self) -> int:
+        """How many guesses are closed first."""
+        return self.options.starts + len(self.guesses.sharp_starts)
+
+    @property
     def sources(self) -> str:
         """The sources of candidates, in words."""
-        return f"{self.options.starts} starts and {self.options.renewals} renewals"
+        return f"{self.num_starts} starts and {self.options.renewals} renewals"
 
     @property
     def polish_ratio(self) -> float:
