@@ -91,7 +91,8 @@ def prepare(name: str) -> Prepared:
     options: dict[str, Any] = {"horizon": "shrinking"}
     if planner.is_of_balls:
         return Prepared(world, planner.plan(), Planner(scenario, _BALLS, world), 0.01, options)
-    options["feedback_period"] = 0.005
+    if not world.frictions:
+        options["feedback_period"] = 0.005
     if world.contacts and (scenario.contact == "rigid" or world.frictions):
         options |= {"surprise": np.inf, "iterations": 15 if world.frictions else 5}
     period = scenario.time_step if world.frictions else 0.02
