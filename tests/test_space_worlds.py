@@ -79,6 +79,36 @@ def test_a_push_leads_to_the_same_end_here_and_in_drake(tmp_path: Path) -> None:
     assert ours.compliance_error < 1e-5
 
 
+def test_goals_by_a_shift_are_so_far_from_the_start_and_keep_its_attitude(tmp_path: Path) -> None:
+    begin = {"thing": {"xyz": [0.1, 0.2, 0.5], "rpy_deg": [10, 20, 30]}, "x": 0.3, "z": 1.0}
+    goal = {"thing": {"by": [0.4, 0, -0.1]}, "x": {"by": 0.2}}
+    asked = make_scenario(tmp_path, initial_position=begin, goal_position=goal)
+    assert Scenario.from_plain(asked.to_plain()) == asked
+    world, scenario = build(asked)
+    moved = scenario.goal_position - scenario.initial_position
+    expected = np.zeros(world.num_positions)
+    expected[world.plant.GetJointByName("thing").position_start() + np.arange(4, 7)] = 0.4, 0, -0.1
+    expected[world.plant.GetJointByName("x").position_start()] = 0.2
+    np.testing.assert_allclose(moved, expected, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"goal_position": {"thing": {"by": 0.1}}}, r"\[thing\]: got 1 number, expected 3"),
+        ({"goal_position": {"thing": {"by": [0, 0, 1], "rpy": [0, 0, 0]}}}, "or by, alone"),
+        ({"initial_position": {"x": {"by": 0.1}}}, r"got by \[0.1\].*Only goals are relative"),
+        ({"frame_goals": {"thing": {"by": [0, 0, 1], "weight": {"xyz": 1}}}}, "expected a pose"),
+        ({"initial_position": [0.0, 0.0], "goal_position": {"x": {"by": 1}}}, "got 2 values"),
+    ],
+)
+def test_shifts_that_can_not_be_are_refused(
+    tmp_path: Path, changes: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(ScenarioError, match=words):
+        World.from_scenario(make_scenario(tmp_path, **changes))
+
+
 def test_poses_are_written_in_degrees_radians_or_quaternions(tmp_path: Path) -> None:
     turns: list[dict[str, Any]] = [
         {"rpy_deg": [0, 0, 90]},

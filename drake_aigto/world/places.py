@@ -25,6 +25,12 @@ class Pose(NamedTuple):
     quaternion: tuple[float, ...]  # w, x, y, z, as it was given
 
 
+class Shift(NamedTuple):
+    """How far a goal is from the start: of a floating body along the world's axes."""
+
+    by: tuple[float, ...]  # [m], [rad]
+
+
 class PoseWeight(NamedTuple):
     """Weights of a floating body's pose, or of its velocity."""
 
@@ -40,7 +46,7 @@ class FrameGoal(NamedTuple):
 
 
 # Joint or floating body → its positions.
-Places: TypeAlias = Named["tuple[float, ...] | Pose"]
+Places: TypeAlias = Named["tuple[float, ...] | Pose | Shift"]
 
 
 def as_places(name: str, value: Any) -> Floats | Places:
@@ -54,15 +60,17 @@ def as_places(name: str, value: Any) -> Floats | Places:
     return Named({key: _as_place(f"{name}[{key}]", item) for key, item in value.items()})
 
 
-def _as_place(name: str, value: Any) -> tuple[float, ...] | Pose:
-    """Returns the numbers of a joint, or the pose of a body."""
-    if isinstance(value, Pose):
+def _as_place(name: str, value: Any) -> tuple[float, ...] | Pose | Shift:
+    """Returns the numbers of a joint, the pose of a body, or how far either is from the start."""
+    if isinstance(value, Pose | Shift):
         return value
     if not isinstance(value, Mapping):
         return tuple(as_vector(name, value).tolist())
+    if set(value) == {"by"}:
+        return Shift(tuple(as_vector(name, value["by"]).tolist()))
     turns = [key for key in value if key != "xyz"]
     if "xyz" not in value or len(turns) > 1 or set(turns) - {"rpy_deg", "rpy", "quaternion"}:
-        raise ScenarioError(name, got=repr(dict(value)), expected=f"a pose: {_POSE}")
+        raise ScenarioError(name, got=repr(dict(value)), expected=f"a pose: {_POSE}; or by, alone")
     turn = as_vector(name, value[turns[0]]) if turns else np.array([1.0, 0.0, 0.0, 0.0])
     place, size = as_vector(name, value["xyz"]), 4 if turns in ([], ["quaternion"]) else 3
     if (place.size, turn.size) != (3, size):
@@ -87,7 +95,9 @@ def as_frame_goal(name: str, value: Any) -> FrameGoal:
         raise ScenarioError(name, got=repr(value), expected=expected)
     pose = _as_place(name, {key: item for key, item in value.items() if key != "weight"})
     weight = _as_weight(f"{name}.weight", value["weight"])
-    assert isinstance(pose, Pose) and isinstance(weight, PoseWeight), "both are mappings"
+    if not isinstance(pose, Pose):
+        raise ScenarioError(name, got=repr(dict(value)), expected=f"a pose: {_POSE}")
+    assert isinstance(weight, PoseWeight), "it is a mapping"
     if len(set(weight.turn)) > 1 or not any((*weight.xyz, *weight.turn)):
         expected = "one number for the turn, and one weight above 0"
         raise ScenarioError(f"{name}.weight", got=repr(value["weight"]), expected=expected)

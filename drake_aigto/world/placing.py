@@ -16,7 +16,7 @@ from drake_aigto.errors import ScenarioError
 from drake_aigto.world.files import suggest
 from drake_aigto.world.frames import reach_frames
 from drake_aigto.world.model_fields import Named
-from drake_aigto.world.places import Pose, PoseWeight
+from drake_aigto.world.places import Pose, PoseWeight, Shift
 from drake_aigto.world.scenario import Scenario
 
 _LOG = logging.getLogger(__name__)
@@ -30,13 +30,15 @@ def place_scenario(plant: MultibodyPlant, scenario: Scenario) -> Scenario:
     """Returns a scenario with all positions and weights as arrays, quaternions of unit length.
 
     Goals of joints that are not named are where these start; or of those that nothing weighs, where
-    frames are at their goals.
+    frames are at their goals. Goals `by` a shift are so far from the start.
 
     Raises:
         ScenarioError: a name is no joint or floating body of the model, or has another size.
     """
     changed: dict[str, Any] = {}
-    start = _place(plant, "initial_position", scenario.initial_position, None)
+    start = _place(plant, "initial_position", scenario.initial_position)
+    if start.size != plant.num_positions():  # `check_sizes` says so.
+        start = plant.GetDefaultPositions()
     for name in _WEIGHTS:
         if isinstance(value := getattr(scenario, name), Named):
             changed[name] = _weigh(plant, name, value)
@@ -47,9 +49,9 @@ def place_scenario(plant: MultibodyPlant, scenario: Scenario) -> Scenario:
         for joint in (_find(plant, "goal_position", key) for key in scenario.goal_position):
             is_free[joint.velocity_start() :][: joint.num_velocities()] = 0.0
         goal = reach_frames(plant, scenario.frame_goals, start, is_free)
-    for name, default in (("initial_position", None), ("goal_position", goal)):
+    for name, defaults in (("initial_position", ()), ("goal_position", (goal, start))):
         value = getattr(scenario, name)
-        found = _place(plant, name, value, default)
+        found = _place(plant, name, value, *defaults)
         if found is not value:
             changed[name] = found
     return dataclasses.replace(scenario, **changed) if changed else scenario
@@ -58,12 +60,20 @@ def place_scenario(plant: MultibodyPlant, scenario: Scenario) -> Scenario:
 _WEIGHTS = ("goal_weight", "goal_velocity_weight", "position_weight", "velocity_weight")
 
 
-def _place(plant: MultibodyPlant, name: str, value: Any, default: Floats | None) -> Floats:
+def _place(
+    plant: MultibodyPlant,
+    name: str,
+    value: Any,
+    default: Floats | None = None,
+    start: Floats | None = None,
+) -> Floats:
     """Returns positions, the same object if nothing changes."""
     found = plant.GetDefaultPositions() if default is None else np.array(default)
     if isinstance(value, Named):
         for key, place in value.items():
             joint = _find(plant, name, key)
+            if isinstance(place, Shift):
+                place = _shift(f"{name}[{key}]", joint, place, start)
             is_pose = isinstance(place, Pose)
             numbers = np.array([*place.quaternion, *place.xyz] if is_pose else place)
             if is_pose and joint.type_name() != _FLOATING:
@@ -75,6 +85,18 @@ def _place(plant: MultibodyPlant, name: str, value: Any, default: Floats | None)
     else:  # `check_sizes` says what is wrong.
         return np.asarray(value)
     return _normalize(plant, name, found)
+
+
+def _shift(name: str, joint: Joint, shift: Shift, start: Floats | None) -> Floats:
+    """Returns positions of a joint that are so far from the start; a body keeps its attitude."""
+    if start is None:
+        remedy = "Only goals are relative to the start."
+        raise ScenarioError(name, f"by {list(shift.by)}", "where it starts", remedy)
+    found = np.array(start[joint.position_start() :][: joint.num_positions()])
+    moved = found[4:] if joint.type_name() == _FLOATING else found
+    _fill(name, moved, 0, moved.size, np.array(shift.by))
+    moved += start[joint.position_start() :][: joint.num_positions()][-moved.size :]
+    return found
 
 
 def _fill(name: str, into: Floats, first: int, size: int, numbers: Floats) -> None:

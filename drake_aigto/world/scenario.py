@@ -43,6 +43,7 @@ from drake_aigto.world.places import (
     FrameGoal,
     Pose,
     PoseWeight,
+    Shift,
     as_frame_goal,
     as_places,
     by_name,
@@ -124,7 +125,8 @@ class Scenario(ModelFields):
         initial_position: q(0), shape (nq,); or by names of joints and floating bodies, of which
             others are at the model's default: numbers of a joint, or a pose (`place_scenario`).
         initial_velocity: v(0), shape (nv,).
-        goal_position: where q(T) should be, the same; what is not named, where it starts.
+        goal_position: where q(T) should be, the same, or {by: numbers} for so far from the start;
+            what is not named, where it starts.
         goal_velocity: what v(T) should be, shape (nv,); None: zero where it is weighed, and free
             where the goal is hard.
         hard_goal: q(T) has to be the goal, and v(T) the `goal_velocity` that is given.
@@ -431,7 +433,7 @@ def _as_plain(value: Any) -> Any:
         return value.tolist()
     if isinstance(value, FrameGoal):
         return {**_as_plain(value.pose), "weight": _as_plain(value.weight)}
-    if isinstance(value, Pose | PoseWeight | Thruster):
+    if isinstance(value, Pose | PoseWeight | Shift | Thruster):
         return {name: _as_plain(item) for name, item in value._asdict().items()}
     if isinstance(value, Material):
         return {name: item for name, item in value._asdict().items() if item is not None}
