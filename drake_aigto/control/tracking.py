@@ -383,17 +383,16 @@ class TrackingController(LoopController):
             values.set_value(caught, begun)
             law = catch or law
         u = law.sample(acts, later, seen + more).control
-        groups = self._groups[1:4]
-        for group, value in zip(groups, (bounces, touches, np.append(now, x)), strict=True):
+        known = bounces, touches, np.append(now, x)
+        for group, value in zip(self._groups[1:4], known, strict=True):
             values.set_value(group, value)
         return self._command(context, values, u, commands, "running", sample, off, begin)
 
 
 def _find_between(knots: Floats, period: float) -> list[float]:
     """Returns the knots that are no samples already, but for the last [s]."""
-    inside = knots[:-1]
-    off = np.abs(inside - period * np.round(inside / period))
-    return [float(knot) for knot in inside[off > _SAME * period]]
+    off = np.abs(knots - period * np.round(knots / period))[:-1]
+    return [float(knot) for knot in knots[:-1][off > _SAME * period]]
 
 
 def _list_bounces(counts: Floats) -> list[int]:

@@ -132,11 +132,8 @@ class ProgramTask(ABC):
         known = dict.fromkeys((*self.transcription.ROWS, *row_names))
         for name in (name for rung in self.ladder for name in rung.weights):
             if name not in known:
-                raise OptionsError(
-                    "ladder",
-                    got=f"a weight for {name!r}",
-                    expected=f"names of rows: {', '.join(known)}",
-                )
+                expected = f"names of rows: {', '.join(known)}"
+                raise OptionsError("ladder", f"a weight for {name!r}", expected)
 
     @property
     def polynomial(self) -> BoxPolynomial:

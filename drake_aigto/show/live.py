@@ -222,7 +222,7 @@ class Live:
         """Turns velocities round and halves them where the motion is now, and plans from there."""
         if self._motions:
             motion, now = self._motions[0], np.array([self._now()])
-            rows = (motion.positions, motion.velocities)
+            rows = motion.positions, motion.velocities
             (q,), (v,) = (interpolate(now, motion.times, each) for each in rows)
             kicked = {"initial_position": q, "initial_velocity": _KICKED * v}
             self._ask({**self._slid, **kicked}, is_kicked=True)
@@ -300,9 +300,9 @@ class Live:
 
     def _is_clicked(self, button: str) -> bool:
         """Returns whether a button was pressed since the last look."""
-        before = self._clicks.get(button, 0)
-        self._clicks[button] = self.meshcat.GetButtonClicks(button)
-        return self._clicks[button] > before
+        before, now = self._clicks.get(button, 0), self.meshcat.GetButtonClicks(button)
+        self._clicks[button] = now
+        return now > before
 
     def _ask(self, read: dict[str, Floats], is_kicked: bool = False) -> None:
         """Asks for a plan of what the sliders say."""
@@ -323,15 +323,11 @@ class Live:
         self._put_walls(answer.question.walls)
         shown = [plan.best, *self._rivals(plan)]
         self._motions = [Motion.from_trajectory(each.trajectory, world) for each in shown]
-        ends = {
-            "start": plan.scenario.initial_position,
-            "goal": find_goal(world, plan.scenario, plan.trajectory.positions[-1]),
-        }
-        for name, q in ends.items():
+        goal = find_goal(world, plan.scenario, plan.trajectory.positions[-1])
+        for name, q in (("start", plan.scenario.initial_position), ("goal", goal)):
             self._put(name, q, _ENDS[name])
         for number in range(1 + _MOST_GHOSTS):
-            path = f"candidates/{number}"
-            is_there = number < len(self._motions)
+            path, is_there = f"candidates/{number}", number < len(self._motions)
             self.meshcat.SetProperty(f"{ROOT}/{path}", "visible", is_there)
             if not is_there:
                 continue
@@ -358,10 +354,7 @@ class Live:
         return found[:_MOST_GHOSTS]
 
     def _describe(self, plan: Plan) -> list[str]:
-        """Returns what is shown, what it costs and what that is worth, in lines of some 40 letters.
-
-        Last is whether it reaches the goal.
-        """
+        """Returns what is shown, its cost, what that is worth, and whether the goal is reached."""
         names, texts = touch_names(self.planner.world), []
         for number, each in enumerate((plan.best, *self._rivals(plan))):
             touches = ", ".join(dict.fromkeys(names[c.index] for c in each.contacts))
