@@ -77,7 +77,9 @@ _LEAST_MOBILITY = 0.01  # of the one elsewhere: an arm that is not quite stretch
 # the kept motions with some that only coarse steps can do: the puck's plan costs 0.049 with it,
 # and 0.030 with the latter, which takes up to 2.5 times the time.
 _LONGEST_STEP, _RESOLVING_STEP = 1.5, 0.75
-# Walls with friction push from as far as the task is long, then from ever nearer.
+# Walls with friction push from as far as the task is long, then from ever nearer. Only so costs
+# have slopes towards pushing with friction, or going round an object: of 96 renewals on
+# `push_circle/round_it` none succeeded otherwise.
 _FROM_AFAR = tuple(Smoothing(each, 15, 1e-2) for each in (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3))
 
 
@@ -163,7 +165,8 @@ def find_closing(
     turn = time_step * float(np.sqrt(np.max(law.stiffness * mobility, initial=0.0)))
     if law.has_friction:
         longest = _RESOLVING_STEP if isinstance(world, SpaceWorld) else _LONGEST_STEP
-        options = _from_afar(options, turn, longest)
+        substeps = max(options.substeps, int(np.ceil(turn / longest)))
+        options = dataclasses.replace(options, rungs=_FROM_AFAR, substeps=substeps)
     elif not is_aimed:
         options = dataclasses.replace(NEAR, substeps=max(1, int(np.ceil(turn / _RESOLVING_STEP))))
     return _resolve_dampers(options, world, q, time_step)
@@ -220,21 +223,6 @@ def _calc_mobility(world: World) -> Floats:
         mobilities.append(np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T)))
     here, elsewhere = mobilities
     return np.where(here > _LEAST_MOBILITY * elsewhere, here, elsewhere)
-
-
-def _from_afar(options: ShootingOptions, turn: float, longest: float) -> ShootingOptions:
-    """Returns options with walls that push from afar first, in stable Runge-Kutta steps.
-
-    Only so costs have slopes towards pushing with friction, or going round an object: of 96
-    renewals on `push_circle/round_it` none succeeded otherwise.
-
-    Args:
-        options: whose rungs and substeps are replaced.
-        turn: of the fastest oscillation in a stage [rad].
-        longest: of its turns in a step [rad].
-    """
-    substeps = max(options.substeps, int(np.ceil(turn / longest)))
-    return dataclasses.replace(options, rungs=_FROM_AFAR, substeps=substeps)
 
 
 class _Correcting(HeldControl):
