@@ -29,6 +29,7 @@ from drake_aigto.contact import CompliantLaw, contact_law
 from drake_aigto.control import Disturbance, run_in_loop
 from drake_aigto.errors import ModelError, ProgramError, ScenarioError
 from drake_aigto.planning import Feedback, FeedbackPhase, Reaches
+from drake_aigto.shooting import limit_states
 from drake_aigto.show import (
     ROOT,
     Motion,
@@ -292,10 +293,11 @@ def test_a_hand_reaches_where_it_pushes_the_object_along_and_sticks_to_it(tmp_pa
     cost, start = TaskCost.of(world, scenario), scenario.initial_position
     law = contact_law(world, scenario)
     assert isinstance(law, CompliantLaw)
-    reaches = Reaches(world, law, cost, np.full(9, 0.3))
+    limits = limit_states(world, world.bounds(scenario))[:, :9]
+    reaches = Reaches(world, law, cost, np.full(9, 0.3), limits)
     assert [world.contacts[i].name for i in reaches.contacts] == ["m::ball with m::tip"]
     times = np.linspace(0.0, 1.0, 51)
-    path = reaches.find_path(times, start, (0.4, 1.0), np.random.default_rng(0))
+    path, _ = reaches.find_path(times, start, (0.4, 1.0), np.random.default_rng(0))
     pushed = times > 0.4
     assert np.all(np.abs(world.calc_signed_distance(path)[pushed, reaches.contacts]) < 2e-3)
     (ball,) = (world.plant.GetJointByName("thing").position_start() + 4,)

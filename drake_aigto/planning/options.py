@@ -79,7 +79,7 @@ _KINDS = {
 }
 # Options that count for one kind of task only.
 _OF_BALLS = ("ladder", "local_solver", "relaxation", "aigo_steps", "exhaustive", "branches")
-_OF_MECHANISMS = ("starts", "renewals", "patience", "search_steps", "seed")
+_OF_MECHANISMS = ("starts", "renewals", "patience", "search_steps", "search_substeps", "seed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,6 +172,8 @@ class PlanOptions(SearchOptions):
             (`MechanismSearch.chance`).
         search_steps: mechanisms: number of time steps of candidates, at most; finalists have the
             scenario's.
+        search_substeps: mechanisms: number of Runge-Kutta steps in each of these, at least. By
+            itself it resolves springs; friction of bodies that are pressed hard needs more.
         seed: mechanisms: of random draws.
     """
 
@@ -185,13 +187,14 @@ class PlanOptions(SearchOptions):
     renewals: int = 240
     patience: int = 220
     search_steps: int = 60
+    search_substeps: int = 1
     seed: int = 0
 
     def __post_init__(self) -> None:
         """Checks what does not depend on the task."""
         super().__post_init__()
         check_counts(self, aigo_steps=1, branches=0, starts=1, renewals=0, patience=1, seed=0)
-        check_counts(self, search_steps=2)
+        check_counts(self, search_steps=2, search_substeps=1)
         if not 0 <= self.relaxation < float("inf"):
             raise OptionsError("relaxation", got=self.relaxation, expected="a number, 0 or more")
 

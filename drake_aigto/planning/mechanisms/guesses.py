@@ -190,7 +190,8 @@ class Guesses:
         self._way = -cost.goal_errors(self._start)
         self._reaches: Reaches | None = None
         if isinstance(world, SpaceWorld) and world.contacts:
-            self._reaches = Reaches(world, law, cost, measures.position)
+            limits = problem.state_bounds[:, : world.num_velocities]
+            self._reaches = Reaches(world, law, cost, measures.position, limits)
 
     @property
     def starts(self) -> tuple[StartName, ...]:

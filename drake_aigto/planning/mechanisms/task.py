@@ -267,11 +267,12 @@ class MechanismTask:
     def shortened(self) -> MechanismTask | None:
         """Returns the task in half of the time, if the mechanism may rest in the other half.
 
-        None where the duration is free, or no longer than a few periods of the mechanism.
+        None where the duration is free, or no longer than a few periods of the mechanism, or hands
+        push, which take their time.
         """
         scenario, step = self.scenario, self.scenario.time_step
         is_long = scenario.duration > _LONG * self.measures.period
-        if scenario.duration_range is not None or not is_long:
+        if scenario.duration_range is not None or not is_long or "push" in self.guesses.starts:
             return None
         half = dataclasses.replace(scenario, duration=step * max(2, scenario.num_steps // 2))
         options = dataclasses.replace(self.options, renewals=self.options.renewals // 2)
@@ -289,13 +290,19 @@ class MechanismTask:
         """Options for closing guesses."""
         q, is_aimed = self.scenario.initial_position, self.scenario.hard_goal
         time_step = self.scenario.duration / self.search_steps
-        return find_closing(self.world, self.law, q, time_step, is_aimed)
+        return self._resolve(find_closing(self.world, self.law, q, time_step, is_aimed))
 
     @cached_property
     def _tightening(self) -> ShootingOptions:
         """Options for refining closed motions."""
         scenario = self.scenario
-        return find_tight(self.world, scenario.initial_position, scenario.time_step)
+        tight = find_tight(self.world, scenario.initial_position, scenario.time_step)
+        return self._resolve(tight)
+
+    def _resolve(self, options: ShootingOptions) -> ShootingOptions:
+        """Returns options with as many Runge-Kutta steps as are asked for."""
+        substeps = max(options.substeps, self.options.search_substeps)
+        return dataclasses.replace(options, substeps=substeps)
 
     def _close_on_springs(
         self, guess: Guess, options: ShootingOptions, is_patient: bool = True

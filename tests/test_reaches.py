@@ -1,0 +1,109 @@
+"""Hands that push at once, and reach anew where they can't follow the object."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from space_models import SPHERE, ball_and_finger, collision, link, make_scenario, slider
+
+from drake_aigto import Planner, PlanOptions, World
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.contact import CompliantLaw, contact_law
+from drake_aigto.errors import OptionsError
+from drake_aigto.planning import MechanismTask, Reaches
+from drake_aigto.shooting import limit_states
+from drake_aigto.world import SpaceWorld, TaskCost
+
+SECOND = (
+    link("other", 0.1, collision("end", SPHERE))
+    + link("along2", 0.01, "")
+    + link("across2", 0.01, "")
+    + slider("x2", "world", "along2", "1 0 0")
+    + slider("y2", "along2", "across2", "0 1 0")
+    + slider("z2", "across2", "other", "0 0 1")
+)
+MOST = 0.07  # that fingers move along y [m]
+
+
+class Fingers(NamedTuple):
+    """Two fingers beside a ball that has to turn, and what finds where they push."""
+
+    world: SpaceWorld
+    start: Floats
+    sliders: Ints  # their velocities, x, y and z of each, shape (2, 3)
+    reaches: Reaches
+
+
+@pytest.fixture(scope="module")
+def fingers(tmp_path_factory: pytest.TempPathFactory) -> Fingers:
+    """Returns two fingers that touch a ball from both sides; its goal is turned by 120°."""
+    turned = {"xyz": [0.0, 0.0, 0.0493], "rpy_deg": [0.0, 0.0, 120.0]}
+    scenario = make_scenario(
+        tmp_path_factory.mktemp("fingers"),
+        ball_and_finger(more=SECOND),
+        initial_position={
+            "thing": {"xyz": [0, 0, 0.0493]}, "x": -0.1, "z": 0.0493, "x2": 0.1, "z2": 0.0493,
+        },
+        initial_velocity=[0.0] * 12,
+        goal_position={"thing": turned},
+        goal_weight={"thing": {"xyz": 10.0, "turn": 1.0}},
+    )  # fmt: skip
+    world = World.from_scenario(scenario)
+    assert isinstance(world, SpaceWorld)
+    scenario = world.place(scenario)
+    law = contact_law(world, scenario)
+    assert isinstance(law, CompliantLaw)
+    names = (("x", "y", "z"), ("x2", "y2", "z2"))
+    sliders = [[world.plant.GetJointByName(n).velocity_start() for n in each] for each in names]
+    limits = limit_states(world, world.bounds(scenario))[:, :12]
+    limits[:, np.array(sliders)[:, 1]] = [[-MOST], [MOST]]
+    reaches = Reaches(world, law, TaskCost.of(world, scenario), np.full(12, 0.1), limits)
+    return Fingers(world, np.array(scenario.initial_position), np.array(sliders), reaches)
+
+
+def test_two_hands_turn_an_object_without_moving_it_and_one_can_not(fingers: Fingers) -> None:
+    first = fingers.world.plant.GetJointByName("thing").velocity_start()
+    wanted = np.zeros(12)
+    wanted[first + 2] = 0.01  # [N m], about z.
+    one, other = fingers.reaches.contacts.tolist()
+    both, off = fingers.reaches.calc_push(fingers.start, wanted, (one, other))
+    np.testing.assert_allclose(both[first : first + 6], wanted[first : first + 6], atol=1e-9)
+    assert off < 1e-9
+    # Each presses, with at least what friction needs: 0.1 N for each, at 0.05 m, of 0.5 of these.
+    press = np.abs(both[fingers.sliders[:, 0]])
+    assert np.all(press > 0.1 / 0.5)
+    for each in (one, other):
+        assert fingers.reaches.calc_push(fingers.start, wanted, (each,))[1] > 0.1
+
+
+def test_hands_stay_within_limits_and_stick_until_they_reach_anew(fingers: Fingers) -> None:
+    world, times = fingers.world, np.linspace(0.0, 1.0, 101)
+    rng = np.random.default_rng(0)
+    path, contacts = fingers.reaches.find_path(times, fingers.start, (0.3, 1.0), rng)
+    across = world.in_tangent(path, np.zeros(1))[:, fingers.sliders[:, 1]]
+    assert np.all(np.abs(across) <= MOST + 1e-12)
+    pushing = [bool(each) for each in contacts]
+    assert np.count_nonzero(np.diff([0, *pushing]) > 0) > 1  # More than one stroke.
+    turn = world.plant.GetJointByName("thing").velocity_start() + 2
+    total = 0.0
+    for k, (each, then) in enumerate(pairwise(contacts)):
+        way = world.subtract(path[k + 1], path[k])
+        total += way[turn]
+        if each and each == then:
+            slips = world.relate(path[k])[1][list(each)] @ way
+            assert np.all(np.linalg.norm(slips, axis=1) < 0.3 * 0.05 * abs(way[turn]) + 1e-3)
+    assert total > np.deg2rad(60.0)
+
+
+def test_candidates_have_as_many_substeps_as_are_asked_for(tmp_path: Path) -> None:
+    planner = Planner(make_scenario(tmp_path), PlanOptions(search_substeps=9))
+    scenario = planner.world.place(planner.scenario)
+    plain = MechanismTask(planner.world, scenario, PlanOptions())
+    asked = MechanismTask(planner.world, scenario, planner.options, plain._compiled)
+    assert asked.tighten(asked.coast).substeps == 9 > plain.tighten(plain.coast).substeps
+    with pytest.raises(OptionsError, match="search_substeps: got 0, expected 1 or more"):
+        PlanOptions(search_substeps=0)
