@@ -99,6 +99,7 @@ def test_hands_stay_within_limits_and_stick_until_they_reach_anew(fingers: Finge
     assert total > np.deg2rad(60.0)
 
 
+@pytest.mark.slow  # Shooting over trees is compiled.
 def test_candidates_have_as_many_substeps_as_are_asked_for(tmp_path: Path) -> None:
     planner = Planner(make_scenario(tmp_path), PlanOptions(search_substeps=9))
     scenario = planner.world.place(planner.scenario)
