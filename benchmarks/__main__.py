@@ -18,13 +18,7 @@ from benchmarks.baselines import BASELINES
 from benchmarks.robustness.page import format_robustness
 from benchmarks.robustness.question import RobustnessQuestion
 from benchmarks.robustness.study import RobustnessStudy
-from benchmarks.study.flags import (
-    add_numbers,
-    add_question,
-    add_running,
-    read_question,
-    run_asked,
-)
+from benchmarks.study.flags import add_numbers, add_question, add_running, read_question, run_asked
 from benchmarks.study.scenario_question import PLANNER, ScenarioQuestion
 from benchmarks.study.scenario_study import ScenarioStudy
 from benchmarks.study.scenario_tables import format_study
@@ -73,8 +67,7 @@ python -m benchmarks page planner.json rivals.json --out results.md
 
 
 def main(
-    arguments: Sequence[str] | None = None,
-    make: Callable[[Sequence[str]], Parser] | None = None,
+    arguments: Sequence[str] | None = None, make: Callable[[Sequence[str]], Parser] | None = None
 ) -> int:
     """Runs a command and returns its exit status, as `drake-aigto` does.
 

@@ -30,15 +30,7 @@ import numpy as np
 from benchmarks.in_the_loop import make_open_loop
 from benchmarks.loop_speed import Clocked
 from benchmarks.script import machine, read_flags, run_all, run_as
-from drake_aigto import (
-    AigtoError,
-    Plan,
-    Planner,
-    PlanOptions,
-    Scenario,
-    TrackingController,
-    World,
-)
+from drake_aigto import AigtoError, Plan, Planner, PlanOptions, Scenario, TrackingController, World
 from drake_aigto.arrays import Floats
 from drake_aigto.control import Disturbance, PlannedMotion, run_in_loop
 from drake_aigto.planning import make_mechanism_task
@@ -372,9 +364,7 @@ def report(name: str, runs: Sequence[tuple[str, dict[str, Outcome]]]) -> str:
 def main() -> int:
     """Runs all methods on all disturbances of all worlds, and prints a table of each world."""
     options = read_flags(
-        __doc__,
-        only=("", "worlds whose name has this in it"),
-        seeds=(1, "of noise and kicks"),
+        __doc__, only=("", "worlds whose name has this in it"), seeds=(1, "of noise and kicks")
     )
     print(machine(), flush=True)
     names = [each for each in WORLDS if options.only in each]

@@ -10,12 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from drake_aigto.paper import (
-    LiteralOptions,
-    gradient_from_random,
-    make_literal_task,
-    plan_literal,
-)
+from drake_aigto.paper import LiteralOptions, gradient_from_random, make_literal_task, plan_literal
 from drake_aigto.planning import Candidate, Origin, ProgramSolution
 from drake_aigto.show import Motion, color_of, cost_text, plot_motions, run_boxes, run_texts
 from drake_aigto.world import Scenario, World

@@ -226,10 +226,7 @@ def seconds_to_reach(
 
 def our_options(seed: int) -> dict[str, AigoOptions]:
     """The default, and what boxes do without polish and restarts."""
-    return {
-        OURS: AigoOptions(seed=seed),
-        ALONE: AigoOptions(polish="none", rounds=0, seed=seed),
-    }
+    return {OURS: AigoOptions(seed=seed), ALONE: AigoOptions(polish="none", rounds=0, seed=seed)}
 
 
 def run_all(

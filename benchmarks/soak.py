@@ -92,10 +92,7 @@ def read_memory() -> float:
 def main() -> int:
     """Runs, reports, and returns 1 if anything was not finite."""
     options = read_flags(
-        __doc__,
-        workers=None,
-        count=(1000000, "of ticks"),
-        seed=(2026, "of the kicks"),
+        __doc__, workers=None, count=(1000000, "of ticks"), seed=(2026, "of the kicks")
     )
     rounds = max(1, options.count // KICK_EVERY)
     soak, begin = Soak(options.seed, rounds * KICK_EVERY), time.perf_counter()

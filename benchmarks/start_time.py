@@ -124,10 +124,7 @@ def run(program: list[str], environment: dict[str, str]) -> tuple[float, float]:
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     begin = time.perf_counter()
     subprocess.run(
-        [sys.executable, "-c", *program],
-        check=True,
-        stdout=subprocess.DEVNULL,
-        env=environment,
+        [sys.executable, "-c", *program], check=True, stdout=subprocess.DEVNULL, env=environment
     )
     seconds = time.perf_counter() - begin
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -18,12 +18,7 @@ import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
 
 from drake_aigto import Planner, PlanOptions, Scenario, World
-from drake_aigto.paper import (
-    LiteralOptions,
-    gradient_from_zero,
-    make_literal_task,
-    plan_literal,
-)
+from drake_aigto.paper import LiteralOptions, gradient_from_zero, make_literal_task, plan_literal
 from drake_aigto.planning import Candidate
 from drake_aigto.show import PLAN_LABEL, Motion, color_of, plot_motions, plot_path, run_texts
 

@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydrake.geometry import HalfSpace, ProximityProperties, Shape, Sphere
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import (
-    AddMultibodyPlantSceneGraph,
-    CoulombFriction,
-    MultibodyPlant,
-)
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import (
     PrismaticJoint,
     RevoluteJoint,

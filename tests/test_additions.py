@@ -16,12 +16,7 @@ from replay_worlds import shipped_world
 from drake_aigto.errors import AigtoError, ProgramError, UnsupportedTermError
 from drake_aigto.local import InteriorPoint
 from drake_aigto.planning import Arcs, BallTask, PhaseMotion, PhaseProblem, sample, solve_in_arcs
-from drake_aigto.transcription import (
-    RigidTranscription,
-    Samples,
-    Touch,
-    TouchSequence,
-)
+from drake_aigto.transcription import RigidTranscription, Samples, Touch, TouchSequence
 from drake_aigto.world import Scenario
 
 # 1 m from a wall, towards it at 2 m/s.
@@ -241,10 +236,7 @@ def removing(t: RigidTranscription) -> None:
             lambda t: t.prog().AddConstraint(t.state(9)[0] <= -0.1),
             "contradict each other: got 'nonpenetration' on q(9); 'constraint on q(9)' on q(9)",
         ),
-        (
-            square,
-            "contradict each other: got 'square' on q(9); 'constraint on q(9)' on q(9),",
-        ),
+        (square, "contradict each other: got 'square' on q(9); 'constraint on q(9)' on q(9),"),
         (lambda t: t.state(21), "state(21): got knot 21, expected one of 0 … 20"),
         (lambda t: t.state(-1), "state(-1): got knot -1, expected one of 0 … 20"),
         (lambda t: t.input(20), "input(20): got knot 20, expected one of 0 … 19"),
@@ -253,10 +245,7 @@ def removing(t: RigidTranscription) -> None:
             lambda t: t.AddRunningCost(t.state(2)[0] ** 2, "one"),
             "the cost 'one': got the variable q(2), expected the placeholders state()",
         ),
-        (
-            lambda t: t.AddFinalCost(t.input()[0] ** 2, "end"),
-            "the cost 'end': got the variable",
-        ),
+        (lambda t: t.AddFinalCost(t.input()[0] ** 2, "end"), "the cost 'end': got the variable"),
     ],
 )
 def test_what_cannot_be_met_is_one_clear_error(add: Add, message: str) -> None:

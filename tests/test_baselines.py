@@ -147,8 +147,7 @@ def test_every_rigid_baseline_finds_that_nothing_is_to_be_done(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name == "ipopt")) for name in BASELINES],
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "ipopt")) for name in BASELINES]
 )
 def test_offers_depend_on_the_seed_and_end_soon_after_time_is_up(
     world: World, bounce: Scenario, name: str

@@ -75,11 +75,7 @@ def test_unknown_names_and_useless_weights_are_refused() -> None:
         ([Term(1.0, (X0, X1))], [(0, 1), (2, 2)], "copy 1 with variable 2 twice.*x·x is x²"),
         ([Term(math.nan, (X0,))], (0, 1), r"the term nan \* x0\^1, expected finite numbers"),
         ([Term(1.0, (X0._replace(offset=math.inf),))], (0, 1), r"\(1\*x0 \+ inf\)\^1"),
-        (
-            [Term(1.0, (X0._replace(exponent=-1),))],
-            (0, 1),
-            "exponent -1, expected whole",
-        ),
+        ([Term(1.0, (X0._replace(exponent=-1),))], (0, 1), "exponent -1, expected whole"),
     ],
 )
 def test_a_term_without_a_right_mean_is_refused(
@@ -365,9 +361,7 @@ def test_what_values_do_not_tell_is_not_guessed(formula: Any, message: str) -> N
         read_polynomial(binding.evaluator())
 
 
-def test_more_monomials_than_can_be_told_apart_are_refused(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_more_monomials_than_can_be_told_apart_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drake_aigto.terms.hidden_polynomials._MOST_MONOMIALS", 20)
     _, cost = hide(3, lambda x: sum(x) ** 4)
     with pytest.raises(HiddenError, match="more than 20 monomials"):

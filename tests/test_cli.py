@@ -141,12 +141,7 @@ def test_plan_options_are_flags(
     rigid = ["--relaxation", "0.5", "--aigo-steps", "7", "--exhaustive"]
     main(["plan", *FLIGHT, *both, *rigid])
     assert seen.pop() == PlanOptions(
-        ladder=BALL_LADDER,
-        relaxation=0.5,
-        aigo_steps=7,
-        exhaustive=True,
-        confirm=False,
-        **of_both,
+        ladder=BALL_LADDER, relaxation=0.5, aigo_steps=7, exhaustive=True, confirm=False, **of_both
     )
     literal = ["--algorithm", "full gradient", "--no-nonpenetration"]
     main(["plan", *FLIGHT, "--transcription", "literal", *both, *literal])
@@ -215,10 +210,7 @@ def test_table1_prints_every_method_with_its_replays(
         (["plan", "table1/9"], "unknown scenario 'table1/9': expected one of acrobot/"),
         (["plan", "nowhere.yaml"], "scenario file nowhere.yaml can't be read"),
         (["plan", "table1/1", "--initial-position", "-1"], "initial_position is inside or behind"),
-        (
-            ["plan", "table1/1", "--goal-position", "-0.1"],
-            "goal_position is inside or behind",
-        ),
+        (["plan", "table1/1", "--goal-position", "-0.1"], "goal_position is inside or behind"),
         (["plan", "table1/1", "--initial-position", "nan"], "initial_position: got nan, expected"),
         (["plan", "table1/1", "--initial-position", "1", "2"], "initial_position: got 2 values"),
         (["plan", "table1/1", "--time-step", "0.3"], "expected a whole number of time steps"),

@@ -157,10 +157,7 @@ def test_all_stands_for_every_method(tmp_path: Path, monkeypatch: pytest.MonkeyP
     ],
 )
 def test_bad_input_is_one_line_and_status_2(
-    words: str,
-    message: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    words: str, message: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(scenario_question, "run_job", None)  # Before any work.
     check_refused(words.split(), message, capsys, main)
@@ -304,10 +301,7 @@ def test_the_command_on_the_page_asks_the_studys_question(
     [
         ('{"kind": "weather"}', "got kind 'weather', expected one of 'scenarios', "),
         ('{"kind": "scenarios"}', "is damaged: got no 'question'"),
-        (
-            '{"kind": "scenarios", "question": []}',
-            "is damaged: got ScenarioQuestion: got 'list'",
-        ),
+        ('{"kind": "scenarios", "question": []}', "is damaged: got ScenarioQuestion: got 'list'"),
         ("[]", 'expected an object with a field "kind"'),
     ],
 )

@@ -80,12 +80,7 @@ def test_every_flag_of_a_command_says_what_it_is() -> None:
 
 
 @pytest.mark.parametrize(
-    "words",
-    [
-        ["-v", "table1"],
-        ["table1", "--verbose"],
-        ["-qv", "table1", "-q", "-v"],
-    ],
+    "words", [["-v", "table1"], ["table1", "--verbose"], ["-qv", "table1", "-q", "-v"]]
 )
 def test_what_all_commands_take_stands_before_or_after_them(words: list[str]) -> None:
     unset = argparse.Namespace(quiet=False, verbose=False)

@@ -7,25 +7,11 @@ import math
 
 import numpy as np
 import pytest
-from box_programs import (
-    ExpressionOf,
-    add,
-    compile_program,
-    compiled,
-    exact_mean,
-    program,
-)
+from box_programs import ExpressionOf, add, compile_program, compiled, exact_mean, program
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.solvers import ExpressionCost, MathematicalProgram
-from pydrake.symbolic import (
-    Expression,
-    Polynomial,
-    Variable,
-    log,
-    pow,
-    sin,
-)
+from pydrake.symbolic import Expression, Polynomial, Variable, log, pow, sin
 from pydrake.symbolic import max as smax
 
 from drake_aigto.errors import OptionsError, UnsupportedTermError

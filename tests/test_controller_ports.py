@@ -145,10 +145,7 @@ def is_slow(u: Any) -> bool:
 @METHODS
 def test_commands_and_their_changes_stay_within_limits(method: str) -> None:
     push = np.array([0.05, 0.4])
-    for safety, is_within in (
-        (Safety(control=0.05), is_small),
-        (Safety(rate=2.0), is_slow),
-    ):
+    for safety, is_within in ((Safety(control=0.05), is_small), (Safety(rate=2.0), is_slow)):
         off = {0.0: START, 0.02: START + push, 0.1: START - push}
         free, limited = (Told(make_controller(method, safety=each), off) for each in (None, safety))
         assert not free.advance(0.13).is_limited

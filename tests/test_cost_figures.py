@@ -178,9 +178,7 @@ def runs(row_2: World) -> Mapping[str, Candidate]:
     return paper_methods(SCENARIO, row_2)
 
 
-def test_boxes_alone_are_off_and_gradients_from_them_are_not(
-    runs: Mapping[str, Candidate],
-) -> None:
+def test_boxes_alone_are_off_and_gradients_from_them_are_not(runs: Mapping[str, Candidate]) -> None:
     aigto, refined, random = runs.values()
     assert list(runs) == ["AIGTO", "gradient from AIGTO", "gradient from a random guess"]
     assert not aigto.is_feasible and refined.is_feasible

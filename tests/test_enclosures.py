@@ -14,14 +14,7 @@ import numpy as np
 import pydrake.symbolic as sym
 import pytest
 from pydrake.solvers import ExpressionConstraint, MathematicalProgram
-from random_functions import (
-    FUNCTIONS,
-    HIGH_PRECISION,
-    add_cost,
-    box,
-    program,
-    random_function,
-)
+from random_functions import FUNCTIONS, HIGH_PRECISION, add_cost, box, program, random_function
 
 from drake_aigto.certify import (
     Operation,

@@ -15,13 +15,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_aigto import (
-    ModelPredictiveController,
-    Planner,
-    PlanOptions,
-    Scenario,
-    World,
-)
+from drake_aigto import ModelPredictiveController, Planner, PlanOptions, Scenario, World
 from drake_aigto.control import Disturbance, ModelEstimate, ModelEstimator, run_in_loop
 from drake_aigto.errors import ControlError
 from drake_aigto.simulation import EVENT_DRIVEN, HeldControl

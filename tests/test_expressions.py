@@ -19,18 +19,7 @@ from box_programs import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.solvers import ExpressionCost, MathematicalProgram
-from pydrake.symbolic import (
-    Expression,
-    Variable,
-    cos,
-    exp,
-    if_then_else,
-    log,
-    pow,
-    sin,
-    sqrt,
-    tan,
-)
+from pydrake.symbolic import Expression, Variable, cos, exp, if_then_else, log, pow, sin, sqrt, tan
 from pydrake.symbolic import max as smax
 from pydrake.symbolic import min as smin
 

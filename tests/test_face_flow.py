@@ -44,12 +44,7 @@ def test_random_polynomials_of_one_variable_are_solved_globally(degree: int) -> 
 
 
 @settings(max_examples=25, deadline=None)
-@given(
-    st.booleans(),
-    st.integers(0, 10**6),
-    st.floats(0.01, 0.9),
-    st.floats(-3, 3),
-)
+@given(st.booleans(), st.integers(0, 10**6), st.floats(0.01, 0.9), st.floats(-3, 3))
 def test_every_box_from_the_first_on_holds_the_next(
     is_coupled: bool, seed: int, share: float, shift: float
 ) -> None:

@@ -143,11 +143,7 @@ def test_a_block_that_lands_and_slides_to_rest_is_the_one_of_a_simulation() -> N
     options = ShootingOptions((Smoothing(0.0, 40, 1e-12),), multiplier_updates=20)
     found = problem.solve(np.zeros((N, 1)), options=dataclasses.replace(options, feasibility=1e-10))
     scenario = dataclasses.replace(
-        BLOCK,
-        initial_position=state[:2],
-        initial_velocity=state[2:],
-        duration=1.0,
-        time_step=0.1,
+        BLOCK, initial_position=state[:2], initial_velocity=state[2:], duration=1.0, time_step=0.1
     )
     replay = replay_event_driven(world, scenario, found.times, found.controls)
     slips, sticks = replay.contact_phases

@@ -21,12 +21,7 @@ from drake_aigto.dynamics import ConstantInertia
 from drake_aigto.errors import OptionsError
 from drake_aigto.planning import PhaseMotion, PhaseProblem
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import (
-    Touch,
-    TouchSequence,
-    joint_times,
-    rigid_defects,
-)
+from drake_aigto.transcription import Touch, TouchSequence, joint_times, rigid_defects
 from drake_aigto.world import models_directory
 
 G = 9.81

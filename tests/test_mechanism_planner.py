@@ -271,21 +271,9 @@ def test_the_chance_of_a_better_motion_falls_with_every_time_that_the_best_is_fo
     ("name", "given", "message"),
     [
         ("cart_pole/soft_06", {"aigo_steps": 9}, "aigo_steps: got 9 for a mechanism, expected the"),
-        (
-            "cart_pole/soft_06",
-            {"ladder": BALL_LADDER},
-            "ladder: got .*only for balls between",
-        ),
-        (
-            "cart_pole/rigid_06",
-            {"local_solver": "ipopt"},
-            "local_solver: got ipopt",
-        ),
-        (
-            "table1/1",
-            {"renewals": 9},
-            "renewals: got 9 for balls between",
-        ),
+        ("cart_pole/soft_06", {"ladder": BALL_LADDER}, "ladder: got .*only for balls between"),
+        ("cart_pole/rigid_06", {"local_solver": "ipopt"}, "local_solver: got ipopt"),
+        ("table1/1", {"renewals": 9}, "renewals: got 9 for balls between"),
         ("table1/1", {"seed": 1}, "seed: got 1 for balls .*It counts only for a mechanism"),
         ("table1/1", {"starts": 3}, "starts: got 3 for balls .*only for a mechanism"),
     ],

@@ -17,10 +17,7 @@ from drake_aigto import Scenario, World
 from drake_aigto.contact import Closed, Mode, RigidLaw
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.planning import find_rates, integrate_rates
-from drake_aigto.simulation import (
-    Replay,
-    replay_event_driven,
-)
+from drake_aigto.simulation import Replay, replay_event_driven
 
 
 @cache

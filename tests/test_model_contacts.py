@@ -9,14 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from other_models import (
-    ARM,
-    GANTRY,
-    MESH,
-    TRANSMISSION,
-    make,
-    write,
-)
+from other_models import ARM, GANTRY, MESH, TRANSMISSION, make, write
 
 from drake_aigto import Scenario, World, plan
 from drake_aigto.errors import ModelError

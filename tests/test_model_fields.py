@@ -120,10 +120,7 @@ BAD_VALUES: dict[str, tuple[dict[str, Any], str]] = {
         {"effort_limits": [3]},
         r"effort_limits: got \[3\], expected a mapping of names, such as {shou",
     ),
-    "no effort": (
-        {"effort_limits": {"a": 0}},
-        r"effort_limits\[a\]: got 0 N or N m, exp",
-    ),
+    "no effort": ({"effort_limits": {"a": 0}}, r"effort_limits\[a\]: got 0 N or N m, exp"),
     "no material": ({"material": {"a": {"color": 1}}}, r"material\[a\]: got .*expected a map"),
     "negative": ({"material": {"a": {"friction": -1}}}, r"material\[a\]\.friction: got -1, exp"),
     "limits": ({"limits": "none"}, "limits: got 'none', expected 'model' or 'ignore'"),

@@ -10,15 +10,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from phase_solutions import MET, Solved, optimise
-from unfolded_flights import (
-    MODELS,
-    Flight,
-    are_apart,
-    fold,
-    image_of,
-    scenario_of,
-    touches_of,
-)
+from unfolded_flights import MODELS, Flight, are_apart, fold, image_of, scenario_of, touches_of
 
 from benchmarks.optima import walls_optimum
 from drake_aigto import Scenario, World

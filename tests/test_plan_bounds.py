@@ -13,15 +13,7 @@ from benchmarks.optima import line_optimum as optima
 from benchmarks.optima import masses_optimum, walls_optimum
 from benchmarks.worlds import WORLDS
 from drake_aigto import Plan, Planner, PlanningError, PlanOptions, Scenario, World
-from drake_aigto.certify import (
-    Line,
-    PlanBound,
-    Wall,
-    bound_line,
-    bound_plans,
-    fold,
-    out_of_reach,
-)
+from drake_aigto.certify import Line, PlanBound, Wall, bound_line, bound_plans, fold, out_of_reach
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.show import format_plan
 

@@ -37,11 +37,7 @@ QUICK = LiteralOptions(ladder=LITERAL_LADDER[2:4], confirm=False)
 BOUNCE = Scenario(initial_position=0.4, initial_velocity=-1.2, goal_position=1.0, time_step=0.02)
 # Far from the wall and with next to no contact force: linear dynamics, quadratic cost.
 FLIGHT = Scenario(
-    initial_position=1.0,
-    initial_velocity=-0.3,
-    goal_position=1.2,
-    time_step=0.02,
-    epsilon=1e-9,
+    initial_position=1.0, initial_velocity=-0.3, goal_position=1.2, time_step=0.02, epsilon=1e-9
 )
 
 

@@ -11,11 +11,7 @@ import pytest
 from loops import Wrapper, close_loop, hold_samples, set_start
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import (
-    ConstantVectorSource,
-    LogVectorOutput,
-    TrajectorySource,
-)
+from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto import (

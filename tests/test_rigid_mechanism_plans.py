@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 
 from drake_aigto import Plan, Planner, Scenario
-from drake_aigto.planning import (
-    MechanismSearch,
-    PlanOptions,
-    RigidMechanismTask,
-    lay_out,
-)
+from drake_aigto.planning import MechanismSearch, PlanOptions, RigidMechanismTask, lay_out
 from drake_aigto.simulation import replay_event_driven
 from drake_aigto.transcription import Touch
 

@@ -23,11 +23,7 @@ from drake_aigto.errors import ModelError, OptionsError
 from drake_aigto.paper import RigidWithForces
 from drake_aigto.planning import PhaseProblem
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import (
-    RigidTranscription,
-    Transcription,
-    rigid_defects,
-)
+from drake_aigto.transcription import RigidTranscription, Transcription, rigid_defects
 
 Array = npt.NDArray[np.float64]
 
@@ -263,9 +259,7 @@ def test_a_relaxation_that_is_no_size_is_refused(relaxation: float) -> None:
 
 
 @pytest.mark.parametrize("kind", [RigidTranscription, PhaseProblem])
-def test_a_contact_that_turns_is_refused(
-    kind: Callable[[World, Scenario], Transcription],
-) -> None:
+def test_a_contact_that_turns_is_refused(kind: Callable[[World, Scenario], Transcription]) -> None:
     world = shipped_world()
     (q,) = world.positions
     bent = dataclasses.replace(world, contacts=(Contact("bent", q**2, np.array([2 * q])),))

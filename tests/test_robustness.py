@@ -205,7 +205,7 @@ def test_the_table_has_every_kind_of_every_plan_in_a_hundred_columns() -> None:
     assert velocity.split().count("0/1") == 2
     summary = next(line for line in lines if line.startswith("  ours, LQR  "))
     assert summary.split()[2:] == [
-        *("1", "5.5e-03", "6.0e-03", "1.0", "mm", "1.0", "mm", "2", "of", "2"),
+        *("1", "5.5e-03", "6.0e-03", "1.0", "mm", "1.0", "mm", "2", "of", "2")
     ]
 
 

@@ -48,10 +48,7 @@ def test_an_acrobot_in_other_units_has_the_same_plan(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "factors"),
-    [("corridor/lossy", ANY), ("two_masses/apart", ANY)],
-)
+@pytest.mark.parametrize(("name", "factors"), [("corridor/lossy", ANY), ("two_masses/apart", ANY)])
 def test_balls_between_walls_in_other_units_have_the_same_plan(
     name: str, factors: tuple[Factors, ...], tmp_path: Path
 ) -> None:

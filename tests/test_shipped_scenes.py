@@ -24,10 +24,7 @@ from drake_aigto.show import Motion, Page, Stage, open_meshcat, publish
 from drake_aigto.transcription import Touch
 from drake_aigto.world import scenario_names
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(find_chromium() is None, reason="no Chromium"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(find_chromium() is None, reason="no Chromium")]
 
 MOTIONS = json.loads(Path(__file__).with_name("shipped_motions.json").read_text("utf-8"))
 VIEWER = """<script>

@@ -13,12 +13,7 @@ from rubbing_worlds import accelerate, calc_drag
 from shooting_problems import differ
 
 from drake_aigto import Planner, Scenario, World
-from drake_aigto.contact import (
-    CompliantLaw,
-    Mechanism,
-    calc_pushes,
-    contact_law,
-)
+from drake_aigto.contact import CompliantLaw, Mechanism, calc_pushes, contact_law
 from drake_aigto.dynamics import calc_friction_share
 from drake_aigto.planning import MechanismTask, PlanOptions, steady
 from drake_aigto.show import Motion, plot_friction
@@ -85,8 +80,7 @@ def test_shooting_has_the_law_and_its_derivatives() -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["cart_pole/soft_06", "hopper/hop", "pushed_block/slide", "spinner/two_radians"],
+    "name", ["cart_pole/soft_06", "hopper/hop", "pushed_block/slide", "spinner/two_radians"]
 )
 def test_compiled_rates_are_those_of_the_world(name: str) -> None:
     scenario = Scenario.named(name)

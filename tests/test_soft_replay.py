@@ -15,12 +15,7 @@ from scipy.integrate import quad, solve_ivp
 from drake_aigto import Scenario, World
 from drake_aigto.contact import calc_dissipation
 from drake_aigto.errors import ScenarioError
-from drake_aigto.simulation import (
-    Replay,
-    make_simulator,
-    replay_drake,
-    replay_event_driven,
-)
+from drake_aigto.simulation import Replay, make_simulator, replay_drake, replay_event_driven
 from drake_aigto.world import TaskCost
 
 read = cache(build)

@@ -103,11 +103,7 @@ def test_sines_and_cosines_need_no_lifting() -> None:
         ),
         (lambda x: -x[0] - x[1], (lambda x: exp(x[0]) + exp(x[1]) <= 4,), -2 * np.log(2)),
         # x² + 4 cos² x where x = 2 sin 2x
-        (
-            lambda x: x[0] ** 2 + x[1] ** 2,
-            (lambda x: x[1] == 2 * cos(x[0]),),
-            1.9595400123340820,
-        ),
+        (lambda x: x[0] ** 2 + x[1] ** 2, (lambda x: x[1] == 2 * cos(x[0]),), 1.9595400123340820),
     ],
     ids=["arm", "exponentials", "cosine"],
 )
@@ -122,11 +118,7 @@ def test_constraints_need_no_lifting_either(
 
 def test_the_lowest_of_many_valleys_of_a_constraint_is_found() -> None:
     prog, _ = make_program(
-        2,
-        lambda x: x[1],
-        lambda x: x[1] >= sin(3 * x[0]) + x[0] / 2,
-        low=-4.0,
-        high=4.0,
+        2, lambda x: x[1], lambda x: x[1] >= sin(3 * x[0]) + x[0] / 2, low=-4.0, high=4.0
     )
     grid = np.linspace(-4, 4, 800_001)
     lowest = np.min(np.sin(3 * grid) + grid / 2)
@@ -386,11 +378,7 @@ def test_cancelled_residuals_far_out_are_no_fall() -> None:
             AigoStatus.CONTRADICTORY_BOUNDS,
             SolutionResult.kInfeasibleConstraints,
         ),
-        (
-            (lambda x: sin(x[0]) >= 2,),
-            AigoStatus.INFEASIBLE,
-            SolutionResult.kInfeasibleConstraints,
-        ),
+        ((lambda x: sin(x[0]) >= 2,), AigoStatus.INFEASIBLE, SolutionResult.kInfeasibleConstraints),
         (
             (lambda x: x[0] ** 2 + x[1] ** 2 <= 1, lambda x: x[0] * x[1] >= 1),
             AigoStatus.NO_FEASIBLE_POINT,

@@ -103,10 +103,7 @@ def test_rows_with_waves_have_penalties_and_slacks_too(seed: int) -> None:
     points = np.stack(np.meshgrid(*[grid[0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     weights = np.einsum("i,j,k->ijk", *[grid[1] / 2] * 3).ravel()
     u, v, s = (y + half_width * points).T
-    rows = (
-        np.cos(u + 2 * v) + u * np.sin(u) - s,
-        u * np.exp(2 * u - 1) + v - 0.5,
-    )
+    rows = (np.cos(u + 2 * v) + u * np.sin(u) - s, u * np.exp(2 * u - 1) + v - 0.5)
     assert program.penalties.mean(y, half_width) == pytest.approx(
         sum(weights @ row**2 for row in rows), rel=1e-9
     )

@@ -316,8 +316,7 @@ def test_hops_end_before_the_jump_however_short_the_time_is(
     ("scenario", "gravity", "mass"),
     [
         pytest.param(  # Stays where it fell.
-            *(on_floor(0.290604, -0.07273, 0.303735, 0.9, 0.3), 20.0, 3.0),
-            marks=pytest.mark.slow,
+            *(on_floor(0.290604, -0.07273, 0.303735, 0.9, 0.3), 20.0, 3.0), marks=pytest.mark.slow
         ),
         pytest.param(
             *(on_floor(0.758673, 0.66295, 0.537131, 1.9, 0.3), 13.30707, 1.53598),

@@ -339,11 +339,7 @@ def test_a_question_is_the_same_after_json() -> None:
         ({"budgets": ()}, OptionsError, "budgets: got (), expected numbers above 0"),
         ({"budgets": (0.0, 1.0)}, OptionsError, "budgets: got (0.0, 1.0), expected numbers above"),
         ({"budgets": (10.0, 1.0)}, OptionsError, "budgets: got (10.0, 1.0), expected increasing"),
-        (
-            {"start": "-0.1:1"},
-            ScenarioError,
-            "start -0.1:1.0: initial_position is inside",
-        ),
+        ({"start": "-0.1:1"}, ScenarioError, "start -0.1:1.0: initial_position is inside"),
         ({"goal": "-1:1"}, ScenarioError, "goal -1.0:1.0: goal_position is inside or behind"),
         ({"goal": "1 -2"}, ScenarioError, "goal 1.0 -2.0: goal_position is inside or behind"),
         ({"restitution": "0.5:1.5"}, ScenarioError, "restitution 0.5:1.5: restitution: got 1.5"),
@@ -352,10 +348,7 @@ def test_a_question_is_the_same_after_json() -> None:
     ],
 )
 def test_a_question_without_sense_is_refused(
-    changes: dict[str, Any],
-    kind: type[AigtoError],
-    message: str,
-    monkeypatch: pytest.MonkeyPatch,
+    changes: dict[str, Any], kind: type[AigtoError], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(registry, "BASELINES", TOYS)
     spreads: dict[str, Any] = {

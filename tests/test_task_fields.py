@@ -208,10 +208,7 @@ def end_at(q: Any, v: Any, scenario: Scenario) -> Replay:
         ),
         # Where coordinates without weight end, nobody asked.
         ({"angles": "modulo", "goal_weight": [0.0, 1.0]}, "2.0 mrad"),
-        (
-            {"hard_goal": True, "goal_velocity": [0.25, -0.5]},
-            "1.0 mm, 6.29 rad, 0 m/s and 0 rad/s",
-        ),
+        ({"hard_goal": True, "goal_velocity": [0.25, -0.5]}, "1.0 mm, 6.29 rad, 0 m/s and 0 rad/s"),
     ],
 )
 def test_a_miss_is_told_in_the_units_of_what_misses(more: dict[str, Any], expected: str) -> None:

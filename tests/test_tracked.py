@@ -171,10 +171,7 @@ def test_a_goal_that_is_an_unstable_equilibrium_is_named_with_its_pace(folder: P
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "duration", "time_step", "most"),
-    [
-        ("acrobot/swing_up", 6.0, 0.05, 95.0),
-        ("cart_pole/rigid_06", 4.5, 0.0375, 82.0),
-    ],
+    [("acrobot/swing_up", 6.0, 0.05, 95.0), ("cart_pole/rigid_06", 4.5, 0.0375, 82.0)],
 )
 def test_a_longer_horizon_is_no_worse(
     name: str, duration: float, time_step: float, most: float

@@ -30,11 +30,7 @@ from drake_aigto.world import models_directory
 
 SHIPPED = models_directory() / "point_mass_and_wall.sdf"
 SCENARIO = Scenario(
-    initial_position=1.0,
-    initial_velocity=-2.0,
-    goal_position=0.73,
-    duration=0.5,
-    time_step=0.05,
+    initial_position=1.0, initial_velocity=-2.0, goal_position=0.73, duration=0.5, time_step=0.05
 )
 AXIS = "<xyz>1 0 0</xyz>"
 SPRING = (

@@ -112,9 +112,7 @@ BAD_MODELS: dict[str, tuple[dict[str, str], str]] = {
         r"the links of the model: got 1 constraint beside joints, expected a tree: one joint betw",
     ),
     "controller": (
-        {
-            SLIDER_AXIS: f"{SLIDER_AXIS}<drake:controller_gains p='100' d='10'/>",
-        },
+        {SLIDER_AXIS: f"{SLIDER_AXIS}<drake:controller_gains p='100' d='10'/>"},
         r"actuator 'slider': got a PD controller, .* Leave out <drake:controller_gains>",
     ),
     "not XML": ({"<link": "<lin k"}, r"model .*variant\.sdf: got no XML: not well-formed"),

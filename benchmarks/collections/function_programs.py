@@ -291,10 +291,7 @@ def _dispatch(number: int, most: float, minimum: float, best: list[float]) -> Co
         ([0.0, 0.0, -most, -most], [1200.0, 1200.0, most, most]),
         minimum,
         best,
-        lambda p, q, u, v: [
-            3.0 * p + 1e-6 * p**3 + 2.0 * q,
-            2e-6 / 3.0 * q**3,
-        ],
+        lambda p, q, u, v: [3.0 * p + 1e-6 * p**3 + 2.0 * q, 2e-6 / 3.0 * q**3],
         lambda p, q, u, v: [
             1000.0 * sin(-u - 0.25) + 1000.0 * sin(-v - 0.25) + 894.8 - p,
             1000.0 * sin(u - 0.25) + 1000.0 * sin(u - v - 0.25) + 894.8 - q,

@@ -133,14 +133,7 @@ _PLANAR: tuple[tuple[Any, ...], ...] = (
         (lambda x, y: 4.0 * x**2 - 2.1 * x**4 + x**6 / 3.0 + x * y - 4.0 * y**2 + 4.0 * y**4,),
         JAMIL,
     ),
-    (
-        "Goldstein-Price",
-        (-2.0, 2.0),
-        3.0,
-        [0.0, -1.0],
-        (_goldstein_price,),
-        JAMIL,
-    ),
+    ("Goldstein-Price", (-2.0, 2.0), 3.0, [0.0, -1.0], (_goldstein_price,), JAMIL),
     (
         "Beale",
         (-4.5, 4.5),
@@ -177,20 +170,10 @@ _PLANAR: tuple[tuple[Any, ...], ...] = (
         (-50.0, 50.0),
         0.0,
         [[0.0, 0.0], [2.0, 4.0], [1.4643521196636986, -2.5060127607816622]],
-        (
-            lambda x, y: (2.0 * x**3 * y - y**3) ** 2,
-            lambda x, y: (6.0 * x - y**2 + y) ** 2,
-        ),
+        (lambda x, y: (2.0 * x**3 * y - y**3) ** 2, lambda x, y: (6.0 * x - y**2 + y) ** 2),
         JAMIL,
     ),
-    (
-        "Freudenstein-Roth",
-        (-10.0, 10.0),
-        0.0,
-        [5.0, 4.0],
-        (_freudenstein_roth,),
-        JAMIL,
-    ),
+    ("Freudenstein-Roth", (-10.0, 10.0), 0.0, [5.0, 4.0], (_freudenstein_roth,), JAMIL),
     (
         "Zettl",
         (-5.0, 10.0),

@@ -52,10 +52,7 @@ def payload_tasks() -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for speeds in ((0.0, 0.0), (-3.0, 0.0), (-4.0, -2.0)):
             for goal in (0.0, -0.5, 0.5):
                 first, last = speeds
-                yield (
-                    np.array([cargo, 3.0, first, first]),
-                    np.array([goal, 0.0, last, last]),
-                )
+                yield (np.array([cargo, 3.0, first, first]), np.array([goal, 0.0, last, last]))
 
 
 def payload(start: np.ndarray, goal: np.ndarray, num_knots: int = 200) -> MathematicalProgram:

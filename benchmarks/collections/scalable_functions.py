@@ -171,11 +171,7 @@ def levy(n: int) -> GlobalProblem:
         (-10.0, 10.0),
         0.0,
         np.ones(n),
-        (
-            Part(_levy_first, [0]),
-            Part(_levy_middle, _each(n - 1)),
-            Part(_levy_last, [n - 1]),
-        ),
+        (Part(_levy_first, [0]), Part(_levy_middle, _each(n - 1)), Part(_levy_last, [n - 1])),
         LAGUNA,
     )
 

@@ -103,11 +103,7 @@ def roll_out(question: Question, control: Control, longest: float) -> Motion:
     norms = np.linalg.norm(values, axis=1, keepdims=True)
     values = values * np.minimum(1.0, setting.norm / np.maximum(norms, 1e-9))
     law = Law(
-        mechanism.number,
-        mechanism.wall,
-        setting.stiffness,
-        setting.restitution,
-        setting.weights,
+        mechanism.number, mechanism.wall, setting.stiffness, setting.restitution, setting.weights
     )
     times = np.minimum(control.times, setting.duration)
     times[-1] = setting.duration

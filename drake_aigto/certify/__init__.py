@@ -1,13 +1,7 @@
 """Lower bounds: how far an answer is from the best one, at most."""
 
 from drake_aigto.certify import intervals
-from drake_aigto.certify.certificate import (
-    Certificate,
-    Certifier,
-    Method,
-    certify,
-    relative_gap,
-)
+from drake_aigto.certify.certificate import Certificate, Certifier, Method, certify, relative_gap
 from drake_aigto.certify.contraction import explain_infeasibility, is_infeasible
 from drake_aigto.certify.enclosures import enclose_all
 from drake_aigto.certify.flights import Line, Wall

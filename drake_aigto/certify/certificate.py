@@ -19,13 +19,7 @@ from drake_aigto.certify.cells import CellSearch
 from drake_aigto.certify.cliques import MOST_VARIABLES, CliqueSearch, elimination
 from drake_aigto.certify.contraction import narrowed
 from drake_aigto.certify.enclosures import SumOfFormulas
-from drake_aigto.certify.formulas import (
-    Formulas,
-    read_formulas,
-    tape_of,
-    values_at,
-    with_prices,
-)
+from drake_aigto.certify.formulas import Formulas, read_formulas, tape_of, values_at, with_prices
 from drake_aigto.certify.scip import bound_by_scip
 from drake_aigto.certify.tape import Tape
 from drake_aigto.errors import OptionsError

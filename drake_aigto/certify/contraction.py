@@ -17,14 +17,7 @@ import numpy as np
 from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.certify.enclosures import (
-    VALUE,
-    SumOfFormulas,
-    at,
-    enclose,
-    make_scratch,
-    put,
-)
+from drake_aigto.certify.enclosures import VALUE, SumOfFormulas, at, enclose, make_scratch, put
 from drake_aigto.certify.formulas import BoundedFormula, Formulas, join, read_formulas, tape_of
 from drake_aigto.certify.intervals import (
     Interval,

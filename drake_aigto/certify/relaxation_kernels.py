@@ -134,10 +134,7 @@ def _put_function(structure: Structure, cell: LinearProgram, k: int) -> None:
             square = up(up_product(width, width) * 0.125) * 1.000001
             least = down(least - up_product(max(second[1], 0.0), square))
             most = up(most + up_product(max(-second[0], 0.0), square))
-        ends = (
-            -np.inf if is_convex else least,
-            np.inf if is_concave else most,
-        )
+        ends = (-np.inf if is_convex else least, np.inf if is_concave else most)
         _put_row(structure, cell, row, (slope, 0.0), ends)
     if is_convex or is_concave:
         middle = 0.5 * x[0] + 0.5 * x[1]

@@ -87,9 +87,7 @@ def bound_by_scip(
 
 
 def write_sum(
-    parts: Sequence[Summand],
-    x: Sequence[Any],
-    functions: Mapping[Operation, Callable[[Any], Any]],
+    parts: Sequence[Summand], x: Sequence[Any], functions: Mapping[Operation, Callable[[Any], Any]]
 ) -> Any:
     """Returns the sum of some summands in another program's expressions.
 

@@ -179,11 +179,7 @@ class Mechanism:
     edges: Floats
 
     @classmethod
-    def of(
-        cls,
-        world: World,
-        law: ContactLaw,
-    ) -> Mechanism:
+    def of(cls, world: World, law: ContactLaw) -> Mechanism:
         """Returns the tables of a world with a contact law. Rigid contacts do not push in flight.
 
         Raises:

@@ -11,13 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.touches import (
-    WALL_DOUBT,
-    PlannedMotion,
-    SeenBounces,
-    choose,
-    find_left,
-)
+from drake_aigto.control.touches import WALL_DOUBT, PlannedMotion, SeenBounces, choose, find_left
 from drake_aigto.errors import (
     ControlError,
     OptionsError,

@@ -270,11 +270,7 @@ def _add_delay(builder: DiagramBuilder, control: OutputPort, delay: float) -> Ou
 
 
 def _add_noise(
-    builder: DiagramBuilder,
-    state: OutputPort,
-    disturbance: Disturbance,
-    period: float,
-    end: float,
+    builder: DiagramBuilder, state: OutputPort, disturbance: Disturbance, period: float, end: float
 ) -> OutputPort:
     """Returns the port of a state with noise, another one every period."""
     times = period * np.arange(int(end / period) + 2)

@@ -58,11 +58,7 @@ _UPDATES = 4
 # What is tried where these lead to nothing, and after a search. The last plan is near: steps that
 # close gaps at any cost leave it for motions that cost twice as much.
 _MORE = ShootingOptions(
-    rungs=(Smoothing(0.0, 20, _TOLERANCE),),
-    substeps=4,
-    order=2,
-    multiplier_updates=8,
-    is_wary=True,
+    rungs=(Smoothing(0.0, 20, _TOLERANCE),), substeps=4, order=2, multiplier_updates=8, is_wary=True
 )
 
 

@@ -289,10 +289,7 @@ class Searches:
         return TickChoice(motion, reason, pending=pending)
 
     def _find(
-        self,
-        before: TickMemory,
-        question: TickQuestion,
-        motion: PlannedMotion | None,
+        self, before: TickMemory, question: TickQuestion, motion: PlannedMotion | None
     ) -> tuple[bool, PlannedMotion | None, PendingSearch | None]:
         """Returns whether a search is done, what it found, and one that goes on.
 

@@ -10,14 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.geometry.shapes import (
-    BALL,
-    BOX,
-    CAPSULE,
-    HALF_SPACE,
-    Closest,
-    Shapes,
-)
+from drake_aigto.geometry.shapes import BALL, BOX, CAPSULE, HALF_SPACE, Closest, Shapes
 from drake_aigto.kernels import borrowing
 
 # Cores that are nearer than this have no direction between them [m].

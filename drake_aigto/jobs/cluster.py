@@ -65,10 +65,7 @@ def connect(address: str) -> Iterator[Executor]:
     for worker in sorted(threads.keys() & versions.keys()):
         _check_worker(worker, threads[worker], versions[worker], address)
     # The loss of a scheduler shows in its jobs.
-    with (
-        _silent(),
-        Client(address, timeout=_PATIENCE, set_as_default=False) as client,
-    ):
+    with _silent(), Client(address, timeout=_PATIENCE, set_as_default=False) as client:
         yield _Dask(client, pure=False)
 
 

@@ -17,13 +17,7 @@ import scipy  # Not scipy.optimize, which takes a tenth of a second and few need
 from drake_aigto.arrays import Floats
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.riccati import FeedbackPhase
-from drake_aigto.simulation import (
-    Growth,
-    PlannedContact,
-    Replay,
-    confirms,
-    max_penetration,
-)
+from drake_aigto.simulation import Growth, PlannedContact, Replay, confirms, max_penetration
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import (
     DYNAMICS,

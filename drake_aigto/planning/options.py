@@ -224,9 +224,7 @@ class PlanOptions(SearchOptions):
         for each in self.ladder or ():
             if not isinstance(each, Rung):
                 raise OptionsError(
-                    "ladder",
-                    got=f"a {type(each).__name__} for {task}",
-                    expected="every one a Rung",
+                    "ladder", got=f"a {type(each).__name__} for {task}", expected="every one a Rung"
                 )
 
 

@@ -19,14 +19,7 @@ from drake_aigto.planning.feedback import Feedback
 from drake_aigto.planning.options import SearchOptions
 from drake_aigto.planning.tracked import confirm_in_drake, perturb, replay_own
 from drake_aigto.planning.views import view
-from drake_aigto.simulation import (
-    BOUNDS,
-    CLEARANCE,
-    HARD_GOAL,
-    Arrival,
-    Replay,
-    confirms,
-)
+from drake_aigto.simulation import BOUNDS, CLEARANCE, HARD_GOAL, Arrival, Replay, confirms
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import largest_defect
 from drake_aigto.world import Fingerprint, Scenario, World

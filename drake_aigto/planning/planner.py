@@ -65,10 +65,7 @@ class Planner:
     """
 
     def __init__(
-        self,
-        scenario: Scenario,
-        options: PlanOptions | None = None,
-        world: World | None = None,
+        self, scenario: Scenario, options: PlanOptions | None = None, world: World | None = None
     ) -> None:
         """Builds the world, and checks the scenario against it; programs are compiled later."""
         if not isinstance(options, PlanOptions | None):

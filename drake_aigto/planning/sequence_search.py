@@ -166,11 +166,7 @@ class SequenceSearch(Search):
         self.solve(origin, center, sequence, self.task.polish)
 
     def solve(
-        self,
-        origin: Origin,
-        center: Floats,
-        sequence: ContactSequence,
-        polish: Polish,
+        self, origin: Origin, center: Floats, sequence: ContactSequence, polish: Polish
     ) -> None:
         """Polishes a sequence to a candidate; it replaces one of equal sequence."""
         with self.clock("polish"):

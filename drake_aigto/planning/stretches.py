@@ -189,9 +189,7 @@ def check_sizes(world: World, trajectory: Trajectory, name: str = "the trajector
     )
     if got != sizes:
         raise TrajectoryError(
-            name,
-            got=f"{got} positions, controls and contacts",
-            expected=f"the world's, {sizes}",
+            name, got=f"{got} positions, controls and contacts", expected=f"the world's, {sizes}"
         )
 
 

@@ -18,13 +18,7 @@ from drake_aigto.kernels import borrowing, inner
 from drake_aigto.shooting.flow import clear
 from drake_aigto.shooting.modes import measure_modes
 from drake_aigto.shooting.stages import read_coordinate
-from drake_aigto.shooting.tables import (
-    FLOW,
-    Added,
-    Bounds,
-    Memory,
-    Program,
-)
+from drake_aigto.shooting.tables import FLOW, Added, Bounds, Memory, Program
 
 # Returns the penalties, adds their derivatives to the expansion, or returns the largest violation
 # √w dist(s, [a, b]) and has multipliers become ρw (s + y/ρw − its projection on [a, b]), Hestenes'

@@ -15,12 +15,7 @@ from drake_aigto.aigo import Iterate
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.planning import Plan
-from drake_aigto.show.motion import (
-    Motion,
-    color_of,
-    find_row,
-    motions_of_plan,
-)
+from drake_aigto.show.motion import Motion, color_of, find_row, motions_of_plan
 from drake_aigto.show.shapes import (
     coordinate_names,
     find_goal,

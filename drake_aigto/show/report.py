@@ -16,19 +16,9 @@ from drake_aigto import __version__
 from drake_aigto.control import ClosedLoopRun
 from drake_aigto.errors import OptionsError
 from drake_aigto.plain import to_plain
-from drake_aigto.planning import (
-    BALL_LADDER,
-    Candidate,
-    Plan,
-    SearchOptions,
-)
+from drake_aigto.planning import BALL_LADDER, Candidate, Plan, SearchOptions
 from drake_aigto.show.box_playback import play_boxes, run_boxes
-from drake_aigto.show.facts import (
-    answer_facts,
-    candidate_texts,
-    count_candidates,
-    verdict_facts,
-)
+from drake_aigto.show.facts import answer_facts, candidate_texts, count_candidates, verdict_facts
 from drake_aigto.show.film import open_meshcat
 from drake_aigto.show.motion import motions_of_plan, simulation_label
 from drake_aigto.show.page import Page

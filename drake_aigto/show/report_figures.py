@@ -23,12 +23,7 @@ from drake_aigto.show.figures import (
     plot_phase_portrait,
     plot_positions,
 )
-from drake_aigto.show.motion import (
-    Motion,
-    calc_contact_forces,
-    calc_friction,
-    color_of,
-)
+from drake_aigto.show.motion import Motion, calc_contact_forces, calc_friction, color_of
 from drake_aigto.show.plan_figures import (
     plot_contact_forces,
     plot_cost_history,

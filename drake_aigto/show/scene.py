@@ -37,12 +37,7 @@ from drake_aigto.show.motion import (
     time_span,
 )
 from drake_aigto.show.playback import Playback, list_events, list_numbers, stand_side_by_side
-from drake_aigto.show.shapes import (
-    Actor,
-    find_goal,
-    has_goal,
-    moving_joints,
-)
+from drake_aigto.show.shapes import Actor, find_goal, has_goal, moving_joints
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.text import plan_name
 from drake_aigto.world import Scenario, World

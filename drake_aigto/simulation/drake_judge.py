@@ -19,19 +19,8 @@ from drake_aigto.contact import (
     read_clearances,
 )
 from drake_aigto.simulation.compliant import find_depth, measure_steps, read_touches
-from drake_aigto.simulation.recording import (
-    Controller,
-    Held,
-    Impact,
-    Recording,
-    Rest,
-    sample_steps,
-)
-from drake_aigto.simulation.simulator import (
-    SETTLED,
-    calc_acceleration,
-    start_plant,
-)
+from drake_aigto.simulation.recording import Controller, Held, Impact, Recording, Rest, sample_steps
+from drake_aigto.simulation.simulator import SETTLED, calc_acceleration, start_plant
 from drake_aigto.simulation.verdict import calc_compliance_error, calc_lateness
 from drake_aigto.world import Scenario, World
 

@@ -144,11 +144,7 @@ class ContactMonitor:
     """
 
     def __init__(
-        self,
-        world: World,
-        simulator: Simulator,
-        restitutions: Floats,
-        duration: float,
+        self, world: World, simulator: Simulator, restitutions: Floats, duration: float
     ) -> None:
         """Looks at nothing yet.
 

@@ -230,10 +230,7 @@ class _Lift:
         return self._variable(e, lambda z: [z - lifted])
 
     def _variable(
-        self,
-        e: Expression,
-        rows: Callable[[Expression], list[Expression]],
-        is_bound: bool = False,
+        self, e: Expression, rows: Callable[[Expression], list[Expression]], is_bound: bool = False
     ) -> Expression:
         """Returns the variable that stands for an expression, with rows that say so.
 

@@ -226,9 +226,7 @@ Bounds: TypeAlias = "tuple[Floats, Floats]"
 
 
 def penalize(
-    prog: MathematicalProgram,
-    scale: float = 1.0,
-    per_unit: Mapping[str, Any] | None = None,
+    prog: MathematicalProgram, scale: float = 1.0, per_unit: Mapping[str, Any] | None = None
 ) -> MathematicalProgram:
     """Returns a program over the same variables with penalties for constraints as costs.
 

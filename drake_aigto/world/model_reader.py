@@ -35,12 +35,7 @@ from pydrake.systems.primitives import SymbolicVectorSystem
 from drake_aigto.arrays import Floats, read_only
 from drake_aigto.dynamics import STICTION_SPEED, refuse_loop, smooth_sign
 from drake_aigto.errors import ModelError
-from drake_aigto.world.diagram import (
-    check_friction_acts,
-    check_plant,
-    copy_diagram,
-    find_plant,
-)
+from drake_aigto.world.diagram import check_friction_acts, check_plant, copy_diagram, find_plant
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
 from drake_aigto.world.model_facts import MESHES, FixableError, ModelFacts, Spring, pick

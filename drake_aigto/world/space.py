@@ -15,13 +15,7 @@ from pydrake.symbolic import Expression, MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Bools, Floats, read_only
-from drake_aigto.dynamics import (
-    STICTION_SPEED,
-    Contact,
-    Tree,
-    TreeMemory,
-    make_tree_memory,
-)
+from drake_aigto.dynamics import STICTION_SPEED, Contact, Tree, TreeMemory, make_tree_memory
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.geometry import make_closest
 from drake_aigto.world.diagram import find_plant, scale_masses

@@ -17,11 +17,7 @@ from pydrake.systems.framework import Context, Diagram
 from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.dynamics import STICTION_SPEED, SumMap
 from drake_aigto.errors import ModelError
-from drake_aigto.world.diagram import (
-    find_hinges,
-    find_plant,
-    move_shape,
-)
+from drake_aigto.world.diagram import find_hinges, find_plant, move_shape
 from drake_aigto.world.fields import as_number
 from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.limits import Limits, check_clearance, check_sizes, find_least_distances

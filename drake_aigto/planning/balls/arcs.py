@@ -94,10 +94,7 @@ class Arcs:
     """
 
     def __init__(
-        self,
-        phases: PhaseProblem,
-        cuts: Collection[int] = (),
-        programs: ArcPrograms | None = None,
+        self, phases: PhaseProblem, cuts: Collection[int] = (), programs: ArcPrograms | None = None
     ) -> None:
         """Takes arcs from joint to joint of the phases and these knots.
 
@@ -163,10 +160,7 @@ class Arcs:
         x[p.t], x[p.h] = motion.times[K], np.diff(motion.times[K])
         n = self._counts[:, np.newaxis]
         scale = n * np.where(n == 1, 1.0, self._roots[:, np.newaxis])
-        for mean, tilt, held in (
-            (p.a, p.b, motion.controls),
-            (p.f, p.g, motion.forces),
-        ):
+        for mean, tilt, held in ((p.a, p.b, motion.controls), (p.f, p.g, motion.forces)):
             x[mean] = np.add.reduceat(held, K[:-1]) / n
             x[tilt] = np.add.reduceat(s * held, K[:-1]) / scale
         x[p.offset] = self._inertia.offset

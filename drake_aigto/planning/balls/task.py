@@ -265,11 +265,7 @@ class BallTask(ProgramTask):
         return max(defect, LARGEST_DEFECT), self.cost(motion)
 
     def _polish_once(
-        self,
-        path: Path,
-        sequence: TouchSequence,
-        num_steps: int | None,
-        max_iterations: int | None,
+        self, path: Path, sequence: TouchSequence, num_steps: int | None, max_iterations: int | None
     ) -> PhaseMotion:
         """Returns the local optimum of one multi-phase problem.
 

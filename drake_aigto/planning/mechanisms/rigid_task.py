@@ -36,21 +36,10 @@ from drake_aigto.planning.mechanisms.touches import (
 from drake_aigto.planning.mechanisms.traces import add_impulses, replay_at_knots, with_losses
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.search import scaled
-from drake_aigto.shooting import (
-    Phases,
-    ShootingOptions,
-    ShootingProblem,
-    ShootingResult,
-    Smoothing,
-)
+from drake_aigto.shooting import Phases, ShootingOptions, ShootingProblem, ShootingResult, Smoothing
 from drake_aigto.simulation import Replay, replay_event_driven
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import (
-    NO_ADDITIONS,
-    RESTITUTION,
-    Additions,
-    TouchSequence,
-)
+from drake_aigto.transcription import NO_ADDITIONS, RESTITUTION, Additions, TouchSequence
 from drake_aigto.world import Scenario, World
 
 # A bounce is added where a motion penetrates a wall between knots by this part of the task's
@@ -79,9 +68,7 @@ _EXACT, _MOST_SUBSTEPS = 1e-4, 16
 _GENTLE = 1e2
 # Violations this small cost next to nothing: steps that gain less have to count, too.
 _SETTLED = ShootingOptions(
-    rungs=(Smoothing(0.0, 40, 1e-12),),
-    multiplier_updates=24,
-    feasibility=1e-11,
+    rungs=(Smoothing(0.0, 40, 1e-12),), multiplier_updates=24, feasibility=1e-11
 )
 # Walls are met to rounding in Runge-Kutta steps whose error is at most this part of the scales.
 _TRUE = 1e-7
@@ -410,10 +397,7 @@ class RigidMechanismTask(MechanismTask):
 
 
 def make_mechanism_task(
-    world: World,
-    scenario: Scenario,
-    options: PlanOptions,
-    additions: Additions = NO_ADDITIONS,
+    world: World, scenario: Scenario, options: PlanOptions, additions: Additions = NO_ADDITIONS
 ) -> MechanismTask:
     """Returns a mechanism's task, between rigid walls or others."""
     is_rigid = scenario.contact == "rigid" and bool(world.contacts)

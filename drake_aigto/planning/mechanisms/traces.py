@@ -10,13 +10,7 @@ import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
 from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.contact import (
-    Closed,
-    CompliantLaw,
-    ContactLaw,
-    Mode,
-    RigidLaw,
-)
+from drake_aigto.contact import Closed, CompliantLaw, ContactLaw, Mode, RigidLaw
 from drake_aigto.simulation import (
     FINE,
     Compliant,

@@ -1,0 +1,302 @@
+"""A mechanism's task, posed for shooting, and what shooting finds, judged by simulations."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache, cached_property
+from typing import TypeVar
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.contact import AnyMechanism, ContactLaw, RigidLaw, contact_law, make_mechanism
+from drake_aigto.errors import ProgramError, ScenarioError
+from drake_aigto.planning.candidate import (
+    NO_CONTROL,
+    Candidate,
+    Origin,
+    Replays,
+    add_to_replay,
+    sample,
+)
+from drake_aigto.planning.feedback import Feedback
+from drake_aigto.planning.mechanisms.closing import POLISH
+from drake_aigto.planning.mechanisms.guesses import Measures
+from drake_aigto.planning.mechanisms.traces import trace
+from drake_aigto.planning.options import PlanOptions
+from drake_aigto.planning.tracked import (
+    Simulated,
+    confirm_in_drake,
+    follow,
+    make_feedback,
+    needs_feedback,
+    perturb,
+    replay_alone,
+)
+from drake_aigto.shooting import (
+    NO_TERMS,
+    AddedTerms,
+    Phases,
+    ShootingProblem,
+    ShootingResult,
+    limit_states,
+)
+from drake_aigto.simulation import (
+    BOUNDS,
+    Replay,
+    calc_excess,
+    calc_lacks,
+    find_contacts,
+    max_penetration,
+    narrow_bounds,
+    replay_event_driven,
+    state_scales,
+)
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import INTEGRATION, NO_ADDITIONS, Additions, Samples
+from drake_aigto.world import Scales, Scenario, SpaceWorld, TaskCost, World
+
+_Task = TypeVar("_Task", bound="PosedMechanism")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Compiled:
+    """Tables that all tasks with one contact law share.
+
+    Attributes:
+        mechanism: the world as shooting has it.
+        additions: costs and constraints of users.
+        added: these, compiled for shooting.
+    """
+
+    mechanism: AnyMechanism
+    additions: Additions = NO_ADDITIONS
+    added: AddedTerms = NO_TERMS
+
+    @classmethod
+    def of(cls, world: World, law: ContactLaw, additions: Additions) -> Compiled:
+        """Compiles a world with its contact law, and costs and constraints of users.
+
+        Raises:
+            ProgramError, UnsupportedTermError: see `AddedTerms.of`.
+        """
+        if additions and isinstance(world, SpaceWorld):
+            remedy = "Weigh coordinates in the scenario."
+            raise ProgramError("costs and constraints of users", "some, in space", "none", remedy)
+        added = AddedTerms.of(world, additions) if additions else NO_TERMS
+        return cls(make_mechanism(world, law), additions, added)
+
+
+class PosedMechanism:
+    """A task of a mechanism as a problem of shooting, which is compiled for its world, once.
+
+    Attributes:
+        world: the mechanism.
+        scenario: the task.
+        options: numerics.
+        additions: costs and constraints of users.
+        task: the scenario's cost.
+        bounds: of positions, velocities and controls.
+        least_distances: φ of contacts at least, by the clearance, shape (m,) [m]; −∞: any.
+        law: of its contacts.
+        scales: of the task and its verdict, and `state_scales` of q and v, shape (2n,).
+        measures: units of the search.
+        search_steps: of motions during the search.
+        shooting: the problem in any number of time steps.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        scenario: Scenario,
+        options: PlanOptions,
+        compiled: Compiled | None = None,
+        additions: Additions = NO_ADDITIONS,
+    ) -> None:
+        """Reads the task.
+
+        Args:
+            world: the mechanism.
+            scenario: the task.
+            options: numerics.
+            compiled: of the same world, law and additions.
+            additions: costs and constraints of users.
+
+        Raises:
+            OptionsError: an option does not count for mechanisms.
+            ProgramError: a cost or constraint of the user can't be planned here; says why.
+            UnsupportedTermError: it has a factor that is no power, sin or cos.
+            ScenarioError: the duration is free, in space.
+        """
+        options.check(is_of_balls=False)
+        if isinstance(world, SpaceWorld) and scenario.duration_range is not None:
+            got = f"{list(scenario.duration_range)}, in space"
+            raise ScenarioError("duration_range", got, "none, as its time is given there")
+        self.world, self.scenario, self.options = world, scenario, options
+        self.task, self.bounds = TaskCost.of(world, scenario), world.bounds(scenario)
+        self.least_distances = world.least_distances(scenario)
+        self.law = contact_law(world, scenario)
+        self.scales, self.state_scales = Scales.of(world, scenario), state_scales(world, scenario)
+        self.measures = Measures.of(world, scenario)
+        self.search_steps = min(scenario.num_steps, options.search_steps)
+        self._compiled = compiled or Compiled.of(world, self.law, additions)
+        self.additions = self._compiled.additions
+        if isinstance(self.law, RigidLaw) or scenario.duration_range is not None:
+            self._compiled.added.check_untimed()
+        self.shooting = cache(self._pose)
+
+    @property
+    def mechanism(self) -> AnyMechanism:
+        """The mechanism of motions during the search."""
+        return self._compiled.mechanism
+
+    def _pose(self, num_steps: int) -> ShootingProblem:
+        """Returns the task in this number of time steps."""
+        T, free, bounds = self.scenario.duration, self.scenario.duration_range, self.bounds
+        times, measures = np.linspace(0.0, T, num_steps + 1), self.measures
+        return dataclasses.replace(
+            ShootingProblem.of(
+                self.world, self.scenario, self.mechanism, times, self._compiled.added
+            ),
+            scales=np.concatenate([measures.position, measures.velocity]),
+            length=measures.length,
+            state_bounds=limit_states(self.world, bounds),
+            least_distances=self.least_distances if self.mechanism.num_contacts else None,
+            phases=None if free is None else Phases.free(T, free),
+        )
+
+    def judge(self, origin: Origin, start: ShootingResult, found: ShootingResult) -> Candidate:
+        """Returns the candidate of a motion: the simulation of its controls.
+
+        Args:
+            origin: where it came from.
+            start: the first motion.
+            found: the result of shooting from it, in the scenario's time steps.
+        """
+        simulated = self._simulate(found)
+        replay, trajectory = simulated.replay, simulated.trajectory
+        (cost, error), added = self._calc_cost(found), dict[str, float]()
+        if self.additions:
+            q, v = self.world.split(found.states)
+            counted = self.additions.costs(Samples(found.times, q, v, found.controls))
+            added = self.additions.costs(sample(trajectory))
+            # At an impact, shooting takes the state after it, and trajectories the one before.
+            cost += sum(added.values()) - sum(counted.values())
+        return Candidate(
+            origin=origin,
+            start_cost=start.exact_cost,
+            start_defects={BOUNDS: start.violation},
+            trajectory=trajectory,
+            cost=cost,
+            goal_error=float(self.task.goal_error(found.states[-1, : self.world.num_positions])),
+            defects=simulated.defects,
+            max_penetration=max_penetration(self.world, trajectory),
+            contacts=find_contacts(self.world, trajectory),
+            replay=add_to_replay(replay, self.additions, trajectory),
+            scales=self.scales,
+            added_costs=added,
+            cost_error=error,
+            growth=simulated.growth,
+            gains=simulated.gains,
+            alone=simulated.alone,
+            perturbed=simulated.perturbed,
+        )
+
+    def _calc_cost(self, found: ShootingResult) -> tuple[float, float]:
+        """Returns J of a motion in steps of half the length, and by how much that differs."""
+        return self.pose_again(found).refine_cost(found)
+
+    def pose_again(self, found: ShootingResult) -> ShootingProblem:
+        """Returns the problem that a motion is a result of."""
+        return self.shooting(len(found.controls)).starting_from(found)
+
+    def _simulate(self, found: ShootingResult) -> Simulated:
+        """Returns the simulation of a motion: its control alone, or with its feedback."""
+        world, scenario, mechanism = self.world, self.scenario, self._compiled.mechanism
+        motion, feedback = self.make_trajectory(found), None
+        if found is not self.idle_motion:
+            feedback = make_feedback(world, scenario, motion, mechanism=mechanism)
+        growth = feedback.growth if feedback else None
+        if feedback is None or not needs_feedback(growth):
+            replay, trajectory, defects = self._simulate_alone(found)
+            return Simulated(replay, trajectory, defects, growth)
+        assert growth is not None
+        followed = follow(world, scenario, feedback)
+        return Simulated(
+            followed.replay,
+            *self._trace(*followed),
+            growth,
+            tuple(feedback.phases),
+            replay_alone(world, scenario, motion),
+            perturb(world, scenario, feedback, growth),
+        )
+
+    def make_trajectory(self, found: ShootingResult) -> Trajectory:
+        """Returns a motion of shooting as a trajectory."""
+        q, v = self.world.split(found.states)
+        none = np.zeros((len(q), self.world.num_contacts))
+        return Trajectory(found.times, q, v, found.controls, none, none[1:])
+
+    def _simulate_alone(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
+        """Returns the simulation of controls, its trajectory, and defects of the equations."""
+        replay = found.replay or replay_event_driven(
+            self.world, self.scenario, found.times, found.controls
+        )
+        return replay, *self._trace(replay, found.times, found.controls)
+
+    def _trace(
+        self, replay: Replay, times: Floats, controls: Floats
+    ) -> tuple[Trajectory, dict[str, float]]:
+        """Returns the trajectory of a replay, and its defects of the equations."""
+        trajectory, gap = trace(self.world, self.law, replay, times, controls)
+        return trajectory, {INTEGRATION: float(np.max(gap / self.state_scales))}
+
+    def idle_candidate(self) -> Candidate:
+        """Returns the uncontrolled motion, of the best duration, with the cost of its replay.
+
+        Nothing corrects it, however unstable it is.
+        """
+        idle = self.idle_motion
+        found = self.judge(Origin(NO_CONTROL), idle, idle)
+        cost, goal_error = found.replay.cost, found.replay.goal_error
+        return dataclasses.replace(
+            found, start_cost=cost, cost=cost, goal_error=goal_error, cost_error=None
+        )
+
+    @cached_property
+    def idle_motion(self) -> ShootingResult:
+        """The uncontrolled motion, of the best duration."""
+        problem = self.shooting(self.scenario.num_steps)
+        none = np.zeros((self.scenario.num_steps, self.world.num_actuators))
+        if problem.phases is None:
+            return problem.simulate(none, POLISH.substeps)
+        nothing = np.tile(np.clip(0.0, *problem.control_bounds), (2, 1))
+        return dataclasses.replace(problem, control_bounds=nothing).solve(none, None, POLISH)
+
+    def confirm(self, candidate: Candidate) -> Replays:
+        """Returns the candidate's replays: its own, and Drake's if the options confirm."""
+        if not self.options.confirm:
+            return candidate.own_replays
+        motion, gains = candidate.trajectory, candidate.gains
+        feedback = Feedback(self.world, self.scenario, motion, gains) if gains else None
+        drake, *alone = confirm_in_drake(self.world, self.scenario, motion, feedback)
+        own = candidate.own_replays
+        return dataclasses.replace(
+            own, drake=add_to_replay(drake, self.additions, motion), alone=(*own.alone, *alone)
+        )
+
+    def narrowed(self: _Task, motion: ShootingResult, replay: Replay) -> _Task:
+        """Returns the task with bounds and clearances narrowed by the excess of a motion's replay.
+
+        Bounds hold at knots, and speeds may exceed them in between, as right before a touch.
+        """
+        excess = calc_excess(self.world, self.scenario, replay.positions, replay.velocities)
+        other = self.again(self.scenario)
+        other.bounds = narrow_bounds(self.bounds, motion.states[1:], excess)
+        lacks = calc_lacks(self.world, self.scenario, replay.positions)
+        other.least_distances = self.least_distances + lacks
+        return other
+
+    def again(self: _Task, scenario: Scenario) -> _Task:
+        """Returns the task of a changed scenario."""
+        return type(self)(self.world, scenario, self.options, self._compiled)
