@@ -109,6 +109,7 @@ RECORDS: Mapping[str, str] = {
     "in_more_loops": "python -m benchmarks.in_the_loop room/bank_shot floor/rebound"
     " cart_pole/soft_06 --count 100 --workers 2 --minutes 14",
     "loop_record": "python -m benchmarks.loop_record --seeds 20 --workers 1 --minutes 600",
+    "held": "python -m benchmarks.held --workers 1 --minutes 80",
     "loop_speed": "python -m benchmarks.loop_speed",
     "live_latency": "python -m benchmarks.live_latency",
     "loops_changing": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --changing"
@@ -271,6 +272,7 @@ FIGURES: Mapping[str, Figure] = {
     "friction_loops_table": Figure("friction_loops", r"(?s)\A[^\n]*\n(.*\S)"),
     "friction_worlds_table": Figure("friction_worlds", r"(?s)\A[^\n]*\n(.*\S)"),
     "loop_record_tables": Figure("loop_record", r"(?s)^(acrobot/swing_up: .*\S)"),
+    "held_table": Figure("held", r"(?s)^(acrobot/swing_up\ntracking.*\S)"),
     "live_latency_table": Figure("live_latency", r"(?s)\A(.*\S)"),
     "loop_speed_table": Figure("loop_speed", r"(?s)\A[^\n]*\n(.*\S)"),
     "cart_poles_table": Figure("cart_poles", r"(?s)\A[^\n]*\n(.*\S)"),

@@ -1,6 +1,6 @@
 """Parts of a box that cannot meet rows, cut off by going forward and backward along their tapes.
 
-Where nothing is left, few of the rows contradict each other, which are told with numbers.
+Where nothing is left, a few rows that contradict each other are named, with numbers.
 
 Forward, every entry of a formula gets its range. Backward, from lower ≤ f ≤ upper on, what an
 operation may give tells what its arguments may be, down to the variables (HC4: Benhamou, Goualard,

@@ -168,7 +168,7 @@ class PlanOptions(SearchOptions):
         renewals: mechanisms: how many more guesses are closed at most, near the best motions and
             around other starts in turn.
         patience: mechanisms: there are no more renewals once as many would find less than one
-            better motion, as far as can be told from how often the best ones were found
+            better motion, by an estimate from how often the best ones were found
             (`MechanismSearch.chance`).
         search_steps: mechanisms: number of time steps of candidates, at most; finalists have the
             scenario's.
