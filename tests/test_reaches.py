@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from space_models import SPHERE, ball_and_finger, collision, link, make_scenario, slider
 
-from drake_aigto import Planner, PlanOptions, World
+from drake_aigto import Planner, PlanOptions, Scenario, World
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact import CompliantLaw, contact_law
 from drake_aigto.errors import OptionsError
@@ -108,3 +108,17 @@ def test_candidates_have_as_many_substeps_as_are_asked_for(tmp_path: Path) -> No
     assert asked.tighten(asked.coast).substeps == 9 > plain.tighten(plain.coast).substeps
     with pytest.raises(OptionsError, match="search_substeps: got 0, expected 1 or more"):
         PlanOptions(search_substeps=0)
+
+
+@pytest.mark.slow  # 50 CPU s, compiled.
+def test_two_fingers_turn_a_disc_in_several_strokes_and_both_replays_confirm_it() -> None:
+    options = PlanOptions(renewals=0, finalists=1, search_substeps=8)
+    plan = Planner(Scenario.named("planar_hand/turn"), options).plan()
+    assert plan.holds
+    replays, arrival = list(plan.replay), plan.find_arrival()
+    assert len(replays) == 2
+    for replay in replays:
+        assert replay.cost == pytest.approx(plan.cost, rel=0.02)
+    assert len(plan.best.contacts) > 2
+    assert arrival.distance is not None and arrival.distance < 0.05
+    assert arrival.angle is not None and arrival.angle < 0.2
