@@ -172,8 +172,7 @@ class Solve:
     @property
     def _is_proof_over(self) -> bool:
         """Whether the best point is proven, or that there is no feasible one."""
-        found = self._certificate
-        return found is not None and (found.gap <= _PROVEN or found.is_infeasible)
+        return bool((c := self._certificate) and (c.gap <= _PROVEN or c.is_infeasible))
 
     def _begin_proof(self) -> bool:
         """Bounds the cost before the search, if it can; returns whether that proves an answer."""
@@ -211,8 +210,7 @@ class Solve:
         return self._certificate
 
     def _offer_best(self, certifier: Certifier) -> None:
-        best = self._answers.best
-        if best is not None and self._answers.is_feasible:
+        if (best := self._answers.best) is not None and self._answers.is_feasible:
             certifier.offer(best.x)
 
     def _cut_first_box(self) -> None:
@@ -250,8 +248,7 @@ class Solve:
 
     def _offer_guess(self) -> bool:
         """Offers the guess, and returns whether there is one."""
-        is_given = bool(np.all(np.isfinite(self._guess)))
-        if is_given:
+        if is_given := bool(np.all(np.isfinite(self._guess))):
             self._answers.offer(self._guess, "the guess")
         return is_given
 
@@ -367,17 +364,18 @@ class Solve:
         cost = self._program.cost(best.x)
         if found and relative_gap(cost, found.lower_bound, found.scale) <= _PROVEN:
             return AigoStatus.PROVEN
-        is_convex = GetProgramType(self._program.source) in _CONVEX
-        is_whole = is_convex or not np.any(self._outside.is_open)
+        is_open = np.any(self._outside.is_open)
+        is_whole = not is_open or GetProgramType(self._program.source) in _CONVEX
         return AigoStatus.SOLVED if is_whole else AigoStatus.SOLVED_IN_PART
 
     def _details(self, best: CheckedPoint, status: AigoStatus) -> AigoDetails:
         first, program, boxes = self._outside.box, self._program, self._boxes
         n, size = best.x.size, program.given.lower.size
-        half_width = np.full(size, np.nan)
+        half_width, searched = np.full(size, np.nan), np.tile([[-np.inf], [np.inf]], size)
         half_width[program.kept] = first.half_width
-        searched = np.tile([[-np.inf], [np.inf]], size)
         searched[:, program.kept] = self._outside.within(self._decades)
+        is_explained = status == AigoStatus.INFEASIBLE
+        conflict = explain_infeasibility(program.source) if is_explained else ""
         return AigoDetails(
             status=status,
             violation=best.violation,
@@ -398,7 +396,5 @@ class Solve:
             kkt_storage=self._answers.kkt_storage,
             cost=program.cost(best.x),
             certificate=self._certificate,
-            conflict=explain_infeasibility(program.source)
-            if status == AigoStatus.INFEASIBLE
-            else "",
+            conflict=conflict,
         )
