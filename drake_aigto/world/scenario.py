@@ -5,10 +5,9 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, Literal, cast, get_args
+from typing import Any
 
 import numpy as np
 import yaml
@@ -24,76 +23,36 @@ from drake_aigto.world.fields import (
     as_range,
     as_table,
     as_vector,
-    as_weight,
-    as_weight_matrix,
     check_bounds,
     check_counts,
     check_reference,
 )
 from drake_aigto.world.files import read_scenario, scenario_files, suggest
-from drake_aigto.world.model_fields import (
-    Material,
-    ModelFields,
-    Named,
-    Thruster,
-    as_globs,
-    as_mapping,
-)
-from drake_aigto.world.places import (
-    FrameGoal,
-    Pose,
-    PoseWeight,
-    Shift,
-    as_frame_goal,
-    as_places,
-    by_name,
+from drake_aigto.world.model_fields import ModelFields, Named, as_globs
+from drake_aigto.world.places import FrameGoal
+from drake_aigto.world.scenario_fields import (
+    BOUNDS,
+    CHOICES,
+    EXTRAS,
+    OPTIONAL,
+    REQUIRED,
+    STEP_TOLERANCE,
+    WEIGHTS,
+    Angles,
+    Bound,
+    ContactKind,
+    Vector,
+    Weight,
+    as_clearance,
+    as_final,
+    as_frames,
+    as_positions,
+    as_price,
+    as_running,
+    write_plain,
 )
 
 DEFAULT_MODEL = "package://drake_aigto_models/point_mass_and_wall.sdf"
-
-_REQUIRED = ("initial_position", "initial_velocity", "goal_position")
-
-_BOUNDS: dict[str, dict[str, Any]] = {
-    "duration": {"above": 0.0, "unit": "s"},
-    "time_step": {"above": 0.0, "unit": "s"},
-    "control_norm": {"above": 0.0},
-    "epsilon": {"above": 0.0, "unit": "J"},
-    "delta": {"at_least": 0.0, "unit": "m"},
-    "restitution": {"at_least": 0.0, "at_most": 1.0},
-    "mass": {"above": 0.0, "unit": "kg"},
-    "friction": {"at_least": 0.0},
-    "stiction_speed": {"above": 0.0, "unit": "m/s"},
-}
-# Without these something is left as it is: without bound, or as the model has it.
-_OPTIONAL = ("control_norm", "mass", "friction")
-
-Angles = Literal["exact", "modulo", "chordal"]
-ContactKind = Literal["rigid", "compliant"]
-_CHOICES = {"angles": get_args(Angles), "contact": get_args(ContactKind)}
-
-# What AIGTO's task has none of, or has as one number for all coordinates.
-_WEIGHTS = ("control_weight", "goal_weight")
-_EXTRAS = (
-    *("goal_velocity", "hard_goal", "angles", "duration_range"),
-    *("goal_velocity_weight", "position_weight", "velocity_weight"),
-    *("reference_times", "reference_positions", "reference_velocities"),
-    *("position_lower", "position_upper", "velocity_lower", "velocity_upper"),
-    *("control_lower", "control_upper", "control_norm", "contact", "dry_friction"),
-    *("stiction_speed", "clearance", "frame_goals"),
-)
-
-# Whole numbers of steps are recognized up to this relative error: 1.0 / 0.005 is not 200 exactly.
-_STEP_TOLERANCE = 1e-9
-
-_Weight = ArrayField[Any]  # A float of one number, an array of several.
-_Bound = ArrayField[float | Floats | None]
-_Vector = ArrayField[Floats | None]
-_running = by_name(partial(as_weight, at_least=0.0))
-_final = by_name(as_weight_matrix)
-_places = cast(Callable[[str, object], Floats], as_places)  # Names are replaced by numbers.
-_apart = as_mapping(partial(as_number, above=0.0, unit="m"), "{ball against left_wall: 0.05}")
-_frames = as_mapping(as_frame_goal, "{hand: {xyz: [0.5, 0, 0.3], weight: {xyz: 100}}}")
-_price = partial(as_weight, above=0.0)  # At zero no optimum is unique.
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -183,10 +142,10 @@ class Scenario(ModelFields):
     """
 
     model: str = DEFAULT_MODEL
-    initial_position: ArrayField[Floats] = ArrayField(_places)
+    initial_position: ArrayField[Floats] = ArrayField(as_positions)
     initial_velocity: ArrayField[Floats] = ArrayField(as_vector)
-    goal_position: ArrayField[Floats] = ArrayField(_places)
-    goal_velocity: _Vector = ArrayField(as_vector, None)
+    goal_position: ArrayField[Floats] = ArrayField(as_positions)
+    goal_velocity: Vector = ArrayField(as_vector, None)
     hard_goal: bool = False
     angles: Angles = "exact"
     duration: float = 1.0  # [s]
@@ -194,21 +153,21 @@ class Scenario(ModelFields):
     duration_range: ArrayField[tuple[float, float] | None] = ArrayField(
         partial(as_range, unit="s"), None
     )
-    control_weight: _Weight = ArrayField(_price, 1e-3)
-    goal_weight: _Weight = ArrayField(_final, 1.0)
-    frame_goals: ArrayField[Named[FrameGoal]] = ArrayField(_frames, Named())
-    goal_velocity_weight: _Weight = ArrayField(_final, 0.0)
-    position_weight: _Weight = ArrayField(_running, 0.0)
-    velocity_weight: _Weight = ArrayField(_running, 0.0)
-    reference_times: _Vector = ArrayField(as_vector, None)  # [s]
-    reference_positions: _Vector = ArrayField(as_table, None)
-    reference_velocities: _Vector = ArrayField(as_table, None)
-    position_lower: _Bound = ArrayField(as_bound, None)
-    position_upper: _Bound = ArrayField(as_bound, None)
-    velocity_lower: _Bound = ArrayField(as_bound, None)
-    velocity_upper: _Bound = ArrayField(as_bound, None)
-    control_lower: _Bound = ArrayField(as_bound, None)
-    control_upper: _Bound = ArrayField(as_bound, None)
+    control_weight: Weight = ArrayField(as_price, 1e-3)
+    goal_weight: Weight = ArrayField(as_final, 1.0)
+    frame_goals: ArrayField[Named[FrameGoal]] = ArrayField(as_frames, Named())
+    goal_velocity_weight: Weight = ArrayField(as_final, 0.0)
+    position_weight: Weight = ArrayField(as_running, 0.0)
+    velocity_weight: Weight = ArrayField(as_running, 0.0)
+    reference_times: Vector = ArrayField(as_vector, None)  # [s]
+    reference_positions: Vector = ArrayField(as_table, None)
+    reference_velocities: Vector = ArrayField(as_table, None)
+    position_lower: Bound = ArrayField(as_bound, None)
+    position_upper: Bound = ArrayField(as_bound, None)
+    velocity_lower: Bound = ArrayField(as_bound, None)
+    velocity_upper: Bound = ArrayField(as_bound, None)
+    control_lower: Bound = ArrayField(as_bound, None)
+    control_upper: Bound = ArrayField(as_bound, None)
     control_norm: float | None = None
     contact: ContactKind = "rigid"
     epsilon: float = 0.1  # [J]
@@ -220,7 +179,7 @@ class Scenario(ModelFields):
         partial(as_vector, at_least=0.0), None
     )  # [N, N m]
     stiction_speed: float = STICTION_SPEED  # [m/s, rad/s]
-    clearance: ArrayField[Named[float]] = ArrayField(_apart, Named())  # [m]
+    clearance: ArrayField[Named[float]] = ArrayField(as_clearance, Named())  # [m]
     ignored_shapes: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ())
 
     def __post_init__(self) -> None:
@@ -231,11 +190,11 @@ class Scenario(ModelFields):
                 "model", got=repr(self.model), expected="a package:// URI or a path to a file"
             )
         checked: dict[str, Any] = {"model": str(self.model)}
-        for name, bounds in _BOUNDS.items():
+        for name, bounds in BOUNDS.items():
             value = getattr(self, name)
-            if name not in _OPTIONAL or value is not None:
+            if name not in OPTIONAL or value is not None:
                 checked[name] = as_number(name, value, **bounds)
-        for name, choices in _CHOICES.items():
+        for name, choices in CHOICES.items():
             if not isinstance(value := getattr(self, name), str) or value not in choices:
                 expected = f"one of {', '.join(map(repr, choices))}"
                 raise ScenarioError(name, got=repr(value), expected=expected)
@@ -293,7 +252,7 @@ class Scenario(ModelFields):
                 got=f"{self.time_step:g} s for a duration of {self.duration:g} s",
                 expected="a number of steps that can be counted",
             )
-        if round(steps) >= 1 and abs(steps - round(steps)) <= _STEP_TOLERANCE * steps:
+        if round(steps) >= 1 and abs(steps - round(steps)) <= STEP_TOLERANCE * steps:
             return
         fewer, more = max(1, math.floor(steps)), math.ceil(steps)
         durations = " or ".join(f"{n * self.time_step:.12g} s" for n in sorted({fewer, more}))
@@ -319,10 +278,10 @@ class Scenario(ModelFields):
     def extras(self) -> tuple[str, ...]:
         """The fields that ask for more than a plain task does."""
         values = self.__dict__
-        weights = (name for name in _WEIGHTS if isinstance(values[name], np.ndarray | dict))
+        weights = (name for name in WEIGHTS if isinstance(values[name], np.ndarray | dict))
         given = (
             name
-            for name in _EXTRAS
+            for name in EXTRAS
             if isinstance(values[name], np.ndarray) or values[name] != _DEFAULTS[name]
         )
         return (*weights, *given)
@@ -340,8 +299,8 @@ class Scenario(ModelFields):
             default = _DEFAULTS[name]
             raise ScenarioError(
                 name,
-                got=_as_plain(getattr(self, name)),
-                expected="one number" if name in _WEIGHTS else f"its default, {default}",
+                got=write_plain(getattr(self, name)),
+                expected="one number" if name in WEIGHTS else f"its default, {default}",
                 remedy=f"{reader} would ignore it.",
             )
 
@@ -361,10 +320,10 @@ class Scenario(ModelFields):
         Those that ask for more than a plain task does, and those of how the model is read, are left
         out where they do not.
         """
-        left_out = set(_EXTRAS) - set(self.extras)
+        left_out = set(EXTRAS) - set(self.extras)
         left_out |= {name for name in _MODEL_FIELDS if getattr(self, name) == _DEFAULTS[name]}
         names = [field.name for field in dataclasses.fields(self) if field.name not in left_out]
-        return {name: _as_plain(getattr(self, name)) for name in names}
+        return {name: write_plain(getattr(self, name)) for name in names}
 
     @classmethod
     def from_plain(cls, data: object) -> Scenario:
@@ -383,7 +342,7 @@ class Scenario(ModelFields):
                     expected=f"one of {', '.join(known)}",
                     hint=suggest(str(key), known),
                 )
-        missing = [name for name in _REQUIRED if name not in data]
+        missing = [name for name in REQUIRED if name not in data]
         if missing:
             raise ScenarioError(f"missing {', '.join(missing)}", remedy="These have no default.")
         return cls(**data)
@@ -426,17 +385,3 @@ class Scenario(ModelFields):
 
 _MODEL_FIELDS = [field.name for field in dataclasses.fields(ModelFields)]
 _DEFAULTS = {field.name: field.default for field in dataclasses.fields(Scenario)}
-
-
-def _as_plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, FrameGoal):
-        return {**_as_plain(value.pose), "weight": _as_plain(value.weight)}
-    if isinstance(value, Pose | PoseWeight | Shift | Thruster):
-        return {name: _as_plain(item) for name, item in value._asdict().items()}
-    if isinstance(value, Material):
-        return {name: item for name, item in value._asdict().items() if item is not None}
-    if isinstance(value, Mapping):
-        return {name: _as_plain(item) for name, item in value.items()}
-    return list(map(_as_plain, value)) if isinstance(value, tuple) else value
