@@ -185,7 +185,7 @@ class PlanOptions(SearchOptions):
     branches: int = 3
     starts: int = 12
     renewals: int = 240
-    patience: int = 220
+    patience: int = 280
     search_steps: int = 60
     search_substeps: int = 1
     seed: int = 0
