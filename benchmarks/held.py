@@ -17,10 +17,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.loop_record import Job, list_disturbances, list_jobs, make_controller, prepare
-from benchmarks.script import machine, read_flags, run_all, run_as
-from drake_aigto import AigtoError
-from drake_aigto.control import run_in_loop
+from benchmarks.loop_record import Job, prepare, run_worlds, simulate
+from benchmarks.script import run_as
 
 WORLDS = ("acrobot/swing_up", "cart_pole/soft_06", "cart_pole/rigid_06")
 METHODS = ("tracking", "planning again")
@@ -30,32 +28,24 @@ AFTER, LAST, NEAR = 10.0, 1.0, 0.1  # [s], [s], [m, rad]
 def run(job: Job) -> tuple[Job, dict[str, float]]:
     """Returns how far from the goal each method is at the end, the largest of all coordinates."""
     name, seed, what = job
-    prepared, found = prepare(name), dict[str, float]()
-    scenario, world = prepared.plan.scenario, prepared.world
-    largest = np.max(np.abs(prepared.plan.trajectory.controls), axis=0)
-    disturbance = dict(list_disturbances(world, scenario, seed, largest))[what]
-    end = scenario.duration + AFTER
-    for method in METHODS:
-        controller = make_controller(method, prepared, disturbance.delay)
-        try:
-            loop = run_in_loop(controller, scenario, world, disturbance, end)
-        except AigtoError as error:
-            print(f"{name}, {what}, seed {seed}: {method}: {error}", flush=True)
-            found[method] = np.inf
-            continue
-        late = loop.replay.times >= end - LAST
-        q = world.take_nearest(loop.replay.positions[late], scenario.goal_position)
-        found[method] = float(np.mean(np.abs(q - scenario.goal_position), axis=0).max())
+    world, goal = prepare(name).world, prepare(name).plan.scenario.goal_position
+    found = dict[str, float]()
+    for method, _, loop in simulate(job, METHODS, AFTER):
+        found[method] = np.inf
+        if loop is not None:
+            times, q = loop.replay.times, world.take_nearest(loop.replay.positions, goal)
+            late = times >= prepare(name).plan.scenario.duration + AFTER - LAST
+            found[method] = float(np.mean(np.abs(q[late] - goal), axis=0).max())
     off = ", ".join(f"{method} {each:.3g}" for method, each in found.items())
     print(f"{name}, {what}, seed {seed}, off by: {off}", flush=True)
     return job, found
 
 
-def report(name: str, runs: Sequence[tuple[Job, dict[str, float]]]) -> str:
+def report(name: str, runs: Sequence[tuple[str, dict[str, float]]]) -> str:
     """Returns of a world how many runs are held, and which are not."""
     lines = [name]
     for method in METHODS:
-        lost = [what for (_, _, what), found in runs if not found[method] <= NEAR]
+        lost = [what for what, found in runs if not found[method] <= NEAR]
         held = len(runs) - len(lost)
         names = "" if not lost else ": not " + ", ".join(lost)
         lines.append(f"{method:<16}{held:>4} of {len(runs)}, {held / len(runs):4.0%}{names}")
@@ -64,16 +54,7 @@ def report(name: str, runs: Sequence[tuple[Job, dict[str, float]]]) -> str:
 
 def main() -> int:
     """Runs both controllers on all disturbances, and prints how many runs are held."""
-    options = read_flags(
-        __doc__, only=("", "worlds whose name has this in it"), seeds=(1, "of noise and kicks")
-    )
-    print(machine(), flush=True)
-    names = [each for each in WORLDS if options.only in each]
-    done = run_all(run, list_jobs(names, options.seeds), options)
-    for name in names:
-        if runs := [each for each in done if each[0][0] == name]:
-            print(report(name, runs), flush=True)
-    return 0
+    return run_worlds(__doc__, WORLDS, run, report)
 
 
 if __name__ == "__main__":

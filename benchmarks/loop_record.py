@@ -21,7 +21,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import dataclasses
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -32,7 +32,7 @@ from benchmarks.loop_speed import Clocked
 from benchmarks.script import machine, read_flags, run_all, run_as
 from drake_aigto import AigtoError, Plan, Planner, PlanOptions, Scenario, TrackingController, World
 from drake_aigto.arrays import Floats
-from drake_aigto.control import Disturbance, PlannedMotion, run_in_loop
+from drake_aigto.control import ClosedLoopRun, Disturbance, PlannedMotion, run_in_loop
 from drake_aigto.planning import make_mechanism_task
 from drake_aigto.simulation import EVENT_DRIVEN, Held, HeldControl, Parabolas, summarize
 from drake_aigto.world import Scales, TaskCost
@@ -320,23 +320,40 @@ def make_controller(method: str, prepared: Prepared, delay: float) -> Any:
     return controller
 
 
-def run(job: Job) -> tuple[Job, dict[str, Outcome]]:
-    """Returns what all methods make of a disturbance."""
+def simulate(
+    job: Job, methods: Sequence[str], beyond: float = 0.0
+) -> Iterator[tuple[str, Any, ClosedLoopRun | None]]:
+    """Yields methods, their controllers, and their runs under a disturbance; None: it failed.
+
+    Args:
+        job: world, seed and disturbance.
+        methods: their names.
+        beyond: how long runs go on after the scenario's end [s].
+    """
     name, seed, what = job
-    prepared, found = prepare(name), dict[str, Outcome]()
-    plan, largest = prepared.plan, np.max(np.abs(prepared.plan.trajectory.controls), axis=0)
-    listed = list_disturbances(prepared.world, plan.scenario, seed, largest)
-    disturbance = dict(listed)[what]
-    for method in METHODS:
+    prepared = prepare(name)
+    plan, world = prepared.plan, prepared.world
+    largest = np.max(np.abs(plan.trajectory.controls), axis=0)
+    disturbance = dict(list_disturbances(world, plan.scenario, seed, largest))[what]
+    end = plan.scenario.duration + beyond
+    for method in methods:
         controller = make_controller(method, prepared, disturbance.delay)
         try:
-            loop = run_in_loop(controller, plan.scenario, prepared.world, disturbance)
+            loop = run_in_loop(controller, plan.scenario, world, disturbance, end)
         except AigtoError as error:
             print(f"{name}, {what}, seed {seed}: {method}: {error}", flush=True)
-            found[method] = Outcome(np.inf, np.nan)
-            continue
+            loop = None
+        yield method, controller, loop
+
+
+def run(job: Job) -> tuple[Job, dict[str, Outcome]]:
+    """Returns what all methods make of a disturbance."""
+    found = dict[str, Outcome]()
+    for method, controller, loop in simulate(job, METHODS):
         seconds = getattr(controller, "cpu", None) or getattr(controller.feedback, "seconds", [])
-        found[method] = Outcome(loop.cost, float(np.median(seconds)) if seconds else np.nan)
+        middle = float(np.median(seconds)) if seconds and loop else np.nan
+        found[method] = Outcome(loop.cost if loop else np.inf, middle)
+    name, seed, what = job
     costs = ", ".join(f"{method} {each.cost:.4g}" for method, each in found.items())
     print(f"{name}, {what}, seed {seed}: {costs}", flush=True)
     return job, found
@@ -361,19 +378,28 @@ def report(name: str, runs: Sequence[tuple[str, dict[str, Outcome]]]) -> str:
     return "\n".join(lines)
 
 
-def main() -> int:
-    """Runs all methods on all disturbances of all worlds, and prints a table of each world."""
+def run_worlds(
+    doc: str | None,
+    worlds: Sequence[str],
+    run: Callable[[Job], tuple[Job, Any]],
+    report: Callable[[str, Any], str],
+) -> int:
+    """Runs a script's jobs on all disturbances of its worlds, and prints a report of each world."""
     options = read_flags(
-        __doc__, only=("", "worlds whose name has this in it"), seeds=(1, "of noise and kicks")
+        doc, only=("", "worlds whose name has this in it"), seeds=(1, "of noise and kicks")
     )
     print(machine(), flush=True)
-    names = [each for each in WORLDS if options.only in each]
+    names = [each for each in worlds if options.only in each]
     done = run_all(run, list_jobs(names, options.seeds), options)
     for name in names:
-        runs = [(what, found) for (other, _, what), found in done if other == name]
-        if runs:
+        if runs := [(what, found) for (other, _, what), found in done if other == name]:
             print(report(name, runs), flush=True)
     return 0
+
+
+def main() -> int:
+    """Runs all methods on all disturbances of all worlds, and prints a table of each world."""
+    return run_worlds(__doc__, WORLDS, run, report)
 
 
 if __name__ == "__main__":

@@ -151,9 +151,8 @@ class TrackingController(LoopController):
     def read_status(self, context: Context) -> TickStatus:
         """Returns the report of the last sample, in its own context."""
         time, mode, sample, off, is_limited, seconds = self._read(context, self._groups.told)
-        bounces = _list_bounces(self._read(context, self._groups.bounces))
         left = [each.contact for each in self.feedback.stretches if each.cut == Cut.HIT]
-        for contact in bounces:
+        for contact in self._find_bounces(context):
             if contact in left:
                 left.remove(contact)
         return TickStatus(
@@ -184,9 +183,12 @@ class TrackingController(LoopController):
         """Returns the plan's time [s]."""
         return float(context.get_time()) - self.start_time
 
+    def _find_bounces(self, context: Context) -> list[int]:
+        return _list_bounces(self._read(context, self._groups.bounces))
+
     def _find_desired(self, context: Context) -> Floats:
-        bounces = _list_bounces(self._read(context, self._groups.bounces))
-        return self.feedback.find_state(self._find_time(context) + self.delay, bounces)
+        time = self._find_time(context) + self.delay
+        return self.feedback.find_state(time, self._find_bounces(context))
 
     def _find_path(self, context: Context) -> PiecewisePolynomial:
         return self.plan.trajectory.later(self.start_time).to_piecewise()[0]
@@ -233,8 +235,7 @@ class TrackingController(LoopController):
         """Returns whether an estimate is of use, how far off, and with angles near the plan's."""
         if np.isinf(self._read(context, self._groups.last)[0]) and self._is_empty(context, x):
             return "none", np.inf, x
-        bounces = _list_bounces(self._read(context, self._groups.bounces))
-        planned = self.feedback.find_state(self._find_time(context), bounces)
+        planned = self.feedback.find_state(self._find_time(context), self._find_bounces(context))
         x = self._unwrap(x, planned)
         return *self._judge(x, planned, self._motion.reach), x
 
@@ -253,11 +254,10 @@ class TrackingController(LoopController):
     ) -> EventStatus:
         """Commands what the fallback says, or the plan's own control before the first sample."""
         begin, time = clock.perf_counter(), self._find_time(context) + self.delay
-        bounces = _list_bounces(self._read(context, self._groups.bounces))
-        planned = self.feedback.find_state(time, bounces)
+        planned = self._find_desired(context)
         u = self._motion.calc_control(time)  # By the clock: bounces may be missed meanwhile.
         if time >= self.feedback.end:
-            u = self.feedback.sample(time, planned, bounces).control
+            u = self.feedback.sample(time, planned, self._find_bounces(context)).control
         mode: Mode = "waiting"
         if sample != "none":
             u, mode = self._fall_back(x, planned, u, commands), "fallback"

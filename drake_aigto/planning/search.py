@@ -143,10 +143,15 @@ class Search(ABC):
         self.task, self.clock = task, clock or Stopwatch()
         self.guess: Trajectory | None = None
         self.others: list[Candidate] = []
-        self.aigo_steps = self.searches = self.found = 0
+        self.aigo_steps = self.searches = 0
         self.is_interrupted = False
         self._progress: Progress | None = None
         self._replays: dict[int, Replays] = {}  # Of candidates for the plan, by id.
+
+    @property
+    def found(self) -> int:
+        """In how many searches that did not begin with it the best motion was found, if known."""
+        return 0
 
     def run(self, progress: Progress | None = None) -> None:
         """Searches, and judges the motions found.

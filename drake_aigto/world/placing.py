@@ -94,8 +94,9 @@ def _shift(name: str, joint: Joint, shift: Shift, start: Floats | None) -> Float
         raise ScenarioError(name, f"by {list(shift.by)}", "where it starts", remedy)
     found = np.array(start[joint.position_start() :][: joint.num_positions()])
     moved = found[4:] if joint.type_name() == _FLOATING else found
-    _fill(name, moved, 0, moved.size, np.array(shift.by))
-    moved += start[joint.position_start() :][: joint.num_positions()][-moved.size :]
+    by = np.empty_like(moved)
+    _fill(name, by, 0, by.size, np.array(shift.by))
+    moved += by
     return found
 
 

@@ -138,6 +138,11 @@ class MechanismSearch(Search):
         misses, cost = self.motions[0].rank if self.motions else (True, np.inf)
         return np.inf if misses else cost
 
+    @property
+    def found(self) -> int:
+        """In how many searches that did not begin with it the best motion was found."""
+        return self.motions[0].found if self.motions else 0
+
     def so_far(self) -> MechanismSearch:
         """Returns the search as it stands, with its best motion alone to be judged."""
         other = super().so_far()
@@ -314,7 +319,6 @@ class MechanismSearch(Search):
         others = [known for known in self.motions if known not in near]
         kept = [*others, replace(motion, found=times)]
         self.motions = sorted(kept, key=lambda each: each.rank)[:_MOST_KEPT]
-        self.found = self.motions[0].found
 
     def _is_better(self, motion: KeptMotion, known: KeptMotion) -> bool:
         """Returns whether a motion costs less, or as much with fewer touches.
