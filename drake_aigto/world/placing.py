@@ -91,7 +91,7 @@ def _shift(name: str, joint: Joint, shift: Shift, start: Floats | None) -> Float
     """Returns positions of a joint that are so far from the start; a body keeps its attitude."""
     if start is None:
         remedy = "Only goals are relative to the start."
-        raise ScenarioError(name, f"by {list(shift.by)}", "where it starts", remedy)
+        raise ScenarioError(name, f"by {list(shift.by)}", "its positions at the start", remedy)
     found = np.array(start[joint.position_start() :][: joint.num_positions()])
     moved = found[4:] if joint.type_name() == _FLOATING else found
     by = np.empty_like(moved)
