@@ -152,6 +152,19 @@ def test_a_candidate_that_drake_contradicts_is_told_in_the_plan_and_wherever_it_
     assert not bounce_plan().vetoes
 
 
+def test_a_candidate_that_holds_from_its_exact_start_only_is_told() -> None:
+    found, replay = bounce_plan(), bounce_plan().best.replay
+    exact = dataclasses.replace(replay, cost=replay.cost / 2)
+    off = dataclasses.replace(replay, cost=replay.cost + 1.0)
+    frail = dataclasses.replace(
+        found.best, cost=found.cost / 2, replay=exact, drake=None, perturbed=(exact, off)
+    )
+    found = dataclasses.replace(found, candidates=(found.best, frail))
+    assert [(veto.candidate, veto.replay) for veto in found.vetoes] == [(frail, off)]
+    words = " ".join(format_plan(found).split())
+    assert "1.09e-04, but from a start 1e-3 of the scales off, on a rigid wall costs" in words
+
+
 def test_nothing_that_holds_is_an_error_that_says_what_was_tried(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -230,7 +230,7 @@ class Plan:
         """The candidates that promise less, and the first simulation that contradicts each."""
         found = []
         for candidate in self.candidates[1:]:
-            replays = (candidate.replay, *filter(None, [candidate.drake]))
+            replays = (candidate.replay, *filter(None, [candidate.drake]), *candidate.perturbed)
             against = [replay for replay in replays if not candidate.is_confirmed_by(replay)]
             if candidate.is_feasible and candidate.cost < self.cost and against:
                 found.append(Veto(candidate, against[0]))

@@ -68,6 +68,13 @@ class Planner:
         self, scenario: Scenario, options: PlanOptions | None = None, world: World | None = None
     ) -> None:
         """Builds the world, and checks the scenario against it; programs are compiled later."""
+        if not isinstance(scenario, Scenario):
+            raise ScenarioError(
+                "scenario",
+                got=repr(scenario)[:60],
+                expected="a Scenario",
+                remedy="Scenario.named finds a shipped one, Scenario.load reads a file.",
+            )
         if not isinstance(options, PlanOptions | None):
             raise OptionsError(
                 "options",

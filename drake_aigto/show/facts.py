@@ -50,6 +50,7 @@ _LABEL = 12  # columns of the labels at the left
 _COLUMNS = (9, 8, 9, 8, 10, 10)  # Of the table of candidates, before their contacts.
 _MOST_CANDIDATES, _MOST_VETOES = 8, 3
 _OF_SCALES = "of the task's scales"
+_FROM_OFF = "from a start 1e-3 of the scales off, "
 _AT_END = 1e-6  # of a duration: as near as rounding to an end of its range
 _FAR = 4.0  # Lengths of the task: a motion that ends farther off has left it.
 
@@ -244,9 +245,10 @@ def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
     candidate, replay, names = veto.candidate, veto.replay, touch_names(world)
     times = list_some((f"{contact.time:.3f}" for contact in candidate.contacts), " s")
     contacts = f"contacts at {times}" if candidate.contacts else "no contact"
+    is_off = any(replay is each for each in candidate.perturbed)
     text = (
         f"a candidate with {contacts} promises {cost_text(candidate.cost)}, but "
-        f"{name_simulator(replay, names)} costs {cost_text(replay.cost)} and ends "
+        f"{_FROM_OFF * is_off}{name_simulator(replay, names)} costs {cost_text(replay.cost)} and ends "
         f"{miss_text(replay, scenario, world)} off the goal"
     )
     if replay.broken:

@@ -19,7 +19,7 @@ from drake_aigto.world.placing import place_scenario
 from drake_aigto.world.scenario import Scenario
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PlantWorld(EquationsOfMotion):
     """Equations of motion, and the plant and scene graph that they are read from.
 
@@ -50,6 +50,12 @@ class PlantWorld(EquationsOfMotion):
     ignored: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     mass_factor: float = 1.0
+
+    def __repr__(self) -> str:
+        """Returns a line without arrays: the model, and the sizes of q, v, u and contact."""
+        model = "a diagram" if self.model is None else self.model
+        sizes = f"nq={self.num_positions}, nv={self.num_velocities}, nu={self.num_actuators}"
+        return f"{type(self).__name__}({model}: {sizes}, {len(self.contacts)} contacts)"
 
     def place(self, scenario: Scenario) -> Scenario:
         """Returns a scenario whose positions and weights by names are arrays (`place_scenario`).

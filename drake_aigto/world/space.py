@@ -52,7 +52,7 @@ from drake_aigto.world.world import World
 _OVERLAP = 0.1
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SpaceWorld(SpaceCoordinates, World):
     """A world of which numbers alone are known: M, h, φ and J at states, by recursion over a tree.
 

@@ -11,7 +11,7 @@ from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.dynamics import PRISMATIC, QUATERNION, TRANSLATION, Coordinates, Tree
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SpaceCoordinates(Coordinates):
     """Positions of joints of any kind, with quaternions of unit length.
 

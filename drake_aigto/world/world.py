@@ -48,7 +48,7 @@ from drake_aigto.world.task_cost import TaskCost
 _TOUCHING = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class World(PlantWorld):
     """Equations of motion, and the plant and scene graph that they are read from.
 
