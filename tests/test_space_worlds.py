@@ -40,7 +40,7 @@ from drake_aigto.show import (
     publish,
     task_items,
 )
-from drake_aigto.simulation import replay_drake, replay_event_driven
+from drake_aigto.simulation import replay_drake, replay_event_driven, tangent_scales
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
 from drake_aigto.world import SpaceWorld, TaskCost
@@ -433,6 +433,27 @@ def test_feedback_answers_turns_along_the_manifold_whatever_the_sign_of_a_quater
         nearest = world.take_nearest(q, path[1])
         assert nearest[first : first + 4] @ path[1, first : first + 4] > 0
         np.testing.assert_allclose(world.subtract(nearest, q), 0.0, atol=1e-12)
+
+
+def test_errors_grow_as_simulations_say_where_stiff_friction_holds_a_body(tmp_path: Path) -> None:
+    # Its slip decays within 0.1 ms; in eight steps a knot, errors grew by 5e157.
+    start = {"thing": {"xyz": [0.3, 0, 0.0493]}, "z": 0.05}
+    changes = {"stiction_speed": 0.005, "duration": 0.4, "initial_position": start}
+    world, scenario = build(make_scenario(tmp_path, **changes))
+    times, n, m = np.linspace(0, 0.4, 21), world.num_velocities, world.num_contacts
+    u = np.tile([1.0, 0.5, -10.0], (20, 1))
+    q, v = replay_event_driven(world, scenario, times, u).states_at(times)
+    plan = Trajectory(times, q, v, u, np.zeros((21, m)), np.zeros((20, m)))
+    growth, units = Feedback(world, scenario, plan).growth, tangent_scales(world, scenario)
+    off = 1e-5 * growth.worst
+    moved = dataclasses.replace(
+        scenario,
+        initial_position=world.add(scenario.initial_position, off[:n]),
+        initial_velocity=scenario.initial_velocity + off[n:],
+    )
+    later, faster = replay_event_driven(world, moved, times, u).states_at(times)
+    apart = np.hstack([world.subtract(later, q), faster - v]) / units
+    assert np.max(np.linalg.norm(apart, axis=1)) / 1e-5 == pytest.approx(growth.factor, rel=0.01)
 
 
 def test_what_is_not_planned_for_in_space_is_refused_by_name(tmp_path: Path) -> None:

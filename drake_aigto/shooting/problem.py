@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import AnyMechanism
+from drake_aigto.contact import AnyMechanism, TreeMechanism
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.optimal_control import OptimalControlProblem
@@ -23,6 +23,9 @@ from drake_aigto.shooting.solve import (
 from drake_aigto.shooting.tables import Program
 from drake_aigto.simulation import MOST_GROWTH, calc_growth, tangent_scales
 from drake_aigto.world import Limits, Scales, Scenario, TaskCost, World
+
+# Transitions that differ by this part are those of the motion; with more steps none is sought.
+_AGREE, _MOST_SUBSTEPS = 0.1, 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +136,31 @@ class ShootingProblem(OptimalControlProblem):
         options = ShootingOptions((Smoothing(smoothing, 1, np.inf),), substeps, order)
         return self._start(controls, states, options).linearize()
 
+    def count_steps(self, controls: Floats, least: int, states: Floats) -> int:
+        """Returns how many Runge-Kutta steps between knots have the transitions of half as many.
+
+        Bodies in space that stick have stiff friction: in steps that are too long errors grow by
+        powers of ten where those of the motion fade. In the plane friction follows the steps.
+
+        Args:
+            controls: see `linearize`.
+            least: how many are tried first; all there are in the plane.
+            states: see `linearize`.
+        """
+        known, steps = None, least
+        while isinstance(self.mechanism, TreeMechanism) and steps < _MOST_SUBSTEPS:
+            try:
+                found = self.linearize(controls, steps, 0.0, states).transitions
+                found = found * self.scales / self.scales[:, np.newaxis]
+            except ProgramError:  # Errors exceed all numbers.
+                found = None
+            if known is not None and found is not None:
+                off = np.linalg.norm(found - known, axis=(1, 2))
+                if np.all(off <= _AGREE * np.linalg.norm(found, axis=(1, 2))):
+                    break
+            known, steps = found, 2 * steps
+        return steps
+
     def is_unstable(self, result: ShootingResult) -> bool:
         """Returns whether errors grow so much along a result that feedback has to judge it.
 
@@ -141,8 +169,9 @@ class ShootingProblem(OptimalControlProblem):
         if not np.isfinite(result.states).all():
             return False
         states, order = result.states, result.order
+        steps = self.count_steps(result.controls, result.substeps, states)
         try:
-            found = self.linearize(result.controls, result.substeps, 0.0, states, order)
+            found = self.linearize(result.controls, steps, 0.0, states, order)
         except ProgramError:  # Its squares exceed all numbers.
             return False
         return calc_growth(found.transitions, self.scales).factor > MOST_GROWTH

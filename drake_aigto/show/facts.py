@@ -245,10 +245,10 @@ def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
     candidate, replay, names = veto.candidate, veto.replay, touch_names(world)
     times = list_some((f"{contact.time:.3f}" for contact in candidate.contacts), " s")
     contacts = f"contacts at {times}" if candidate.contacts else "no contact"
-    is_off = any(replay is each for each in candidate.perturbed)
+    start = _FROM_OFF if any(replay is each for each in candidate.perturbed) else ""
     text = (
-        f"a candidate with {contacts} promises {cost_text(candidate.cost)}, but "
-        f"{_FROM_OFF * is_off}{name_simulator(replay, names)} costs {cost_text(replay.cost)} and ends "
+        f"a candidate with {contacts} promises {cost_text(candidate.cost)}, but {start}"
+        f"{name_simulator(replay, names)} costs {cost_text(replay.cost)} and ends "
         f"{miss_text(replay, scenario, world)} off the goal"
     )
     if replay.broken:

@@ -253,7 +253,8 @@ def steady(
         problem: that the motion is a result of.
         motion: near an optimum.
     """
-    gains = problem.linearize(motion.controls, motion.substeps).gains
+    steps = problem.count_steps(motion.controls, motion.substeps, motion.states)
+    gains = problem.linearize(motion.controls, steps).gains
     controller = _Correcting(world, motion, gains, problem.control_bounds)
     found = None
     if scenario.contact == "compliant":
