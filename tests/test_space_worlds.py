@@ -438,8 +438,8 @@ def test_feedback_answers_turns_along_the_manifold_whatever_the_sign_of_a_quater
 def test_errors_grow_as_simulations_say_where_stiff_friction_holds_a_body(tmp_path: Path) -> None:
     # Its slip decays within 0.1 ms; in eight steps a knot, errors grew by 5e157.
     start = {"thing": {"xyz": [0.3, 0, 0.0493]}, "z": 0.05}
-    changes = {"stiction_speed": 0.005, "duration": 0.4, "initial_position": start}
-    world, scenario = build(make_scenario(tmp_path, **changes))
+    changes: dict[str, Any] = {"stiction_speed": 0.005, "duration": 0.4}
+    world, scenario = build(make_scenario(tmp_path, initial_position=start, **changes))
     times, n, m = np.linspace(0, 0.4, 21), world.num_velocities, world.num_contacts
     u = np.tile([1.0, 0.5, -10.0], (20, 1))
     q, v = replay_event_driven(world, scenario, times, u).states_at(times)
