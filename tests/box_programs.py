@@ -1,13 +1,9 @@
 """Programs, terms and factors that the tests of boxes share.
 
-Box means in exact arithmetic: slow, and what the kernels are checked against.
-
-They come from the primitives, (G(b) − G(a))/(b − a) over the interval [a, b] that x runs through,
-or y = scale·x + offset, with the floats taken as the numbers that they are.
-
-Random polynomials and boxes, for the tests of their means.
-
-Programs and matrices whose bands are wide: arrows and grids.
+Box means in exact arithmetic: slow, and what the kernels are checked against. They come from the
+primitives, (G(b) − G(a))/(b − a) over the interval [a, b] that x runs through, or y = scale·x +
+offset, with the floats taken as the numbers that they are. Random polynomials and boxes, for the
+tests of their means. Programs and matrices whose bands are wide: arrows and grids.
 """
 
 from __future__ import annotations

@@ -16,14 +16,17 @@ from typing import Any
 
 import pytest
 from hypothesis import settings
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from other_models import ARM, GANTRY, make, write
+from pydrake.geometry import Meshcat
 from world_models import ModelWriter
 
 from drake_aigto import Planner, PlanOptions, Scenario, World
 
 # No deadlines: Numba compiles in whichever example comes first, and machines stall. The same
 # examples every time: a test that fails fails again.
-settings.register_profile("drake_aigto", deadline=None, derandomize=True, max_examples=30)
+settings.register_profile("drake_aigto", deadline=None, derandomize=True, max_examples=20)
 settings.load_profile("drake_aigto")
 
 # A shell that starts tests in the background has Ctrl-C ignored, which some of them test.
@@ -39,6 +42,26 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture
 def write_model(tmp_path: Path) -> ModelWriter:
     return ModelWriter(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return Scenario.named("table1/1")
+
+
+@pytest.fixture(scope="module")
+def world(scenario: Scenario) -> World:
+    return World.from_scenario(scenario)
+
+
+@pytest.fixture
+def axes() -> Axes:
+    return Figure().add_subplot()
+
+
+@pytest.fixture(scope="module")
+def meshcat() -> Meshcat:
+    return Meshcat()
 
 
 @pytest.fixture(scope="session")

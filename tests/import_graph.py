@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+import functools
 from pathlib import Path
 
 
-def imported_modules(source: str, package: str) -> Iterator[str]:
-    """Yields the dotted names of all that a file of the package imports, wherever it does."""
+@functools.cache
+def imported_modules(source: str, package: str) -> tuple[str, ...]:
+    """Returns the dotted names of all that a file of the package imports, wherever it does."""
+    names: list[str] = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            names += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             parents = package.split(".")[: len(package.split(".")) - node.level + 1]
             base = ".".join([*(parents if node.level else []), *filter(None, [node.module])])
-            yield from (f"{base}.{alias.name}" for alias in node.names)
+            names += (f"{base}.{alias.name}" for alias in node.names)
+    return tuple(names)
 
 
 def import_graph(root: Path) -> dict[str, set[str]]:

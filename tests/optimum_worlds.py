@@ -1,7 +1,6 @@
 """Motions between walls to hold against the exact optimum: by chance, by SNOPT, and its own.
 
 They share no formula with it: forces are lines, or held, and what they do is integrated here.
-
 Random scenarios of the shipped worlds, and their optima.
 """
 

@@ -82,9 +82,6 @@ def check_clock(solved: Solved) -> None:
         )
 
 
-# Closed forms, in continuous time and for a unit mass.
-
-
 def effort(distance: float, arrival: float, time: float) -> float:
     """Returns the least ∫ v̇² of a flight in so much time.
 

@@ -37,7 +37,7 @@ def add_cost(prog: MathematicalProgram, cost: Any) -> None:
 FUNCTIONS = (
     lambda x, y: (1.0 - x) ** 2 + 10.0 * (y - x**2) ** 2 + sym.sin(3.0 * x),
     lambda x, y: sym.exp(x) * y + sym.sqrt(x**2 + y**2 + 0.5) - 1.0 / (3.0 + x * y / 2.0),
-    lambda x, y: sym.abs(x - 0.3) + sym.max(x, y) - sym.cos(4.0 * x * y),
+    lambda x, y: sym.abs(x - 0.3) + sym.max(x, y) - sym.cos(4.0 * x * y) + 0.3 * y**2,
     lambda x, y: sym.pow(3.0 + x, 1.1) * sym.pow(4.0 + y, -0.3) + sym.pow(2.5 + x * y / 4.0, 0.7),
     lambda x, y: sym.log(3.0 + x) * sym.atan(y) + sym.tanh(x * y) + 0.1 * x**4 - 0.3 * x**2,
 )

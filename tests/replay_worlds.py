@@ -1,8 +1,7 @@
 """Worlds and controls that the tests of replay share.
 
-Worlds with several walls that tests of replay share: made in code, or shipped.
-
-Plans of Table I's rows, of few time steps, that several tests look at.
+Worlds with several walls that tests of replay share: made in code, or shipped. Plans of Table I's
+rows, of few time steps, that several tests look at.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ from drake_aigto.planning import Plan, plan
 from drake_aigto.world import World
 
 
-def make_scenario(q: Any = 1.0, v: Any = -2.0, **fields: Any) -> Scenario:
-    goal = np.full(np.shape(q), 0.73)
+def make_scenario(q: Any = 1.0, v: Any = -2.0, goal: Any = None, **fields: Any) -> Scenario:
+    goal = np.full(np.shape(q), 0.73) if goal is None else goal
     return Scenario(initial_position=q, initial_velocity=v, goal_position=goal, **fields)
 
 

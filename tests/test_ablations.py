@@ -128,9 +128,6 @@ def test_time_steps_are_those_of_the_variant(monkeypatch: pytest.MonkeyPatch) ->
     assert seen == [25, BOUNCE.num_steps, 400]
 
 
-# The study.
-
-
 def make_study() -> ScenarioStudy:
     """Returns a study of four scenarios, two of which have a bounce."""
     question = AblationQuestion(count=4, methods=("default", "no boxes", "no polish"))
@@ -169,9 +166,6 @@ def test_lost_bounces_are_counted_over_all_boxes_where_one_is_optimal() -> None:
     assert count_lost_bounces(study.results, "default") == (2, 4)
     assert count_lost_bounces(study.results, "no boxes") == (4, 4)
     assert count_lost_bounces(study.results, "no polish") == (0, 0)
-
-
-# How it is told.
 
 
 def test_a_table_has_a_line_for_each_variant() -> None:

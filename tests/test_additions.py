@@ -211,10 +211,7 @@ def removing(t: RigidTranscription) -> None:
     ("add", "message"),
     [
         (slack_of_ones_own, "on q(3), mine(0)': got the variable mine(0), expected variables of"),
-        (
-            changing_bounds,
-            "own 'nonpenetration': got other bounds or coefficients than it was made",
-        ),
+        (changing_bounds, "own 'nonpenetration': got other bounds or coefficients than it was mad"),
         (removing, "the program's own costs and constraints: got"),
         (
             lambda t: t.prog().AddBoundingBoxConstraint(1.0, 0.5, t.state(3)[0]),
@@ -228,10 +225,7 @@ def removing(t: RigidTranscription) -> None:
             lambda t: t.AddConstraintToAllKnotPoints(t.state()[1] ** 2 <= 1.0, "slow"),
             "the constraint 'slow': got an initial state that misses it",
         ),
-        (
-            contradicting,
-            "contradict each other: got 'sum' on q(3), v(3); 'far' on q(3); 'slow' on v(3),",
-        ),
+        (contradicting, "contradict each other: got 'sum' on q(3), v(3); 'far' on q(3); 'slow' on"),
         (
             lambda t: t.prog().AddConstraint(t.state(9)[0] <= -0.1),
             "contradict each other: got 'nonpenetration' on q(9); 'constraint on q(9)' on q(9)",

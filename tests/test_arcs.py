@@ -165,25 +165,12 @@ def room() -> World:
 
 
 def make_block_task(q: Any, v: Any, goal: Any, steps: int = 40) -> Scenario:
-    return Scenario(
-        model=MODELS.format("room_with_block"),
-        initial_position=q,
-        initial_velocity=v,
-        goal_position=goal,
-        time_step=1 / steps,
-    )
+    return make_scenario(q, v, goal, model=MODELS.format("room_with_block"), time_step=1 / steps)
 
 
 def faces_along(path: list[list[float]], *touches: Touch) -> list[int]:
     times = np.linspace(0, 1, len(path))
     return [facing.contact for facing in find_facings(room(), times, np.array(path), touches)]
-
-
-def test_the_block_is_where_the_tests_have_it() -> None:
-    q = np.array([0.7, 0.35])
-    names = [contact.name for contact in room().contacts[4:]]
-    assert [name.split()[-2] for name in names] == ["+x", "-x", "+y", "-y"]
-    np.testing.assert_allclose(room().calc_signed_distance(q)[4:], [0.1, -0.3, -0.25, 0.05])
 
 
 def test_a_path_is_in_front_of_few_faces() -> None:
@@ -214,12 +201,7 @@ def test_a_touched_face_is_the_one_in_force() -> None:
 
 def test_worlds_without_boxes_have_no_faces_to_choose() -> None:
     world = World.from_scenario(
-        Scenario(
-            model=MODELS.format("room"),
-            initial_position=[0.1, 0.1],
-            initial_velocity=[0, 0],
-            goal_position=[0.5, 0.5],
-        )
+        make_scenario([0.1, 0.1], [0, 0], [0.5, 0.5], model=MODELS.format("room"))
     )
     assert find_facings(world, np.array([0.0, 1.0]), np.array([[0.1, 0.1], [0.9, 0.9]])) == ()
 

@@ -53,18 +53,7 @@ def scenario() -> Scenario:
 @pytest.fixture(scope="module")
 def bounce() -> Scenario:
     """Returns one whose optimum bounces."""
-    return Scenario(
-        initial_position=0.5,
-        initial_velocity=-1.5,
-        goal_position=0.7,
-        restitution=0.8,
-        time_step=0.05,
-    )
-
-
-@pytest.fixture(scope="module")
-def world(scenario: Scenario) -> World:
-    return World.from_scenario(scenario)
+    return make_scenario(0.5, -1.5, 0.7, restitution=0.8, time_step=0.05)
 
 
 def test_an_offer_is_replayed_and_only_what_is_cheaper_is_kept(
@@ -246,7 +235,5 @@ def test_a_space_offers_its_best_and_not_what_is_hardly_better(
 
 def test_sampling_refuses_flights_that_are_no_parabolas() -> None:
     world = World.from_diagram(make_diagram(spring=150.0))
-    with pytest.raises(
-        ModelError, match=r"the bias h\(q, v\): got .*, expected a constant\. Exact"
-    ):
+    with pytest.raises(ModelError, match=r"the bias h\(q, v\): got .*, expected a constant\. Exac"):
         run_baseline("mppi", world, make_scenario(0.4, 0.0), 1.0)

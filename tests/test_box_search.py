@@ -95,7 +95,7 @@ def test_a_bent_valley_is_followed_to_its_end() -> None:
     np.testing.assert_allclose(best.x, 1.0, atol=1e-6)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.integers(0, 10**6), st.floats(-1.5, 1.5), st.floats(0.1, 1.0))
 def test_every_candidate_is_inside_the_box(seed: int, shift: float, width: float) -> None:
     f, _, _ = sextic_chain(4, seed)
@@ -187,9 +187,6 @@ def test_several_first_algorithms_each_leave_their_widths() -> None:
     assert len(result.widths) == 2
     assert all(widths[0] == pytest.approx(2.2) for widths in result.widths)
     assert all(widths[-1] < 2.2e-3 for widths in result.widths)
-
-
-# Newton's method between bounds.
 
 
 def test_newton_ends_on_a_bound_that_is_in_the_way() -> None:

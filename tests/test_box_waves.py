@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from box_programs import evaluate, exact_factor_mean, exact_row
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from drake_aigto.box import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE
@@ -97,7 +97,6 @@ def assert_exact(factor: Factor, center: float, half_width: float) -> None:
         assert error <= Fraction(TOLERANCE) * sizes[column], (column, row[column], float(exact))
 
 
-@settings(max_examples=150, deadline=None)
 @given(boxes())
 def test_mean_and_derivatives_are_those_of_exact_arithmetic(box: Box) -> None:
     assert_exact(*box)
@@ -105,7 +104,7 @@ def test_mean_and_derivatives_are_those_of_exact_arithmetic(box: Box) -> None:
 
 @pytest.mark.parametrize("kind", WAVES)
 @pytest.mark.parametrize(("exponent", "center"), [(0, 0.0), (1, 0.0), (0, -3.5), (3, -3.5)])
-@pytest.mark.parametrize("half_width", [1e-300, 1e-120, 1e-30])
+@pytest.mark.parametrize("half_width", [1e-300, 1e-30])
 def test_tiny_widths_lose_no_digit(
     kind: FunctionKind, exponent: int, center: float, half_width: float
 ) -> None:
@@ -123,7 +122,6 @@ def test_tiny_widths_lose_no_digit(
     np.testing.assert_allclose(row[[D_C, D_CC]], at_point[[D_C, D_CC]], rtol=1e-14)
 
 
-@settings(max_examples=50, deadline=None)
 @given(
     st.sampled_from(WAVES),
     st.integers(0, 8),

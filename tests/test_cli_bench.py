@@ -1,13 +1,11 @@
 """`python -m benchmarks scenarios`: what it prints, keeps, and refuses.
 
-`python -m benchmarks robustness`: what it prints, keeps, and refuses.
-
-The results page says what the files of results say, and shows what it draws.
+`python -m benchmarks robustness`: what it prints, keeps, and refuses. The results page says what
+the files of results say, and shows what it draws.
 """
 
 from __future__ import annotations
 
-import math
 import re
 import shlex
 from pathlib import Path
@@ -36,10 +34,9 @@ from benchmarks.study.scenario_page import (
 )
 from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion, Spread
 from benchmarks.study.scenario_study import ScenarioStudy
-from benchmarks.study.scenario_tables import ratio_text
 from benchmarks.study.study import command_of
 from drake_aigto import jobs
-from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED
+from drake_aigto.cli import FINE, INTERRUPTED
 from drake_aigto.errors import PlanFileError
 from drake_aigto.planning import Planner
 from drake_aigto.show import WIDTH
@@ -93,19 +90,6 @@ def test_what_boxes_say_is_printed_if_asked_for(capsys: pytest.CaptureFixture[st
     assert main(arguments) == FINE
     printed = capsys.readouterr().out
     assert "have the optimum's number of contacts in 1 of 1:\nby rung " in printed
-
-
-def test_results_are_kept_and_gone_on_from(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "study.json"
-    arguments = [*SCENARIOS, *COASTING, *TOY_METHODS, "--json", str(path)]
-    assert main(arguments) == FINE
-    first = capsys.readouterr().out
-    assert main(arguments) == BAD_INPUT
-    assert "study.json: got one that exists. Go on from it (--resume)" in capsys.readouterr().err
-    assert main([*arguments, "--resume"]) == FINE
-    assert capsys.readouterr().out == first
 
 
 def test_ctrl_c_says_how_to_go_on(
@@ -191,13 +175,6 @@ def test_the_command_prints_the_table_and_writes_the_file(
     ]
     study = RobustnessStudy.load(path)
     assert capsys.readouterr().out == f"{format_robustness(study)}\n"
-
-
-def test_unknown_rows_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["robustness", "--rows", "5"])
-    assert ended.value.code == BAD_INPUT
-    assert "invalid choice: 5 (choose from" in capsys.readouterr().err
 
 
 PNG = b"\x89PNG\r\n"
@@ -361,17 +338,3 @@ def test_the_map_marks_what_is_missed_where_it_is() -> None:
         results = [study.results[number] for number in numbers]
         np.testing.assert_array_equal(places[label], [(r.velocity, r.goal) for r in results])
     assert axes.get_title() == "coast: 1 of 4"
-
-
-@pytest.mark.parametrize(
-    ("ratio", "text"),
-    [
-        (1.0000123, "1.000012"),
-        (1.5, "1.50"),
-        (12345.0, "1e+04"),
-        (math.inf, "none"),
-        (math.nan, "-"),
-    ],
-)
-def test_ratios_are_as_exact_as_they_matter(ratio: float, text: str) -> None:
-    assert ratio_text(ratio) == text

@@ -98,6 +98,7 @@ def test_progress_is_one_line_of_the_terminals_width(
     telling("[bold]AIGO 1 of 5" + "x" * 300)
     assert main(["plan", "table1/1"]) == FINE
     shown = terminal.shown()
+    assert shown[0] == "loading Drake …"
     assert any("transcribing" in line for line in shown)
     assert any("0:00:00 [bold]AIGO 1 of 5xxx" in line and "…" in line for line in shown)
     assert max(map(len, shown)) <= 60
@@ -342,15 +343,6 @@ def _read(descriptor: int) -> bytes:
         return b""
 
 
-def test_a_terminal_is_told_at_once_what_it_waits_for(
-    monkeypatch: pytest.MonkeyPatch, plan_file: Path, telling: Callable[..., None]
-) -> None:
-    telling()
-    stream = open_terminal(monkeypatch)
-    assert main(FLIGHT) == FINE
-    assert stream.shown()[0] == "loading Drake …"
-
-
 POLISHING = "drake-aigto: stopping: polishing the best so far; again to drop it\n"
 KEEPING = "drake-aigto: stopping: showing what happened so far; again to drop it\n"
 
@@ -470,8 +462,3 @@ def test_a_plan_without_a_scenario_says_where_their_names_are(
     with pytest.raises(SystemExit):
         main(["plan", "table1/1", "--html"])
     assert "drake-aigto plan: argument --html: expected one argument." in capsys.readouterr().err
-
-
-def test_the_first_line_waits_for_no_drake() -> None:
-    program = "import sys, drake_aigto.cli.command_line; sys.exit('pydrake' in sys.modules)"
-    subprocess.run([sys.executable, "-c", program], check=True)

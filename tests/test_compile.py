@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 from box_programs import ExpressionOf, add, compile_program, compiled, exact_mean, program
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Expression, Polynomial, Variable, log, pow, sin
@@ -43,7 +43,6 @@ def polynomials(draw: st.DrawFn) -> ExpressionOf:
     return expression_of
 
 
-@settings(max_examples=40)
 @given(
     polynomials(),
     st.lists(st.floats(-2.0, 5.0), min_size=3, max_size=3),
@@ -66,7 +65,6 @@ def test_mean_is_drakes_integral_over_the_volume(
     assert f.mean(center, half_width) == pytest.approx(mean, abs=1e-12 * (1 + size))
 
 
-@settings(max_examples=40)
 @given(polynomials(), st.lists(st.floats(-2.0, 5.0), min_size=3, max_size=3))
 def test_value_is_that_of_the_expression(expression_of: ExpressionOf, x: list[float]) -> None:
     f = compiled(expression_of)
@@ -160,9 +158,7 @@ def test_the_mean_of_a_square_is_not_the_square_of_the_mean() -> None:
 
 
 def test_a_logarithm_that_falls_to_minus_infinity_is_refused() -> None:
-    with pytest.raises(
-        UnsupportedTermError, match=r"'the cost'.*term \(2 \* log\(x\(0\)\)\).*sign"
-    ):
+    with pytest.raises(UnsupportedTermError, match=r"'the cost'.*term \(2 \* log\(x\(0\)\)\).*sig"):
         compiled(lambda x: x[0] ** 4 + 2 * log(x[0]))
 
 
@@ -176,9 +172,7 @@ def test_opaque_costs_are_refused_with_the_remedy() -> None:
         compile_program(prog)
     prog, x = program(5)
     prog.AddCost(lambda z: z[0] ** 2, vars=x)
-    with pytest.raises(
-        UnsupportedTermError, match=r"'PyFunctionCost' of x\(0\), x\(1\), x\(2\), … can't"
-    ):
+    with pytest.raises(UnsupportedTermError, match=r"'PyFunctionCost' of x\(0\), x\(1\), x\(2\),"):
         compile_program(prog)
 
 

@@ -40,7 +40,7 @@ def miss(rigid: Replay, drake: Replay) -> float:
 
 
 @pytest.mark.parametrize("e", [1.0, 0.8])
-@pytest.mark.parametrize("bounces", [1, 2, 3, 4, 5, 6])
+@pytest.mark.parametrize("bounces", [1, 2, 6])
 def test_lateness_adds_up_in_the_corridor_as_foretold(bounces: int, e: float) -> None:
     # From the middle at such a speed that the n-th flight ends at 1.3 s of 1.5.
     v = (0.5 + sum(e**-n for n in range(1, bounces))) / 1.3
@@ -57,8 +57,7 @@ def test_lateness_adds_up_in_the_corridor_as_foretold(bounces: int, e: float) ->
     assert drake.matched_speeds == pytest.approx(list(speeds), rel=1e-4)
 
 
-@pytest.mark.parametrize("e", [1.0, 0.8, 0.5])
-@pytest.mark.parametrize("v", [-3.0, 1.1, 4.0])
+@pytest.mark.parametrize(("v", "e"), [(-3.0, 1.0), (1.1, 0.5), (4.0, 0.8)])
 def test_a_control_does_not_lead_farther_astray_than_foretold(v: float, e: float) -> None:
     world = shipped("corridor")
     times = np.linspace(0.0, 1.5, 101)
@@ -93,7 +92,7 @@ def test_the_models_own_restitution_is_matched_at_its_wall_only() -> None:
     np.testing.assert_allclose(drake.velocities[-1], [1.0, 1.0], atol=1e-4)
 
 
-@pytest.mark.parametrize("speed", [20.0, 50.0, 100.0])
+@pytest.mark.parametrize("speed", [20.0, 100.0])
 def test_what_a_dead_stop_gives_back_is_explained_and_no_more(speed: float) -> None:
     # No finite dissipation takes all of the speed: Drake's wall returns a thousandth.
     world = shipped("corridor")
@@ -130,9 +129,6 @@ def test_a_ball_that_passes_a_block_touches_nothing() -> None:
     assert miss(rigid, drake) < drake.compliance_error < 1e-4
 
 
-# Formulas.
-
-
 def test_each_contact_has_its_own_delay() -> None:
     world = make_line((1.0, 4.0))
     between, wall, far = contact_delays(world)
@@ -141,8 +137,8 @@ def test_each_contact_has_its_own_delay() -> None:
     assert contact_delay(world) == far == pytest.approx(np.pi * np.sqrt(4e-9))
 
 
-@pytest.mark.parametrize("bounces", [1, 3, 8])
-@pytest.mark.parametrize("part", [0.1, 0.5, 0.9])
+@pytest.mark.parametrize("bounces", [1, 8])
+@pytest.mark.parametrize("part", [0.1, 0.9])
 def test_lateness_stays_lateness_through_later_bounces(bounces: int, part: float) -> None:
     # Of a ball that hops, e = 1: each delay leaves it that much later for good, so the end is off
     # by the last speed times all delays, but for what integration may miss of the energy.
@@ -162,9 +158,6 @@ def test_lateness_stays_lateness_through_later_bounces(bounces: int, part: float
     rigid, drake = run_both(world, speed**2 / 2 / g, 0.0, times, np.zeros((200, 1)), 1.0)
     assert len(drake.bounce_times) == len(rigid.bounce_times) == bounces
     assert miss(rigid, drake) < drake.compliance_error == pytest.approx(error, rel=0.02)
-
-
-# Contacts of a planned trajectory.
 
 
 def test_planned_contacts_say_where_they_are() -> None:

@@ -156,16 +156,12 @@ def test_a_soft_wall_may_be_entered_at_the_start_as_long_as_its_side_is_known() 
     )
     world = World.from_scenario(inside)
     assert world.calc_signed_distance(inside.initial_position)[1] < -0.4
-    with pytest.raises(
-        ScenarioError, match=r"initial_position is inside or behind .*pole against right_wall"
-    ):
+    with pytest.raises(ScenarioError, match=r"initial_position is inside or behind .*pole against"):
         world.check(dataclasses.replace(inside, contact="rigid"))
     carts = dataclasses.replace(ask_robot("three_carts"), contact="compliant")
     world = World.from_scenario(carts)  # Of 1 m radius: half of one is in the other, or more.
     world.check(dataclasses.replace(carts, initial_position=[-1.5, 0.0, 3.0]))
-    with pytest.raises(
-        ScenarioError, match=r"initial_position is inside or behind .*left_cart against midd"
-    ):
+    with pytest.raises(ScenarioError, match=r"initial_position is inside or behind .*left_cart ag"):
         world.check(dataclasses.replace(carts, initial_position=[-0.9, 0.0, 3.0]))
 
 

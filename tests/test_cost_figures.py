@@ -1,8 +1,7 @@
 """Figures of costs and phase portraits draw what they say.
 
-The paper's three methods, drawn with all that has to be known of their costs.
-
-What is shown beside a plan is what a gradient solver makes of the same scenario.
+The paper's three methods, drawn with all that has to be known of their costs. What is shown beside
+a plan is what a gradient solver makes of the same scenario.
 """
 
 from __future__ import annotations
@@ -41,19 +40,9 @@ from drake_aigto.show import (
 OPTIONS = PlanOptions(aigo_steps=20, confirm=False, finalists=1)
 
 
-@pytest.fixture
-def axes() -> Axes:
-    return Figure().add_subplot()
-
-
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
     return dataclasses.replace(Scenario.named("table1/1"), time_step=0.05)
-
-
-@pytest.fixture(scope="module")
-def world(scenario: Scenario) -> World:
-    return World.from_scenario(scenario)
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,7 @@
 """Impacts with friction against Routh's path integrated, exact fractions, and closed forms.
 
-How contacts slip: T(q) against Drake's own slip speed, and friction of a world by contact.
-
-Which contacts stick, slip or open: one way by Coulomb's law, or a refusal.
+How contacts slip: T(q) against Drake's own slip speed, and friction of a world by contact. Which
+contacts stick, slip or open: one way by Coulomb's law, or a refusal.
 """
 
 from __future__ import annotations
@@ -189,13 +188,7 @@ def ask(friction: float | None = None, num_positions: int = 3) -> Scenario:
     """Returns a task of a ball above the ground."""
     place = np.concatenate([[0.0, 1.0], np.zeros(num_positions - 2)])
     still = np.zeros(num_positions)
-    return Scenario(
-        initial_position=place,
-        initial_velocity=still,
-        goal_position=place,
-        goal_weight=np.ones(num_positions),
-        friction=friction,
-    )
+    return make_scenario(place, still, place, goal_weight=np.ones(num_positions), friction=friction)
 
 
 @pytest.mark.parametrize(("asked", "expected"), [(None, 0.4), (0.7, 0.7), (0.0, 0.0)])

@@ -233,7 +233,7 @@ def lightened(rung: Rung, **weights: float) -> Rung:
     return dataclasses.replace(rung, weights={**rung.weights, **weights})
 
 
-@pytest.mark.parametrize("row", [1, 2, 3, 4])
+@pytest.mark.parametrize("row", [1, 4])
 def test_plans_collapse_where_those_without_forces_bounce(row: int) -> None:
     world = shipped_world()
     scenario = dataclasses.replace(Scenario.named(f"table1/{row}"), time_step=0.02)

@@ -1,10 +1,8 @@
 """The documentation has a page for everything that is public.
 
-Notebooks are kept as they should be; `.ci/run` runs them.
-
-README and docs quote what benchmarks printed, and nothing else.
-
-README and the page of models tell the truth: examples print it, commands are those of CI.
+Notebooks are kept as they should be; `.ci/run` runs them. README and docs quote what benchmarks
+printed, and nothing else. README and the page of models tell the truth: examples print it, commands
+are those of CI.
 """
 
 from __future__ import annotations
@@ -50,12 +48,8 @@ def test_every_public_module_has_a_page_and_no_other() -> None:
 
 
 @pytest.mark.parametrize("name", public_modules())
-def test_a_page_is_of_its_module(name: str) -> None:
+def test_a_page_is_of_its_module_where_every_public_name_is_documented(name: str) -> None:
     assert f".. automodule:: drake_aigto.{name}\n" in (API / f"{name}.md").read_text("utf-8")
-
-
-@pytest.mark.parametrize("name", public_modules())
-def test_every_public_name_is_documented(name: str) -> None:
     module = importlib.import_module(f"drake_aigto.{name}")
     assert module.__doc__
     for public in getattr(module, "__all__", ()):
@@ -100,25 +94,16 @@ NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
-def test_a_notebook_has_no_outputs(path: Path) -> None:
+def test_a_notebook_has_no_outputs_checks_what_it_says_and_imports_what_is_there(
+    path: Path,
+) -> None:
     notebook = json.loads(path.read_text(encoding="utf-8"))
     cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     left = [i for i, cell in enumerate(cells) if cell["outputs"] or cell["execution_count"]]
     assert not left, f"clear all outputs of {path.name}, then save it (code cells {left})"
     assert set(notebook["metadata"]) <= {"kernelspec", "language_info"}
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
-def test_a_notebook_checks_what_it_says(path: Path) -> None:
-    assert "assert " in path.read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
-def test_what_a_notebook_imports_is_there(path: Path) -> None:
-    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    lines = "".join(
-        line for cell in cells if cell["cell_type"] == "code" for line in ["\n", *cell["source"]]
-    )
+    lines = "".join(line for cell in cells for line in ["\n", *cell["source"]])
+    assert "assert " in lines
     imports = [node for node in ast.walk(ast.parse(lines)) if isinstance(node, ast.ImportFrom)]
     ours = [node for node in imports if (node.module or "").startswith("drake_aigto")]
     assert ours
@@ -251,27 +236,16 @@ def test_examples_are_found_with_their_output() -> None:
     assert examples(markdown) == [("a\n", "1\n"), ("b\n", "")]
 
 
-@pytest.mark.parametrize(
-    "printed", ["cost 1.20e-5 m at row1", "cost 1.21e-05 m  at row1\n", "cost 1.19e-5 m at row1"]
-)
-def test_output_may_differ_in_the_last_digits(printed: str) -> None:
-    assert_same_output(printed, "cost 1.20e-5 m at row1")
-
-
-@pytest.mark.parametrize(
-    "printed",
-    [
-        "cost 1.30e-5 m at row1",
-        "cost −1.20e-5 m at row1",
-        "cost 1.20e-5 s at row1",
-        "cost 1.20e-5 m at row2",
-        "cost 1.20e-5 m at row1 2",
-        "cost",
-    ],
-)
-def test_output_may_not_differ_otherwise(printed: str) -> None:
-    with pytest.raises(AssertionError):
-        assert_same_output(printed, "cost 1.20e-5 m at row1")
+def test_output_may_differ_in_the_last_digits_alone() -> None:
+    promised = "cost 1.20e-5 m at row1"
+    for printed in (promised, "cost 1.21e-05 m  at row1\n", "cost 1.19e-5 m at row1"):
+        assert_same_output(printed, promised)
+    for printed in (
+        *("cost 1.30e-5 m at row1", "cost −1.20e-5 m at row1", "cost 1.20e-5 s at row1"),
+        *("cost 1.20e-5 m at row2", "cost 1.20e-5 m at row1 2", "cost"),
+    ):
+        with pytest.raises(AssertionError):
+            assert_same_output(printed, promised)
 
 
 def shown_models() -> list[str]:

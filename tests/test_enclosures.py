@@ -180,7 +180,7 @@ def values_of(tape: Tape, x: Sequence[Any]) -> list[Any]:
     return values
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_relaxations_hold_at_all_points_of_a_cell_in_high_precision(seed: int) -> None:
     rng = np.random.default_rng([8, seed])
     for _ in range(15):
@@ -254,7 +254,7 @@ def test_however_bad_the_multipliers_are_the_bound_holds() -> None:
         assert safe_bound(structure, cell, (root, 1.0), y, residuals) <= least
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_feasible_point_is_never_excluded(seed: int) -> None:
     check_feasible_points(np.random.default_rng([7, seed]), 40)
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from box_programs import power, univariate
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from drake_aigto.aigo import Alternating, Box, CouplingGraph, FaceFlow, minimize
@@ -43,7 +43,6 @@ def test_random_polynomials_of_one_variable_are_solved_globally(degree: int) -> 
         assert result.cost <= max(low + 1e-9, float(np.max(nearby)))
 
 
-@settings(max_examples=25, deadline=None)
 @given(st.booleans(), st.integers(0, 10**6), st.floats(0.01, 0.9), st.floats(-3, 3))
 def test_every_box_from_the_first_on_holds_the_next(
     is_coupled: bool, seed: int, share: float, shift: float
@@ -93,10 +92,6 @@ def test_alternating_stays_inside_the_first_box() -> None:
         assert np.all(reach <= first.half_width * (1 + 1e-9))
 
 
-# The coupling graph.
-
-
-@settings(max_examples=40, deadline=None)
 @given(st.integers(1, 30), st.integers(1, 8), st.integers(0, 10**6), st.sets(st.integers(0, 29)))
 def test_clusters_are_small_connected_and_apart(
     n: int, size: int, seed: int, held: set[int]

@@ -20,13 +20,7 @@ from drake_aigto.control import Catch
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.planning import Feedback, Regulator, Sweep
-from drake_aigto.simulation import (
-    DRAKE,
-    EVENT_DRIVEN,
-    replay_drake,
-    replay_event_driven,
-    replay_with,
-)
+from drake_aigto.simulation import DRAKE, EVENT_DRIVEN, replay_event_driven, replay_with
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
 
@@ -35,7 +29,7 @@ REPRODUCED = 1e-5
 # Of gains, relative to the largest, through differences of simulated steps.
 GAIN = 1e-6
 # A row of Table I, and a wall that returns less.
-BOUNCES = [(1, 1.0), (2, 0.8), (4, 0.5)]
+BOUNCES = [(1, 1.0), (4, 0.5)]
 
 
 @cache
@@ -71,9 +65,6 @@ def end_of(scenario: Scenario, controller: Feedback) -> Any:
     return np.array([replay.positions[-1, 0], replay.velocities[-1, 0]])
 
 
-# Without a perturbation.
-
-
 @pytest.mark.parametrize(("row", "e"), BOUNCES)
 def test_an_unperturbed_plan_is_reproduced(row: int, e: float) -> None:
     (scenario, plan), controller = make_bounce(row, e), make_controller(row, e)
@@ -81,11 +72,6 @@ def test_an_unperturbed_plan_is_reproduced(row: int, e: float) -> None:
     tracked = replay_with(EVENT_DRIVEN, shipped_world(), scenario, controller)
     assert tracked.cost == pytest.approx(open_loop.cost, rel=REPRODUCED)
     assert tracked.bounce_times == pytest.approx(open_loop.bounce_times, abs=1e-10)
-    # Drake's walls are late by 0.1 ms, with feedback as without.
-    open_loop = replay_drake(shipped_world(), scenario, plan.times, plan.controls)
-    compliant = replay_with(DRAKE, shipped_world(), scenario, controller)
-    assert compliant.cost == pytest.approx(open_loop.cost, rel=5e-3)
-    assert compliant.bounce_times == pytest.approx(open_loop.bounce_times, abs=1e-6)
 
 
 def test_a_plan_between_walls_is_reproduced() -> None:
@@ -117,9 +103,6 @@ def test_a_plan_on_a_spring_is_reproduced() -> None:
     start = moved(scenario, 0.01, -0.02)
     open_loop = replay_event_driven(world, start, plan.times, plan.controls)
     assert replay_with(EVENT_DRIVEN, world, start, controller).cost < open_loop.cost
-
-
-# Gains.
 
 
 def solve_riccati(scenario: Scenario, mass: float, steps: Any, final: Any) -> Any:
@@ -179,9 +162,6 @@ def test_saltation_is_what_simulations_show(row: int, e: float) -> None:
     np.testing.assert_allclose(slopes, after @ saltation @ before, atol=1e-4)
 
 
-# Phases beyond their ends.
-
-
 @pytest.mark.parametrize(("row", "e"), BOUNCES)
 def test_phases_follow_the_plan_and_go_on_beyond(row: int, e: float) -> None:
     _, plan = make_bounce(row, e)
@@ -233,9 +213,6 @@ def test_bounces_that_the_plan_lacks_change_nothing() -> None:
     assert first != second
     assert controller.sample(0.5, x, [3, 2]).control == first
     assert controller.sample(0.5, x, [2, 0, 0]).control == second
-
-
-# With perturbations.
 
 
 @given(st.floats(-0.01, 0.01), st.floats(-0.02, 0.02), st.sampled_from(BOUNCES))
@@ -297,9 +274,6 @@ def test_feedback_does_the_same_on_drakes_plant(row: int, e: float) -> None:
     assert compliant.bounce_times == pytest.approx(rigid.bounce_times, abs=1e-6)
 
 
-# What no feedback is known for.
-
-
 def alter(**fields: Any) -> Trajectory:
     return dataclasses.replace(make_bounce(1, 1.0)[1], **fields)
 
@@ -310,34 +284,26 @@ def with_impulse(k: int, value: float = 1.0) -> Any:
     return impulses
 
 
-def test_a_literal_plan_is_refused() -> None:
-    everywhere = np.full_like(make_bounce(1, 1.0)[1].impulses, 1e-3)
-    with pytest.raises(TrajectoryError, match=r"a push at the very start.*rigid transcription"):
-        Feedback(shipped_world(), make_bounce(1, 1.0)[0], alter(impulses=everywhere))
-
-
-def test_a_graze_is_refused() -> None:
-    # After the bounce the ball rises.
-    with pytest.raises(TrajectoryError, match=r"one that grazes, at 0\.9\d+ s"):
-        Feedback(shipped_world(), make_bounce(1, 1.0)[0], alter(impulses=with_impulse(-8)))
-
-
-def test_a_corner_is_refused() -> None:
+def test_plans_that_no_feedback_follows_are_refused() -> None:
+    scenario, plan = make_bounce(1, 1.0)
+    literal = alter(impulses=np.full_like(plan.impulses, 1e-3))
+    grazing = alter(impulses=with_impulse(-8))  # After the bounce the ball rises.
+    for other, message in (
+        (literal, r"a push at the very start.*rigid transcription"),
+        (grazing, r"one that grazes, at 0\.9\d+ s"),
+    ):
+        with pytest.raises(TrajectoryError, match=message):
+            Feedback(shipped_world(), scenario, other)
     world, scenario = shipped("room"), make_task("room", [0.3, 0.7], [-1.0, -1.0])
-    zeros = np.zeros((3, 2))
-    impulses = np.zeros((3, world.num_contacts))
+    zeros, impulses = np.zeros((3, 2)), np.zeros((3, 4))
     impulses[1, :2] = 1.0
-    plan = Trajectory(
-        np.arange(3.0), zeros, zeros, zeros[1:], impulses, np.zeros((2, world.num_contacts))
-    )
-    with pytest.raises(TrajectoryError, match=r"several at once, at 1\.000 s"):
-        Feedback(world, scenario, plan)
-
-
-def test_another_worlds_plan_is_refused() -> None:
-    world, scenario = shipped("room"), make_task("room", [0.3, 0.7], [-1.0, -1.0])
-    with pytest.raises(TrajectoryError, match=r"got \(1, 1, 1\) .*expected the world's, \(2, 2, 4"):
-        Feedback(world, scenario, make_bounce(1, 1.0)[1])
+    corner = Trajectory(np.arange(3.0), zeros, zeros, zeros[1:], impulses, np.zeros((2, 4)))
+    for other, message in (
+        (corner, r"several at once, at 1\.000 s"),
+        (plan, r"got \(1, 1, 1\) .*expected the world's, \(2, 2, 4"),
+    ):
+        with pytest.raises(TrajectoryError, match=message):
+            Feedback(world, scenario, other)
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import subprocess
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,7 +26,6 @@ from drake_aigto.show import (
     plot_motions,
     plot_path,
     plot_positions,
-    plot_velocities,
 )
 from drake_aigto.transcription import RigidTranscription, Touch
 
@@ -49,21 +46,6 @@ TOUCHES = dataclasses.replace(
     touches=(Touch.bounce(0.25), Touch(0.5, 0.8)),
 )
 SIMULATION = Motion("simulation", TIMES, PLAN.positions * 0.9, PLAN.velocities * 0.9)
-
-
-@pytest.fixture(scope="module")
-def scenario() -> Scenario:
-    return Scenario.named("table1/1")
-
-
-@pytest.fixture(scope="module")
-def world(scenario: Scenario) -> World:
-    return World.from_scenario(scenario)
-
-
-@pytest.fixture
-def axes() -> Axes:
-    return Figure().add_subplot()
 
 
 def line(axes: Axes, label: str) -> Any:
@@ -89,18 +71,13 @@ def test_lines_are_the_motions(axes: Axes, world: World, scenario: Scenario) -> 
     assert labels(axes) == ["plan (not a simulation)", "simulation", "goal", "wall"]
 
 
-def test_an_impact_is_a_vertical_line_of_the_velocity(axes: Axes, world: World) -> None:
-    plot_velocities(axes, [PLAN], world)
-    np.testing.assert_array_equal(line(axes, PLAN.label).get_ydata(), PLAN.velocities[:, 0])
-    assert axes.get_ylabel() == "velocity v [m/s]"
-
-
 def test_a_control_is_held_between_knots(axes: Axes, world: World) -> None:
     plot_controls(axes, [PLAN, SIMULATION], world)
     control, *_ = axes.lines
     assert control.get_drawstyle() == "steps-post"
     np.testing.assert_array_equal(control.get_xydata(), [[0.0, 0.3], [0.4, -0.2], [1.0, -0.2]])
     assert sum(to_hex(drawn.get_color()).upper() in PALETTE for drawn in axes.lines) == 1
+    assert not axes.collections and axes.get_legend() is None  # No force is shaded.
 
 
 def test_three_axes_share_their_colors_and_have_units(world: World, scenario: Scenario) -> None:
@@ -113,6 +90,8 @@ def test_three_axes_share_their_colors_and_have_units(world: World, scenario: Sc
     ]
     assert [ax.get_xlabel() for ax in axes] == ["", "", "time t [s]"]
     assert {ax.lines[0].get_color() for ax in axes} == {PALETTE[0]}
+    # An impact is a vertical line.
+    np.testing.assert_array_equal(line(axes[1], PLAN.label).get_ydata(), PLAN.velocities[:, 0])
 
 
 def test_planned_contacts_are_marked_in_all_axes_and_named_once(
@@ -140,11 +119,6 @@ def test_the_force_of_a_contact_that_lasts_is_shaded_where_it_acts(
     for time, force in {0.25: 0.0, 0.55: 3.0, 0.7: 5.0, 0.9: 0.0}.items():
         inside = path.contains_points([(time, force - 0.1), (time, force + 0.1)])
         assert inside.tolist() == [force > 0, False]
-
-
-def test_no_force_no_legend(axes: Axes, world: World) -> None:
-    plot_controls(axes, [dataclasses.replace(PLAN, forces=np.zeros((2, 1)))], world)
-    assert not axes.collections and axes.get_legend() is None
 
 
 def wall_edges(axes: Axes) -> tuple[float, float]:
@@ -263,14 +237,13 @@ def test_only_touches_that_push_a_coordinate_are_in_its_column_by_name(room: Sce
             assert time in dotted and {0.4, 0.7} - {time} != set(dotted) & {0.4, 0.7}
 
 
-def test_too_few_axes_are_refused(room: Scenario) -> None:
+def test_too_few_axes_and_a_path_of_one_coordinate_are_refused(
+    axes: Axes, world: World, scenario: Scenario, room: Scenario
+) -> None:
+    with pytest.raises(ModelError, match=r"got one coordinate, expected two\. Use plot_positions"):
+        plot_path(axes, [PLAN], world, scenario)
     with pytest.raises(ModelError, match=r"axes: got \(3, 1\), expected \(3, 2\)"):
         plot_motions(Figure().subplots(3, 1), [PLANE], World.from_scenario(room), room)
-
-
-def test_joints_on_one_line_are_told_by_their_names() -> None:
-    world = World.from_scenario(Scenario.named("two_masses/apart"))
-    assert coordinate_names(world) == ["left slider", "right slider"]
 
 
 def solids(axes: Axes) -> list[np.ndarray]:
@@ -302,20 +275,9 @@ def test_solids_are_where_the_ball_can_not_be(axes: Axes) -> None:
 
 def test_two_masses_on_a_line_can_not_change_places(axes: Axes) -> None:
     scenario = Scenario.named("two_masses/apart")
-    plot_path(axes, [PLANE], World.from_scenario(scenario), scenario)
+    world = World.from_scenario(scenario)
+    assert coordinate_names(world) == ["left slider", "right slider"]
+    plot_path(axes, [PLANE], world, scenario)
     _, beyond, _ = solids(axes)
     assert np.all(beyond[:, 0] >= beyond[:, 1] - 1e-12)
     assert np.any(beyond[:, 0] > beyond[:, 1] + 0.1)
-
-
-def test_one_coordinate_has_no_path(axes: Axes, world: World, scenario: Scenario) -> None:
-    with pytest.raises(ModelError, match=r"got one coordinate, expected two\. Use plot_positions"):
-        plot_path(axes, [PLAN], world, scenario)
-
-
-def test_importing_figures_chooses_no_backend() -> None:
-    program = (
-        "import sys, drake_aigto.show.figures, drake_aigto.show.scene\n"
-        "assert 'matplotlib.pyplot' not in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", program], check=True)

@@ -129,8 +129,6 @@ def test_friction_that_is_left_out_as_asked_changes_nothing_and_is_told(rough_ro
     assert met.cost > 100 * drake.cost
 
 
-# Shapes that overlap wherever the joints are.
-
 RAIL = """<link name="rail"><collision name="rail_collision">
       <pose>0 0 -0.049 0 0 0</pose>
       <geometry><plane><normal>0 0 1</normal></plane></geometry>

@@ -23,11 +23,6 @@ WEIGHT, PULL = 9.81, 1.5  # [N]
 FOLDER = f"{ROOT}/motions/1"
 
 
-@pytest.fixture(scope="module")
-def meshcat() -> Meshcat:
-    return Meshcat()
-
-
 @cache
 def read(name: str) -> tuple[World, Scenario, float]:
     """Returns the world of a scenario, the scenario, and μ."""

@@ -63,17 +63,17 @@ def steps_imported(source: str, package: str = "drake_aigto") -> set[str]:
 FILES = [path for path in sorted(PACKAGE.glob("**/*.py")) if place(path) not in DOORS]
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_a_step_imports_only_from_itself_and_those_before_it(path: Path) -> None:
-    step = place(path)
-    assert step in ROAD, f"{step} has no place on the road: add it to ROAD where it belongs"
-    package = ".".join(["drake_aigto", *path.relative_to(PACKAGE).parts[:-1]])
-    allowed = {*ROAD[: ROAD.index(step) + 1], "__version__"}
-    source = path.read_text(encoding="utf-8")
-    assert steps_imported(source, package) <= allowed
-    # An installed wheel has nothing of a checkout.
-    roots = {name.split(".")[0] for name in imported_modules(source, package)}
-    assert roots.isdisjoint({"benchmarks", "tests"})
+def test_a_step_imports_only_from_itself_and_those_before_it() -> None:
+    for path in FILES:
+        step = place(path)
+        assert step in ROAD, f"{step} has no place on the road: add it to ROAD where it belongs"
+        package = ".".join(["drake_aigto", *path.relative_to(PACKAGE).parts[:-1]])
+        allowed = {*ROAD[: ROAD.index(step) + 1], "__version__"}
+        source = path.read_text(encoding="utf-8")
+        assert steps_imported(source, package) <= allowed, path
+        # An installed wheel has nothing of a checkout.
+        roots = {name.split(".")[0] for name in imported_modules(source, package)}
+        assert roots.isdisjoint({"benchmarks", "tests"}), path
 
 
 @pytest.mark.parametrize(
@@ -163,30 +163,39 @@ def test_a_circle_is_found_behind_a_door_and_for_type_checkers(tmp_path: Path) -
     assert set(error.value.args[1]) == {"little.room", "little.room.inner", "little.other"}
 
 
-@pytest.mark.parametrize(
-    ("statement", "absent"),
-    [
-        ("import drake_aigto", ("pydrake", "numpy", "scipy", "numba", "matplotlib")),
-        ("from drake_aigto import Scenario, World", ("pydrake.all", "numba", "matplotlib")),
-        ("from drake_aigto import Planner", ("pydrake.all", "matplotlib", "scipy.optimize")),
-        (
-            "from drake_aigto.cli import main\nmain(['plan', 'nowhere'])",
-            ("matplotlib", "distributed"),
-        ),
-        ("import drake_aigto.box, drake_aigto.aigo, drake_aigto.local", ("pydrake",)),
-        ("import drake_aigto.cli.progress", ("pydrake", "numpy")),
+# What a program imports, one statement after another, and what is not yet loaded after it.
+PROGRAMS = {
+    "from the top": [
+        ("import drake_aigto", "pydrake numpy scipy numba matplotlib"),
+        ("import drake_aigto.cli.progress", "pydrake numpy"),
+        ("import drake_aigto.cli.command_line", "pydrake"),
+        ("from drake_aigto import Scenario, World", "pydrake.all numba matplotlib"),
+        ("from drake_aigto import Planner", "pydrake.all matplotlib scipy.optimize"),
+        ("from drake_aigto.cli import main; main(['plan', 'nowhere'])", "matplotlib distributed"),
+        # Plans have no views until one is asked for.
+        ("from drake_aigto.planning import VIEWS; assert not VIEWS", "matplotlib"),
+        # Pyplot would choose a backend.
+        ("import drake_aigto.show.figures, drake_aigto.show.scene", "matplotlib.pyplot"),
     ],
-)
-def test_importing_loads_only_what_is_used(statement: str, absent: tuple[str, ...]) -> None:
-    program = f"{statement}\nimport sys\nprint([m for m in {absent!r} if m in sys.modules])"
+    "rooms without Drake": [
+        ("import drake_aigto.box, drake_aigto.aigo, drake_aigto.local", "pydrake")
+    ],
+}
+
+
+@pytest.mark.parametrize("program", PROGRAMS.values(), ids=PROGRAMS)
+def test_importing_loads_only_what_is_used(program: list[tuple[str, str]]) -> None:
+    lines = ["import sys"]
+    for statement, absent in program:
+        lines += [statement, f"print([m for m in {absent.split()} if m in sys.modules])"]
     result = subprocess.run(
-        [sys.executable, "-c", program],
+        [sys.executable, "-c", "\n".join(lines)],
         capture_output=True,
         text=True,
         check=True,
         cwd=PACKAGE.parent,
     )
-    assert result.stdout.strip() == "[]"
+    assert result.stdout.split() == ["[]"] * len(program)
 
 
 def test_every_public_name_can_be_had() -> None:

@@ -13,9 +13,10 @@ from phase_solutions import MET, least_rest, optimise
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
+from replay_worlds import make_scenario
 from unfolded_flights import MODELS, Flight
 
-from drake_aigto import Scenario, World
+from drake_aigto import World
 from drake_aigto.contact import JointImpact
 from drake_aigto.dynamics import ConstantInertia
 from drake_aigto.errors import OptionsError
@@ -36,9 +37,6 @@ def load(model: str, gravity: tuple[float, float, float] = (0.0, 0.0, -G)) -> Wo
     plant.Finalize()
     plant.SetDefaultPositions(np.linspace(0.3, 0.6, plant.num_positions()))
     return World.from_diagram(builder.Build())
-
-
-# Impact maps.
 
 
 def make_inertia(rng: np.random.Generator, count: int, size: int) -> ConstantInertia:
@@ -87,12 +85,8 @@ def test_contacts_that_imply_each_other_are_refused() -> None:
 
 def test_coupled_contacts_push_and_never_pull() -> None:
     # The left ball is hit by the right one as it meets its wall: mirrored, both turn around.
-    scenario = Scenario(
-        model=MODELS.format("two_masses"),
-        initial_position=[0.3, 0.6],
-        initial_velocity=[-0.6, -1.2],
-        goal_position=[0.3, 0.62],
-        time_step=0.025,
+    scenario = make_scenario(
+        [0.3, 0.6], [-0.6, -1.2], [0.3, 0.62], model=MODELS.format("two_masses"), time_step=0.025
     )
     world = load("two_masses")
     found = optimise(world, scenario, Touch.bounce(0.5, 0), Touch.bounce(0.5, 1))
@@ -108,18 +102,15 @@ def test_coupled_contacts_push_and_never_pull() -> None:
     assert found.replay().cost == pytest.approx(found.cost, rel=1e-4)
 
 
-# Rest on one, bounce off another.
-
-
 def test_it_slides_along_a_floor_and_bounces_off_a_wall_meanwhile() -> None:
     world = load("room", gravity=(0.0, -3.0, 0.0))
     T, y = 2.0, 0.3
     flight = Flight(0.5, -0.4, -0.45, T, goal_weight=100.0)
-    scenario = Scenario(
+    scenario = make_scenario(
+        [flight.start, y],
+        [flight.speed, 0.0],
+        [-flight.image, y],
         model=MODELS.format("room"),
-        initial_position=[flight.start, y],
-        initial_velocity=[flight.speed, 0.0],
-        goal_position=[-flight.image, y],
         duration=T,
         time_step=T / 60,
         goal_weight=100.0,
@@ -174,12 +165,8 @@ def test_touches_overlap_start_and_end_together(
 
 
 def make_phases(touches: TouchSequence) -> PhaseProblem:
-    scenario = Scenario(
-        model=MODELS.format("room"),
-        initial_position=[0.4, 0.4],
-        initial_velocity=[-1.0, -1.0],
-        goal_position=[0.3, 0.5],
-        time_step=0.025,
+    scenario = make_scenario(
+        [0.4, 0.4], [-1.0, -1.0], [0.3, 0.5], model=MODELS.format("room"), time_step=0.025
     )
     return PhaseProblem(load("room"), scenario, touches)
 
@@ -194,10 +181,6 @@ def test_joint_times_are_in_order_and_once_each() -> None:
     ("touches", "message"),
     [
         ((Touch.bounce(0.5, 4),), "got a touch of contact 4, expected 0 … 3, for the world has 4."),
-        (
-            (Touch.bounce(0.5, -1),),
-            "got a touch of contact -1, expected 0 … 3, for the world has 4.",
-        ),
         (
             (Touch.bounce(0.6, 0), Touch.bounce(0.4, 2)),
             "got touches that start at [0.6, 0.4] s, expected the order of time.",
@@ -218,9 +201,6 @@ def test_sequences_that_can_not_be_are_refused(touches: TouchSequence, message: 
     with pytest.raises(OptionsError) as error:
         make_phases(touches)
     assert str(error.value) == f"sequence: {message}"
-
-
-# Defects.
 
 
 def two_bounces(e: tuple[float, float]) -> Trajectory:

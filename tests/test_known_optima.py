@@ -90,10 +90,10 @@ def test_the_gradient_is_the_slope(problem: GlobalProblem) -> None:
     np.testing.assert_allclose(slope, gradient, rtol=1e-4, atol=1e-5 * np.max(np.abs(gradient)))
 
 
-@pytest.mark.parametrize("degree", [4, 6, 8, 10, 12])
+@pytest.mark.parametrize("degree", [4, 8, 12])
 def test_a_random_polynomial_is_nowhere_below_its_minimum(degree: int) -> None:
     grid = np.linspace(-2.5, 2.5, 10_001)[:, None]
-    for seed in range(40):
+    for seed in range(15):
         problem = random_univariate(degree, seed)
         (minimizer,) = problem.minimizers
         assert problem.evaluate(minimizer) == problem.minimum
@@ -112,7 +112,7 @@ def test_random_functions_come_from_their_seeds() -> None:
 
 
 @pytest.mark.parametrize(("n", "grid_points"), [(2, 801), (3, 89)])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_chains_minimum_is_that_of_brute_force(n: int, grid_points: int, seed: int) -> None:
     problem = chain_problem(n, seed)
     axis = np.linspace(-REACH, REACH, grid_points)
@@ -155,7 +155,7 @@ def test_a_chains_minimum_may_lie_on_the_box() -> None:
 
 
 def test_a_finer_grid_finds_the_same_chain_minimum() -> None:
-    for seed in range(3):
+    for seed in range(2):
         problem = chain_problem(170, seed)
         coarse, fine = (exact_chain_minimum(problem, points) for points in (1601, 6401))
         assert problem.evaluate(coarse) == pytest.approx(problem.evaluate(fine), rel=1e-12)
@@ -174,7 +174,7 @@ def test_a_chain_as_a_test_function_is_the_same_function() -> None:
 PROGRAMS = {problem.name: problem for problem in constrained_problems()}
 # 1e-8 is the most that a minimizer's residuals, and what they buy in cost, may be.
 FEASIBLE = 1e-8
-NUM_STARTS = 8
+NUM_STARTS = 5
 
 every_program = pytest.mark.parametrize("problem", PROGRAMS.values(), ids=lambda p: p.name)
 
@@ -250,7 +250,7 @@ def test_the_program_has_the_same_costs_and_rows(problem: ConstrainedProblem) ->
     assert holds
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_planted_minimum_holds_wherever_the_rows_do(seed: int) -> None:
     problem = planted_program(2 + 3, seed)
     for x in np.random.default_rng(seed).uniform(-2.0, 2.0, (300, problem.num_variables)):

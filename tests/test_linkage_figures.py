@@ -26,11 +26,6 @@ from drake_aigto.transcription import Touch
 TIMES = np.linspace(0.0, 1.0, 51)
 
 
-@pytest.fixture
-def axes() -> Axes:
-    return Figure().subplots()
-
-
 @pytest.fixture(scope="module")
 def soft() -> Scenario:
     """The cart-pole whose tip starts 0.1 m in front of the soft right wall, 200 N/m."""

@@ -39,11 +39,6 @@ TIP, STICK = "mechanism/pole/tip", "mechanism/pole/stick_0"
 
 
 @pytest.fixture(scope="module")
-def meshcat() -> Meshcat:
-    return Meshcat()
-
-
-@pytest.fixture(scope="module")
 def cart_pole() -> World:
     return build("cart-pole")
 

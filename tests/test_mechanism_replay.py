@@ -46,9 +46,6 @@ def calc_energy(run: Replay) -> Any:
     return INERTIA * v**2 / 2 - MOMENT * np.cos(q)
 
 
-# A pendulum and a wall.
-
-
 def test_a_free_pendulum_keeps_its_energy_over_a_hundred_bounces() -> None:
     # It leans on the wall from above, and hops.
     run = swing((math.pi - WALL + 0.05, 0.0), 22.0)
@@ -133,9 +130,6 @@ def test_it_rests_while_pressed_and_leaves_when_the_push_falls_below_gravity() -
     np.testing.assert_allclose(run.velocities[resting], 0.0, atol=1e-12)
     free = swing((WALL, 0.0), 0.5)
     np.testing.assert_allclose(run.positions[-1], free.positions[-1], atol=1e-9)
-
-
-# A cart-pole between two walls.
 
 
 def test_an_impact_changes_momentum_as_drakes_matrices_say() -> None:
@@ -228,9 +222,6 @@ def test_an_interval_cut_in_parts_is_the_same(name: str) -> None:
         np.testing.assert_allclose(whole.positions[-1], cut.positions[-1], atol=1e-7)
         assert whole.max_penetration <= 1e-12
     assert bounced
-
-
-# Others.
 
 
 def test_a_motion_that_runs_away_is_refused() -> None:

@@ -137,9 +137,6 @@ def test_the_jacobian_is_the_slope_of_the_distance(world: World) -> None:
         np.testing.assert_allclose(world.calc_contact_jacobian(q), slopes / (2 * step), atol=1e-7)
 
 
-# What is refused.
-
-
 @pytest.mark.parametrize(
     ("kind", "message"),
     [

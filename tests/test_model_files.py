@@ -37,9 +37,7 @@ def test_links_without_mass_are_refused_by_their_joints(gantry: Any) -> None:
 
 
 def test_inertias_that_drake_would_replace_are_refused(gantry: Any, tmp_path: Path) -> None:
-    with pytest.raises(
-        ModelError, match=r"inertia of link 'bridge' without a mass .its inertia, wh"
-    ):
+    with pytest.raises(ModelError, match=r"inertia of link 'bridge' without a mass .its inertia,"):
         gantry(MASS="0")
     flat = INERTIAL.replace('izz="1"', 'izz="2.5"')
     with pytest.raises(ModelError, match=r"with moments of 1, 1, 2.5 .*allow_ignored: .inertias"):

@@ -109,10 +109,7 @@ REFUSED = {
     "armature": ({"JOINT": 'armature="1"', "ACTUATORS": ""}, "the armature 1 of joint 'shoulder'"),
     "springdamper": ({"JOINT": 'springdamper="1 1"'}, "springdamper of joint 'shoulder'"),
     "polynomials": ({"JOINT": 'damping="1 2"'}, "damping 1 2 of joint 'shoulder'"),
-    "inertias": (
-        {"FLAGS": '<compiler boundmass="3" boundinertia="0"/>'},
-        "boundmass of <compiler>",
-    ),
+    "inertias": ({"FLAGS": '<compiler boundmass="3" boundinertia="0"/>'}, "boundmass of <compiler"),
     "equality": (
         {"FLAGS": '<equality><joint joint1="shoulder" joint2="elbow"/></equality>'},
         "<equality><joint>",

@@ -22,7 +22,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 from pydrake.systems.primitives import TrajectorySource, ZeroOrderHold
 from pydrake.trajectories import PiecewisePolynomial
-from replay_worlds import make_diagram
+from replay_worlds import make_diagram, make_scenario
 
 from drake_aigto import Scenario, World
 from drake_aigto.contact import contact_delay, contact_delays
@@ -67,15 +67,7 @@ def make_corridor(
 
 
 def make_task(speed: float, **fields: Any) -> Scenario:
-    return Scenario(
-        model=CORRIDOR,
-        initial_position=0.5,
-        initial_velocity=-speed,
-        goal_position=0.3,
-        time_step=0.02,
-        duration=1.0,
-        **fields,
-    )
+    return make_scenario(0.5, -speed, 0.3, model=CORRIDOR, time_step=0.02, duration=1.0, **fields)
 
 
 def simulate(world: World, scenario: Scenario) -> tuple[float, float]:
@@ -92,7 +84,7 @@ def state_of(world: World, root: Context) -> list[float]:
 
 
 CASES = [
-    *itertools.product([1.0, 0.8, 0.5], [2.0, 5.0], [(0.3, None), (5.0, 0.02)]),
+    *itertools.product([1.0, 0.5], [2.0, 5.0], [(0.3, None), (5.0, 0.02)]),
     (0.9, 20.0, (1.0, None)),
     (0.0, 5.0, (5.0, 0.02)),
 ]
@@ -193,10 +185,10 @@ read = cache(build_stiff)
 
 def ask(name: str, e: float = 1.0) -> Scenario:
     q, v = TASKS[name]
-    return Scenario(
-        initial_position=q,
-        initial_velocity=v,
-        goal_position=np.zeros(len(q)),
+    return make_scenario(
+        q,
+        v,
+        np.zeros(len(q)),
         goal_weight=np.ones(len(q)),
         position_weight=np.full(len(q), 0.5),
         control_weight=np.full(3 if name == "arm with a slider" else 1, 1e-3),

@@ -55,13 +55,17 @@ def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build(CHECKOUT, tmp_path_factory.mktemp("dist"))
 
 
-@pytest.fixture
-def installed(dist: Path, tmp_path: Path) -> Path:
-    """A folder with the installed wheel, without its dependencies."""
+def install(dist: Path, target: Path) -> Path:
+    """Returns the folder where a folder's one wheel was installed, without its dependencies."""
     (wheel,) = dist.glob("*.whl")
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
-    subprocess.run([*command, "--target", str(tmp_path), str(wheel)], check=True)
-    return tmp_path
+    subprocess.run([*command, "--target", str(target), str(wheel)], check=True)
+    return target
+
+
+@pytest.fixture(scope="module")
+def installed(dist: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return install(dist, tmp_path_factory.mktemp("installed"))
 
 
 def names_in_wheel(directory: Path) -> set[str]:
@@ -144,7 +148,8 @@ print(page.to_html().count("player-slider"))
 
 
 @pytest.mark.slow
-def test_every_module_imports_where_nothing_can_be_written(installed: Path) -> None:
+def test_every_module_imports_where_nothing_can_be_written(dist: Path, tmp_path: Path) -> None:
+    installed = install(dist, tmp_path)
     # Files where folders should be stop root too, whom permissions do not.
     blocker = installed / "blocker"
     blocker.touch()
@@ -162,8 +167,8 @@ def test_every_module_imports_where_nothing_can_be_written(installed: Path) -> N
 
 
 @pytest.mark.slow
-def test_numba_keeps_its_cache_where_it_is_told(installed: Path) -> None:
-    cache = installed / "cache"
+def test_numba_keeps_its_cache_where_it_is_told(installed: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
     program = """
 import numpy as np
 from drake_aigto.box import factor_mean
@@ -218,9 +223,7 @@ def test_a_wheel_with_machine_code_compiles_nothing_and_plans_the_same(tmp_path:
     finally:
         del os.environ["DRAKE_AIGTO_MACHINE_CODE"]
     assert "none-any" not in wheel.name
-    installed = tmp_path / "installed"
-    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
-    subprocess.run([*command, "--target", str(installed), str(wheel)], check=True)
+    installed = install(wheel.parent, tmp_path / "installed")
 
     def plan(number: int) -> list[str]:
         cache = tmp_path / f"cache{number}"

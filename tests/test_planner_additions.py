@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from replay_worlds import make_diagram
+from replay_worlds import make_diagram, make_scenario
 
 from drake_aigto import ModelPredictiveController, Plan, Planner, PlanOptions, Scenario, World
 from drake_aigto.cli import main
@@ -79,40 +79,6 @@ def test_costs_of_users_are_part_of_the_plans_cost_and_of_its_replays() -> None:
         assert replay.cost == pytest.approx(found.cost, rel=0.02)
         assert replay.added_costs == pytest.approx(added, rel=0.02)
         assert replay.violations["waypoint"] <= 1e-3
-
-
-def test_a_final_state_is_met() -> None:
-    stop = planner()
-    program = stop.transcription
-    program.prog().AddConstraint(program.final_state()[1] == 0.0)
-    found = stop.plan()
-    assert found.trajectory.velocities[-1, 0] == pytest.approx(0.0, abs=1e-9)
-    assert found.holds and found.cost > 10 * free_plan().cost
-
-
-def test_a_control_is_bounded_while_it_is_held() -> None:
-    strong = planner()
-    program = strong.transcription
-    k = program.knot_at(0.2)
-    program.prog().AddBoundingBoxConstraint(1.0, 2.0, program.input(k)[0])
-    found = strong.plan()
-    times, controls = found.trajectory.times[:-1], found.trajectory.controls
-    is_held = (times >= 0.2 - 1e-9) & (times < 0.22 - 1e-9)
-    assert np.min(controls[is_held]) >= 1.0 - 1e-9
-    assert np.max(controls[~is_held]) < 0.9
-    assert found.holds
-
-
-def test_a_cost_at_one_knot_draws_the_motion_there() -> None:
-    drawn = planner()
-    program = drawn.transcription
-    program.prog().AddQuadraticErrorCost([[9.0]], [0.5], [program.state(program.knot_at(0.7))[0]])
-    found = drawn.plan()
-    before, after = (
-        np.interp(0.7, each.trajectory.times, each.trajectory.positions[:, 0])
-        for each in (free_plan(), found)
-    )
-    assert abs(after - 0.5) < 0.1 * abs(before - 0.5)
 
 
 def test_a_plan_moves_its_bounce_past_a_time_that_is_bound() -> None:
@@ -187,9 +153,7 @@ def test_what_no_motion_meets_is_an_error_that_names_it() -> None:
     program.AddConstraintToAllKnotPoints([u <= 0.1, u >= -0.1], "weak")
     at = program.state(program.knot_at(0.3))
     program.prog().AddConstraint(at[0] == 0.6).evaluator().set_description("waypoint")
-    with pytest.raises(
-        PlanningError, match=r"no candidate meets .* smallest defect .*waypoint.* Relax what"
-    ):
+    with pytest.raises(PlanningError, match=r"no candidate meets .* smallest defect .*waypoint"):
         pushed.plan()
 
 
@@ -227,14 +191,7 @@ def test_a_report_names_what_was_added_and_a_gradient_solver_does_without(
 def test_a_rest_goes_on_past_a_time_that_is_bound() -> None:
     # Without rebound, on a floor: staying there costs nothing, and hovering does.
     world = World.from_diagram(make_diagram(gravity=9.81))
-    scenario = Scenario(
-        initial_position=0.3,
-        initial_velocity=0.0,
-        goal_position=0.5,
-        duration=2.0,
-        time_step=0.02,
-        restitution=0.0,
-    )
+    scenario = make_scenario(0.3, 0.0, 0.5, duration=2.0, time_step=0.02, restitution=0.0)
     resting = Planner(scenario, PlanOptions(confirm=False), world)
     program = resting.transcription
     state = program.state(program.knot_at(0.8))

@@ -67,7 +67,7 @@ def test_shipped_scenarios_have_plans_that_drake_confirms(name: str) -> None:
 )
 def test_plans_are_optimal(model: str) -> None:
     world = world_of(model)
-    for scenario in WORLDS[model].draw(3, seed=40):
+    for scenario in WORLDS[model].draw(2, seed=40):
         found = plan(scenario, QUICK, world)
         optimum = walls_optimum(world, scenario)
         assert found.replay.event_driven.cost <= 1.01 * optimum.cost + 1e-7
@@ -112,28 +112,6 @@ def test_a_block_that_the_motion_without_control_bounces_off_may_be_passed() -> 
     found = plan(coarse, QUICK, world_of("room_with_block"))
     # By `block_optimum`: one wall, instead of that wall and a face of the block.
     assert found.replay.event_driven.cost == pytest.approx(9.06e-5, rel=0.02)
-
-
-def test_masses_are_mirrors_to_each_other_if_they_are_equal() -> None:
-    scenario = Scenario.named("two_masses/apart")
-    unfold = [
-        make_ball_task(load_unequal(scenario, ratio), scenario).unfolds for ratio in (1.0, 3.0)
-    ]
-    assert unfold == [True, False]
-
-
-def test_plans_between_mirrored_walls_are_mirrored() -> None:
-    world = world_of("corridor")
-    (scenario,) = WORLDS["corridor"].draw(1, seed=41)
-    mirrored = dataclasses.replace(
-        scenario,
-        initial_position=1 - scenario.initial_position,
-        initial_velocity=-scenario.initial_velocity,
-        goal_position=1 - scenario.goal_position,
-    )
-    one, other = (plan(each, QUICK, world) for each in (scenario, mirrored))
-    assert one.cost == pytest.approx(other.cost, rel=1e-5, abs=1e-9)
-    assert [c.index for c in one.best.contacts] == [1 - c.index for c in other.best.contacts]
 
 
 def search_of(name: str, **changes: float) -> BallSearch:

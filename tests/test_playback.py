@@ -22,21 +22,6 @@ from drake_aigto.transcription import Touch
 RADIUS = 0.05  # of the shipped ball [m]
 
 
-@pytest.fixture(scope="module")
-def meshcat() -> Meshcat:
-    return Meshcat()
-
-
-@pytest.fixture(scope="module")
-def scenario() -> Scenario:
-    return Scenario.named("table1/1")
-
-
-@pytest.fixture(scope="module")
-def world(scenario: Scenario) -> World:
-    return World.from_scenario(scenario)
-
-
 def test_each_motion_plays_at_real_speed_in_one_place(
     meshcat: Meshcat, world: World, scenario: Scenario
 ) -> None:
@@ -235,13 +220,8 @@ def test_a_page_is_written_whole_and_holds_all(
     assert pack(meshcat.StaticHtml()) in page and 'type="range"' in page
     assert "<iframe srcdoc=" in recording._repr_html_()  # In a notebook.
     assert [path.name for path in tmp_path.iterdir()] == ["play.html"]
-
-
-def test_a_page_in_a_missing_folder_is_refused(
-    meshcat: Meshcat, world: World, scenario: Scenario, tmp_path: Path
-) -> None:
     with pytest.raises(OutputFileError, match=r"can't be written.*a folder that exists"):
-        publish(MOTIONS, meshcat, world, scenario).save(tmp_path / "missing" / "play.html")
+        recording.save(tmp_path / "missing" / "play.html")
 
 
 def test_a_port_in_use_is_refused() -> None:

@@ -141,9 +141,6 @@ def test_the_optimum_is_a_motion_that_costs_as_much(scenario: Scenario, goal: fl
     assert cost == pytest.approx(optimum.cost, rel=1e-8, abs=1e-16)
 
 
-# The optimal control, replayed.
-
-
 @pytest.mark.parametrize("key", KNOWN)
 def test_the_optimum_bounces_and_costs_as_it_says_in_both_simulations(
     key: tuple[int, float],
@@ -173,9 +170,6 @@ def test_the_optimum_bounces_and_costs_as_it_says_in_both_simulations(
         assert confirms(cost, replay, METRE, rigid.goal_error)
 
 
-# What must not matter.
-
-
 def assert_same(one: RigidOptimum, other: RigidOptimum, **scales: float) -> None:
     """Two optima agree but for factors of cost, time and velocity."""
     cost, time, velocity = (scales.get(name, 1.0) for name in ("cost", "time", "velocity"))
@@ -187,40 +181,6 @@ def assert_same(one: RigidOptimum, other: RigidOptimum, **scales: float) -> None
         assert other.bounce_times == pytest.approx(times, rel=1e-5)
         velocities = [v * velocity for v in one.impact_velocities]
         assert other.impact_velocities == pytest.approx(velocities, rel=1e-5)
-
-
-moderate = st.builds(
-    make_scenario,
-    q=st.floats(0.2, 1.5),
-    v=st.floats(-3, 0.5),
-    restitution=st.sampled_from([0.0, 0.5, 0.8, 1.0]),
-)
-
-
-@given(moderate, st.floats(0.2, 1.5), st.floats(0.1, 10))
-def test_costs_grow_with_the_square_of_lengths(
-    scenario: Scenario, goal: float, scale: float
-) -> None:
-    scenario = set_goal(scenario, goal)
-    large = dataclasses.replace(
-        scenario,
-        initial_position=scale * scenario.initial_position,
-        initial_velocity=scale * scenario.initial_velocity,
-        goal_position=scale * scenario.goal_position,
-    )
-    assert_same(solve(scenario), solve(large), cost=scale**2, velocity=scale)
-
-
-@given(moderate, st.floats(0.2, 1.5), st.sampled_from([0.25, 3.0]))
-def test_time_can_be_told_in_other_units(scenario: Scenario, goal: float, scale: float) -> None:
-    scenario = set_goal(scenario, goal)
-    slow = dataclasses.replace(
-        scenario,
-        initial_velocity=scenario.initial_velocity / scale,
-        duration=scenario.duration * scale,
-        control_weight=scenario.control_weight * scale**3,
-    )
-    assert_same(solve(scenario), solve(slow), time=scale, velocity=1 / scale)
 
 
 MODELS: dict[str, tuple[str, str, float, float, float]] = {
@@ -246,9 +206,6 @@ def test_the_wall_may_be_elsewhere_and_the_joint_turned(
         goal_position=sign * scenario.goal_position + shift,
     )
     assert_same(solve(scenario), rigid_optimum(World.from_scenario(moved), moved), velocity=slowed)
-
-
-# Bad input.
 
 
 def test_two_coordinates_are_refused() -> None:

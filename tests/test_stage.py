@@ -79,11 +79,6 @@ GONE = 2e-3
 RADIUS = 0.05  # of the corridor's ball [m]
 
 
-@pytest.fixture(scope="module")
-def meshcat() -> Meshcat:
-    return Meshcat()
-
-
 def along(meshcat: Meshcat, path: str) -> np.ndarray:
     """Returns the direction of an arrow in each of its keys, shape (F, 3)."""
     _, quaternions = clips(meshcat, "quaternion")[path]
@@ -113,6 +108,10 @@ def test_an_arrow_has_the_size_and_the_direction_of_the_control(meshcat: Meshcat
             directions[held[: len(directions)]] - [side, 0, 0], 0, atol=1e-12
         )
     assert np.all(sizes[keys > 0.605] < GONE) and keys[-1] == 1.5
+    # Without control there is none.
+    still = motion.under(np.array([0.0, 1.0]), np.zeros((1, 1)))
+    publish([still, make_motion("rigid", 0.6)], meshcat, World.from_scenario(scenario), scenario)
+    assert not [path for path in clips(meshcat) if path.endswith("/arrow")]
 
 
 @pytest.mark.parametrize(
@@ -135,13 +134,6 @@ def test_each_link_has_an_arrow_which_is_the_sum_of_its_actuators(
     for path, force, length in zip(arrows, expected, lengths, strict=True):
         assert along(meshcat, path)[0, :2] == pytest.approx(force / length)
         assert scales(meshcat, path)[1][0] == pytest.approx(length / np.max(lengths))
-
-
-def test_without_control_there_is_no_arrow(meshcat: Meshcat) -> None:
-    scenario = Scenario.named("table1/1")
-    still = make_motion("plan", 0.7).under(np.array([0.0, 1.0]), np.zeros((1, 1)))
-    publish([still, make_motion("rigid", 0.6)], meshcat, World.from_scenario(scenario), scenario)
-    assert not [path for path in clips(meshcat) if path.endswith("/arrow")]
 
 
 def test_a_flash_is_where_and_when_a_wall_is_touched(meshcat: Meshcat) -> None:

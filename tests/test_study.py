@@ -1,8 +1,7 @@
 """Table I as a study: rigid plans near the exact optimum, failures shown, and Ctrl-C.
 
-A job that fails takes no other with it, and one that time ends has not failed.
-
-Random scenarios: the same for everyone, and refused at once where they make no sense.
+A job that fails takes no other with it, and one that time ends has not failed. Random scenarios:
+the same for everyone, and refused at once where they make no sense.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import itertools
-import json
 import math
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Future
@@ -30,7 +28,6 @@ from drake_aigto import jobs
 from drake_aigto.cli import BAD_INPUT
 from drake_aigto.errors import AigtoError, MissingExtraError, OptionsError, ScenarioError
 from drake_aigto.paper import ROWS, Cell, RigidCell, RigidOptimum, run_rigid_cell, run_table1
-from drake_aigto.plain import from_plain, to_plain
 from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions, Replays
 from drake_aigto.world import Scenario
 
@@ -49,17 +46,6 @@ def test_a_rigid_plan_is_the_exact_optimum_in_both_simulations(row: int) -> None
     assert abs(drake.cost - optimum) <= max(0.02 * optimum, 1e-5)
     assert rigid.bounce_times == pytest.approx(cell.optimum.bounce_times, abs=2e-3)
     assert cell.contact_delay == pytest.approx(9.93e-5, rel=1e-2)  # π √(1 kg / 1e9 N/m)
-
-
-def test_a_rigid_cell_is_plain_json() -> None:
-    cell = run_rigid_cell(4, confirm=False)
-    data = json.loads(json.dumps(to_plain(cell)))
-    assert (data["row"], data["restitution"]) == (4, 1.0)
-    assert data["optimum"]["bounce_times"] == list(cell.optimum.bounce_times)
-    (method,) = data["methods"]
-    assert method["name"] == "AIGTO, rigid"
-    assert method["entries"][0]["candidate"]["cost"] == cell.methods[0].best.candidate.cost
-    assert method["entries"][0]["drake"] is None
 
 
 def test_a_rigid_plan_that_fails_is_shown_as_failing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,12 +106,6 @@ def test_an_interrupt_leaves_what_was_done(quick_cells: list[object]) -> None:
     assert done == [(1, False), (2, False), (1, True)]
     assert not table.rigid
     assert len(lines) == 3
-
-
-def test_an_interrupt_before_anything_was_done_goes_on(quick_cells: list[object]) -> None:
-    quick_cells.append((1, False))
-    with pytest.raises(KeyboardInterrupt):
-        run_table1((1,), executor=Inline())
 
 
 def parse(*flags: str, **others: Any) -> argparse.Namespace:
@@ -310,14 +290,6 @@ def test_any_duration_is_cut_into_as_many_steps() -> None:
     question = ScenarioQuestion(count=30, duration=Spread.parse("0.3:3"), num_steps=70)
     assert {scenario.num_steps for scenario in question.scenarios()} == {70}
     assert len({scenario.duration for scenario in question.scenarios()}) == 30
-
-
-def test_a_question_is_the_same_after_json() -> None:
-    question = ScenarioQuestion(
-        count=3, goal=Spread.parse("0.1:0.30000000000000004"), methods=("aigto", "coast")
-    )
-    data = json.loads(json.dumps(to_plain(question)))
-    assert from_plain(ScenarioQuestion, data) == question
 
 
 @pytest.mark.parametrize(

@@ -48,9 +48,6 @@ def times(sequence: TouchSequence) -> list[float]:
     return [touch.start for touch in sequence]
 
 
-# Sequences near one.
-
-
 def contacts(sequence: TouchSequence) -> list[int]:
     return [touch.contact for touch in sequence]
 
@@ -89,13 +86,11 @@ def test_a_bounce_is_moved_to_its_neighbors_but_no_rest_and_no_other_wall() -> N
     assert retimed(sequence, (), 1.0) == []
 
 
-# Sequences that boxes propose.
-
-
-def test_boxes_that_touch_nothing_propose_a_flight() -> None:
-    assert read_sequences(*kick({})) == [()]
-    # The wall pushes a little from afar.
-    assert read_sequences(*kick(dict.fromkeys(range(STEPS), 0.04 * CRUISE))) == [()]
+def test_what_is_no_contact_is_a_flight() -> None:
+    # Nothing, the start, a pull, and a wall that pushes a little from afar.
+    for impulses in ({}, {0: 3.0}, {7: -3.0}, dict.fromkeys(range(STEPS), 0.04 * CRUISE)):
+        assert read_sequences(*kick(impulses)) == [()]
+    assert times(read_sequences(*kick({0: 3.0, 10: 3.0}))[0]) == pytest.approx([0.2])
 
 
 @pytest.mark.parametrize("mass", [1.0, 4.0])
@@ -103,12 +98,6 @@ def test_an_impulse_counts_by_its_share_of_the_largest_velocity(mass: float) -> 
     assert read_sequences(*kick({20: 0.049 * CRUISE}, mass)) == [()]
     bounce, merged = read_sequences(*kick({20: 0.051 * CRUISE}, mass))
     assert times(bounce) == times(merged) == pytest.approx([0.4])
-
-
-def test_the_start_and_pulls_are_no_contact() -> None:
-    assert read_sequences(*kick({0: 3.0})) == [()]
-    assert read_sequences(*kick({7: -3.0})) == [()]
-    assert times(read_sequences(*kick({0: 3.0, 10: 3.0}))[0]) == pytest.approx([0.2])
 
 
 def test_a_smeared_bounce_is_one_at_its_mean_time() -> None:
@@ -168,9 +157,6 @@ def test_exact_motions_propose_their_own_touches(tmp_path_factory: pytest.TempPa
         assert times(proposed[0]) == pytest.approx(hits.tolist())
 
 
-# Sequences compared.
-
-
 def test_sequences_are_the_same_if_they_are_of_a_kind_and_near() -> None:
     bounce, longer = Touch.bounce(0.5), Touch(0.5, 0.7)
     assert is_same((), (), 0.0)
@@ -185,9 +171,6 @@ def test_sequences_are_the_same_if_they_are_of_a_kind_and_near() -> None:
     # Soon after the start, a bounce 20 ms later is another.
     assert not is_same((Touch.bounce(0.001),), (Touch.bounce(0.02),), 0.03)
     assert is_same((Touch.bounce(0.001),), (Touch.bounce(0.0012),), 0.03)
-
-
-# Contacts of planned trajectories.
 
 
 def fly(
@@ -277,12 +260,10 @@ def left_contacts(
     return [tuple(touch.contact for touch in touches) for touches in found]
 
 
-def test_far_from_a_touch_only_what_leaves_its_wall_may_have_been_there() -> None:
+def test_near_a_touch_the_speed_tells_what_is_likelier() -> None:
+    # Far from it, only what leaves its wall may have been there.
     assert left_contacts(0.2, COMES) == [(0, 1)]
     assert left_contacts(0.2, LEAVES) == [(0, 1), (1,)]
-
-
-def test_near_a_touch_the_speed_tells_what_is_likelier() -> None:
     assert left_contacts(0.49, COMES) == [(0, 1), (1,)]
     assert left_contacts(0.49, LEAVES) == [(1,), (0, 1)]
     # One that was just seen is near, however late it was planned; one that is over may be late.

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from replay_worlds import make_scenario
 
 from drake_aigto import Scenario, World
 from drake_aigto.errors import DamagedDataError, TrajectoryError
@@ -185,11 +186,6 @@ def scenario() -> Scenario:
     return Scenario(initial_position=1.0, initial_velocity=-2.0, goal_position=1.0)
 
 
-@pytest.fixture(scope="module")
-def world(scenario: Scenario) -> World:
-    return World.from_scenario(scenario)
-
-
 def replay_of(times: Any, positions: Any, velocities: Any) -> Replay:
     """Returns a replay with these rows, and nothing else of interest."""
     nothing: dict[str, Any] = {
@@ -229,17 +225,13 @@ def test_a_planned_impact_is_a_jump_of_velocity_at_one_time(world: World) -> Non
     assert sorted(set(motion.velocities[at_wall, 0])) == [-2.0, 2.0]
     np.testing.assert_allclose(motion.velocities[motion.times > 0.5], 2.0)
     assert motion.label == PLAN_LABEL == "plan (not a simulation)"
+    with pytest.raises(ValueError, match="read-only"):
+        motion.positions[0, 0] = 3.0
 
 
 def test_phases_are_drawn_as_a_rigid_wall_plays_them(world: World) -> None:
     # At −2 m/s from 0.6 m it is at the wall at 0.3 s, and at 1 m/s 0.7 s later at the goal.
-    scenario = Scenario(
-        initial_position=0.6,
-        initial_velocity=-2.0,
-        goal_position=0.7,
-        time_step=0.1,
-        restitution=0.5,
-    )
+    scenario = make_scenario(0.6, -2.0, 0.7, time_step=0.1, restitution=0.5)
     phases = PhaseProblem(world, scenario, [Touch.bounce(0.3)])
     arcs = Arcs(phases)
     plan = arcs.trajectory(arcs.vector(phases.guess([[0.0]])))
@@ -306,12 +298,6 @@ def test_a_plan_is_shown_with_its_simulations_each_labelled(
         # Drake's wall turns the ball round 0.1 ms late.
         np.testing.assert_allclose(q, 0.5, atol=3e-4)
     assert [motion.controls is None for motion in motions] == [False, True, True]
-
-
-def test_arrays_are_locked(world: World) -> None:
-    motion = Motion.from_trajectory(BOUNCE, world)
-    with pytest.raises(ValueError, match="read-only"):
-        motion.positions[0, 0] = 3.0
 
 
 def test_colors_differ_and_repeat_in_the_same_order() -> None:

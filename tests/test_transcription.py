@@ -62,7 +62,7 @@ CONTROLS = st.lists(st.floats(-5, 5), min_size=10, max_size=10).map(np.array)
 @pytest.mark.parametrize(
     "kind", [LiteralTranscription, pytest.param(LiteralWithForces, marks=pytest.mark.slow)]
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10)
 @given(controls=CONTROLS)
 def test_rows_vanish_on_the_papers_euler_and_only_there(
     kind: type[LiteralTranscription], controls: np.ndarray
@@ -87,7 +87,7 @@ def test_rows_vanish_on_the_papers_euler_and_only_there(
         assert not prog.CheckSatisfied(prog.GetAllConstraints(), x, 1e-9)
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(controls=CONTROLS, seed=st.integers(0, 1000))
 def test_closing_the_rows_takes_a_solvers_rounding_out_of_the_dynamics(
     controls: np.ndarray, seed: int
@@ -182,13 +182,6 @@ def test_a_running_position_cost_pulls_the_mass_back() -> None:
     assert means[1] > means[0] + 0.01
 
 
-def test_a_terminal_velocity_cost_slows_the_end_down() -> None:
-    plain, slowed = transcribe(), transcribe()
-    slowed.AddFinalCost(10.0 * slowed.state()[1] ** 2, "stop")
-    speeds = [abs(t.split(solve(t))[1][-1, 0]) for t in (plain, slowed)]
-    assert speeds[1] < 0.1 * speeds[0]
-
-
 def test_a_running_cost_of_degree_4_keeps_its_formula() -> None:
     transcription = transcribe()
     transcription.AddRunningCost(transcription.state()[0] ** 4, "quartic")
@@ -248,9 +241,6 @@ def test_a_guess_is_sampled_from_trajectories() -> None:
     np.testing.assert_allclose(q[:, 0], np.linspace(1, 0.5, 11))
     np.testing.assert_allclose(v[:, 0], np.linspace(-2, 2, 11))
     np.testing.assert_allclose(u[:, 0], np.linspace(1, 3, 11)[:-1])
-
-
-# Penalties
 
 
 def test_penalised_cost_is_cost_plus_weighted_squares() -> None:

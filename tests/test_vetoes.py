@@ -30,9 +30,6 @@ from drake_aigto.simulation import Replay, replay_event_driven
 MODELS = "package://drake_aigto_models"
 
 
-# What a plan does not show.
-
-
 def test_a_contact_that_only_the_simulation_has_is_told() -> None:
     found = bounce_plan()
     assert found.best.unplanned == ()
@@ -42,9 +39,6 @@ def test_a_contact_that_only_the_simulation_has_is_told() -> None:
     (time,) = found.replay.event_driven.bounce_times
     assert silent.unplanned == ((time, 0),)
     assert f"on a rigid wall it also touches wall at {time:.3f} s" in format_plan(hidden)
-
-
-# What is worth less than nothing, or no more.
 
 
 @pytest.mark.parametrize(
@@ -103,9 +97,6 @@ def test_a_literal_plan_that_beats_doing_nothing_tells_what_that_costs() -> None
     assert "no control  it costs 0.07290" in format_plan(found)
 
 
-# What Drake contradicts.
-
-
 def contradict(number: int) -> Any:
     """Returns Drake's replay of a plan, but for the first so many, which miss by a metre."""
     calls = []
@@ -121,19 +112,15 @@ def contradict(number: int) -> Any:
     return replay
 
 
-def test_the_next_candidate_is_taken_if_drake_contradicts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drake_aigto.planning.program_task.replay_drake", contradict(1))
-    found = plan(table1(1, **COARSE))
-    assert found.holds and found.cost > bounce_plan().cost
-    assert found.candidates[1].cost == bounce_plan().cost
-
-
 def test_a_candidate_that_drake_contradicts_is_told_in_the_plan_and_wherever_it_is_shown(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path
 ) -> None:
     caplog.set_level(logging.INFO, "drake_aigto")
     monkeypatch.setattr("drake_aigto.planning.program_task.replay_drake", contradict(1))
     found = plan(table1(1, **COARSE))
+    # The next candidate is taken.
+    assert found.holds and found.cost > bounce_plan().cost
+    assert found.candidates[1].cost == bounce_plan().cost
     found.save(tmp_path / "plan.json")
     (veto,) = Plan.load(tmp_path / "plan.json").vetoes
     assert veto.candidate == found.candidates[1]
@@ -199,9 +186,6 @@ def test_a_dead_stop_from_high_speed_is_no_reason_for_a_veto() -> None:
     assert found.cost == pytest.approx(rigid_optimum(shipped_world(), scenario).cost, rel=1e-3)
 
 
-# Doing nothing.
-
-
 def one_coordinate(model: str, start: float, velocity: float, **fields: Any) -> Scenario:
     ends: dict[str, Any] = {"goal_position": 0.7, **fields}
     return Scenario(
@@ -249,9 +233,6 @@ def test_doing_nothing_obeys_the_rows_of_a_plan(world: World | None, fields: Any
     assert idle.is_feasible and idle.is_confirmed and idle.is_idle
     assert not np.any(idle.trajectory.controls)
     assert np.any(idle.trajectory.impulses) == bool(idle.replay.bounce_times)
-
-
-# Ctrl-C.
 
 
 def test_ctrl_c_gives_the_best_so_far_and_says_so(

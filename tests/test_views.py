@@ -17,6 +17,7 @@ from PIL import Image, ImageSequence
 from drake_aigto import Plan
 from drake_aigto.cli import FINE, main
 from drake_aigto.errors import ModelError, OptionsError, OutputFileError
+from drake_aigto.planning import VIEWS
 from drake_aigto.show import compare, to_csv
 from drake_aigto.world import scenario_names, scenario_seconds, scenario_summaries
 
@@ -26,21 +27,12 @@ def plan(plan_file: Path) -> Plan:
     return Plan.load(plan_file)
 
 
-def test_the_hook_is_empty_until_a_view_is_asked_for_and_planning_needs_no_pictures() -> None:
-    program = (
-        "import sys\nfrom drake_aigto import Plan\nfrom drake_aigto.planning import VIEWS\n"
-        "assert not VIEWS and 'matplotlib' not in sys.modules\n"
-        "{}\nprint(sorted(VIEWS))"
-    ).format("from drake_aigto.show import fill_views\nfill_views()")
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.stdout.strip() == "['animate', 'plot', 'to_dataframe', 'to_html']", done.stderr
-
-
 def test_a_plot_has_the_motion_and_its_numbers_over_time(plan: Plan) -> None:
     figure = plan.plot()
     assert figure.get_suptitle().startswith("table1/1, ")
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels[1:] == ["position q [m]", "velocity v [m/s]", "control u [N]"]
+    assert sorted(VIEWS) == ["animate", "plot", "to_dataframe", "to_html"]
 
 
 def test_an_animation_has_frames_of_the_whole_motion(plan: Plan, tmp_path: Path) -> None:

@@ -44,9 +44,6 @@ def test_the_worlds_parts_are_read_only() -> None:
             array[0] = array[0]
 
 
-# Physics: a changed model changes what is read.
-
-
 @pytest.mark.parametrize("mass", [None, 2.5])
 @pytest.mark.parametrize("name", VARIANTS)
 def test_mass_and_acceleration_are_the_plants(
@@ -106,34 +103,11 @@ def test_replacing_the_mass_edits_neither_the_plant_nor_the_inertias_shape() -> 
     np.testing.assert_allclose(moments, 4.0 * 0.001, rtol=RELATIVE)  # 2/5 m r²
 
 
-def test_from_behind_a_thin_wall_its_other_face_counts(write_model: ModelWriter) -> None:
-    model = write_model({})
-    world = World.from_scenario(make_scenario(model, initial_position=-1.0, goal_position=-0.5))
-    # The box is 0.1 m thick and the ball 0.1 m across: contact at q = -0.2.
-    np.testing.assert_allclose(world.calc_signed_distance(np.array([-1.0])), [0.8])
-
-
-def test_a_floor_along_the_motion_is_no_contact(write_model: ModelWriter) -> None:
-    floor = """<link name="floor"><pose>0 0 -0.2 0 0 0</pose><collision name="floor_collision">
-      <geometry><box><size>9 9 0.1</size></box></geometry></collision></link>
-    <joint name="floor_to_world" type="fixed"><parent>world</parent><child>floor</child></joint>
-    <link name="wall">"""
-    world = World.from_scenario(make_scenario(write_model({'<link name="wall">': floor})))
-    assert [contact.name for contact in world.contacts] == ["ball against wall"]
-
-
-# The parts.
-
-
-def test_tidying_drops_rounding_and_keeps_physics() -> None:
+def test_tidying_drops_rounding_and_what_cancels_and_keeps_physics() -> None:
     x, y = Variable("x"), Variable("y")
     first, second = tidy(np.array([2.0 * (x + 1e-9 * y) + 6e-17 * x * y, Expression(0.0)]))
     assert differs_by_zero(first, 2.0 * x + 2e-9 * y)
     assert second.EqualTo(Expression(0.0))
-
-
-def test_tidying_finds_what_cancels_among_waves() -> None:
-    x = Variable("x")
     one, double = tidy(np.array([sin(x) ** 2 + cos(x) ** 2, 2.0 * sin(x) * cos(x) - sin(2.0 * x)]))
     assert one.EqualTo(Expression(1.0))
     assert double.EqualTo(Expression(0.0))
@@ -154,23 +128,17 @@ def test_compiled_sums_agree_with_drakes_expressions() -> None:
 
 
 @pytest.mark.parametrize("place", ["drake_aigto/models", "models"])
-def test_the_models_are_found_in_a_wheel_and_in_a_checkout(
+def test_the_models_are_found_in_a_wheel_and_in_a_checkout_or_reported(
     place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / place).mkdir(parents=True)
-    (tmp_path / place / "package.xml").write_text(
-        (SHIPPED.parent / "package.xml").read_text(encoding="utf-8"), encoding="utf-8"
-    )
-    monkeypatch.setattr("drake_aigto.world.files.resources.files", lambda name: tmp_path / name)
-    assert models_directory() == tmp_path / place
-
-
-def test_an_installation_without_models_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("drake_aigto.world.files.resources.files", lambda name: tmp_path / name)
     with pytest.raises(ModelError, match=r"shipped models are missing.*Install drake_aigto again"):
         models_directory()
+    (tmp_path / place).mkdir(parents=True)
+    (tmp_path / place / "package.xml").write_text(
+        (SHIPPED.parent / "package.xml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
+    assert models_directory() == tmp_path / place
 
 
 NUM_POINTS = 40
@@ -234,6 +202,7 @@ def test_a_shipped_world_is_what_its_brief_says(name: str) -> None:
     nq = world.num_positions
     np.testing.assert_array_equal(world.constant_inertia.mass_matrix, np.eye(nq))
     np.testing.assert_array_equal(world.actuation, np.eye(nq))
+    assert np.all(np.isinf(world.limits.position))
     weight = 9.81 if name == "floor" else 0.0
     for entry in world.bias:
         assert differs_by_zero(entry, weight)
@@ -290,14 +259,6 @@ def test_a_shipped_material_is_stiff_elastic_and_frictionless(name: str) -> None
         assert material.GetProperty("material", "hunt_crossley_dissipation") == 0.0
         friction = material.GetProperty("material", "coulomb_friction")
         assert friction.static_friction() == friction.dynamic_friction() == 0.0
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_shipped_joints_have_motors_and_no_stops(name: str) -> None:
-    plant = load(name).plant
-    assert plant.num_actuators() == plant.num_positions()
-    assert np.all(np.isinf(plant.GetPositionLowerLimits()))
-    assert np.all(np.isinf(plant.GetPositionUpperLimits()))
 
 
 @pytest.mark.parametrize("name", scenario_names())

@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -92,9 +91,6 @@ GROUND = ("ground", HalfSpace(), [0.0, 0.0, -5.0])
 
 def names_of(world: World) -> list[str]:
     return [contact.name for contact in world.contacts]
-
-
-# Which faces count.
 
 
 @pytest.mark.parametrize(
@@ -199,18 +195,11 @@ def test_the_shapes_of_a_body_that_has_several_are_told_apart() -> None:
     assert [pair[0].split("::")[-1] for pair in shapes] == ["ball shape", "ear"]
 
 
-# Scenarios.
-
-
 @pytest.mark.parametrize(
     ("field", "place", "message"),
     [
         ("initial_position", [0.9, 0.1], r"initial_position is inside.*\(ball against block\): .*"),
-        (
-            "goal_position",
-            [0.626, 0.1],
-            r"goal_position is inside.* distance of -0.001 m, .* be outside",
-        ),
+        ("goal_position", [0.626, 0.1], r"goal_position is inside.* distance of -0.001 m, .* be o"),
         ("goal_position", [0.0, -5.0], r"goal_position is inside.* \(ball against ground\)"),
     ],
 )
@@ -224,9 +213,6 @@ def test_a_start_or_goal_inside_a_solid_is_refused(
         world.check(Scenario(**fine, initial_velocity=[0.0, 0.0]))
     with pytest.raises(ScenarioError, match=message):
         world.check(Scenario(**{**ends, field: place}, initial_velocity=[0.0, 0.0]))
-
-
-# Restitution and mass.
 
 
 def test_restitution_is_the_models_own_where_it_has_one() -> None:
@@ -256,9 +242,6 @@ def test_one_bodys_mass_is_replaced_in_all_of_its_contacts() -> None:
     assert differs_by_zero(world.bias[1], 3.0 * 9.81)
     kick = world.calc_velocity_change(np.zeros(2), np.array([0.0, 6.0, 0.0, 0.0, 0.0]))
     np.testing.assert_allclose(kick, [-2.0, 0.0], atol=RELATIVE)
-
-
-# Joints and forces.
 
 
 def test_a_spring_damper_on_a_joint_without_a_motor_is_read() -> None:
@@ -294,9 +277,6 @@ def test_a_spring_damper_between_points_is_refused_with_the_joint_that_does_it()
         World.from_diagram(builder.Build())
 
 
-# Who can't do with several contacts says so.
-
-
 def test_the_literal_transcription_refuses_several_contacts_by_name() -> None:
     scenario = Scenario.named("corridor/lossy")
     message = "is for one contact: got ball against left_wall, ball against right_wall, expected"
@@ -306,11 +286,6 @@ def test_the_literal_transcription_refuses_several_contacts_by_name() -> None:
 
 # A half space is in front of the ball where the box was: the same equations.
 OTHERS = sorted(VARIANTS.keys() - {"as shipped", "half space"})
-
-
-@pytest.fixture
-def write_model(tmp_path: Path) -> ModelWriter:
-    return ModelWriter(tmp_path)
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -349,9 +324,7 @@ def test_stiffness_dissipation_and_limits_count_unless_a_file_tells_none() -> No
         build(f"cart_pole{kind}").fingerprint for kind in ("_soft_06", "_rigid_06", "")
     )
     rigid = dataclasses.replace(other, coordinates=soft.coordinates, actuators=soft.actuators)
-    with pytest.raises(
-        ModelError, match=r"got materials \(\(2000000000\.0, 2000000000\.0, 0\.0, 0\.0"
-    ):
+    with pytest.raises(ModelError, match=r"got materials \(\(2000000000\.0, 2000000000\.0, 0\.0,"):
         soft.check(rigid, "")
     unlimited = dataclasses.replace(free, limits=((-np.inf,) * 5, (np.inf,) * 5))
     with pytest.raises(ModelError, match="got limits"):
