@@ -26,6 +26,7 @@ from drake_aigto.world import TaskCost
 
 FROM_WHEELS = ("half_cheetah/leap",)
 WORLDS = (
+    "arm_and_box/push",
     "drone/deliver",
     "drone/perch",
     "finger_and_ball/roll",

@@ -26,6 +26,8 @@ def test_friction_of_a_scenario_stands_in_place_of_the_models(gantry: Any) -> No
 def test_joints_are_driven_and_limited_as_the_scenario_says(gantry: Any) -> None:
     world = gantry({"actuators": ["y"], "effort_limits": {"drive": 3.0}})
     np.testing.assert_array_equal(world.limits.control[1], [3.0, 8.0])
+    world = gantry({"actuators": ["y"], "effort_limits": {"*": 2.0, "y": 5.0}})
+    np.testing.assert_array_equal(world.limits.control[1], [2.0, 5.0])
     world = gantry({"effort_limits": {"x": 4.0}}, EFFORT="0")
     np.testing.assert_array_equal(world.limits.control, [[-4.0], [4.0]])
     np.testing.assert_array_equal(gantry({"limits": "ignore"}).limits.position[1], np.inf)

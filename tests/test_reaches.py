@@ -14,8 +14,9 @@ from drake_aigto import Planner, PlanOptions, Scenario, World
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact import CompliantLaw, contact_law
 from drake_aigto.errors import OptionsError
-from drake_aigto.planning import MechanismTask, Reaches
+from drake_aigto.planning import Aim, MechanismTask, Reaches
 from drake_aigto.shooting import limit_states
+from drake_aigto.simulation import replay_drake
 from drake_aigto.world import SpaceWorld, TaskCost
 
 SECOND = (
@@ -122,3 +123,16 @@ def test_two_fingers_turn_a_disc_in_several_strokes_and_both_replays_confirm_it(
     assert len(plan.best.contacts) > 2
     assert arrival.distance is not None and arrival.distance < 0.05
     assert arrival.angle is not None and arrival.angle < 0.2
+
+
+@pytest.mark.slow  # 6 CPU s, compiled.
+def test_an_arm_of_seven_joints_pushes_a_box_in_drake_as_the_search_says() -> None:
+    planner = Planner(Scenario.named("arm_and_box/push"))
+    task, world = planner.task, planner.world
+    assert isinstance(task, MechanismTask)
+    found = task.close(task.guesses.draw("push", np.random.default_rng([18, 0, 0])), Aim())
+    scenario = task.scenario
+    drake = replay_drake(world, scenario, found.times, found.controls)
+    for q in (found.states[-1, : world.num_positions], drake.positions[-1]):
+        assert np.linalg.norm((q - scenario.goal_position)[-3:]) < 0.05
+    assert np.linalg.norm((scenario.initial_position - scenario.goal_position)[-3:]) > 0.2

@@ -213,10 +213,10 @@ class ModelFields(ArrayRecord):
             roll, pitch, yaw [rad]; or a matrix (4, 4).
         fixed_joints: joints that stand still at zero, globs; their actuators go with them.
         actuators: joints to drive where the model has no actuator.
-        effort_limits: largest effort of an actuator, by its own or its joint's name [N, N m], in
-            place of the model's.
-        servos: driven joint → stiffness k and damping d of a position controller in it, of which
-            the control is u = k q*, with q* the set point [N, N m] (`Servo`).
+        effort_limits: largest effort of an actuator, by its own or its joint's name, a glob
+            [N, N m], in place of the model's.
+        servos: driven joint, a glob → stiffness k and damping d of a position controller in it, of
+            which the control is u = k q*, with q* the set point [N, N m] (`Servo`).
         thrusters: forces that turn with their links, whose controls follow those of the actuators:
             mappings of body, xyz where it acts in the link's frame [m], direction there, and drag,
             the moment about the direction per force [m] (`Thruster`). In space.

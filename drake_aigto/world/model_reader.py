@@ -38,7 +38,7 @@ from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import check_friction_acts, check_plant, copy_diagram, find_plant
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
-from drake_aigto.world.model_facts import MESHES, FixableError, ModelFacts, Spring, pick
+from drake_aigto.world.model_facts import MESHES, FixableError, ModelFacts, Spring, fits, pick
 from drake_aigto.world.model_fields import Limited, ModelFields
 from drake_aigto.world.model_shapes import (
     add_ends,
@@ -284,7 +284,8 @@ def _drive(plant: MultibodyPlant, path: Path, facts: ModelFacts) -> None:
             effort = facts.joint_efforts.get(name, math.inf)
             driven[name] = [plant.AddJointActuator(name, moving[name], effort)]
     known = {each.name(): [each] for several in driven.values() for each in several} | driven
-    for name, limit in limits.items():
+    named = {glob: [each for each in known if fits(each, glob)] or [glob] for glob in limits}
+    for name, limit in [(name, limits[glob]) for glob, names in named.items() for name in names]:
         if len(known.get(name, [])) != 1:
             several = ", ".join(repr(each.name()) for each in known.get(name, []))
             raise ModelError(
