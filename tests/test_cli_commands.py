@@ -66,10 +66,12 @@ def test_without_a_command_help_is_shown(
     assert shown.err.startswith("usage: drake-aigto") and "\nexamples:\n" in shown.err
 
 
-def test_every_flag_of_a_command_says_what_it_is() -> None:
+def test_every_flag_says_what_it_is_and_small_negative_numbers_are_none() -> None:
     for name, command in COMMANDS.items():
         for action in command._actions:
             assert action.help or isinstance(action, argparse._SubParsersAction), (name, action)
+    options = make_parser().parse_args(["plan", "table1/1", "--initial-velocity", "-1e-3", "-.5"])
+    assert options.initial_velocity == [-1e-3, -0.5]
 
 
 @pytest.mark.parametrize(
@@ -80,11 +82,6 @@ def test_what_all_commands_take_stands_before_or_after_them(words: list[str]) ->
     options = make_parser().parse_args(words, unset)
     assert options.verbose
     assert options.quiet == any("q" in word for word in words)
-
-
-def test_small_negative_numbers_are_no_flags() -> None:
-    options = make_parser().parse_args(["plan", "table1/1", "--initial-velocity", "-1e-3", "-.5"])
-    assert options.initial_velocity == [-1e-3, -0.5]
 
 
 def test_every_field_of_a_scenario_has_a_flag_that_changes_it() -> None:

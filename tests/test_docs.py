@@ -143,8 +143,13 @@ def test_a_page_lists_the_age_of_every_record() -> None:
     assert sum(records.list_ages() in page for page in pages) == 1
 
 
-def test_every_record_has_a_file_and_every_file_a_record() -> None:
+def test_records_have_files_and_pages_and_unknown_ones_are_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert {path.stem for path in records.FOLDER.glob("*.txt")} == set(records.RECORDS)
+    with pytest.raises(SystemExit, match="2"):
+        records.main(["run", "table1", "nonsense"])
+    assert "unknown records ['nonsense'], expected some of" in capsys.readouterr().err
 
 
 def test_a_changed_record_changes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,12 +167,6 @@ def test_a_changed_record_changes_the_page(tmp_path: Path, monkeypatch: pytest.M
     (tmp_path / "speed.txt").write_text("# python -m x\nplan 12.8 seconds\n")
     with pytest.raises(LookupError, match="record 'speed' has nothing like"):
         records.quote(page)
-
-
-def test_an_unknown_record_is_refused_before_any_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        records.main(["run", "table1", "nonsense"])
-    assert "unknown records ['nonsense'], expected some of" in capsys.readouterr().err
 
 
 CHECKOUT = Path(__file__).parents[1]

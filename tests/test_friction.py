@@ -81,11 +81,15 @@ def test_friction_is_what_drake_makes_of_both_shapes(
     assert sum(world.frictions.values()) == pytest.approx(expected, rel=1e-12)
 
 
-def test_friction_acts_on_what_slides_or_spins_and_not_on_what_only_comes_and_goes() -> None:
+def test_friction_acts_on_what_slides_or_spins_and_grows_smoothly_from_rest() -> None:
     rough, rubbing = (1.0, 1.0), {"ball against ground": 1.0}
     assert World.from_diagram(make_diagram(rough)).frictions == {}
     assert World.from_diagram(make_diagram(rough, along=True)).frictions == rubbing
     assert World.from_diagram(make_diagram(rough, spins=True)).frictions == rubbing
+    speeds = np.array([-3.0, -1.0, -0.5, 0.0, 0.25, 1.0, 7.0])
+    x = 0.25
+    expected = [-1, -1, -0.5, 0, 10 * x**3 - 15 * x**4 + 6 * x**5, 1, 1]
+    np.testing.assert_allclose(calc_friction_share(0.01 * speeds, 0.01), expected, atol=1e-15)
 
 
 @pytest.fixture
@@ -182,13 +186,6 @@ def ask(**changes: Any) -> Scenario:
 @cache
 def read_dry() -> World:
     return World.from_scenario(ask())
-
-
-def test_friction_grows_smoothly_from_rest_to_all_of_it() -> None:
-    speeds = np.array([-3.0, -1.0, -0.5, 0.0, 0.25, 1.0, 7.0])
-    x = 0.25
-    expected = [-1, -1, -0.5, 0, 10 * x**3 - 15 * x**4 + 6 * x**5, 1, 1]
-    np.testing.assert_allclose(calc_friction_share(0.01 * speeds, 0.01), expected, atol=1e-15)
 
 
 def calc_energy(x: Any) -> float:

@@ -143,12 +143,9 @@ def test_no_local_search_gets_below_a_chains_minimum(n: int) -> None:
         assert found.fun >= minimum - 1e-9 * abs(minimum)
 
 
-def test_a_single_variable_is_no_chain() -> None:
+def test_a_chain_has_two_variables_or_more_and_its_minimum_may_lie_on_the_box() -> None:
     with pytest.raises(OptionsError, match="2 variables or more"):
         chain_problem(1, 0)
-
-
-def test_a_chains_minimum_may_lie_on_the_box() -> None:
     # Both wells fall towards the box's ends, where coupling pulls x_1 and x_2 apart.
     problem = ChainProblem(np.full((2, 6), 9.0), np.array([1e9]))
     np.testing.assert_array_equal(np.abs(exact_chain_minimum(problem)), [REACH, REACH])

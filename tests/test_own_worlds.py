@@ -80,9 +80,16 @@ def test_a_plant_inside_a_nested_diagram_is_found() -> None:
     ) == pytest.approx([0.0])
 
 
-def test_a_discrete_plant_is_refused_with_the_reason() -> None:
+def test_discrete_plants_massless_links_and_unknown_shapes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"discrete one \(time_step = 0\.001 s\).*contact loses e"):
         World.from_diagram(build_half_space_diagram(time_step=1e-3))
+    path = tmp_path / "massless.urdf"
+    path.write_text(URDF.replace('<mass value="2"/>', '<mass value="0"/>'), encoding="utf-8")
+    with pytest.raises(ModelError, match=r"mass matrix is singular: got no inertia along slider"):
+        World.from_scenario(make_scenario(str(path)))
+    message = r"ignored_shapes: got 'gound', expected of the collision shapes .*ground"
+    with pytest.raises(ModelError, match=message):
+        World.from_diagram(build_half_space_diagram(), ignored_shapes=["gound"])
 
 
 URDF = """<robot name="own">
@@ -114,13 +121,6 @@ def test_a_users_own_urdf_is_read_by_a_relative_path(
     assert world.constant_inertia.mass_matrix.tolist() == [[2.0]]
     assert differs_by_zero(world.bias[0], 0.4 * world.velocities[0])
     assert differs_by_zero(world.contacts[0].signed_distance, world.positions[0])
-
-
-def test_a_massless_link_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "massless.urdf"
-    path.write_text(URDF.replace('<mass value="2"/>', '<mass value="0"/>'), encoding="utf-8")
-    with pytest.raises(ModelError, match=r"mass matrix is singular: got no inertia along slider"):
-        World.from_scenario(make_scenario(str(path)))
 
 
 @pytest.mark.parametrize("number", [0, 2])
@@ -190,12 +190,6 @@ def test_a_scenario_names_the_shapes_that_its_world_leaves_out(write_model: Mode
     other = dataclasses.replace(scenario, ignored_shapes=["ball_collision"])
     with pytest.raises(ScenarioError, match=r"ignored_shapes: got ball_collision, expected mesh"):
         world.check(other)
-
-
-def test_a_shape_that_is_not_there_cannot_be_left_out() -> None:
-    message = r"ignored_shapes: got 'gound', expected of the collision shapes .*ground"
-    with pytest.raises(ModelError, match=message):
-        World.from_diagram(build_half_space_diagram(), ignored_shapes=["gound"])
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from phase_solutions import MET, Solved, optimise
+from replay_worlds import make_scenario
 from unfolded_flights import MODELS, Flight, are_apart, fold, image_of, scenario_of, touches_of
 
 from benchmarks.optima import walls_optimum
@@ -67,10 +68,7 @@ def check_replays(found: Solved) -> None:
     assert sorted(replay.bounce_contacts) == sorted(touch.contact for touch in found.sequence)
 
 
-# A corridor.
-
-
-@pytest.mark.parametrize("bounces", [-6, -5, -4, -3, -2, -1, 0, 1, 2, 3, 4, 5, 6])
+@pytest.mark.parametrize("bounces", [-6, -3, -2, -1, 0, 1, 4, 5])
 def test_a_corridor_unfolds(bounces: int) -> None:
     flight = fly(0.4, 0.7, bounces, push=0.4 if bounces > 0 else -0.3)
     sequence = touches_of(flight)
@@ -90,7 +88,6 @@ def test_a_corridor_unfolds(bounces: int) -> None:
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.25)
 
 
-@settings(max_examples=25)
 @given(q=place, goal=place, bounces=st.integers(-6, 6), push=st.floats(-1, 1))
 def test_corridors_cost_what_they_should(q: float, goal: float, bounces: int, push: float) -> None:
     flight = fly(q, goal, bounces, push)
@@ -102,8 +99,7 @@ def test_corridors_cost_what_they_should(q: float, goal: float, bounces: int, pu
     check_replays(found)
 
 
-@pytest.mark.parametrize("e", [1.0, 0.8])
-@pytest.mark.parametrize("bounces", [1, 3, 6])
+@pytest.mark.parametrize(("bounces", "e"), [(1, 0.8), (3, 1.0), (6, 0.8)])
 def test_drakes_solver_finds_the_same(bounces: int, e: float) -> None:
     flight = fly(0.4, 0.7, bounces, push=0.5)
     scenario = scenario_of("corridor", flight, e=e)
@@ -116,16 +112,16 @@ def test_drakes_solver_finds_the_same(bounces: int, e: float) -> None:
 
 
 @pytest.mark.parametrize("model", ["corridor", "floor", "room"])
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_the_known_optimum_is_polished_from_its_contacts(model: str, seed: int) -> None:
     # Listed sequences, with Newton's method for each: nothing of it is a knot or a phase.
     rng = np.random.default_rng(seed)
     size = load(model).num_positions
-    scenario = Scenario(
+    scenario = make_scenario(
+        rng.uniform(0.2, 0.8, size),
+        rng.uniform(-2.5, 2.5, size),
+        rng.uniform(0.2, 0.8, size),
         model=MODELS.format(model),
-        initial_position=rng.uniform(0.2, 0.8, size),
-        initial_velocity=rng.uniform(-2.5, 2.5, size),
-        goal_position=rng.uniform(0.2, 0.8, size),
         time_step=0.0125,
         restitution=0.8,
     )
@@ -138,9 +134,6 @@ def test_the_known_optimum_is_polished_from_its_contacts(model: str, seed: int) 
         [t.start for t in known.touches], abs=0.01
     )
     check_replays(found)
-
-
-# A room.
 
 
 @settings(max_examples=15)
@@ -195,11 +188,7 @@ def test_into_a_corner_one_after_the_other_and_at_once_cost_the_same() -> None:
     assert y_first == pytest.approx(x_first, rel=1e-6)  # mirrored
 
 
-# What needs no control: the goal is where the motion ends by itself.
-
-
-@pytest.mark.parametrize("e", [1.0, 0.8, 0.5])
-@pytest.mark.parametrize("bounces", [1, 2, 3])
+@pytest.mark.parametrize(("bounces", "e"), [(1, 0.5), (2, 0.8), (3, 1.0), (3, 0.5)])
 def test_a_ball_that_drops_and_bounces_by_itself_costs_nothing(bounces: int, e: float) -> None:
     g, drop = 9.81, 0.5
     time, speed = np.sqrt(2 * drop / g), np.sqrt(2 * drop * g)
@@ -209,11 +198,11 @@ def test_a_ball_that_drops_and_bounces_by_itself_costs_nothing(bounces: int, e: 
         speed *= e
         time += 2 * speed / g
     rise = 2 * speed / g * 0.4
-    scenario = Scenario(
+    scenario = make_scenario(
+        drop,
+        0.0,
+        speed * rise - g / 2 * rise**2,
         model=MODELS.format("floor"),
-        initial_position=drop,
-        initial_velocity=0.0,
-        goal_position=speed * rise - g / 2 * rise**2,
         duration=times[-1] + rise,
         time_step=(times[-1] + rise) / 40,
         restitution=e,
@@ -256,21 +245,13 @@ def test_two_masses_pass_through_each_other(
     order = [float(fold(np.array(flight.image))) for flight in flights]
     assume((order[0] < order[1]) == (paths[0][-1] < paths[1][-1]))
     assume(0 < goals[0] < goals[1] < 1)
-    scenario = Scenario(
-        model=MODELS.format("two_masses"),
-        initial_position=q,
-        initial_velocity=v,
-        goal_position=goals,
-        duration=T,
-        time_step=T / 50,
+    scenario = make_scenario(
+        q, v, goals, model=MODELS.format("two_masses"), duration=T, time_step=T / 50
     )
     found = optimise(load("two_masses"), scenario, *sequence)
     cost = sum(flight.cost for flight in flights)
     assert found.cost == pytest.approx(cost, rel=5e-3, abs=1e-9)
     check_replays(found)
-
-
-# Restitution of each contact.
 
 
 def test_every_contact_has_its_own_restitution() -> None:

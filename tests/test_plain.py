@@ -63,10 +63,7 @@ def test_types_come_back_and_what_is_left_out_does_not() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            {"leaves": [{"size": "1.0"}]},
-            r"Tree\.leaves\[0\]\.size: got '1\.0', expected a number\.",
-        ),
+        ({"leaves": [{"size": "1.0"}]}, r"Tree\.leaves\[0\]\.size: got '1\.0', expected a number"),
         ({"leaves": [{"size": True}]}, r"Tree\.leaves\[0\]\.size: got True, expected a number\."),
         ({"leaves": [{"size": 7}]}, r"Tree\.leaves\[0\]: got size: got 7, expected another"),
         ({"leaves": [{"size": 1, "color": "blue"}]}, r"color: got 'blue', expected one of 'green'"),

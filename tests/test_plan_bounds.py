@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from replay_worlds import make_scenario
 
 from benchmarks.optima import line_optimum as optima
 from benchmarks.optima import masses_optimum, walls_optimum
@@ -29,11 +30,8 @@ def test_one_wall_is_bounded_by_the_exact_optimum_for_every_restitution() -> Non
     rng = np.random.default_rng(0)
     world = World.from_scenario(Scenario.named("table1/1"))
     for e in (1.0, 0.9, 0.5, 0.1, 0.0) * 4:
-        scenario = Scenario(
-            initial_position=rng.uniform(0.05, 1.5),
-            initial_velocity=rng.uniform(-4.0, 1.0),
-            goal_position=rng.uniform(0.05, 1.5),
-            restitution=e,
+        scenario = make_scenario(
+            rng.uniform(0.05, 1.5), rng.uniform(-4.0, 1.0), rng.uniform(0.05, 1.5), restitution=e
         )
         least = rigid_optimum(world, scenario).cost
         bound = bound_plans(world, scenario, 1.5 * least)

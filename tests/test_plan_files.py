@@ -53,9 +53,6 @@ def rewrite(plan: Plan, path: Path, **changes: Any) -> None:
     path.write_text(json.dumps({**data, **changes}), encoding="utf-8")
 
 
-# The file.
-
-
 def test_a_plan_file_reads_back_to_the_same_plan(found: Plan, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     found.save(path)
@@ -153,9 +150,6 @@ def test_a_plan_of_unknown_options_says_so(
     corridor = World.from_scenario(Scenario.named("corridor/three_bounces"))
     with pytest.raises(ModelError, match=r"Give the world that the plan was made in"):
         unknown.replayed(corridor)
-
-
-# The world.
 
 
 def test_a_plan_keeps_its_world_but_takes_it_nowhere(rigid: Plan) -> None:

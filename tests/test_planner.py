@@ -81,14 +81,6 @@ def test_a_flight_costs_the_linear_quadratic_optimum(solver: LocalSolverName) ->
     assert found.replay.drake.cost == pytest.approx(found.replay.event_driven.cost, rel=1e-3)
 
 
-def test_twice_the_mass_needs_twice_the_force(tmp_path: Path) -> None:
-    model = write_model(tmp_path, "<mass>1.0</mass>", "<mass>2.0</mass>")
-    heavy = dataclasses.replace(FLIGHT, model=model)
-    costs = [plan_literal(s, QUICK).cost for s in (heavy, dataclasses.replace(FLIGHT, mass=2.0))]
-    assert costs == pytest.approx([least_cost(FLIGHT, mass=2.0)] * 2, rel=1e-6)
-    assert costs[0] > 3.5 * least_cost(FLIGHT)
-
-
 def test_a_spring_on_the_joint_is_planned_for(tmp_path: Path) -> None:
     spring = (
         f"{AXIS}<dynamics><spring_stiffness>3</spring_stiffness>"
@@ -98,24 +90,6 @@ def test_a_spring_on_the_joint_is_planned_for(tmp_path: Path) -> None:
     cost = plan_literal(sprung, QUICK).cost
     assert cost == pytest.approx(least_cost(FLIGHT, spring=3.0, rest=0.4), rel=1e-6)
     assert abs(cost / least_cost(FLIGHT) - 1) > 0.1
-
-
-def test_a_plan_moves_along_with_the_wall(tmp_path: Path) -> None:
-    old, new = "<pose>-0.05 0 0 0 0 0</pose>", "<pose>0.15 0 0 0 0 0</pose>"
-    shifted = dataclasses.replace(
-        BOUNCE,
-        model=write_model(tmp_path, old, new),
-        initial_position=BOUNCE.initial_position + 0.2,
-        goal_position=BOUNCE.goal_position + 0.2,
-    )
-    here, there = plan_literal(BOUNCE, QUICK), plan_literal(shifted, QUICK)
-    assert there.cost == pytest.approx(here.cost, rel=1e-3)
-    np.testing.assert_allclose(
-        there.trajectory.positions, here.trajectory.positions + 0.2, atol=1e-3
-    )
-    # With the wall where it was, the same ends are another problem.
-    stayed = plan_literal(dataclasses.replace(shifted, model=BOUNCE.model), QUICK)
-    assert abs(stayed.cost / here.cost - 1) > 0.05
 
 
 def test_every_candidate_comes_from_a_rung_and_the_best_is_chosen() -> None:
@@ -162,20 +136,6 @@ def test_costs_and_bounds_of_a_user_count() -> None:
     assert abs(velocities[-1, 0]) < 0.5
 
 
-def test_ctrl_c_keeps_the_candidates_so_far() -> None:
-    lines: list[str] = []
-
-    def interrupt(line: str) -> None:
-        lines.append(line)
-        if len(lines) == 2:
-            raise KeyboardInterrupt
-
-    found = plan_literal(BOUNCE, QUICK, progress=interrupt)
-    proposed = [candidate for candidate in found.candidates if not candidate.is_idle]
-    assert 1 <= len(proposed) <= 2  # one rung proposes two sequences at most
-    assert lines[0].startswith("AIGO 1 of 2: annealing from temperature")
-
-
 def test_nothing_feasible_is_an_error_that_says_what_was_tried(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -215,9 +175,6 @@ def test_without_rungs_no_boxes_are_compiled_and_a_guess_leads_to_its_plan(
     planner = Planner(scenario, PlanOptions(confirm=False, ladder=(), branches=0))
     plan = planner.plan(goal_position=goal, initial_guess=known.trajectory)
     assert plan.cost == pytest.approx(expected.cost, rel=1e-6) and plan.holds
-
-
-# Contacts
 
 
 def test_contacts_are_read_off_impulses() -> None:

@@ -104,16 +104,15 @@ def test_a_wall_is_drawn_and_an_impact_flashes_for_a_moment(page: Page, plan: Pl
     assert is_yellow(picture).sum() > 10 * is_yellow(show(page, 1.0)).sum() + 100
 
 
-def test_nothing_of_meshcat_s_lies_over_the_scene(page: Page) -> None:
-    show(page, 0.0)
-    bar = f"document.querySelector('{FRAME}').contentDocument.querySelector('.dg')"
-    assert page.evaluate(f"{bar}.offsetParent") is None and page.evaluate(f"{bar} !== null")
-
-
-def test_the_clock_ends_with_the_plan(page: Page, plan: Plan) -> None:
+def test_the_clock_ends_with_the_plan_and_nothing_of_meshcats_lies_over_the_scene(
+    page: Page, plan: Plan
+) -> None:
     show(page, 9.9)
     shown = page.evaluate("document.querySelector('#player-time').textContent")
     assert shown == "1.00 s of 1.00 s" and plan.trajectory.times[-1] == 1.0
+    show(page, 0.0)
+    bar = f"document.querySelector('{FRAME}').contentDocument.querySelector('.dg')"
+    assert page.evaluate(f"{bar}.offsetParent") is None and page.evaluate(f"{bar} !== null")
 
 
 def test_the_view_does_not_depend_on_when_meshes_come(page: Page) -> None:
@@ -188,14 +187,14 @@ def test_a_cursor_in_figures_and_numbers_follow_the_slider_and_a_figure_leads_it
     assert shown_time(page) == pytest.approx(0.5, abs=0.01)
 
 
-@pytest.mark.parametrize("width", [390, 1280])
-def test_the_scene_fills_its_frame_at_any_width(page: Page, report: Path, width: int) -> None:
-    page.open(report, width, 800)
-    page.wait_for(f"!document.querySelector('{SLIDER}').disabled")
-    picture = show(page, 0.3)
-    columns = np.flatnonzero((picture.min(axis=2) < 0.9).any(axis=0))
-    assert np.ptp(columns) > 0.6 * picture.shape[1]
-    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+def test_the_scene_fills_its_frame_at_any_width(page: Page, report: Path) -> None:
+    for width in (390, 1280):
+        page.open(report, width, 800)
+        page.wait_for(f"!document.querySelector('{SLIDER}').disabled")
+        picture = show(page, 0.3)
+        columns = np.flatnonzero((picture.min(axis=2) < 0.9).any(axis=0))
+        assert np.ptp(columns) > 0.6 * picture.shape[1]
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     open_report(page, report)
 
 

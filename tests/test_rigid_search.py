@@ -39,9 +39,6 @@ def all_candidates() -> Plan:
     return plan(table1(1, **COARSE), dataclasses.replace(UNCONFIRMED, exhaustive=True))
 
 
-# Optimal, and true.
-
-
 def test_every_candidate_was_read_off_a_box() -> None:
     problem = make_ball_task(shipped_world(), table1(1, **COARSE), UNCONFIRMED)
     read = {
@@ -56,7 +53,7 @@ def test_every_candidate_was_read_off_a_box() -> None:
     assert {len(c.contacts) for c in all_candidates().candidates} >= {0, 1}
 
 
-@pytest.mark.parametrize("number", range(6))
+@pytest.mark.parametrize("number", range(3))
 def test_rungs_that_are_left_out_would_find_nothing_better(number: int) -> None:
     scenario = ScenarioQuestion(seed=11, num_steps=50).scenario(number)
     few, all_of_them = (

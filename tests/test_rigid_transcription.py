@@ -42,37 +42,24 @@ def is_met(transcription: Transcription, x: Array, tolerance: float = EXACT) -> 
     return bool(prog.CheckSatisfied(prog.GetAllConstraints(), x, tolerance))
 
 
-# Motions that are exact.
-
-
 @pytest.mark.parametrize("kind", [RigidTranscription, RigidWithForces])
 @pytest.mark.parametrize("e", RESTITUTIONS)
-@pytest.mark.parametrize("seed", range(3))
 def test_rows_vanish_on_an_exact_motion(
-    physics: Physics, kind: type[RigidTranscription], e: float, seed: int
+    physics: Physics, kind: type[RigidTranscription], e: float
 ) -> None:
-    scenario, motion = make_motion(physics, e, seed)
+    scenario, motion = make_motion(physics, e, seed=0)
     transcription = kind(physics.world, scenario, relaxation=0.0)
     x = transcription.vector(motion)
     assert max(transcription.defects(x).values()) < EXACT
     assert is_met(transcription, x)
-    np.testing.assert_allclose(transcription.impulses(x), motion.impulses, atol=EXACT)
+    # The vector says nothing of impulses: they come back with the trajectory.
+    for impulses in (transcription.impulses(x), transcription.trajectory(x).impulses):
+        np.testing.assert_allclose(impulses, motion.impulses, atol=EXACT)
     if isinstance(transcription, RigidWithForces):
         assert np.max(motion.impulses) > 0.1
         x[transcription.impulse_indices()] = 0.0
         assert not is_met(transcription, x)
         assert transcription.defects(x)["dynamics"] > 0.1
-
-
-@pytest.mark.parametrize("e", RESTITUTIONS)
-def test_impulses_are_the_jumps_of_momentum(physics: Physics, e: float) -> None:
-    scenario, motion = make_motion(physics, e, seed=3)
-    transcription = RigidTranscription(physics.world, scenario)
-    x = transcription.vector(motion)
-    np.testing.assert_allclose(transcription.impulses(x), motion.impulses, atol=EXACT)
-    assert np.count_nonzero(motion.impulses) == (2 if e else 1)
-    # The vector says nothing of impulses: they come back with the trajectory.
-    np.testing.assert_allclose(transcription.trajectory(x).impulses, motion.impulses, atol=EXACT)
 
 
 @pytest.mark.parametrize("e", RESTITUTIONS)
@@ -88,8 +75,6 @@ def test_rows_notice_any_number_that_is_changed(physics: Physics, e: float) -> N
         assert not is_met(transcription, changed, 1e-6)
         assert (max(transcription.defects(changed).values()) > 1e-6) == (i in of_motion)
 
-
-# Springs and dampers: the implicit midpoint rule.
 
 STIFFNESS, REST, DAMPING = 30.0, 0.4, 0.7
 SPRUNG = (
@@ -151,8 +136,6 @@ def test_flight_with_a_spring_is_of_second_order(sprung: World) -> None:
         np.testing.assert_allclose(errors[:-1] / errors[1:], 4.0, rtol=0.1)
 
 
-# Units.
-
 ROWS = ("flight", "dynamics", "contact", "restitution", "nonpenetration", "clearance")
 
 
@@ -177,10 +160,7 @@ def rescale(scenario: Scenario, length: float, time: float, mass: float, price: 
     )
 
 
-@pytest.mark.parametrize(
-    ("length", "time", "mass", "price"),
-    [(10, 1, 1, 1), (1, 2, 1, 1), (1, 1, 3, 1), (1, 1, 1, 7), (0.1, 30, 3, 0.3)],
-)
+@pytest.mark.parametrize(("length", "time", "mass", "price"), [(10, 2, 3, 1), (0.1, 30, 3, 0.3)])
 @pytest.mark.parametrize("num_joints", [1, 2])
 def test_what_aigo_minimises_is_the_same_in_any_units(
     num_joints: int, length: float, time: float, mass: float, price: float
@@ -248,9 +228,6 @@ def test_the_unit_of_costs_is_what_the_way_costs_from_rest(goal_weight: float) -
     assert transcription.cost_scale() == pytest.approx(cost, rel=1e-4)
 
 
-# What is refused.
-
-
 @pytest.mark.parametrize("relaxation", [-1e-9, math.nan, math.inf])
 def test_a_relaxation_that_is_no_size_is_refused(relaxation: float) -> None:
     with pytest.raises(OptionsError) as error:
@@ -268,9 +245,6 @@ def test_a_contact_that_turns_is_refused(kind: Callable[[World, Scenario], Trans
     assert str(error.value) == (
         "∂φ/∂q of bent: got (2 * q(0)), expected a constant. Use the literal transcription."
     )
-
-
-# How far a motion is off.
 
 
 def push(

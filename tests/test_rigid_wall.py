@@ -22,9 +22,6 @@ ROUNDING = 1e-15
 RESTITUTIONS = [1.0, 0.8, 0.5, 0.2, 0.0]
 
 
-# The event-driven wall against the exact solution; for motions by chance, see test_several_walls.
-
-
 @pytest.mark.parametrize("e", RESTITUTIONS)
 @pytest.mark.parametrize("shift", [0.0, *(s * 10.0**-n for n in range(9, 17) for s in (1, -1))])
 @pytest.mark.parametrize("knot", [0.5, 0.3, 0.55])
@@ -121,9 +118,6 @@ def test_a_ball_that_trembles_under_a_push_does_not_hang(e: float) -> None:
     assert len(replay.bounce_times) <= math.sqrt(2 / 1e-6)
     assert 0 <= replay.positions[-1, 0] <= 1e-7
     assert replay.max_penetration <= ROUNDING
-
-
-# Other worlds.
 
 
 @pytest.mark.parametrize("steps", [1, 10, 200])

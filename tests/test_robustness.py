@@ -1,8 +1,7 @@
 """The study of robustness: what is asked, what comes out, and the file that it is kept in.
 
-What is shown of a study of robustness: the table, the page, and the figure.
-
-Perturbations of the true world: what they change, by how much, and what is refused.
+What is shown of a study of robustness: the table, the page, and the figure. Perturbations of the
+true world: what they change, by how much, and what is refused.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from replay_worlds import make_scenario, make_task, shipped, shipped_world
-from scenario_studies import QUESTION, Inline, make_result
+from scenario_studies import QUESTION, make_result
 
 from benchmarks.robustness import study as robustness
 from benchmarks.robustness.page import ROBUSTNESS, format_robustness, plot_robustness
@@ -54,9 +53,6 @@ from drake_aigto.simulation import EVENT_DRIVEN, replay_event_driven, replay_wit
 SMALL = RobustnessQuestion(rows=(1,), restitutions=(0.8,), samples=1, confirm=False)
 
 
-# What is asked.
-
-
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
@@ -76,7 +72,7 @@ def test_a_bad_question_is_refused(fields: dict[str, Any], message: str) -> None
         RobustnessQuestion(**fields)
 
 
-@pytest.mark.parametrize("percent", [51.0, 99.0, 100.0, 1000.0])
+@pytest.mark.parametrize("percent", [51.0, 100.0])
 def test_perturbations_that_reach_the_wall_are_refused(percent: float) -> None:
     question = RobustnessQuestion(rows=(3, 4), percent=percent)
     message = rf"percent, for table1/3, e = 1: got {percent:g}, by which .* Perturb by less"
@@ -95,9 +91,6 @@ def test_tasks_are_rows_and_random_scenarios() -> None:
     assert tasks[1].scenario.initial_velocity == [-1.2] and tasks[1].scenario.restitution == 0.5
     assert tasks[4:] == dataclasses.replace(question, rows=()).tasks()
     question.check()
-
-
-# What comes out.
 
 
 @cache
@@ -162,28 +155,6 @@ def test_a_plan_that_is_not_found_is_told(monkeypatch: pytest.MonkeyPatch) -> No
     assert from_plain(TaskResult, json.loads(json.dumps(to_plain(result)))).plans[0].error
     text = format_robustness(RobustnessStudy(SMALL, (result,)))
     assert "ours: nothing was found: got 4 candidates." in text
-
-
-# Files.
-
-
-def test_a_study_reads_back_as_it_was_written(tmp_path: Path) -> None:
-    results = make_result("table1/1, e = 1"), make_result("table1/2, e = 1")
-    study = RobustnessStudy(QUESTION, results)
-    path = tmp_path / "results.json"
-    study.save(path)
-    assert RobustnessStudy.load(path) == study
-    assert json.loads(path.read_text())["kind"] == "robustness"
-
-
-def test_a_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(robustness, "run_task", lambda task, _: make_result(task.name))
-    path, executor, lines = tmp_path / "results.json", Inline(), list[str]()
-    RobustnessStudy(QUESTION, (make_result("table1/2, e = 1"),)).save(path)
-    study = RobustnessStudy(QUESTION)
-    study = study.run(path, resume=True, executor=executor, progress=lines.append)
-    assert executor.num_jobs == 1 and lines == ["2 of 2 tasks done"]
-    assert [result.name for result in study.results] == ["table1/1, e = 1", "table1/2, e = 1"]
 
 
 def test_the_table_has_every_kind_of_every_plan_in_a_hundred_columns() -> None:

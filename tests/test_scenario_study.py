@@ -266,9 +266,11 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_another_kind_is_refused(file: Path) -> None:
+def test_other_kinds_and_missing_files_are_refused(file: Path, tmp_path: Path) -> None:
     with pytest.raises(ResultsFileError, match=r"json: got kind 'fruit', expected kind 'nuts'"):
         read_results(file, "nuts")
+    with pytest.raises(ResultsFileError, match=r"none\.json can't be read: got .*No such file"):
+        read_results(tmp_path / "none.json")
 
 
 @pytest.mark.parametrize(
@@ -283,11 +285,6 @@ def test_what_is_no_results_file_is_refused(file: Path, text: str, message: str)
     file.write_text(text, encoding="utf-8")
     with pytest.raises(ResultsFileError, match=message):
         read_results(file)
-
-
-def test_a_file_that_is_missing_is_refused_where_it_is_read(tmp_path: Path) -> None:
-    with pytest.raises(ResultsFileError, match=r"none\.json can't be read: got .*No such file"):
-        read_results(tmp_path / "none.json")
 
 
 @pytest.mark.parametrize(

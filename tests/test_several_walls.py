@@ -55,7 +55,7 @@ WORLDS: dict[str, tuple[World, float, float | None, float]] = {
 
 
 @pytest.mark.parametrize("name", WORLDS)
-@settings(max_examples=125)
+@settings(max_examples=41)
 @given(
     *(st.tuples(places, speeds) for _ in range(2)),
     held_forces(2),
@@ -84,10 +84,7 @@ def test_every_axis_moves_as_the_exact_solution(
     assert np.all(np.diff(replay.times) >= 0)
 
 
-# The corridor.
-
-
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(places, st.floats(-30, 30))
 @example(0.5, -400.0)
 def test_elastic_walls_fold_a_free_flight(q: float, v: float) -> None:
@@ -107,11 +104,8 @@ def test_elastic_walls_fold_a_free_flight(q: float, v: float) -> None:
     np.testing.assert_allclose(replay.energy_ratios, 1.0, atol=1e-13)
 
 
-# The room.
-
-
 @pytest.mark.parametrize("e", RESTITUTIONS)
-@pytest.mark.parametrize("shift", [0.0, *(s * 10.0**-n for n in range(5, 17) for s in (1, -1))])
+@pytest.mark.parametrize("shift", [0.0, *(s * 10.0**-n for n in (5, 10, 16) for s in (1, -1))])
 def test_a_corner_turns_the_ball_round_at_once(e: float, shift: float) -> None:
     q, v = np.array([0.5, 0.25 + shift]), np.array([-2.0, -1.0])
     times, u = hold_still(shipped("room"), 0.5)
@@ -138,7 +132,6 @@ def test_the_ball_rests_in_a_corner_and_slides_out_of_it() -> None:
 @pytest.mark.parametrize(
     "n", [2, pytest.param(3, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.slow), 5]
 )
-@settings(max_examples=30)
 @given(st.floats(0.1, 0.9), st.floats(-3, 3), st.floats(-3, 3))
 def test_an_elastic_wedge_of_a_whole_part_of_a_half_turn_folds_a_free_flight(
     n: int, place: float, x: float, y: float
@@ -182,9 +175,6 @@ def test_walls_have_the_restitution_of_the_model() -> None:
     assert replay.bounce_contacts == (0, 1)
 
 
-# The block: convex corners.
-
-
 def test_a_ball_slides_over_the_edge_of_a_block() -> None:
     # Down onto the block, along it to its edge at x = 0.6, and past that down to the wall.
     times = np.linspace(0.0, 0.6, 61)
@@ -220,7 +210,6 @@ def test_a_block_is_bounced_off_on_every_side(
     np.testing.assert_allclose(replay.positions[-1], end, atol=1e-12)
 
 
-@settings(max_examples=60)
 @given(
     st.sampled_from([(0.2, 0.5), (0.7, 0.3), (0.5, 0.9)]),
     st.tuples(speeds, speeds),
@@ -244,10 +233,7 @@ def test_nothing_gets_into_a_block_whatever_is_done(
     assert sorted(swapped.bounce_contacts) == sorted(order[i] for i in replay.bounce_contacts)
 
 
-# Bodies that hit each other.
-
-
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(places, places, speeds, speeds, held_forces(1))
 def test_equal_masses_exchange_their_velocities(
     q0: float, q1: float, v0: float, v1: float, control: Any
@@ -278,7 +264,6 @@ def test_a_heavy_ball_a_light_one_and_a_wall_count_the_digits_of_pi(ratio: int, 
     assert 0 <= replay.velocities[-1, 0] <= replay.velocities[-1, 1]
 
 
-@settings(max_examples=50)
 @given(places, places, speeds, speeds, held_forces(2), st.sampled_from(RESTITUTIONS))
 def test_two_masses_have_a_mirror_and_lose_energy_only(
     q0: float, q1: float, v0: float, v1: float, control: Any, e: float

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from box_programs import compile_program
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from replay_worlds import make_scenario, make_task, shipped, shipped_world
 from rigid_worlds import AXIS, write_model
@@ -46,7 +46,6 @@ def euler_cost(scenario: Scenario, law: PolynomialLaw, controls: list[float]) ->
     return effort + scenario.goal_weight * (q - scenario.goal_position[0]) ** 2
 
 
-@settings(max_examples=25)
 @given(controls=st.lists(st.floats(-5, 5), min_size=6, max_size=6), degree=st.integers(0, 3))
 def test_the_polynomial_is_the_cost_of_the_simulation(controls: list[float], degree: int) -> None:
     scenario = steps(SOFT, 6)
@@ -108,9 +107,6 @@ def test_the_first_box_has_the_controls_of_multiple_shooting() -> None:
     np.testing.assert_allclose(half_width, np.full(8, 4 * L))
 
 
-# How many terms.
-
-
 def test_without_contact_the_cost_is_quadratic() -> None:
     for number in (5, 20):
         transcription = SingleShooting(shipped_world(), steps(SOFT, number))
@@ -141,7 +137,7 @@ def test_terms_explode_with_a_laws_degree() -> None:
         assert before**1.5 < after <= before**3
 
 
-@pytest.mark.parametrize("max_terms", [1, 3, 10, 50, 500])
+@pytest.mark.parametrize("max_terms", [1, 10, 500])
 def test_no_state_has_more_terms_than_allowed(max_terms: int) -> None:
     scenario = steps(SOFT, 12)
     counts = count_terms(shipped_world(), scenario, LAW, max_terms)
@@ -181,9 +177,6 @@ def test_one_contact_is_all_that_it_is_for() -> None:
     scenario = make_task("corridor", 0.5, -2.0, time_step=0.25)
     with pytest.raises(ModelError, match="the literal transcription is for one contact"):
         SingleShooting(shipped("corridor"), scenario)
-
-
-# The law.
 
 
 def test_a_law_meets_the_papers_in_as_many_places_as_it_has_coefficients() -> None:

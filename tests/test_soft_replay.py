@@ -63,9 +63,6 @@ def bounce(
     return replay_event_driven(*task), replay_drake(*task)
 
 
-# Two ways that share nothing but the model.
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_drakes_plant_does_what_the_worlds_equations_say(seed: int) -> None:
     scenario, controls = draw(seed)
@@ -122,9 +119,6 @@ def test_a_ball_that_is_pulled_out_faster_than_the_wall_follows_feels_nothing(
     assert (own.velocities[-1, 0] == pytest.approx(5.0)) == (dissipation * 5.0 > 1.0)
 
 
-# Closed forms.
-
-
 def test_a_contact_is_half_a_period_of_the_mass_on_the_spring() -> None:
     own, drake = bounce()
     omega = math.sqrt(200.0 / 1.5)
@@ -159,9 +153,6 @@ def test_without_dissipation_and_control_mechanism_and_springs_keep_their_energy
             + springs
         )
     np.testing.assert_allclose(energies, energies[0], atol=1e-10)
-
-
-# Costs.
 
 
 def test_running_costs_are_those_of_the_integral() -> None:
@@ -206,9 +197,6 @@ def test_a_reference_between_knots_is_followed_exactly(contact: Any) -> None:
     for run in (replay_event_driven, replay_drake):
         replay = run(world, scenario, [0.0, 0.5, 1.0], [[0.0], [0.0]])
         assert replay.cost == pytest.approx(expected, rel=1e-8)
-
-
-# Simulators of one's own.
 
 
 def test_a_simulator_of_a_soft_task_has_the_models_walls() -> None:

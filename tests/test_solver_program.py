@@ -82,7 +82,7 @@ def test_other_inequalities_get_a_slack_between_their_bounds() -> None:
     assert program.cost(x) == pytest.approx(13.0)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_rows_with_waves_have_penalties_and_slacks_too(seed: int) -> None:
     program = read_program(
         make_program(
@@ -183,13 +183,8 @@ def test_bounds_that_contradict_each_other_are_found_at_once(constraints: Any) -
 def test_variables_that_are_not_continuous_are_refused_by_name() -> None:
     prog = make_program()
     prog.NewBinaryVariables(1, "b")
-    with pytest.raises(
-        UnsupportedTermError, match=r"the variable b\(0\) .* got one of type BINARY"
-    ):
+    with pytest.raises(UnsupportedTermError, match=r"the variable b\(0\) .* got one of type BINAR"):
         read_program(prog)
-
-
-# The first box.
 
 
 def first_box(prog: MathematicalProgram, guess: Any = NAN, **options: Any) -> tuple[Any, Any]:
@@ -197,11 +192,15 @@ def first_box(prog: MathematicalProgram, guess: Any = NAN, **options: Any) -> tu
     return box.center, box.half_width
 
 
-def test_between_bounds_the_first_box_is_all_of_them() -> None:
+def test_the_first_box_is_all_between_bounds_and_cut_by_one() -> None:
     prog = make_program(lambda x: (x[0] + 0, -1, 5), lambda x: (x[1] + 0, 3, 3))
     center, half_width = first_box(prog, [100.0, 100.0])
     np.testing.assert_allclose(center, [2, 3])
     np.testing.assert_allclose(half_width, [3, 0])
+    center, half_width = first_box(make_program(lambda x: (x[0] + 0, 0.5, INF)), [0.0, 0.0])
+    assert center[0] - half_width[0] == 0.5 and half_width[0] >= 0.5
+    _, half_width = first_box(make_program(cost=lambda x: -x[0] + x[1] ** 2), max_doublings=4)
+    np.testing.assert_allclose(half_width, [16, 1])
 
 
 @pytest.mark.parametrize("middle", [0.0, 5.0, -300.0])
@@ -214,16 +213,6 @@ def test_without_bounds_the_first_box_grows_until_outside_is_worse(middle: float
     assert half_width[1] == 1
     guessed, narrow = first_box(prog, [middle, 0.0])
     assert guessed[0] == middle and narrow[0] == max(1, abs(middle))
-
-
-def test_a_bound_on_one_side_cuts_the_first_box() -> None:
-    center, half_width = first_box(make_program(lambda x: (x[0] + 0, 0.5, INF)), [0.0, 0.0])
-    assert center[0] - half_width[0] == 0.5 and half_width[0] >= 0.5
-
-
-def test_a_cost_that_falls_without_end_stops_the_growth() -> None:
-    _, half_width = first_box(make_program(cost=lambda x: -x[0] + x[1] ** 2), max_doublings=4)
-    np.testing.assert_allclose(half_width, [16, 1])
 
 
 def test_slacks_start_with_the_range_of_what_they_stand_for() -> None:
@@ -275,9 +264,6 @@ def test_where_exponentials_overflow_the_first_box_is_cut() -> None:
     # Not where that is no remedy.
     prog = make_program(lambda x: (x[0] + 0, -3, 3), lambda x: (1e30 * x[1] + exp(x[0]), 0, 0))
     assert first_box(prog)[1][0] == 3
-
-
-# Augmented Lagrangians: their minimizers become feasible at a weight that stays as it is.
 
 
 def two_rows() -> tuple[AigoProgram, Box]:

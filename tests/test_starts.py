@@ -1,10 +1,8 @@
 """Where AIGO starts: boxes around the straight line, and around the coasting motion.
 
-Starts so near to a wall that the first bounce comes at once, whatever the control.
-
-Bounces that a motion might have once more, and the plans that need them.
-
-Balls that settle on a floor, rest there and jump: phases, plans, and what they are judged by.
+Starts so near to a wall that the first bounce comes at once, whatever the control. Bounces that a
+motion might have once more, and the plans that need them. Balls that settle on a floor, rest there
+and jump: phases, plans, and what they are judged by.
 """
 
 from __future__ import annotations
@@ -88,7 +86,7 @@ def test_around_a_block_other_faces_are_in_force_where_the_coast_goes() -> None:
 
 
 @pytest.mark.parametrize("restitution", [1.0, 0.8])
-@pytest.mark.parametrize("velocity", [3.1, -2.2, 0.7])
+@pytest.mark.parametrize("velocity", [3.1, -2.2])
 def test_cool_boxes_around_the_coast_keep_its_bounces(velocity: float, restitution: float) -> None:
     scenario = dataclasses.replace(
         Scenario.named("corridor/three_bounces"),
@@ -206,12 +204,9 @@ def test_a_free_flight_may_touch_every_wall_where_it_is_nearest() -> None:
     assert 0.2 < to_upper < 0.25
 
 
-def test_no_wall_is_touched_twice_in_a_row_where_nothing_pulls() -> None:
+def test_gravity_alone_pulls_back_to_a_wall_just_left() -> None:
     found = insertions("corridor", [0.8], [Touch.bounce(0.5, 0)])
     assert [(time > 0.5, contact) for time, contact in found] == [(False, 1), (True, 1)]
-
-
-def test_gravity_pulls_back_to_the_floor() -> None:
     found = insertions("floor", [0.8], [Touch.bounce(0.5, 0)])
     assert [contact for _, contact in found] == [0] * 4  # At the nearest, and soon before the next.
     times = [time for time, _ in found]
@@ -293,8 +288,8 @@ def rest(world: World, scenario: Scenario, land: float, leave: float) -> Solved:
     return solve(PhaseProblem(world, scenario, [Touch(land, leave)]))
 
 
-@pytest.mark.parametrize("duration", [2.4, 2.0, 1.8])
-@pytest.mark.parametrize("e", [0.1, 0.5, 0.7])
+@pytest.mark.parametrize("duration", [2.4, 1.8])
+@pytest.mark.parametrize("e", [0.1, 0.7])
 def test_hops_end_before_the_jump_however_short_the_time_is(
     moon: World, e: float, duration: float
 ) -> None:

@@ -63,10 +63,14 @@ def test_a_rigid_block_has_the_exact_optimum_and_how_far_above_it_all_is(plan: P
     assert "Rigid transcription: 1 of 1 plans hold there." in text
 
 
-def test_above_an_optimum_of_nothing_costs_stand_for_themselves(plan: Plan) -> None:
+def test_what_has_no_optimum_or_no_drake_is_not_compared(plan: Plan) -> None:
     text = format_table1(Table1((), (rigid_cell(plan, optimum=1e-30),)))
     assert "exact optimum 0, bounce" in text
     assert re.search(r"\n  above the optimum +\+1\.0e-04 +\+1\.0e-04 +\+9\.9e-05\n", text)
+    text = format_table1(Table1((), (rigid_cell(plan, optimum=1e-4, drake=False),)))
+    block = text.split("\n\n")[1]
+    assert "Drake's wall" not in block
+    assert re.search(r"\n  above the optimum +\+0\.001 % +\+1\.000 %$", block)
 
 
 def test_rounding_noise_is_not_shown_as_a_cost(plan: Plan) -> None:
@@ -98,13 +102,6 @@ def test_a_plan_shows_no_rounding_noise_at_any_scale(
     assert sum("cost 0" in line for line in lines) >= 3
     loud = with_best(quiet, dataclasses.replace(best, cost=2e-6 * scale))
     assert f"cost {cost_text(2e-6 * scale, 3)}" in format_plan(loud, world)
-
-
-def test_what_drake_did_not_simulate_is_not_compared(plan: Plan) -> None:
-    text = format_table1(Table1((), (rigid_cell(plan, optimum=1e-4, drake=False),)))
-    block = text.split("\n\n")[1]
-    assert "Drake's wall" not in block
-    assert re.search(r"\n  above the optimum +\+0\.001 % +\+1\.000 %$", block)
 
 
 def test_rows_show_the_literal_cells_before_the_rigid_one(plan: Plan) -> None:
@@ -188,12 +185,11 @@ def test_what_is_not_known_is_left_out(plan: Plan, world: World) -> None:
     assert "ms late" not in format_replays(still, world)
 
 
-def test_a_matched_dissipation_says_for_which_impacts(plan: Plan, world: World) -> None:
+def test_what_compliance_explains_and_impacts_that_dissipation_matches_are_told(
+    plan: Plan, world: World
+) -> None:
     matched = with_replays(plan, matched_speeds=(1.234, 0.98765))
     assert "restitution matched for impacts at 1.23, 0.99 m/s" in format_plan(matched, world)
-
-
-def test_what_compliance_explains_is_told(plan: Plan, world: World) -> None:
     told = format_replays(with_replays(plan, compliance_error=0.0034), world)
     assert told.count(" off the goal (its compliance explains 3.4 mm)") == 2
     rigid = with_replays(plan, compliance_error=0.0, compliance_cost=0.0)

@@ -167,17 +167,11 @@ def test_a_cost_is_pickled_equal_and_read_only() -> None:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        (
-            {"goal_weight": 1.0},
-            "goal_weight: got one number, 1, for sliders and hinges alike, expe",
-        ),
+        ({"goal_weight": 1.0}, "goal_weight: got one number, 1, for sliders and hinges alike, exp"),
         ({"velocity_weight": 2.0}, "velocity_weight: got one number, 2, for sliders and hinges"),
         ({"goal_weight": [1.0] * 3}, "goal_weight: got 3 values, expected 2, one for each coord"),
         ({"goal_weight": np.eye(3)}, "goal_weight: got 3 values a row, expected 2, one for each"),
-        (
-            {"control_weight": [1.0, 1.0]},
-            "control_weight: got 2 values, expected 1, one for each a",
-        ),
+        ({"control_weight": [1.0, 1.0]}, "control_weight: got 2 values, expected 1, one for each"),
         (
             {"goal_velocity": [1.0], "goal_velocity_weight": [1.0, 1.0]},
             "goal_velocity: got 1 value, expected 2",
@@ -199,12 +193,9 @@ def test_a_cost_that_does_not_fit_the_world_is_refused(
         cost_of(**fields)
 
 
-def test_one_weight_for_all_units_is_fine_where_it_counts_for_nothing() -> None:
+def test_weights_and_turns_fit_what_they_count_for() -> None:
     cost_of(goal_weight=0.0)
     cost_of(goal_weight=1.0, hard_goal=True)
-
-
-def test_turns_are_refused_where_nothing_turns() -> None:
     scenario = Scenario.named("table1/1")
     asked = Scenario(**{**scenario.to_plain(), "angles": "modulo"})
     with pytest.raises(ScenarioError, match="angles: got 'modulo', expected 'exact', as no coord"):

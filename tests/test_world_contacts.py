@@ -102,7 +102,7 @@ def test_a_ball_on_a_line_meets_the_face_that_it_faces(start: float, distance: A
     assert differs_by_zero(world.contacts[0].signed_distance, distance(world.positions[0]))
 
 
-def test_a_ball_on_a_plane_may_meet_every_side_of_a_block_and_never_its_top() -> None:
+def test_a_ball_may_meet_every_side_of_a_block_on_a_plane_and_in_space() -> None:
     world = pose_world("xy", [BLOCK], [0.0, 0.0])
     x, y = world.positions
     expected = {"+x": x - 1.375, "-x": 0.625 - x, "+y": y - 0.5, "-y": -0.5 - y}
@@ -111,9 +111,6 @@ def test_a_ball_on_a_plane_may_meet_every_side_of_a_block_and_never_its_top() ->
         assert differs_by_zero(contact.signed_distance, distance)
     assert (world.num_contacts, world.num_solids) == (4, 1)
     assert {contact.solid for contact in world.contacts} == {0}
-
-
-def test_a_ball_in_space_may_meet_all_six_faces() -> None:
     assert pose_world("xyz", [BLOCK], np.zeros(3)).num_contacts == 6
 
 
@@ -169,10 +166,17 @@ def test_two_balls_that_leave_their_line_are_round() -> None:
     assert not world.has_constant_inertia
 
 
-def test_a_shape_that_is_not_supported_is_refused_by_name() -> None:
+def test_shapes_masses_and_contacts_that_do_not_fit_are_refused_by_name() -> None:
     post = ("post", Cylinder(0.1, 1.0), [1.0, 0.0, 0.0])
     with pytest.raises(ModelError, match=r"contact of .*got Sphere against Cylinder, expected"):
         pose_world("x", [post], 0.0)
+    diagram = make_diagram("x", [BLOCK], [0.0, 0.4], balls=2)
+    with pytest.raises(ModelError, match="mass: got links 'ball', 'ball 1', which all carry"):
+        World.from_diagram(diagram, mass=3.0)
+    scenario = Scenario.named("corridor/lossy")
+    message = "is for one contact: got ball against left_wall, ball against right_wall, expected"
+    with pytest.raises(ModelError, match=f"the literal transcription {message}"):
+        LiteralTranscription(World.from_scenario(scenario), scenario)
 
 
 def test_the_shapes_of_a_body_that_has_several_are_told_apart() -> None:
@@ -230,12 +234,6 @@ def test_a_restitution_out_of_range_is_refused_by_the_shapes_name(value: object)
         pose_world("x", [BLOCK], 0.0, restitution=value)
 
 
-def test_the_mass_of_several_bodies_with_spheres_is_refused_by_name() -> None:
-    diagram = make_diagram("x", [BLOCK], [0.0, 0.4], balls=2)
-    with pytest.raises(ModelError, match="mass: got links 'ball', 'ball 1', which all carry"):
-        World.from_diagram(diagram, mass=3.0)
-
-
 def test_one_bodys_mass_is_replaced_in_all_of_its_contacts() -> None:
     world = World.from_diagram(make_diagram("xz", [BLOCK, GROUND], [0.0, 0.0]), mass=3.0)
     np.testing.assert_array_equal(world.constant_inertia.mass_matrix, 3.0 * np.eye(2))
@@ -275,13 +273,6 @@ def test_a_spring_damper_between_points_is_refused_with_the_joint_that_does_it()
     plant.Finalize()
     with pytest.raises(ModelError, match=r"joint 'ball x' .*put spring and damping on a joint"):
         World.from_diagram(builder.Build())
-
-
-def test_the_literal_transcription_refuses_several_contacts_by_name() -> None:
-    scenario = Scenario.named("corridor/lossy")
-    message = "is for one contact: got ball against left_wall, ball against right_wall, expected"
-    with pytest.raises(ModelError, match=f"the literal transcription {message}"):
-        LiteralTranscription(World.from_scenario(scenario), scenario)
 
 
 # A half space is in front of the ball where the box was: the same equations.

@@ -29,8 +29,6 @@ from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.world import build_diagram
 
-# Bad models, each with one clear error.
-
 SLIDER_AXIS = """<axis>
         <xyz>1 0 0</xyz>
       </axis>"""
@@ -164,9 +162,6 @@ def test_plans_without_limits_refuse_a_model_that_has_one(write_model: ModelWrit
         Recorder(world, limited, seconds=1.0)
     with pytest.raises(ModelError, match=message):
         rigid_optimum(world, limited)
-
-
-# Scenarios that don't fit the world.
 
 
 @pytest.mark.parametrize(

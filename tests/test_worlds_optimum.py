@@ -23,8 +23,6 @@ from drake_aigto.world import Scenario, World
 
 Optimum = Callable[[World, Scenario], Any]
 
-# One wall: another road to the same number.
-
 
 @given(
     st.floats(0.1, 2),
@@ -45,9 +43,6 @@ def test_one_wall_has_the_optimum_by_algebra(
     if abs(known.cost - known.flight_cost) > 1e-6 * known.cost + 1e-12:
         times = [touch.start for touch in found.touches]
         assert times == pytest.approx(known.bounce_times, rel=1e-3)
-
-
-# Units and symmetries.
 
 
 @pytest.mark.slow
@@ -93,10 +88,7 @@ def test_touches_are_in_the_order_of_time_and_within_it(seed: int) -> None:
         assert all(touch.impact_speed > 0 for touch in optimum.touches if not touch.lasts)
 
 
-# A block in the room.
-
-
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_room_with_a_block_costs_no_more_than_the_empty_one_if_that_is_clear(seed: int) -> None:
     scenario = draw("room_with_block", seed)
     empty = dataclasses.replace(scenario, model=draw("room", 0).model)
@@ -124,9 +116,6 @@ def test_a_block_on_the_way_is_passed_at_its_corner_or_bounced_off() -> None:
     assert straight < around.cost < 1.5 * straight
 
 
-# Random scenarios.
-
-
 @pytest.mark.parametrize("name", WORLDS)
 def test_random_scenarios_fit_their_world_and_are_the_same_again(name: str) -> None:
     study = WORLDS[name]
@@ -136,9 +125,6 @@ def test_random_scenarios_fit_their_world_and_are_the_same_again(name: str) -> N
     assert {scenario.restitution for scenario in scenarios} == set(study.restitutions)
     for scenario in scenarios:
         world_of(name).check(scenario)
-
-
-# The optimal control, replayed.
 
 
 def axis_line(scenario: Scenario, axis: int) -> Line:
@@ -218,8 +204,7 @@ def optimal_controls(
 
 
 @pytest.mark.parametrize("name", ["corridor", "floor", "room", "room_with_block"])
-@pytest.mark.parametrize("seed", [0, 1, 2])
-@pytest.mark.parametrize("e", [1.0, 0.8])
+@pytest.mark.parametrize(("seed", "e"), [(0, 1.0), (1, 0.8), (2, 0.8)])
 def test_the_replayed_optimum_touches_and_costs_as_it_says(name: str, seed: int, e: float) -> None:
     scenario = draw(name, seed, restitution=e)
     optimum = solve(name, scenario)
@@ -230,9 +215,6 @@ def test_the_replayed_optimum_touches_and_costs_as_it_says(name: str, seed: int,
     assert replay.cost == pytest.approx(optimum.cost, rel=1e-3, abs=1e-9)
     assert replay.bounce_contacts == optimum.contacts
     assert replay.bounce_times == pytest.approx([t.start for t in optimum.touches], abs=1e-4)
-
-
-# Bad input.
 
 
 @pytest.mark.parametrize("optimum", [rigid_optimum, walls_optimum])

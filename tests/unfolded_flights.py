@@ -51,9 +51,10 @@ class Flight:
     def bounces(self) -> list[tuple[float, int]]:
         """Returns when it meets which wall: 0 at even numbers, 1 at odd ones."""
         found = []
+        moves = np.array([-self.push / (6 * self.duration), self.push / 2, self.speed])
+        moves[np.abs(moves) < 1e-200] = 0.0  # What would overflow where it divides.
         for wall in range(-12, 13):
-            cubic = [-self.push / (6 * self.duration), self.push / 2, self.speed, self.start - wall]
-            for root in np.roots(np.trim_zeros(cubic, "f")):
+            for root in np.roots(np.append(np.trim_zeros(moves, "f"), self.start - wall)):
                 if abs(root.imag) < 1e-12 and 0 < root.real < self.duration:
                     found.append((float(root.real), wall % 2))
         return sorted(found)
