@@ -140,6 +140,13 @@ def test_hinges_are_measured_in_radians_and_their_contacts_by_their_arms() -> No
     assert make_task("acrobot/swing_up").measures.length == 1.0
 
 
+def test_servos_are_no_forces_that_move_a_mechanism_without_control() -> None:
+    bare = Scenario.named("acrobot/swing_up")
+    held = Scenario.from_plain({**bare.to_plain(), "servos": {"*": [1e4, 1.0]}})
+    one, other = (Measures.of(World.from_scenario(each), each) for each in (bare, held))
+    assert other.period == pytest.approx(one.period)
+
+
 def test_springs_in_place_of_rigid_walls_return_what_these_do_at_one_speed() -> None:
     law = soften(drop_ball(), RigidLaw(np.array([0.6])), 0.02, 1.5)
     assert law.stiffness[0] == pytest.approx(2.0 / 0.02**2)

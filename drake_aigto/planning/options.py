@@ -163,7 +163,7 @@ class PlanOptions(SearchOptions):
         exhaustive: balls: whether rungs are run, too, that hardly have new results
             (`BallSearch.rungs`), and flights refined that cost too much (`BallSearch.add`).
         branches: balls: number of candidates with neighbors tried, with one bounce more or fewer.
-        starts: mechanisms: how many guesses of motions are closed first; in space up to four more,
+        starts: mechanisms: how many guesses of motions are closed first; in space up to eight more,
             with contact that is hardly smoothed.
         renewals: mechanisms: how many more guesses are closed at most, near the best motions and
             around other starts in turn.

@@ -12,8 +12,11 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
 
+import numpy as np
 import yaml
+from pydrake.multibody.plant import MultibodyPlant
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.model_fields import ModelFields, Servo
 from drake_aigto.world.scenario import Scenario
@@ -160,6 +163,18 @@ def pick(what: str, globs: Iterable[str], names: Collection[str]) -> list[str]:
                 what, got=repr(glob), expected=f"one of {', '.join(sorted(names)) or '(none)'}"
             )
     return [name for name in names if any(fits(name, glob) for glob in globs)]
+
+
+def calc_servo_forces(
+    plant: MultibodyPlant, servos: Mapping[str, Servo], positions: Floats
+) -> Floats:
+    """Returns k q of servos in driven joints, shape (…, nv), at positions of shape (…, nq)."""
+    forces = np.zeros((*np.shape(positions)[:-1], plant.num_velocities()))
+    for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
+        joint = actuator.joint()
+        for k in [each.stiffness for glob, each in servos.items() if fits(joint.name(), glob)]:
+            forces[..., joint.velocity_start()] = k * positions[..., joint.position_start()]
+    return forces
 
 
 def read_numbers(

@@ -245,7 +245,8 @@ def steady(
     Where friction sticks and slips, Runge-Kutta steps are of low order, and instability amplifies
     their errors: an error of 1e-8 becomes 1e-3 for a pole that balances for 3 s. So the motion is
     simulated again by the world's own equations, each control corrected at its knot by the gains
-    of the motion (`ShootingProblem.linearize`); the corrected controls are returned.
+    of the motion (`ShootingProblem.linearize`). Between compliant walls, what is returned is that
+    simulation with its cost, so that a plan promises what was integrated; else the controls of it.
 
     Args:
         world: the mechanism.
@@ -261,11 +262,12 @@ def steady(
         found = replay_with(EVENT_DRIVEN, world, scenario, controller)
     else:
         EVENT_DRIVEN.simulate(world, scenario, controller)
+    corrected = dataclasses.replace(motion, controls=controller.controls)
     # Where its cost has kinks between knots, the replay of a plan has knots there, too.
-    is_whole = has_knots(scenario, motion.times)
-    return dataclasses.replace(
-        motion, controls=controller.controls, replay=found if is_whole else None
-    )
+    if found is None or not has_knots(scenario, motion.times):
+        return corrected
+    states = np.hstack(found.states_at(motion.times))
+    return dataclasses.replace(corrected, states=states, exact_cost=found.cost, replay=found)
 
 
 def close_gaps(

@@ -16,7 +16,7 @@ from drake_aigto.planning.sequences import read_touches_of
 from drake_aigto.shooting import ShootingProblem, ShootingResult
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import TouchSequence
-from drake_aigto.world import Scenario, SpaceWorld, World
+from drake_aigto.world import Scenario, SpaceWorld, World, calc_servo_forces
 
 # A mechanism's own time is that of its fastest coordinate, but at least this part of the duration.
 _SHORTEST = 0.05
@@ -35,7 +35,7 @@ class Measures:
         length: the farthest that `position` moves a contact along its normal; without contacts the
             longest unit of sliders [m].
         period: the time in which forces without control move the fastest coordinate by its unit
-            and back, at most the duration [s].
+            and back, at most the duration; servos hold what they are told, and count for none [s].
         duration: T [s].
     """
 
@@ -62,8 +62,9 @@ class Measures:
         # π √(unit / acceleration) of the fastest coordinate near the ends.
         steps = np.vstack([np.zeros(len(position)), np.diag(position) / 2, -np.diag(position) / 2])
         q = world.add(ends[:, np.newaxis], steps).reshape(-1, world.num_positions)
-        bias = world.calc_bias(q, np.zeros((len(q), len(position))))[..., np.newaxis]
-        falls = np.abs(np.linalg.solve(world.calc_mass_matrix(q), bias))[..., 0]
+        forces = world.calc_bias(q, np.zeros((len(q), len(position))))
+        forces -= calc_servo_forces(world.plant, scenario.model_fields.servos, q)
+        falls = np.abs(np.linalg.solve(world.calc_mass_matrix(q), forces[..., np.newaxis]))[..., 0]
         fastest = float(np.max(falls / position, initial=0.0))
         period = np.pi / np.sqrt(fastest) if fastest > 0 else T
         period = float(np.clip(period, _SHORTEST * T, T))
@@ -207,19 +208,24 @@ class Guesses:
 
     @property
     def sharp_starts(self) -> tuple[StartName, ...]:
-        """Those that are closed with hardly smoothed contact, too: in space.
+        """Those closed with hardly smoothed contact, too, with and without states: in space.
 
         There contact from afar pushes whatever flies or walks off its path.
         """
         return () if self._reaches is None else tuple(n for n in STARTS if n in self.starts)
 
-    def plain(self, start: StartName, width: float = 1.0) -> Guess:
-        """Returns the guess of a start as it is: no wait, no waves, no control."""
+    def plain(self, start: StartName, width: float = 1.0, has_states: bool = True) -> Guess:
+        """Returns the guess of a start as it is: no wait, no waves, no control.
+
+        Without states, it is where its controls lead: a robot whose servos follow the path stands
+        on its feet, or falls, as contact has it, while feet on the path itself miss the ground.
+        """
         times = self._problem.knot_times
         if start == "controls":
             none = np.zeros((len(times) - 1, self._world.num_actuators))
             return Guess(times, none, width=width)
-        return self._follow(times, self._find_path(start, times, 0.0, times[-1]), width)
+        guess = self._follow(times, self._find_path(start, times, 0.0, times[-1]), width)
+        return guess if has_states else replace(guess, states=None)
 
     def draw(self, start: StartName, rng: np.random.Generator) -> Guess:
         """Returns a random guess around a start."""

@@ -168,10 +168,11 @@ class MechanismSearch(Search):
         starts = (self._start(number, number < plain) for number in range(count))
         sharp = [
             Proposal(
-                Origin(f"shooting {_WORDS[each]}, contact sharp"),
-                partial(self._close, partial(guesses.plain, each, 0.0)),
+                Origin(f"shooting {_WORDS[each]}, contact sharp{words}"),
+                partial(self._close, partial(guesses.plain, each, 0.0, has_states)),
             )
             for each in guesses.sharp_starts
+            for words, has_states in (("", True), (", simulated", False))
         ]
         yield [*given, *starts, *sharp]
         if (shorter := self.task.shortened()) is not None:

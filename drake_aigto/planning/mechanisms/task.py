@@ -63,7 +63,7 @@ class MechanismTask(PosedMechanism):
     @property
     def num_starts(self) -> int:
         """How many guesses are closed first."""
-        return self.options.starts + len(self.guesses.sharp_starts)
+        return self.options.starts + 2 * len(self.guesses.sharp_starts)
 
     @property
     def sources(self) -> str:
