@@ -9,8 +9,9 @@ all).
 
 Controllers: the plan's control alone; a time-varying LQR as one writes it by hand, by the clock,
 about the smooth dynamics, compliant walls included; `TrackingController`;
-`ModelPredictiveController` from the same plan, which knows the delay as the tracker does; and MPPI,
-which moves the plan's control to samples about it, by their cost in our own simulation.
+`ModelPredictiveController` from the same plan; and MPPI, which moves the plan's control to samples
+about it, by their cost in our own simulation. The tracker and what plans again are told the delay
+and the limits of actuators.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from benchmarks.loop_speed import Clocked
 from benchmarks.script import machine, read_flags, run_all, run_as
 from drake_aigto import AigtoError, Plan, Planner, PlanOptions, Scenario, TrackingController, World
 from drake_aigto.arrays import Floats
-from drake_aigto.control import ClosedLoopRun, Disturbance, PlannedMotion, run_in_loop
+from drake_aigto.control import ClosedLoopRun, Disturbance, PlannedMotion, Safety, run_in_loop
 from drake_aigto.planning import make_mechanism_task
 from drake_aigto.simulation import EVENT_DRIVEN, Held, HeldControl, Parabolas, summarize
 from drake_aigto.world import Scales, TaskCost
@@ -302,15 +303,18 @@ def list_jobs(names: Sequence[str], seeds: int) -> list[Job]:
     return [(name, seed, what) for seed, _, name, what in sorted(listed)]
 
 
-def make_controller(method: str, prepared: Prepared, delay: float) -> Any:
-    """Returns a method's controller."""
+def make_controller(method: str, prepared: Prepared, disturbance: Disturbance) -> Any:
+    """Returns a method's controller; ours know the delay, and the limits of actuators."""
     world, plan, planner, period, options = prepared
     if method == "open loop":
         return make_open_loop(plan, period)
+    known: dict[str, Any] = {"delay": disturbance.delay}
+    if disturbance.saturation.any():
+        known["safety"] = Safety(control=disturbance.saturation)
     if method == "planning again":
-        return Clocked(planner, period, plan=plan, delay=delay, **options)
+        return Clocked(planner, period, plan=plan, **known, **options)
     often = min(period, plan.scenario.time_step / 5)
-    controller: Any = TrackingController(plan, world, period=often, delay=delay)
+    controller: Any = TrackingController(plan, world, period=often, **known)
     if method == "TVLQR":
         controller = TrackingController(plan, world, period=often)
         controller.feedback = Regulated(plan, world)
@@ -337,7 +341,7 @@ def simulate(
     disturbance = dict(list_disturbances(world, plan.scenario, seed, largest))[what]
     end = plan.scenario.duration + beyond
     for method in methods:
-        controller = make_controller(method, prepared, disturbance.delay)
+        controller = make_controller(method, prepared, disturbance)
         try:
             loop = run_in_loop(controller, plan.scenario, world, disturbance, end)
         except AigtoError as error:

@@ -361,6 +361,30 @@ def test_a_goal_is_caught_from_where_its_regulator_lets_it_fall() -> None:
     assert error @ regulator.value @ error < 0.05 * (off @ regulator.value @ off)
 
 
+def test_far_off_its_goal_a_mechanism_is_led_to_rest_by_a_search_or_brakes() -> None:
+    # Fallen over, where the regulator's response leads to nothing: a search finds a motion to rest.
+    scenario, off = Scenario.named("acrobot/swing_up"), np.array([0.93, -2.49, 2.13, -7.59])
+    world, none = World.from_scenario(scenario), np.full(5, -np.inf)
+    x = np.append(scenario.goal_position, [0.0, 0.0]) + off
+    _, law = Catch(world, scenario, 0.01).follow(none, 0.0, x)
+    regulator = Regulator.of(world, scenario, x, 0.01) or pytest.fail("none")
+    assert law is not None
+    error = world.calc_error(law.phases[-1].states[-1], regulator.state)
+    assert error @ regulator.value @ error < 1e-2 * (off @ regulator.value @ off)
+    # In a rigid wall nothing is planned: for a time step the actuators brake what they move.
+    scenario = Scenario.named("cart_pole/rigid_06")
+    world = World.from_scenario(scenario)
+    x = np.array([0.7, 1.0, -3.0, 1.0])
+    _, law = Catch(world, scenario, 0.01).follow(none, 0.0, x)
+    assert law is not None
+    assert law.end == pytest.approx(scenario.time_step)
+    # Of a cart M_c v̇ = u + …, whose pole is free: (Bᵀ M⁻¹ B)⁻¹ is its own inertia there.
+    M = world.calc_mass_matrix(x[:2])
+    inertia = M[0, 0] - M[0, 1] ** 2 / M[1, 1]
+    expected = min(inertia * 3.0 / (0.2 * scenario.duration), world.bounds(scenario).control[1][0])
+    assert law.sample(0.0, x, ()).control == pytest.approx([expected])
+
+
 def test_goals_that_can_not_be_held_have_no_regulator() -> None:
     scenario = Scenario.named("acrobot/swing_up")
     world, end = World.from_scenario(scenario), np.array([np.pi, 0.0, 0.0, 0.0])

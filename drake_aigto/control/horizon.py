@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -84,7 +83,7 @@ class Horizon(ABC):
             ControlError: a free duration, or costs or constraints that were added: those at knots
                 of a plan are at none of a motion that goes on.
         """
-        _check(planner)
+        check_planner(planner)
         self.world, self.scenario, self.is_receding = planner.world, planner.scenario, is_receding
         self._period, self._scales = period, Scales.of(self.world, self.scenario)
 
@@ -232,14 +231,19 @@ class Horizon(ABC):
         other.scenario, other._task = scenario, self._task.again(scenario)
         return other
 
-    def make_feedback(
-        self, motion: PlannedMotion, phases: Sequence[FeedbackPhase] | None = None
-    ) -> Feedback | None:
+    def is_astray(self, motion: PlannedMotion, now: float, x: Floats) -> bool:
+        """Returns whether a motion to rest has gone on for a time step, and a state is off it."""
+        return False
+
+    def come_to_rest(self, now: float, x: Floats) -> PlannedMotion:
+        """Returns a motion to rest at the goal, or else one that brakes for a time step."""
+        raise NotImplementedError
+
+    def make_feedback(self, motion: PlannedMotion) -> Feedback | None:
         """Returns feedback about a motion; None where there is none."""
         of = self.world, self.scenario, motion.trajectory
         try:
-            phases = self._find_phases(motion) if phases is None else phases
-            return Feedback(*of, phases, period=self._period)
+            return Feedback(*of, self._find_phases(motion), period=self._period)
         except (ProgramError, TrajectoryError):
             return None
 
@@ -346,7 +350,7 @@ def _polish(
     return PlannedMotion(solved.trajectory, task.cost(solved), solved.sequence)
 
 
-def _check(planner: Planner) -> None:
+def check_planner(planner: Planner) -> None:
     """Refuses what can't be asked again and again.
 
     Raises:

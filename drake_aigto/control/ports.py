@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -21,6 +21,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.errors import ControlError, FrictionError, TrajectoryError
+from drake_aigto.planning import needs_shooting
 from drake_aigto.simulation import EVENT_DRIVEN, HeldControl, state_scales
 from drake_aigto.world import Scenario, World
 
@@ -60,7 +61,7 @@ class TickStatus:
         sample: whether the sample is valid, or why not.
         deviation: of the state from the plan, as a part of the task's scales or of the plan's own
             values, whichever are larger, the largest of all coordinates; infinite without a sample.
-        is_limited: whether limits have changed the command.
+        is_limited: whether limits have changed the command, or it is as large as `Safety` allows.
         is_late: whether the tick took longer than the period, or a search longer than its ticks.
         estimated: what is estimated of the model (`ModelPredictiveController.estimated`).
         iterations: of a descent in a tick, at most; 0: there is none.
@@ -95,7 +96,7 @@ class Safety(ArrayRecord):
     Letters: n coordinates, nu actuators. One number stands for all of an array.
 
     Attributes:
-        control: |u_i| at most, within the scenario's bounds, shape (nu,) [N, N m].
+        control: |u_i| at most, in the scenario's bounds, (nu,) [N, N m]; mechanisms' plans know it.
         rate: |du_i/dt| at most, from one sample to the next, shape (nu,) [N/s, N m/s].
         lower, upper: of q and v, shape (nq + n,) [m, rad, 1/s]; a sample beyond is of no use.
         far: nor is one that is farther off the plan (`TickStatus.deviation`).
@@ -189,6 +190,10 @@ class LoopController(LeafSystem):
         self._units = state_scales(world, scenario)
         low, high = world.bounds(scenario).control
         self._most = np.maximum(low, -self.safety.control), np.minimum(high, self.safety.control)
+        # Plans of mechanisms know these limits, too; those of balls have none, and are cut.
+        if np.any(np.isfinite(self.safety.control)) and needs_shooting(world, scenario):
+            least, most = self._most
+            self._scenario = replace(scenario, control_lower=least, control_upper=most)
         self._estimate = self.DeclareVectorInputPort("estimated_state", len(self._units))
         a_period = max(_COMMANDS, int(np.ceil(self.period / (often or self.period))))
         count = 2 + a_period * int(np.ceil(1 + self.delay / self.period))
@@ -279,11 +284,12 @@ class LoopController(LeafSystem):
         return np.concatenate([self._world.take_nearest(q, about), v])
 
     def _limit(self, u: Floats, commands: Floats, time: float) -> tuple[Floats, bool]:
-        """Returns a command within all limits, and whether they changed it."""
+        """Returns a command within all limits, and whether they changed it, or it is at one."""
         last, *before = commands[commands[:, 0] < time][-1]
         change = self.safety.rate * (time - last)
         limited = np.clip(np.clip(u, *self._most), before - change, before + change)
-        return limited, not np.array_equal(limited, u)
+        is_at_limit = np.any(np.abs(limited) >= self.safety.control)
+        return limited, bool(is_at_limit or not np.array_equal(limited, u))
 
     def _fall_back(self, x: Floats, planned: Floats, u: Floats, commands: Floats) -> Floats:
         """Returns the command of the fallback, from the plan's state and control."""
@@ -369,12 +375,6 @@ def predict(model: Model, x: Floats, held: HeldControl) -> tuple[Floats, list[in
     except (TrajectoryError, FrictionError):
         return None
     return np.concatenate([found.positions[-1], found.velocities[-1]]), found.bounces
-
-
-def append_command(commands: Floats, time: float, u: Floats) -> Floats:
-    """Returns rows (t, u) with one more in place of the oldest, or of the last of the same time."""
-    kept = commands[:-1] if commands[-1, 0] == time else commands[1:]
-    return np.vstack([kept, np.append(time, u)])
 
 
 def may_be_unsampled(x: Floats, expected: Floats) -> bool:

@@ -21,7 +21,6 @@ from drake_aigto.control.ports import (
     Mode,
     Safety,
     TickStatus,
-    append_command,
     check_seconds,
     may_be_unsampled,
 )
@@ -32,6 +31,7 @@ from drake_aigto.control.ticks import (
     TickChoice,
     TickMemory,
     TickQuestion,
+    append_command,
 )
 from drake_aigto.control.touches import PlannedMotion, SeenBounces
 from drake_aigto.errors import ControlError
@@ -68,9 +68,8 @@ class ModelPredictiveController(LoopController):
 
     A sample that is of no use (`Safety`), one inside of a rigid wall where no contact lasts, or one
     from which no motion is found, leaves the last plan as it is, and its control goes on, or the
-    fallback. After the end of a horizon that shrinks its goal is held, where a `Regulator` does:
-    that holds balls; of mechanisms motions to rest there are planned. Else the last control goes
-    on. No NaN leaves a port.
+    fallback. After the end of a horizon that shrinks its goal is held, where a `Regulator` does, of
+    mechanisms with motions to rest there. Else the last control goes on. No NaN leaves a port.
 
     The first plan is from the first sample: a state that is all zero, where the scenario's start is
     not, is taken for none at the start. Hinges of an estimate are taken whole turns on, to where
@@ -166,7 +165,7 @@ class ModelPredictiveController(LoopController):
             plan.find_world(planner.world)  # Refuses another world's.
         self._first = PlannedMotion.of(plan.best) if plan is not None else None
         self._learns = learns
-        posed = planner, horizon == "receding", iterations or 1, self.period
+        posed = planner, self._scenario, horizon == "receding", iterations or 1, self.period
         self._horizons = Horizons(*posed, has_thread=search_ticks is not None)
         self._horizon, self._iterations = self._horizons.own, iterations
         if planner.is_of_balls and "walls" in estimate:
@@ -349,7 +348,8 @@ class ModelPredictiveController(LoopController):
         """Remembers what a tick decided, and what it says of that."""
         motion, tick, feedback = choice.motion, before.tick + 1, None
         is_over = question.horizon.is_over(question.now)
-        if not np.isinf(usable.now) and (is_over or self.feedback_period is not None):
+        is_held = is_over or question.horizon.regulator is not None
+        if not np.isinf(usable.now) and (is_held or self.feedback_period is not None):
             is_kept = motion is before.choice.motion and before.feedback is not None
             feedback = before.feedback if is_kept else question.horizon.make_feedback(motion)
         status = TickStatus(

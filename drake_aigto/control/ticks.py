@@ -13,12 +13,13 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
 from drake_aigto.control.estimation import ModelEstimate
-from drake_aigto.control.horizon import Horizon
+from drake_aigto.control.horizon import Horizon, check_planner
 from drake_aigto.control.mechanism_horizon import make_horizon
 from drake_aigto.control.ports import Sample, TickStatus
 from drake_aigto.control.touches import PlannedMotion, SeenBounces
 from drake_aigto.errors import AigtoError, ControlError
 from drake_aigto.planning import Cut, Feedback, Planner
+from drake_aigto.world import Scenario
 
 # Iterations are measured from a state that is off by this part, so that they have work to do; a
 # tick may take this part of its period, and has no more than this number.
@@ -179,18 +180,29 @@ class Horizons:
     """A planner's task, for ticks and for searches in a thread, with what is known by now."""
 
     def __init__(
-        self, planner: Planner, is_receding: bool, iterations: int, period: float, has_thread: bool
+        self,
+        planner: Planner,
+        scenario: Scenario,
+        is_receding: bool,
+        iterations: int,
+        period: float,
+        has_thread: bool,
     ) -> None:
         """Compiles the task; arguments are those of `make_horizon`, and whether there is a thread.
+
+        The scenario is the planner's, within limits of the control.
 
         Raises:
             ControlError: from `make_horizon`.
         """
+        check_planner(planner)
+        if scenario is not planner.scenario:
+            planner = Planner(scenario, planner.options, planner.world)
         self._options, self._has_thread = planner.options, has_thread
         self._posed = is_receding, iterations, period
         self._period, self._own = period, self._make(planner)
         self._learned: tuple[Any, tuple[Horizon, Horizon]] = (None, self._own)
-        self._held: tuple[Horizon | None, ...] = (None, None, None)
+        self._held: tuple[Horizon | None, Horizon | None] = (None, None)
 
     def _make(self, planner: Planner) -> tuple[Horizon, Horizon]:
         own = make_horizon(planner, *self._posed)
@@ -223,8 +235,8 @@ class Horizons:
         if not aimed.is_over(now):
             return both
         if self._held[0] is not aimed:
-            self._held = aimed, aimed.hold(), both[1].hold()
-        return self._held[1] or both[0], self._held[2] or both[1]
+            self._held = aimed, aimed.hold()
+        return self._held[1] or both[0], both[1]
 
     def _find_learned(self, known: ModelEstimate | None) -> tuple[Horizon, Horizon]:
         if known is None or known.is_of_the_model:
@@ -277,6 +289,8 @@ class Searches:
         last, pending = before.choice.motion, before.choice.pending
         if obstacle := question.obstacle:
             return TickChoice(last, f"{obstacle}: the last plan goes on", pending=pending)
+        if question.horizon.regulator:
+            return _hold(before, question)
         motion = question.horizon.advance(last, question.now, question.x)
         cost = question.price(motion, last)
         has_searched, found, pending = self._find(before, question, motion)
@@ -300,8 +314,6 @@ class Searches:
         """
         last, pending, tick = before.choice.motion.cost, before.choice.pending, before.tick + 1
         now, x, horizon = question.now, question.x, question.horizon
-        if horizon.regulator and now - self._period < horizon.scenario.duration:
-            last = np.inf  # It was of another task.
         if pending is not None:
             if tick < pending.due or not (self._waits or pending.found.done()):
                 return False, None, pending
@@ -325,3 +337,21 @@ class Searches:
         if np.isinf(self._surprise):  # What costs nothing any more, too.
             return np.inf
         return self._surprise * cost + _NOTHING * scale
+
+
+def _hold(before: TickMemory, question: TickQuestion) -> TickChoice:
+    """Returns the motion to rest at the goal from now on, which goes on until a state is off it."""
+    last, (now, x, _, horizon, *_) = before.choice.motion, question
+    if before.usable.horizon is horizon and not horizon.is_astray(last, now, x):
+        return TickChoice(last, "the motion to rest goes on")
+    motion = horizon.come_to_rest(now, x)
+    reason = (
+        "a motion to rest" if np.isfinite(motion.cost) else "no motion to rest was found: brakes"
+    )
+    return TickChoice(motion, reason)
+
+
+def append_command(commands: Floats, time: float, u: Floats) -> Floats:
+    """Returns rows (t, u) with one more in place of the oldest, or of the last of the same time."""
+    kept = commands[:-1] if commands[-1, 0] == time else commands[1:]
+    return np.vstack([kept, np.append(time, u)])

@@ -12,7 +12,7 @@ from pydrake.systems.framework import Context, DiscreteStateIndex, DiscreteValue
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.control.catch import Catch
+from drake_aigto.control.catch import Catch, keep_within
 from drake_aigto.control.ports import (
     MODES,
     OFTEN,
@@ -22,16 +22,10 @@ from drake_aigto.control.ports import (
     Safety,
     Sample,
     TickStatus,
-    append_command,
     may_be_unsampled,
 )
-from drake_aigto.control.touches import (
-    WALL_DOUBT,
-    PlannedMotion,
-    find_bodies,
-    find_bounce,
-    name_body,
-)
+from drake_aigto.control.ticks import append_command
+from drake_aigto.control.touches import WALL_DOUBT, find_bodies, find_bounce, name_body
 from drake_aigto.planning import Cut, Feedback, Plan, is_at_rest_on
 from drake_aigto.world import Scales, World
 
@@ -86,7 +80,8 @@ class TrackingController(LoopController):
     the plan's is not: a sampled estimate that has no sample yet. Before `start_time` nothing is
     commanded; after its end its goal is held, where a `Regulator` does (`Catch`), or else the last
     state (`Feedback`). A Simulator that is initialized again on its way, at most a period after the
-    last sample, samples anew, and remembers bounces.
+    last sample, samples anew, and remembers bounces. What of a mechanism's plan exceeds the limits
+    of `Safety` is led to the best within them at first.
 
     Ports are those of `LoopController`, and an input port `contact_results`, which may stay
     unconnected. The desired state is that of the flight that the ball is on.
@@ -124,16 +119,17 @@ class TrackingController(LoopController):
         period = plan.scenario.time_step / OFTEN if period is None else period
         super().__init__(world, plan.scenario, period, delay, start_time, safety)
         self.plan = plan
-        self.feedback = Feedback(world, plan.scenario, plan.trajectory, period=self.period)
+        self._motion = keep_within(plan, world, self._scenario, self.period)
+        of = self._scenario, self._motion.trajectory
+        self.feedback = Feedback(world, *of, period=self.period)
         self._bodies = find_bodies(world)
         self._results = self.DeclareAbstractInputPort("contact_results", Value(ContactResults()))
         self._doubt = WALL_DOUBT * Scales.of(world, plan.scenario).length
         hits = [each for each in self.feedback.stretches if each.cut == Cut.HIT]
         # The slowest impact of each contact that is planned.
         self._speeds = {each.contact: each.speed for each in sorted(hits, key=lambda s: -s.speed)}
-        self._motion = PlannedMotion.of(plan.best)
         self._never = np.append(-np.inf, np.zeros(len(self._units)))
-        self._catch = Catch(world, plan.scenario, self.period)
+        self._catch = Catch(world, self._scenario, self.period)
         none = np.zeros((2, world.num_contacts))
         groups = self._no_commands.ravel(), *none, self._never, self._never, np.zeros(6)
         self._groups = _Groups(*map(self.DeclareDiscreteState, groups))
@@ -191,7 +187,7 @@ class TrackingController(LoopController):
         return self.feedback.find_state(time, self._find_bounces(context))
 
     def _find_path(self, context: Context) -> PiecewisePolynomial:
-        return self.plan.trajectory.later(self.start_time).to_piecewise()[0]
+        return self._motion.trajectory.later(self.start_time).to_piecewise()[0]
 
     def _start(self, context: Context, values: DiscreteValues) -> EventStatus:
         """Forgets what was, and takes the first sample; on the way, the next one."""
