@@ -16,7 +16,7 @@ from drake_aigto.contact import CompliantLaw, contact_law
 from drake_aigto.errors import OptionsError
 from drake_aigto.planning import Aim, MechanismTask, Reaches
 from drake_aigto.shooting import limit_states
-from drake_aigto.simulation import replay_drake
+from drake_aigto.simulation import replay_drake, replay_event_driven
 from drake_aigto.world import SpaceWorld, TaskCost
 
 SECOND = (
@@ -136,3 +136,16 @@ def test_an_arm_of_seven_joints_pushes_a_box_in_drake_as_the_search_says() -> No
     for q in (found.states[-1, : world.num_positions], drake.positions[-1]):
         assert np.linalg.norm((q - scenario.goal_position)[-3:]) < 0.05
     assert np.linalg.norm((scenario.initial_position - scenario.goal_position)[-3:]) > 0.2
+
+
+@pytest.mark.slow  # 18 CPU s, compiled.
+def test_servos_that_follow_a_line_bring_a_quadruped_to_its_feet_in_drake_too() -> None:
+    planner = Planner(Scenario.named("quadruped/leap_up"), PlanOptions(search_substeps=32))
+    task, world = planner.task, planner.world
+    assert isinstance(task, MechanismTask)
+    found = task.tighten(task.close(task.guesses.plain("line", 0.0, has_states=False), Aim()))
+    asked = world, task.scenario, found.times, found.controls
+    own, drake = replay_event_driven(*asked), replay_drake(*asked)
+    assert drake.cost == pytest.approx(own.cost, rel=1e-5)
+    assert drake.goal_error < 0.1  # [m, rad]
+    assert task.idle_candidate().replay.goal_error > 1.0
