@@ -113,7 +113,7 @@ def test_candidates_have_as_many_substeps_as_are_asked_for(tmp_path: Path) -> No
 
 @pytest.mark.slow  # 50 CPU s, compiled.
 def test_two_fingers_turn_a_disc_in_several_strokes_and_both_replays_confirm_it() -> None:
-    options = PlanOptions(renewals=0, finalists=1, search_substeps=8)
+    options = PlanOptions(renewals=0, finalists=1)
     plan = Planner(Scenario.named("planar_hand/turn"), options).plan()
     assert plan.holds
     replays, arrival = list(plan.replay), plan.find_arrival()

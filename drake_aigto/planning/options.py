@@ -172,8 +172,9 @@ class PlanOptions(SearchOptions):
             (`MechanismSearch.chance`).
         search_steps: mechanisms: number of time steps of candidates, at most; finalists have the
             scenario's.
-        search_substeps: mechanisms: number of Runge-Kutta steps in each of these, at least. By
-            itself it resolves springs; friction of bodies that are pressed hard needs more.
+        search_substeps: mechanisms: number of Runge-Kutta steps in each of these, at least. The
+            search itself takes as many as resolve springs, and shorter ones once errors of the
+            best motion's steps add up (`MechanismTask.is_coarse`).
         seed: mechanisms: of random draws.
     """
 

@@ -185,7 +185,7 @@ class ShootingProblem(OptimalControlProblem):
         """
         question = self.starting_from(result)
         if question.is_unstable(result):
-            return question._add_errors(result)
+            return question.add_errors(result)
         finer = question.simulate(result.controls, 2 * result.substeps)
         same = question.simulate(result.controls, result.substeps, order=result.order)
         unit = max(abs(finer.exact_cost), self.cost_scale)
@@ -206,10 +206,18 @@ class ShootingProblem(OptimalControlProblem):
             finer = self.simulate(controls, substeps).exact_cost
         return same if self.mechanism.has_friction else finer, abs(finer - same)
 
-    def _add_errors(self, result: ShootingResult) -> float:
+    def add_errors(self, result: ShootingResult) -> float:
+        """Returns the errors of all stages of a result, added up without their growth.
+
+        Each stage is compared with twice as many steps of order 4 from its own state; units are
+        those of `estimate_error`.
+        """
         controls, states, order = result.controls, result.states, result.order
-        finer = self.linearize(controls, 2 * result.substeps, 0.0, states)
-        same = self.linearize(controls, result.substeps, 0.0, states, order)
+        try:
+            finer = self.linearize(controls, 2 * result.substeps, 0.0, states)
+            same = self.linearize(controls, result.substeps, 0.0, states, order)
+        except ProgramError:  # Its squares exceed all numbers.
+            return np.inf
         off = np.sum(np.abs(finer.gaps - same.gaps), axis=0) / self.scales
         change = abs(finer.cost - same.cost) / max(abs(finer.cost), self.cost_scale)
         error = max(change, float(off.max()))

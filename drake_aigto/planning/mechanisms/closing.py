@@ -39,7 +39,12 @@ NEAR = dataclasses.replace(COARSE, rungs=(*COARSE.rungs[:-1], Smoothing(1e-3, 23
 # would differ by as much as hard goals allow.
 TIGHT = ShootingOptions(rungs=(Smoothing(1e-3, 40, 1e-3),), substeps=4)
 POLISH = ShootingOptions(rungs=(Smoothing(1e-4, 40, 1e-5), Smoothing(1e-6, 40, 1e-5)), substeps=4)
-WITH_FRICTION = dataclasses.replace(POLISH, rungs=(Smoothing(1e-6, 150, 1e-5),))
+WITH_FRICTION = dataclasses.replace(POLISH, rungs=(Smoothing(1e-6, 150, 1e-4),))
+
+# In the plane with friction, kinks of the sharp law stop descents early, so most of the way is gone
+# while contact is smooth: in a fourth of the steps of closings, then, of finalists, in an eighth.
+SLIDING = dataclasses.replace(TIGHT, rungs=(Smoothing(1e-3, 120, 3e-4),), order=2)
+FINER, FINEST = 4, 8
 
 # In space, ranking takes as few iterations, and the exact law says when steps are short enough.
 TIGHT_IN_SPACE = dataclasses.replace(TIGHT, rungs=(Smoothing(1e-3, 20, 1e-3),))
@@ -77,7 +82,7 @@ _FROM_AFAR = tuple(Smoothing(each, 15, 1e-2) for each in (1.0, 0.3, 0.1, 0.03, 0
 
 
 # Runge-Kutta steps of a finalist are halved until cost and end change by this part of their scales.
-_EXACT, _MOST_SUBSTEPS = 1e-3, 64
+_EXACT, MOST_SUBSTEPS = 1e-3, 64
 # A motion that halved steps change by less is steady: its controls reproduce it closely.
 _STEADY = 0.1
 # In space steps are short enough if the exact law costs this many times more than them at most:
@@ -103,10 +108,12 @@ class Aim(NamedTuple):
         most: motions that promise to cost more are left unfinished, where one pass closes them, or
             wide ones tell; between rigid walls, those that cost more (`RigidMechanismTask.bounce`).
         is_patient: whether motions worse than no control are closed again, with more care.
+        substeps: Runge-Kutta steps of the last pass, at least.
     """
 
     most: float = np.inf
     is_patient: bool = True
+    substeps: int = 1
 
     def limit(self, options: ShootingOptions, is_telling: bool) -> ShootingOptions:
         """Returns options with this limit, unless their costs are of other walls or prices.
@@ -319,7 +326,7 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult, most: float) -
         options = dataclasses.replace(options, is_wary=is_unstable, most_promised=limit)
         motion = close_gaps(problem, motion, motion.controls, states, options, motion.prices)
         is_over = motion.is_left or motion.violation > HOPELESS
-        if is_over or motion.substeps >= _MOST_SUBSTEPS:
+        if is_over or motion.substeps >= MOST_SUBSTEPS:
             return motion
         error = problem.estimate_error(motion)
         is_known = motion.is_converged and error <= _STEADY
@@ -327,10 +334,10 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult, most: float) -
             return motion
         # Where contact begins and ends, steps are of second order. Contacts that stick in long
         # steps slip in short ones.
-        halvings = np.ceil(np.log2(min(error / _EXACT, _MOST_SUBSTEPS)) / 2)
+        halvings = np.ceil(np.log2(min(error / _EXACT, MOST_SUBSTEPS)) / 2)
         substeps = motion.substeps * 2 ** (1 if has_friction else int(halvings))
         rungs = (WITH_FRICTION if has_friction else POLISH).rungs[-1:]
-        options = dataclasses.replace(POLISH, rungs=rungs, substeps=min(substeps, _MOST_SUBSTEPS))
+        options = dataclasses.replace(POLISH, rungs=rungs, substeps=min(substeps, MOST_SUBSTEPS))
 
 
 def settle(
@@ -364,7 +371,7 @@ def settle(
         if options.rungs == (sharp,):
             found = steady(world, scenario, problem, motion)
             cost = np.inf if found.replay is None else found.replay.cost
-            if cost <= _AGREES * motion.exact_cost or motion.substeps >= _MOST_SUBSTEPS:
+            if cost <= _AGREES * motion.exact_cost or motion.substeps >= MOST_SUBSTEPS:
                 return found
         substeps *= 2
         options = dataclasses.replace(

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from drake_aigto.arrays import interpolate
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.planning.candidate import COASTING, GIVEN, Candidate, Origin
 from drake_aigto.planning.mechanisms.closing import Aim
 from drake_aigto.planning.mechanisms.guesses import STARTS, Guess, StartName
+from drake_aigto.planning.mechanisms.kept import (
+    MOST_KEPT,
+    KeptMotion,
+    are_same,
+    best_of,
+    calc_chance,
+    is_better,
+    keep,
+)
 from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask
 from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.mechanisms.touches import NEAR
@@ -36,14 +44,8 @@ _WORDS: dict[StartName, str] = {
     "turn": "from a line to the goal, the other way round",
     "controls": "from controls",
 }
-# Motions that are kept, at most, no two near each other; and the least difference of their costs.
-_MOST_KEPT, _SAME = 8, 1e-3
-# Motions whose positions differ by no more than this, relative to their scales, have one optimum.
-_NEAR = 0.05
 # Renewals per wave: they are drawn from the motions that are kept, and closed together.
 _WAVE = 8
-# Motions that cost at most this times the best are near it, as far as a chance of better ones goes.
-_NEARLY = 1.1
 # Costs below this part of the task's scale count as zero.
 _NOTHING = 1e-12
 # What is narrowed where a simulation exceeds it, and how often at most.
@@ -62,28 +64,6 @@ _MOST_BRANCHED, _PROMISING, _MOST_BRANCHES = 3, 1.5, 6
 _MOST_EXTENDED = 4
 # How many of the first touches of the uncontrolled motion are tried.
 _MOST_UNCONTROLLED = 3
-
-
-@dataclass(frozen=True, eq=False)
-class KeptMotion:
-    """A motion that the search keeps.
-
-    Attributes:
-        origin: where it came from.
-        result: of shooting.
-        rank: whether it violates bounds or a hard goal by much; J, plus a price for violations.
-        found: how many searches found it that did not begin with it.
-    """
-
-    origin: Origin
-    result: ShootingResult
-    rank: tuple[bool, float]
-    found: int = 1
-
-    @property
-    def cost(self) -> float:
-        """Its J, plus a price for violations of bounds and a hard goal."""
-        return self.rank[1]
 
 
 class Found(NamedTuple):
@@ -123,6 +103,8 @@ class MechanismSearch(Search):
         self._left_out: list[KeptMotion] = []  # As another one that holds costs less.
         self._aim = Aim()
         self._num_closed = self._num_of_use = self._num_broken = 0
+        self._substeps = 1  # Of closings, at least.
+        self._scales = task.state_scales[: task.world.num_positions]
         self._rigid = task if isinstance(task, RigidMechanismTask) else None
         self._tried: set[_Key] = set()
         self._branched: list[KeptMotion] = []
@@ -189,6 +171,7 @@ class MechanismSearch(Search):
     def vary(self) -> Iterator[Sequence[Proposal]]:
         """Yields renewals of the best motions, and new starts in turn."""
         options = self.task.options
+        self._resolve()
         for first in range(0, options.renewals if self.motions else 0, _WAVE):
             cost = self.motions[0].cost
             is_free = not self.task.additions and cost <= _NOTHING * self.task.scales.cost
@@ -197,19 +180,29 @@ class MechanismSearch(Search):
             self.tell(f"renewal {first} of {options.renewals}; the best costs {cost:.6g}")
             last = min(first + _WAVE, options.renewals)
             yield [self._draw(number) for number in range(first, last)]
+            self._resolve()
+
+    def _resolve(self) -> None:
+        """Closes the kept motions anew in shorter steps while the best one's are too long."""
+        while self.motions and self.task.is_coarse(best := self.motions[0].result):
+            self._substeps = 2 * best.substeps
+            self.tell(f"shooting in {self._substeps} steps between knots")
+            wave = [Proposal(each.origin, self._again(each.result)) for each in self.motions]
+            closed = zip(self.motions, self._close_at_once(wave), strict=True)
+            again = [replace(old, result=new, rank=self.task.rank(new)) for old, new in closed]
+            if not (finite := [each for each in again if np.isfinite(each.cost)]):
+                return
+            self.motions = best_of(finite)
+
+    def _again(self, motion: ShootingResult) -> Callable[[], ShootingResult]:
+        """Returns what closes a motion in as many Runge-Kutta steps as others from now on."""
+        guess = Guess(motion.times, motion.controls, width=0.0)
+        return partial(self.task.close, guess, Aim(substeps=self._substeps))
 
     @property
     def chance(self) -> float:
-        """The estimated chance that the next search finds a motion better than all.
-
-        Of n searches, N came near the best, and s of these found what no other did. So the next
-        comes near it with N / n, finds something new there with (s + ½) / N (Good and Turing), and
-        any of those N + 1 is as likely to be the best: (s + ½) / (n (N + 1)).
-        """
-        misses, cost = self.motions[0].rank
-        limit = misses, scaled(_NEARLY, cost)
-        near = [motion.found for motion in self.motions if motion.rank <= limit]
-        return (near.count(1) + 0.5) / (self.searches * (sum(near) + 1))
+        """The estimated chance that the next search finds a better motion (`calc_chance`)."""
+        return calc_chance(self.motions, self.searches)
 
     def _draw(self, number: int) -> Proposal:
         """Returns a renewal, or every second time a random start."""
@@ -271,11 +264,12 @@ class MechanismSearch(Search):
         Where half of the motions are better than no control, others are not closed with more care:
         of 3,072 around cart-poles between soft walls 403 were, and two of these were kept.
         """
-        is_full = len(self.motions) == _MOST_KEPT
+        is_full = len(self.motions) == MOST_KEPT
         costs = [motion.cost for motion in self.motions if not motion.rank[0]]
         limits = costs[:1] if self._rigid else costs[-1:] if is_full else []
         most = scaled(self.task.close_ratio, min(limits, default=np.inf))
-        self._aim = Aim(most, is_patient=2 * self._num_of_use <= self._num_closed)
+        is_patient = 2 * self._num_of_use <= self._num_closed
+        self._aim = Aim(most, is_patient, self._substeps)
         super().close(wave)
 
     def _find_unbranched(self) -> KeptMotion | None:
@@ -283,8 +277,8 @@ class MechanismSearch(Search):
         best = self.motions[:_MOST_BRANCHED]
         for motion in best:
             is_promising = motion.cost <= scaled(_PROMISING, best[0].cost)
-            known = (each for each in self._branched if self._are_same(each, motion))
-            if is_promising and all(self._is_better(motion, each) for each in known):
+            known = (each for each in self._branched if are_same(each, motion, self._scales))
+            if is_promising and all(is_better(motion, each) for each in known):
                 return motion
         return None
 
@@ -312,38 +306,7 @@ class MechanismSearch(Search):
         self.searches += 1
         if not np.isfinite(motion.cost):
             return
-        near = [known for known in self.motions if self._are_same(known, motion)]
-        anew = parent is None or not self._are_same(parent, motion)
-        times = near[0].found + anew if near else 1
-        if not all(self._is_better(motion, known) for known in near):
-            near, motion = near[:1], near[0]
-        others = [known for known in self.motions if known not in near]
-        kept = [*others, replace(motion, found=times)]
-        self.motions = sorted(kept, key=lambda each: each.rank)[:_MOST_KEPT]
-
-    def _is_better(self, motion: KeptMotion, known: KeptMotion) -> bool:
-        """Returns whether a motion costs less, or as much with fewer touches.
-
-        One optimum has many sequences, with touches that hardly push. Each touch makes it more
-        likely that a simulation deviates.
-        """
-        costs_same = abs(motion.cost - known.cost) <= _SAME * abs(known.cost)
-        fewer = len(motion.result.touches) - len(known.result.touches)
-        if motion.rank[0] == known.rank[0] and costs_same and fewer:
-            return fewer < 0
-        return motion.rank < known.rank
-
-    def _are_same(self, one: KeptMotion, other: KeptMotion) -> bool:
-        """Returns whether two motions lead to one optimum, by cost or by path."""
-        costs_same = abs(one.cost - other.cost) <= _SAME * abs(one.cost)
-        if costs_same:
-            return True
-        (mine, yours), n = (one.result, other.result), self.task.world.num_positions
-        path = yours.states[:, :n]
-        if not np.array_equal(mine.times, yours.times):
-            path = interpolate(mine.times, yours.times, path)
-        apart = np.abs(mine.states[:, :n] - path) / self.task.state_scales[:n]
-        return bool(np.max(apart) < _NEAR)
+        self.motions = keep(self.motions, motion, parent, self._scales)
 
     def judge(self) -> None:
         """Polishes and judges the best motions."""
@@ -352,7 +315,7 @@ class MechanismSearch(Search):
             for motion in self.motions[: 1 if self.is_interrupted else None]:
                 result = self.task.tighten(motion.result)
                 tight.append(KeptMotion(motion.origin, result, self.task.rank(result)))
-        self._tight = sorted(tight, key=lambda each: each.rank) or self.motions[:1]
+        self._tight = best_of(tight) or self.motions[:1]
         self._judge_best()
 
     def _judge_best(self) -> None:
@@ -368,7 +331,7 @@ class MechanismSearch(Search):
             is_ended = self.is_interrupted and self._known
             if is_full or is_ended or motion.cost > self._scale_best(self.task.polish_ratio):
                 return
-            if not any(self._are_same(motion, other) for other in self._known):
+            if not any(are_same(motion, other, self._scales) for other in self._known):
                 polished = self._polish(motion)
                 rank = self.task.rank(polished)
                 self._num_broken += rank > (motion.rank[0], scaled(_BROKEN, motion.cost))
