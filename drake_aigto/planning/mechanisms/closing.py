@@ -85,9 +85,9 @@ _FROM_AFAR = tuple(Smoothing(each, 15, 1e-2) for each in (1.0, 0.3, 0.1, 0.03, 0
 _EXACT, MOST_SUBSTEPS = 1e-3, 64
 # A motion that halved steps change by less is steady: its controls reproduce it closely.
 _STEADY = 0.1
-# In space steps are short enough if the exact law costs this many times more than them at most:
+# In space steps are short enough if the exact law's cost differs by this part of theirs at most:
 # plans promise their costs to 1e-3.
-_AGREES = 1.0005
+_AGREES = 5e-4
 # Costs fall by up to this factor after the first pass in space.
 _LEFT = 1.2
 # Times the cost of a motion that another one costs at most, which is as good.
@@ -371,7 +371,8 @@ def settle(
         if options.rungs == (sharp,):
             found = steady(world, scenario, problem, motion)
             cost = np.inf if found.replay is None else found.replay.cost
-            if cost <= _AGREES * motion.exact_cost or motion.substeps >= MOST_SUBSTEPS:
+            agrees = abs(cost - motion.exact_cost) <= _AGREES * abs(motion.exact_cost)
+            if agrees or motion.substeps >= MOST_SUBSTEPS:
                 return found
         substeps *= 2
         options = dataclasses.replace(
