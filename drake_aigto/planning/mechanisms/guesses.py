@@ -35,7 +35,7 @@ class Measures:
         length: the farthest that `position` moves a contact along its normal; without contacts the
             longest unit of sliders [m].
         period: the time in which forces without control move the fastest coordinate by its unit
-            and back, at most the duration; servos hold what they are told, and count for none [s].
+            and back, at most the duration; servos hold their set points, and count for none [s].
         duration: T [s].
     """
 
