@@ -66,11 +66,12 @@ def test_distances_and_their_slopes_are_those_of_the_manifold(tmp_path: Path) ->
 
 
 def test_a_push_leads_to_the_same_end_here_and_in_drake(tmp_path: Path) -> None:
-    world, scenario = build(make_scenario(tmp_path))
+    by_name = make_scenario(tmp_path)
+    world, scenario = build(by_name)
     times, controls = np.linspace(0, 1, 51), np.zeros((50, 3))
     controls[:, 2] = 0.12 * 9.81
     controls[:20, 0], controls[20:35, 0] = 0.4, -0.4
-    ours = replay_event_driven(world, scenario, times, controls)
+    ours = replay_event_driven(world, by_name, times, controls)
     drake = replay_drake(world, scenario, times, controls)
     assert ours.bounce_times
     assert ours.positions[-1, 7] - scenario.initial_position[7] > 0.05  # The ball rolled.

@@ -198,7 +198,7 @@ def run_in_loop(
         ScenarioError: what is true does not fit, such as a start inside a wall.
     """
     world = world or World.from_scenario(scenario)
-    disturbance = disturbance or Disturbance()
+    scenario, disturbance = world.place(scenario), disturbance or Disturbance()
     end = _check_duration(duration, scenario, disturbance)
     true_world, true = disturbance.apply(world, scenario)
     diagram = _connect(true_world, controller, disturbance, end, meshcat)

@@ -175,6 +175,7 @@ def replay_drake(world: World, scenario: Scenario, times: ArrayLike, controls: A
 
 def replay_with(judge: Judge, world: World, scenario: Scenario, controller: Controller) -> Replay:
     """Returns what a controller does, as a judge simulates it."""
+    scenario = world.place(scenario)
     recording = judge.simulate(world, scenario, controller)
     return summarize(world, scenario, recording, controller.end)
 

@@ -96,6 +96,7 @@ def make_simulator(world: World, scenario: Scenario) -> Simulator:
         ScenarioError: it does not fit.
         ModelError: the model does not fit, or a shape has no stiffness.
     """
+    scenario = world.place(scenario)
     world.check(scenario)
     simulator, contacts = start_plant(world, scenario, (0.0, scenario.duration))
     if contacts is not None:

@@ -303,15 +303,11 @@ class RigidMechanismTask(MechanismTask):
         """
         problem, found = self.pose_phases(motion.times, motion.phases, clearances), motion
         error, is_unsteady = problem.estimate_error(found), False
+        penalty = _GENTLE if self.rigid_law.has_friction else _FINE.penalty
+        options = dataclasses.replace(_FINE, penalty=penalty, most_promised=most)
         while not found.is_left:
-            penalty = _GENTLE if self.rigid_law.has_friction else _FINE.penalty
-            options = dataclasses.replace(
-                _FINE,
-                substeps=found.substeps,
-                penalty=penalty,
-                is_wary=is_wary or is_unsteady,
-                most_promised=most,
-            )
+            wary, substeps = is_wary or is_unsteady, found.substeps
+            options = dataclasses.replace(options, is_wary=wary, substeps=substeps)
             states = found.states if is_unsteady or error > _STEADY else None
             found = problem.starting_from(found).solve(found.controls, states, options)
             error = problem.starting_from(found).estimate_error(found)
@@ -337,9 +333,8 @@ class RigidMechanismTask(MechanismTask):
         is_other = substeps != motion.substeps
         states = motion.states if is_other and problem.is_unstable(motion) else None
         settled = problem.solve(motion.controls, states, options, motion.prices)
-        is_better = settled.violation < motion.violation and self.price(settled) <= scaled(
-            _FAR, self.price(motion)
-        )
+        costs_as_much = self.price(settled) <= scaled(_FAR, self.price(motion))
+        is_better = settled.violation < motion.violation and costs_as_much
         return settled if settled.is_left or is_better else motion
 
     def pose_phases(
