@@ -11,7 +11,8 @@ import pytest
 from space_models import make_scenario
 from trees import difference_slopes, make_zoo, sample_state
 
-from drake_aigto import Planner, PlanOptions, Scenario, World
+from drake_aigto import Planner, PlanOptions, Scenario, TrackingController, World
+from drake_aigto.control import Disturbance, run_in_loop
 from drake_aigto.dynamics import Thrust, Tree
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.simulation import replay_drake, replay_event_driven
@@ -115,3 +116,7 @@ def test_drones_reach_their_goals_and_both_replays_confirm_it(name: str, renewal
     world = plan.find_world()
     if frames := TaskCost.of(world, world.place(plan.scenario)).frames:
         assert np.linalg.norm(frames.errors(plan.trajectory.positions[-1])[0, :3]) < 0.01
+        kick = np.array([0.0, 0.0, 0.0, 0.3, -0.2, 0.2, 0.0, 0.0])
+        kicked = Disturbance(kick=kick, kick_time=0.5)
+        run = run_in_loop(TrackingController(plan, world), plan.scenario, world, kicked)
+        assert run.cost < 2 * plan.cost  # 200 times as much without feedback.

@@ -240,9 +240,10 @@ class SpaceWorld(SpaceCoordinates, World):
 
     def read_control(self, root: Context) -> Floats:
         """Returns the control that acts in a context of the diagram, shape (nu,)."""
-        joints = super().read_control(root)
         if self.propeller is None:
-            return joints
+            return super().read_control(root)
+        # The plant's port is not connected if thrusters are all there is.
+        joints = super().read_control(root) if self.plant.num_actuated_dofs() else np.empty(0)
         context = self.propeller.GetMyContextFromRoot(root)
         return np.concatenate([joints, self.propeller.get_command_input_port().Eval(context)])
 
