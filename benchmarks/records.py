@@ -109,7 +109,7 @@ RECORDS: Mapping[str, str] = {
     "in_more_loops": "python -m benchmarks.in_the_loop room/bank_shot floor/rebound"
     " cart_pole/soft_06 --count 100 --workers 2 --minutes 14",
     "loop_record": "python -m benchmarks.loop_record --seeds 20 --workers 1 --minutes 600",
-    "held": "python -m benchmarks.held --workers 1 --minutes 80",
+    "held": "python -m benchmarks.held --workers 1 --minutes 40",
     "loop_speed": "python -m benchmarks.loop_speed",
     "live_latency": "python -m benchmarks.live_latency",
     "loops_changing": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --changing"
