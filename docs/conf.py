@@ -27,6 +27,7 @@ extensions = [
     "sphinx.ext.napoleon",
 ]
 exclude_patterns = ["images", "results"]
+smartquotes_action = "qe"  # Flags of the command line keep their two hyphens.
 html_theme = "furo"
 html_title = "drake_aigto"
 html_static_path = ["static"]
