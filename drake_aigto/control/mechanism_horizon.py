@@ -147,11 +147,9 @@ class _ShootingHorizon(Horizon):
         B = self.world.calc_actuation(q)
         share = np.linalg.pinv(B.T @ np.linalg.solve(self.world.calc_mass_matrix(q), B))
         u = regulator.control - share @ B.T @ v / (_BRAKE * self.scenario.duration)
-        times, none = (
-            np.array([now, now + self.scenario.time_step]),
-            np.zeros((2, self.world.num_contacts)),
-        )
         u = np.clip(u, *self.world.bounds(self.scenario).control)
+        times = np.array([now, now + self.scenario.time_step])
+        none = np.zeros((2, self.world.num_contacts))
         held = Trajectory(times, np.tile(q, (2, 1)), np.tile(v, (2, 1)), u[None], none, none[1:])
         return PlannedMotion(held, np.inf, ())
 

@@ -257,9 +257,9 @@ class Feedback(Controller):
             problem = ShootingProblem.of(world, scenario, mechanism, times)
             whole = count_damper_steps(world, trajectory.positions[0], self.longest_hold)
             steps = -(-max(_SOFT_SUBSTEPS, whole) // parts)
-            steps = problem.count_steps(u, steps, states)
+            exact, steps = problem.resolve(u, steps, states)
+            self._transitions = exact.transitions
             gains = problem.linearize(u, steps, smoothing, states).gains
-            self._transitions = problem.linearize(u, steps, 0.0, states).transitions
             self.phases = [FeedbackPhase(times, states, u, gains)]
 
     @property

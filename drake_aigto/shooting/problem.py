@@ -136,30 +136,41 @@ class ShootingProblem(OptimalControlProblem):
         options = ShootingOptions((Smoothing(smoothing, 1, np.inf),), substeps, order)
         return self._start(controls, states, options).linearize()
 
-    def count_steps(self, controls: Floats, least: int, states: Floats) -> int:
-        """Returns how many Runge-Kutta steps between knots have the transitions of half as many.
+    def resolve(
+        self, controls: Floats, substeps: int, states: Floats | None = None, order: int = 4
+    ) -> tuple[MotionExpansion, int]:
+        """Returns the problem about a motion, and the number of steps that resolve its friction.
 
         Bodies in space that stick have stiff friction: in steps that are too long errors grow by
-        powers of ten where those of the motion fade. In the plane friction follows the steps.
+        powers of ten where those of the motion fade. So steps are halved until their transitions
+        agree. In the plane friction follows the steps.
 
         Args:
-            controls: see `linearize`.
-            least: how many are tried first; all there are in the plane.
-            states: see `linearize`.
+            controls: see `linearize`, as for states and order.
+            substeps: Runge-Kutta steps between knots, at least; in the plane all there are.
+            states: of the motion.
+            order: of steps.
+
+        Raises:
+            ProgramError: from `linearize`.
         """
-        known, steps = None, least
-        while isinstance(self.mechanism, TreeMechanism) and steps < _MOST_SUBSTEPS:
+        known: Floats | float = np.nan
+        while True:
+            is_last = substeps >= _MOST_SUBSTEPS or not isinstance(self.mechanism, TreeMechanism)
             try:
-                found = self.linearize(controls, steps, 0.0, states).transitions
-                found = found * self.scales / self.scales[:, np.newaxis]
+                found = self.linearize(controls, substeps, 0.0, states, order)
             except ProgramError:  # Errors exceed all numbers.
-                found = None
-            if known is not None and found is not None:
-                off = np.linalg.norm(found - known, axis=(1, 2))
-                if np.all(off <= _AGREE * np.linalg.norm(found, axis=(1, 2))):
-                    break
-            known, steps = found, 2 * steps
-        return steps
+                if is_last:
+                    raise
+            else:
+                transitions = found.transitions * self.scales / self.scales[:, np.newaxis]
+                off, size = (
+                    np.linalg.norm(each, axis=(1, 2)) for each in (transitions - known, transitions)
+                )
+                if is_last or np.all(off <= _AGREE * size):
+                    return found, substeps
+                known = transitions
+            substeps *= 2
 
     def is_unstable(self, result: ShootingResult) -> bool:
         """Returns whether errors grow so much along a result that feedback has to judge it.
@@ -168,10 +179,9 @@ class ShootingProblem(OptimalControlProblem):
         """
         if not np.isfinite(result.states).all():
             return False
-        states, order = result.states, result.order
-        steps = self.count_steps(result.controls, result.substeps, states)
+        motion = result.controls, result.substeps, result.states, result.order
         try:
-            found = self.linearize(result.controls, steps, 0.0, states, order)
+            found, _ = self.resolve(*motion)
         except ProgramError:  # Its squares exceed all numbers.
             return False
         return calc_growth(found.transitions, self.scales).factor > MOST_GROWTH

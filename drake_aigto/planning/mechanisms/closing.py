@@ -261,9 +261,8 @@ def steady(
         problem: that the motion is a result of.
         motion: near an optimum.
     """
-    steps = problem.count_steps(motion.controls, motion.substeps, motion.states)
-    gains = problem.linearize(motion.controls, steps).gains
-    controller = _Correcting(world, motion, gains, problem.control_bounds)
+    about, _ = problem.resolve(motion.controls, motion.substeps)
+    controller = _Correcting(world, motion, about.gains, problem.control_bounds)
     found = None
     if scenario.contact == "compliant":
         found = replay_with(EVENT_DRIVEN, world, scenario, controller)
