@@ -251,6 +251,10 @@ def test_bad_input_is_one_line_and_status_2(
         (["sing"], "invalid choice: 'sing'"),
         (["plan"], "the following arguments are required: SCENARIO"),
         (["plan", "table1/1", "--aigo-steps", "1.5"], "--aigo-steps: invalid int value: '1.5'"),
+        (
+            ["plan", "table1/1", "--initial-position", "{ball: 1}"],
+            "--initial-position: got '{ball: 1}', expected numbers; positions by name",
+        ),
         (["plan", "table1/1", "--relaxation", "some"], "--relaxation: invalid float value: 'some'"),
         (["table1", "--guesses", "0"], "--guesses: got 0, expected 1 or more"),
         (["table1", "--rows", "5"], "--rows: invalid choice: 5"),

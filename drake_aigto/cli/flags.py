@@ -240,7 +240,11 @@ def _parts(hint: Any) -> Iterator[Any]:
 
 def _read_row(text: str) -> float | list[float]:
     """Returns a number, or the numbers between commas."""
-    return [float(item) for item in text.split(",")] if "," in text else float(text)
+    try:
+        return [float(item) for item in text.split(",")] if "," in text else float(text)
+    except ValueError as error:
+        expected = "numbers; positions by name are for a scenario's file"
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected {expected}") from error
 
 
 def add_json(command: Any, text: str) -> None:
