@@ -1,6 +1,6 @@
 """Worlds, what disturbs them, and five controllers of the same plan: what each makes of it.
 
-    python -m benchmarks.loop_record [--only spinner] [--seeds 1] [--keep FILE] [--minutes 60]
+    python -m benchmarks.loop_record [--only soft,rigid] [--seeds 1] [--keep FILE] [--minutes 60]
 
 Every plant is another one than the plan's by a single thing, or by all of them at once; noise and
 kicks are drawn by seed, all else runs once. Plants run in Drake's Simulator until the scenario
@@ -390,10 +390,11 @@ def run_worlds(
 ) -> int:
     """Runs a script's jobs on all disturbances of its worlds, and prints a report of each world."""
     options = read_flags(
-        doc, only=("", "worlds whose name has this in it"), seeds=(1, "of noise and kicks")
+        doc, only=("", "worlds with one of these in their names"), seeds=(1, "of noise and kicks")
     )
     print(machine(), flush=True)
-    names = [each for each in worlds if options.only in each]
+    parts = options.only.split(",")
+    names = [each for each in worlds if any(part in each for part in parts)]
     done = run_all(run, list_jobs(names, options.seeds), options)
     for name in names:
         if runs := [(what, found) for (other, _, what), found in done if other == name]:

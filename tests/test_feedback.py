@@ -16,11 +16,17 @@ from replay_worlds import make_diagram, make_scenario, make_task, shipped, shipp
 
 import drake_aigto.control
 from drake_aigto import Scenario, World
-from drake_aigto.control import Catch
+from drake_aigto.control import Bridge, Catch
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.planning import Feedback, Regulator, Sweep
-from drake_aigto.simulation import DRAKE, EVENT_DRIVEN, replay_event_driven, replay_with
+from drake_aigto.simulation import (
+    DRAKE,
+    EVENT_DRIVEN,
+    HeldControl,
+    replay_event_driven,
+    replay_with,
+)
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
 
@@ -343,46 +349,67 @@ def test_a_goal_is_caught_from_where_its_regulator_lets_it_fall() -> None:
     # An acrobot of nine tenths of its mass is there at the end of its plan, after a kick.
     scenario, off = Scenario.named("acrobot/swing_up"), np.array([-0.13, -0.011, -0.228, -0.243])
     world, goal = World.from_scenario(scenario), np.append(scenario.goal_position, [0.0, 0.0])
-    catch, x, none = Catch(world, scenario, 0.01), goal + off, np.full(5, -np.inf)
-    begun, law = catch.follow(none, 0.0, x)
-    np.testing.assert_array_equal(begun, [0.0, *x])
-    assert law is not None and law.end == scenario.duration
-    # On its way nothing else begins; far off it another motion does, and where that begins decides.
-    same, _ = catch.follow(begun, 0.5, law.find_state(0.5, ()))
-    np.testing.assert_array_equal(same, begun)
-    other, _ = catch.follow(begun, 0.5, law.find_state(0.5, ()) + 0.5)
-    assert other[0] == 0.5
+    catch, x, u = Catch(world, scenario, 0.01), goal + off, np.zeros(1)
+    # Before the end nothing is asked for; soon before it, a motion from there.
+    np.testing.assert_array_equal(catch.begin(catch.nothing, 1.9, 2.0, x, u), catch.nothing)
+    asked = catch.begin(catch.nothing, 2.0 - 1e-6, 2.0, x, u)
+    followed = catch.follow(asked, 2.0, x)
+    assert followed.is_new
+    law, end = followed.law, 2.0 + scenario.duration
+    assert isinstance(law, Feedback) and law.end == pytest.approx(end)
+    # On its way nothing else is asked for. Off it the next one is, and taken a moment later.
+    on = law.find_state(2.5, ())
+    same = catch.follow(followed.asked, 2.5, on)
+    assert same.law is law and not same.is_new
+    other = catch.follow(same.asked, 2.5, on + 0.5)
+    assert isinstance(other.law, Bridge) and other.motion is same.motion
+    late = catch.follow(other.asked, 2.5 + catch.soon, on + 0.5)
+    assert late.is_new or late.motion is None
     start = {"initial_position": x[:2], "initial_velocity": x[2:]}
-    posed = dataclasses.replace(scenario, **start)
     regulator = Regulator.of(world, scenario, goal, 0.01) or pytest.fail("none")
-    caught = EVENT_DRIVEN.simulate(world, posed, law)
-    end = np.concatenate([caught.positions[-1], caught.velocities[-1]])
-    error = world.calc_error(end, goal)
+    caught = EVENT_DRIVEN.simulate(world, dataclasses.replace(scenario, **start), law)
+    error = world.calc_error(np.append(caught.positions[-1], caught.velocities[-1]), goal)
     assert error @ regulator.value @ error < 0.05 * (off @ regulator.value @ off)
 
 
-def test_far_off_its_goal_a_mechanism_is_led_to_rest_by_a_search_or_brakes() -> None:
-    # Fallen over, where the regulator's response leads to nothing: a search finds a motion to rest.
+def test_far_off_its_goal_a_mechanism_brakes_until_a_search_leads_to_rest() -> None:
+    # Fallen over, where the regulator's response leads to nothing.
     scenario, off = Scenario.named("acrobot/swing_up"), np.array([0.93, -2.49, 2.13, -7.59])
-    world, none = World.from_scenario(scenario), np.full(5, -np.inf)
+    world, period = World.from_scenario(scenario), 0.01
     x = np.append(scenario.goal_position, [0.0, 0.0]) + off
-    _, law = Catch(world, scenario, 0.01).follow(none, 0.0, x)
-    regulator = Regulator.of(world, scenario, x, 0.01) or pytest.fail("none")
-    assert law is not None
-    error = world.calc_error(law.phases[-1].states[-1], regulator.state)
-    assert error @ regulator.value @ error < 1e-2 * (off @ regulator.value @ off)
-    # In a rigid wall nothing is planned: for a time step the actuators brake what they move.
+    runs = []
+    for _ in range(2):
+        catch, motion = Catch(world, scenario, period), None
+        asked, state, times = catch.nothing, x, 0.0
+        while motion is None and times < scenario.duration:
+            asked, law, motion, _ = catch.follow(asked, times, state)
+            held = HeldControl(
+                np.array([times, times + period]), law.sample(times, state, ()).control[np.newaxis]
+            )
+            moved = EVENT_DRIVEN.simulate(world, scenario, held, world.split(state))
+            state, times = np.append(moved.positions[-1], moved.velocities[-1]), times + period
+        assert motion is not None and catch.task is not None
+        assert not catch.task.is_off(motion.calc_state(np.inf))
+        runs.append((times, state))
+    # It is taken when it is due, whenever it was found: runs are the same again.
+    assert runs[0][0] == runs[1][0] > 0.1 * scenario.duration
+    np.testing.assert_array_equal(runs[0][1], runs[1][1])
+
+
+def test_brakes_take_the_energy_that_actuators_can_take() -> None:
+    # In a rigid wall nothing is planned.
     scenario = Scenario.named("cart_pole/rigid_06")
     world = World.from_scenario(scenario)
-    x = np.array([0.7, 1.0, -3.0, 1.0])
-    _, law = Catch(world, scenario, 0.01).follow(none, 0.0, x)
-    assert law is not None
-    assert law.end == pytest.approx(scenario.time_step)
+    x, catch = np.array([0.7, 1.0, -3.0, 1.0]), Catch(world, scenario, 0.01)
+    asked, law, motion, _ = catch.follow(catch.nothing, 0.0, x)
+    assert motion is None
     # Of a cart M_c v̇ = u + …, whose pole is free: (Bᵀ M⁻¹ B)⁻¹ is its own inertia there.
     M = world.calc_mass_matrix(x[:2])
     inertia = M[0, 0] - M[0, 1] ** 2 / M[1, 1]
     expected = min(inertia * 3.0 / (0.2 * scenario.duration), world.bounds(scenario).control[1][0])
     assert law.sample(0.0, x, ()).control == pytest.approx([expected])
+    # Nor is anything later: they go on.
+    assert catch.follow(asked, catch.soon, x).motion is None
 
 
 def test_goals_that_can_not_be_held_have_no_regulator() -> None:

@@ -1,3 +1,4 @@
+from .catch import Bridge as Bridge
 from .catch import Catch as Catch
 from .estimation import ModelEstimate as ModelEstimate
 from .estimation import ModelEstimator as ModelEstimator

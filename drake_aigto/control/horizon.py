@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import weakref
 from abc import ABC, abstractmethod
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 import numpy as np
@@ -47,6 +49,9 @@ _DIGITS = 3
 # Iterations of the local solver for balls after plain Newton steps: none, but where these lead to
 # nothing. And the same of searches, whose unlikely touches would take most of their time.
 _ITERATIONS, _SEARCHED = (0, 20), 10
+# Off a motion to rest is what is so by more than this part of the task's scale, by the V of the
+# regulator; nor is a motion one to rest that ends so far from it.
+_ASTRAY = 0.1
 # How many places of walls are kept compiled at most.
 _MOST_KEPT = 8
 
@@ -231,13 +236,11 @@ class Horizon(ABC):
         other.scenario, other._task = scenario, self._task.again(scenario)
         return other
 
-    def is_astray(self, motion: PlannedMotion, now: float, x: Floats) -> bool:
-        """Returns whether a motion to rest has gone on for a time step, and a state is off it."""
-        return False
-
-    def come_to_rest(self, now: float, x: Floats) -> PlannedMotion:
-        """Returns a motion to rest at the goal, or else one that brakes for a time step."""
-        raise NotImplementedError
+    def is_off(self, x: Floats, planned: Floats | None = None) -> bool:
+        """Returns whether a state is off another one, or the goal, by the V of the regulator."""
+        assert self.regulator
+        off = self.world.calc_error(x, self.regulator.state if planned is None else planned)
+        return bool(off @ self.regulator.value @ off > _ASTRAY * self.cost_scale)
 
     def make_feedback(self, motion: PlannedMotion) -> Feedback | None:
         """Returns feedback about a motion; None where there is none."""
@@ -348,6 +351,13 @@ def _polish(
     if solved is None:
         return None
     return PlannedMotion(solved.trajectory, task.cost(solved), solved.sequence)
+
+
+def open_thread(owner: object) -> ThreadPoolExecutor:
+    """Returns a thread beside a loop, which begins nothing more once its owner is gone."""
+    thread = ThreadPoolExecutor(1, "search")
+    weakref.finalize(owner, thread.shutdown, wait=False, cancel_futures=True)
+    return thread
 
 
 def check_planner(planner: Planner) -> None:

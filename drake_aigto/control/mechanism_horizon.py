@@ -51,11 +51,6 @@ _MUCH = 1e-2
 # A contact that lasts is this near to its wall, as a part of the task's length, and this slow, as a
 # part of its speed.
 _AT_WALL, _STILL = 1e-4, 1e-2
-# Off a motion to rest is what is so by more than this part of the task's scale, by the V of the
-# regulator; nor is a motion one to rest that ends so far from it.
-_ASTRAY = 0.1
-# To brake, actuators take speed away as if it fell by a factor e in this part of the duration.
-_BRAKE = 0.2
 # Times that differ by less than this part are the same.
 _SAME = 1e-9
 # How often a tick's iterations are run again, until walls are met.
@@ -116,51 +111,6 @@ class _ShootingHorizon(Horizon):
         held = self._asking(regulator.pose(world, scenario))
         held.is_receding, held.regulator = True, regulator
         return held
-
-    def _is_off(self, x: Floats, planned: Floats) -> bool:
-        assert self.regulator
-        off = self.world.calc_error(x, planned)
-        return bool(off @ self.regulator.value @ off > _ASTRAY * self.cost_scale)
-
-    def is_astray(self, motion: PlannedMotion, now: float, x: Floats) -> bool:
-        """Returns whether a motion to rest has gone on for a time step, and a state is off it."""
-        times, rest = motion.trajectory.times, self.regulator
-        if rest is None or now < times[0] + self.scenario.time_step:
-            return False
-        return self._is_off(x, motion.calc_state(now) if now < times[-1] else rest.state)
-
-    def come_to_rest(self, now: float, x: Floats) -> PlannedMotion:
-        """Returns a motion to rest at the goal, or else one that brakes for a time step.
-
-        It is the best near the regulator's response, as if all were linear, if that leads to rest;
-        or else, where walls are not rigid, what a search finds. Brakes take energy, whatever the
-        mechanism is: u = u* − (Bᵀ M⁻¹ B)⁺ Bᵀ v / τ.
-        """
-        rest, regulator = self.rest(now, x), self.regulator
-        assert regulator
-        ways = [self.advance] if self.is_rigid else [self.advance, lambda *_: self.search(now, x)]
-        for way in ways:
-            motion = way(rest, now, x)
-            if motion and not self._is_off(motion.calc_state(np.inf), regulator.state):
-                return motion
-        q, v = self.world.split(x)
-        B = self.world.calc_actuation(q)
-        share = np.linalg.pinv(B.T @ np.linalg.solve(self.world.calc_mass_matrix(q), B))
-        u = regulator.control - share @ B.T @ v / (_BRAKE * self.scenario.duration)
-        u = np.clip(u, *self.world.bounds(self.scenario).control)
-        times = np.array([now, now + self.scenario.time_step])
-        none = np.zeros((2, self.world.num_contacts))
-        held = Trajectory(times, np.tile(q, (2, 1)), np.tile(v, (2, 1)), u[None], none, none[1:])
-        return PlannedMotion(held, np.inf, ())
-
-    def _find_phases(self, motion: PlannedMotion) -> list[FeedbackPhase]:
-        """Returns none, or where a motion brakes the one phase, without gains."""
-        plan = motion.trajectory
-        if np.isfinite(motion.cost):
-            return []
-        states = np.hstack([plan.positions, plan.velocities])
-        gains = np.zeros((1, plan.controls.shape[1], 2 * self.world.num_velocities))
-        return [FeedbackPhase(plan.times, states, plan.controls, gains)]
 
     def _search(self, asked: Scenario) -> ShootingResult | None:
         """Returns the best motion that boxes, renewals and neighbors lead to, from time 0 on."""

@@ -22,7 +22,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.errors import ControlError, FrictionError, TrajectoryError
 from drake_aigto.planning import needs_shooting
-from drake_aigto.simulation import EVENT_DRIVEN, HeldControl, state_scales
+from drake_aigto.simulation import EVENT_DRIVEN, Controller, HeldControl, state_scales
 from drake_aigto.world import Scenario, World
 
 Mode: TypeAlias = Literal["waiting", "running", "holding", "fallback"]
@@ -367,8 +367,8 @@ class LoopController(LeafSystem):
         return x
 
 
-def predict(model: Model, x: Floats, held: HeldControl) -> tuple[Floats, list[int]] | None:
-    """Returns q and v after held commands, and the contacts that bounce; None: nobody knows."""
+def predict(model: Model, x: Floats, held: Controller) -> tuple[Floats, list[int]] | None:
+    """Returns q and v after a controller, and the contacts that bounce; None: nobody knows."""
     judge: Any = EVENT_DRIVEN
     try:
         found = judge.simulate(*model, held, state=model[0].split(x))

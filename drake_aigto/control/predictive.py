@@ -176,7 +176,7 @@ class ModelPredictiveController(LoopController):
         self._searches = Searches(self.period, margin, surprise, *often)
         nx, own = len(self._units), self._horizon
         never = -np.inf, np.zeros(nx)
-        nowhere = TickQuestion(*never, SeenBounces(), own, own, never)
+        nowhere = TickQuestion(*never, SeenBounces(), own, own, None, never)
         status = TickStatus(-np.inf, np.inf, (), "", 0.0, restitution=own.restitution)
         empty = self._no_commands, status, -1, nowhere, nowhere.seen, None, known
         self._nothing = TickMemory(TickChoice(own.rest(0.0, nowhere.x), ""), *empty)
@@ -242,11 +242,10 @@ class ModelPredictiveController(LoopController):
         if sample == "valid" and ahead is None:
             sample = "far off"
         later, now = x if ahead is None else ahead[0], self._find_time(context)
-        found = self._horizons.find(
-            self._read_reference(context), now, before.known, before.iterations
-        )
+        posed = self._read_reference(context), now, before.known, before.iterations
+        *found, catch = self._horizons.find(*posed)
         horizon, aside = (each.knowing(seen) for each in found)
-        return TickQuestion(now, later, seen, horizon, aside, (time, x), sample, off)
+        return TickQuestion(now, later, seen, horizon, aside, catch, (time, x), sample, off)
 
     def _start(self, context: Context, state: State) -> EventStatus:
         """Searches for the first plan; on the way, the one that there is goes on."""
@@ -287,9 +286,10 @@ class ModelPredictiveController(LoopController):
             ControlError: the state is inside of a wall.
         """
         now, x, horizon = question.now, question.x, question.horizon
+        if horizon.is_over(now):
+            return TickChoice(self._first or horizon.rest(now, x), "the horizon is over")
         if self._first is not None:
-            is_free = not (horizon.is_inside(x) or horizon.is_over(now))
-            led = horizon.advance(self._first, now, x) if is_free else None
+            led = None if horizon.is_inside(x) else horizon.advance(self._first, now, x)
             return TickChoice(led or self._first, "the plan that was given")
         if horizon.is_inside(x):
             raise ControlError(
@@ -346,10 +346,9 @@ class ModelPredictiveController(LoopController):
         usable: TickQuestion,
     ) -> EventStatus:
         """Remembers what a tick decided, and what it says of that."""
-        motion, tick, feedback = choice.motion, before.tick + 1, None
-        is_over = question.horizon.is_over(question.now)
-        is_held = is_over or question.horizon.regulator is not None
-        if not np.isinf(usable.now) and (is_held or self.feedback_period is not None):
+        motion, tick, feedback = choice.motion, before.tick + 1, choice.law
+        has_law = self.feedback_period is not None or question.horizon.is_over(question.now)
+        if feedback is None and has_law and not np.isinf(usable.now):
             is_kept = motion is before.choice.motion and before.feedback is not None
             feedback = before.feedback if is_kept else question.horizon.make_feedback(motion)
         status = TickStatus(
@@ -387,9 +386,9 @@ class ModelPredictiveController(LoopController):
             u, mode = self._fall_back(x, planned, u, moment.commands), "fallback"
         else:
             is_over, feedback = question.horizon.is_over(now), moment.feedback
-            mode = "holding" if is_over or question.horizon.regulator else "running"
+            mode = "holding" if is_over else "running"
             if feedback and (feedback.regulator or not is_over):
-                at = max(now, feedback.end) if is_over else now
+                at = max(now, feedback.end) if is_over and not moment.choice.law else now
                 hits = moment.find_hits(question, self.period)
                 u = feedback.sample(at, question.x, hits).control
         u, is_limited = self._limit(u, moment.commands, time)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-import weakref
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,13 +11,14 @@ import numpy as np
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
+from drake_aigto.control.catch import SOON, Bridge, Catch, Law
 from drake_aigto.control.estimation import ModelEstimate
-from drake_aigto.control.horizon import Horizon, check_planner
+from drake_aigto.control.horizon import Horizon, check_planner, open_thread
 from drake_aigto.control.mechanism_horizon import make_horizon
 from drake_aigto.control.ports import Sample, TickStatus
 from drake_aigto.control.touches import PlannedMotion, SeenBounces
 from drake_aigto.errors import AigtoError, ControlError
-from drake_aigto.planning import Cut, Feedback, Planner
+from drake_aigto.planning import Cut, Planner
 from drake_aigto.world import Scenario
 
 # Iterations are measured from a state that is off by this part, so that they have work to do; a
@@ -49,6 +49,12 @@ class TickChoice(NamedTuple):
     reason: str
     has_switched: bool = False
     pending: PendingSearch | None = None
+    asked: Floats | None = None  # The motion to rest that is asked for (`Catch`).
+    law: Law | None = None  # Feedback about it, or what acts until it is found.
+
+    def find_asked(self, catch: Catch) -> Floats:
+        """Returns the motion to rest that is asked for."""
+        return catch.nothing if self.asked is None else self.asked
 
 
 class TickQuestion(NamedTuple):
@@ -60,6 +66,8 @@ class TickQuestion(NamedTuple):
         seen: what is known of walls.
         horizon: knows that, and the goal.
         aside: the same, for a thread.
+        catch: what finds motions to rest, where the horizon ends soon; None: it does not, or
+            nothing does.
         sampled: the sample itself, and the context's time of it [s].
         sample: whether it is of use.
         deviation: how far it is off the plan.
@@ -70,6 +78,7 @@ class TickQuestion(NamedTuple):
     seen: SeenBounces
     horizon: Horizon
     aside: Horizon
+    catch: Catch | None
     sampled: tuple[float, Floats]
     sample: Sample = "valid"
     deviation: float = 0.0
@@ -81,10 +90,17 @@ class TickQuestion(NamedTuple):
         return motion.cost
 
     @property
+    def is_held(self) -> bool:
+        """Whether the horizon is over, and motions to rest hold the goal."""
+        return self.catch is not None and self.horizon.is_over(self.now)
+
+    @property
     def obstacle(self) -> str | None:
         """Why nothing can be planned from here; None: something can."""
         if self.sample != "valid":
             return f"the estimated state is {self.sample}"
+        if self.is_held:
+            return None
         if self.horizon.is_over(self.now):
             return "the horizon ends"
         return "a wall is touched" if self.horizon.is_inside(self.x) else None
@@ -112,13 +128,13 @@ class TickMemory:
     tick: int
     usable: TickQuestion
     seen: SeenBounces
-    feedback: Feedback | None = None
+    feedback: Law | None = None
     known: ModelEstimate | None = None
     iterations: int | None = None
 
     def find_hits(self, question: TickQuestion, period: float) -> list[int]:
         """Returns the contact that the plan is to hit about now, if it is left already."""
-        stretches = self.feedback.stretches if self.feedback else []
+        stretches = self.feedback.stretches if self.feedback else ()
         if not stretches or stretches[0].cut != Cut.HIT:
             return []
         contact, world = stretches[0].contact, question.horizon.world
@@ -202,7 +218,7 @@ class Horizons:
         self._posed = is_receding, iterations, period
         self._period, self._own = period, self._make(planner)
         self._learned: tuple[Any, tuple[Horizon, Horizon]] = (None, self._own)
-        self._held: tuple[Horizon | None, Horizon | None] = (None, None)
+        self._catch: tuple[Any, Catch | None] = (None, None)
 
     def _make(self, planner: Planner) -> tuple[Horizon, Horizon]:
         own = make_horizon(planner, *self._posed)
@@ -220,8 +236,8 @@ class Horizons:
         now: float,
         known: ModelEstimate | None = None,
         iterations: int | None = None,
-    ) -> tuple[Horizon, Horizon]:
-        """Returns the task of ticks and of threads from now on; after its end, to hold the goal.
+    ) -> tuple[Horizon, Horizon, Catch | None]:
+        """Returns the task of ticks and of threads, and after its end what holds the goal.
 
         Args:
             reference: what it is to follow.
@@ -231,12 +247,18 @@ class Horizons:
         """
         own, aside = self._find_learned(known)
         aimed = reference.aim(own if iterations is None else own.within(iterations), now)
-        both = aimed, aimed if aside is own else reference.aim(aside, now)
-        if not aimed.is_over(now):
-            return both
-        if self._held[0] is not aimed:
-            self._held = aimed, aimed.hold()
-        return self._held[1] or both[0], both[1]
+        aside = aimed if aside is own else reference.aim(aside, now)
+        is_ending = aimed.is_over(now + max(self._period, SOON))
+        return aimed, aside, self._hold(aimed) if is_ending else None
+
+    def _hold(self, task: Horizon) -> Catch | None:
+        world, scenario = task.world, task.scenario
+        goal = scenario.goal_position, scenario.goal_velocity
+        same = world, *(each if each is None else tuple(each) for each in goal)
+        if self._catch[0] != same:
+            catch = Catch(world, scenario, self._period)
+            self._catch = same, catch if catch.task else None
+        return self._catch[1]
 
     def _find_learned(self, known: ModelEstimate | None) -> tuple[Horizon, Horizon]:
         if known is None or known.is_of_the_model:
@@ -280,17 +302,25 @@ class Searches:
         self._period, self._margin, self._surprise = period, margin, surprise
         self._every, self._ticks, self._waits = every, ticks, waits
         if ticks is not None:
-            self._thread = ThreadPoolExecutor(1, "search")
-            # What is under way when nobody can take it any more is not followed by another one.
-            weakref.finalize(self, self._thread.shutdown, wait=False, cancel_futures=True)
+            self._thread = open_thread(self)
 
     def choose(self, before: TickMemory, question: TickQuestion) -> TickChoice:
         """Returns the plan from now on, and why it is that."""
-        last, pending = before.choice.motion, before.choice.pending
         if obstacle := question.obstacle:
-            return TickChoice(last, f"{obstacle}: the last plan goes on", pending=pending)
-        if question.horizon.regulator:
-            return _hold(before, question)
+            reason = f"{obstacle}: the last plan goes on"
+            return before.choice._replace(reason=reason, has_switched=False)
+        if question.catch and question.is_held:
+            return _hold(before.choice, question, question.catch)
+        choice, now = self._improve(before, question), question.now
+        if catch := question.catch:
+            end, u = question.horizon.end(now), choice.motion.calc_control(now)
+            asked = catch.begin(before.choice.find_asked(catch), now, end, question.x, u)
+            choice = choice._replace(asked=asked)
+        return choice
+
+    def _improve(self, before: TickMemory, question: TickQuestion) -> TickChoice:
+        """Returns the best motion near the last one, or another that a search has found."""
+        last = before.choice.motion
         motion = question.horizon.advance(last, question.now, question.x)
         cost = question.price(motion, last)
         has_searched, found, pending = self._find(before, question, motion)
@@ -339,16 +369,12 @@ class Searches:
         return self._surprise * cost + _NOTHING * scale
 
 
-def _hold(before: TickMemory, question: TickQuestion) -> TickChoice:
-    """Returns the motion to rest at the goal from now on, which goes on until a state is off it."""
-    last, (now, x, _, horizon, *_) = before.choice.motion, question
-    if before.usable.horizon is horizon and not horizon.is_astray(last, now, x):
-        return TickChoice(last, "the motion to rest goes on")
-    motion = horizon.come_to_rest(now, x)
-    reason = (
-        "a motion to rest" if np.isfinite(motion.cost) else "no motion to rest was found: brakes"
-    )
-    return TickChoice(motion, reason)
+def _hold(last: TickChoice, question: TickQuestion, catch: Catch) -> TickChoice:
+    """Returns the motion to rest at the goal from now on, or what acts until one is found."""
+    before = last.find_asked(catch)
+    asked, law, motion, _ = catch.follow(before, question.now, question.x)
+    reason = law.reason if isinstance(law, Bridge) else "a motion to rest"
+    return TickChoice(motion or last.motion, reason, asked=asked, law=law)
 
 
 def append_command(commands: Floats, time: float, u: Floats) -> Floats:

@@ -330,3 +330,8 @@ def name_body(plant: Any, index: Any) -> str:
     body = plant.get_body(index)
     is_alone = plant.NumBodiesWithName(body.name()) == 1
     return str(body.name() if is_alone else body.scoped_name())
+
+
+def list_hits(counts: Floats) -> list[int]:
+    """Returns the contact of each bounce, from how often each contact, shape (m,), has bounced."""
+    return [int(i) for i in np.repeat(np.arange(len(counts)), counts.astype(int))]

@@ -25,7 +25,7 @@ from drake_aigto.control.ports import (
     may_be_unsampled,
 )
 from drake_aigto.control.ticks import append_command
-from drake_aigto.control.touches import WALL_DOUBT, find_bodies, find_bounce, name_body
+from drake_aigto.control.touches import WALL_DOUBT, find_bodies, find_bounce, list_hits, name_body
 from drake_aigto.planning import Cut, Feedback, Plan, is_at_rest_on
 from drake_aigto.world import Scales, World
 
@@ -50,12 +50,13 @@ class _Groups(NamedTuple):
     bounces: DiscreteStateIndex  # how many of each contact, shape (m,)
     touches: DiscreteStateIndex  # _TOUCHED, _LASTS or _APART, shape (m,)
     last: DiscreteStateIndex  # the time of the last valid sample, q and v, shape (1 + nq + n,)
-    caught: DiscreteStateIndex  # when and where the motion to rest began, shape (1 + nq + n,)
+    caught: DiscreteStateIndex  # the motion to rest that is asked for (`Catch`), (2 + nq + n,)
+    before: DiscreteStateIndex  # the bounces before that begins, shape (m,)
     told: DiscreteStateIndex  # time, mode, sample, deviation, is_limited, seconds, shape (6,)
 
 
 class TrackingController(LoopController):
-    """Keeps a plant on a plan: samples its state every period, and holds the control between.
+    """Keeps a plant on a plan: samples its state every period, and at the plan's knots.
 
         controller = builder.AddSystem(TrackingController(plan))
         builder.Connect(plant.get_state_output_port(), controller.get_input_port(0))
@@ -72,8 +73,6 @@ class TrackingController(LoopController):
     round as only an impact turns it, wherever the wall stands (`find_bounce`). The first sample in
     a touched wall changes nothing, for no plan says how fast a ball is there. A contact that
     lasts at the start has not bounced when it opens.
-
-    Samples are taken at the plan's own knots as well, where its control changes.
 
     Where a sample is of no use (`Safety`) the fallback is commanded, by default the plan's own
     control: no NaN leaves a port. The plan's goes on, too, while all of the state is zero, where
@@ -131,8 +130,8 @@ class TrackingController(LoopController):
         self._never = np.append(-np.inf, np.zeros(len(self._units)))
         self._catch = Catch(world, self._scenario, self.period)
         none = np.zeros((2, world.num_contacts))
-        groups = self._no_commands.ravel(), *none, self._never, self._never, np.zeros(6)
-        self._groups = _Groups(*map(self.DeclareDiscreteState, groups))
+        groups = self._no_commands.ravel(), *none, self._never, self._catch.nothing, none[0]
+        self._groups = _Groups(*map(self.DeclareDiscreteState, (*groups, np.zeros(6))))
         self.DeclareInitializationDiscreteUpdateEvent(self._start)
         self.DeclarePeriodicDiscreteUpdateEvent(self.period, 0.0, self._sample)
         for knot in _find_between(self.start_time + plan.trajectory.times, self.period):
@@ -180,7 +179,7 @@ class TrackingController(LoopController):
         return float(context.get_time()) - self.start_time
 
     def _find_bounces(self, context: Context) -> list[int]:
-        return _list_bounces(self._read(context, self._groups.bounces))
+        return list_hits(self._read(context, self._groups.bounces))
 
     def _find_desired(self, context: Context) -> Floats:
         time = self._find_time(context) + self.delay
@@ -199,7 +198,7 @@ class TrackingController(LoopController):
         if 0 < elapsed <= (1 + _SAME) * self.period or (elapsed == 0 and np.array_equal(x, before)):
             return self._sample(context, values)
         none = np.zeros(self._world.num_contacts)
-        empty = self._no_commands.ravel(), none, none, self._never, self._never
+        empty = self._no_commands.ravel(), none, none, self._never, self._catch.nothing, none
         for group, known in zip(self._groups, empty, strict=False):
             values.set_value(group, known)
         if self._is_empty(context, x):
@@ -366,31 +365,36 @@ class TrackingController(LoopController):
     ) -> EventStatus:
         """Answers a state from now on."""
         begin, now = clock.perf_counter(), context.get_time()
-        time, seen = self._find_time(context), _list_bounces(bounces)
+        time, seen = self._find_time(context), list_hits(bounces)
         sample, off = self._judge(x, self.feedback.find_state(time, seen), self._motion.reach)
-        ahead = self._lead_on(now, x, commands)
-        if ahead is None:
+        led = self._lead_on(now, x, commands)
+        if led is None:
             return self._play(context, values, x, commands, "far off", off)
-        later, more = ahead
-        law, acts = self.feedback, time + self.delay
-        if acts >= law.end:
-            caught = self._groups.caught
-            begun, catch = self._catch.follow(self._read(context, caught), acts, later)
-            values.set_value(caught, begun)
-            law = catch or law
-        u = law.sample(acts, later, seen + more).control
-        known = bounces, touches, np.append(now, x)
-        for group, value in zip(self._groups[1:4], known, strict=True):
+        later, more = led
+        ahead = bounces + np.bincount(more, minlength=len(bounces))
+        u, *caught = self._answer(context, time + self.delay, later, ahead)
+        known = bounces, touches, np.append(now, x), *caught
+        for group, value in zip(self._groups[1:6], known, strict=True):
             values.set_value(group, value)
         return self._command(context, values, u, commands, "running", sample, off, begin)
+
+    def _answer(
+        self, context: Context, time: float, x: Floats, bounces: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Returns the control of the plan, or of a motion to rest, which, and bounces before."""
+        groups, catch, plan = self._groups, self._catch, self.feedback
+        asked, before = self._read(context, groups.caught), self._read(context, groups.before)
+        if catch.task and time >= plan.end:
+            asked, law, _, is_new = catch.follow(asked, time, x)
+            before = bounces if is_new else before
+            u = law.sample(time, x, list_hits(bounces - before)).control
+        else:
+            u = plan.sample(time, x, list_hits(bounces)).control
+            asked = catch.begin(asked, time, plan.end, x, u)
+        return u, asked, before
 
 
 def _find_between(knots: Floats, period: float) -> list[float]:
     """Returns the knots that are no samples already, but for the last [s]."""
     off = np.abs(knots - period * np.round(knots / period))[:-1]
     return [float(knot) for knot in knots[:-1][off > _SAME * period]]
-
-
-def _list_bounces(counts: Floats) -> list[int]:
-    """Returns the contact of each bounce so far."""
-    return [int(i) for i in np.repeat(np.arange(len(counts)), counts.astype(int))]
