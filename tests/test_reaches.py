@@ -62,7 +62,7 @@ def fingers(tmp_path_factory: pytest.TempPathFactory) -> Fingers:
     sliders = [[world.plant.GetJointByName(n).velocity_start() for n in each] for each in names]
     limits = limit_states(world, world.bounds(scenario))[:, :12]
     limits[:, np.array(sliders)[:, 1]] = [[-MOST], [MOST]]
-    reaches = Reaches(world, law, TaskCost.of(world, scenario), np.full(12, 0.1), limits)
+    reaches = Reaches(world, law, TaskCost.of(world, scenario), np.full(12, 0.1), limits, 1.0)
     return Fingers(world, np.array(scenario.initial_position), np.array(sliders), reaches)
 
 
@@ -82,22 +82,45 @@ def test_two_hands_turn_an_object_without_moving_it_and_one_can_not(fingers: Fin
 
 
 def test_hands_stay_within_limits_and_stick_until_they_reach_anew(fingers: Fingers) -> None:
-    world, times = fingers.world, np.linspace(0.0, 1.0, 101)
-    rng = np.random.default_rng(0)
-    path, contacts = fingers.reaches.find_path(times, fingers.start, (0.3, 1.0), rng)
-    across = world.in_tangent(path, np.zeros(1))[:, fingers.sliders[:, 1]]
-    assert np.all(np.abs(across) <= MOST + 1e-12)
-    pushing = [bool(each) for each in contacts]
-    assert np.count_nonzero(np.diff([0, *pushing]) > 0) > 1  # More than one stroke.
-    turn = world.plant.GetJointByName("thing").velocity_start() + 2
-    total = 0.0
-    for k, (each, then) in enumerate(pairwise(contacts)):
-        way = world.subtract(path[k + 1], path[k])
-        total += way[turn]
-        if each and each == then:
-            slips = world.relate(path[k])[1][list(each)] @ way
-            assert np.all(np.linalg.norm(slips, axis=1) < 0.3 * 0.05 * abs(way[turn]) + 1e-3)
-    assert total > np.deg2rad(60.0)
+    world, rng, q, total = fingers.world, np.random.default_rng(0), fingers.start, 0.0
+    turn, count = world.plant.GetJointByName("thing").velocity_start() + 2, 0
+    while total < np.deg2rad(100.0):
+        count += 1
+        path, contacts, end = fingers.reaches.find_stroke(q, 100, 0.3, rng)
+        across = world.in_tangent(path, np.zeros(1))[:, fingers.sliders[:, 1]]
+        assert np.all(np.abs(across) <= MOST + 1e-12)
+        for k, (each, then) in enumerate(pairwise(contacts)):
+            way = world.subtract(path[k + 1], path[k])
+            total += way[turn]
+            if each and each == then:
+                slips = world.relate(path[k])[1][list(each)] @ way
+                assert np.all(np.linalg.norm(slips, axis=1) < 0.3 * 0.05 * abs(way[turn]) + 1e-3)
+        np.testing.assert_allclose(path[end:], np.tile(path[end], (101 - end, 1)), atol=1e-12)
+        q = path[end]
+    assert 1 < count < 5
+
+
+def test_an_object_goes_where_one_hand_can_push_it_and_dampers_let_it(tmp_path: Path) -> None:
+    planner = Planner(Scenario.named("push_tee/to_pose"))
+    task = planner.task
+    assert isinstance(task, MechanismTask) and isinstance(planner.world, SpaceWorld)
+    scenario, times = task.scenario, np.linspace(0.0, 2.0, 51)
+    task_cost = TaskCost.of(planner.world, scenario)
+    limits = limit_states(planner.world, planner.world.bounds(scenario))[:, :5]
+    law, start = contact_law(planner.world, scenario), scenario.initial_position
+    assert isinstance(law, CompliantLaw)
+    T = scenario.duration
+    reaches = Reaches(planner.world, law, task_cost, task.measures.position, limits, T)
+    bounds = planner.world.bounds(scenario).control
+    ends = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        controls = reaches.push(times, (start, 0 * start), 0.3, bounds, rng)
+        replay = replay_event_driven(planner.world, scenario, times, controls)
+        ends.append(task_cost.goal_error(replay.positions[-1]))
+    # Half of them come nearer, the best one by far: shooting begins with these.
+    before = task_cost.goal_error(start)
+    assert np.median(ends) < 0.8 * before and min(ends) < 0.3 * before
 
 
 @pytest.mark.slow  # Shooting over trees is compiled.

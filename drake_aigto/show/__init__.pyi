@@ -51,6 +51,7 @@ from .run_facts import format_run as format_run
 from .scene import play as play
 from .scene import publish as publish
 from .shapes import coordinate_names as coordinate_names
+from .shapes import cut_polygon as cut_polygon
 from .shapes import moves_straight as moves_straight
 from .stage import Stage as Stage
 from .table1 import format_table1 as format_table1

@@ -251,7 +251,7 @@ def solid_regions(world: World, coordinates: tuple[int, int], window: Floats) ->
         (x0, y0), (x1, y1) = window
         corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
         for face in faces:
-            corners = _cut(corners, distances[face], slopes[face, list(coordinates)])
+            corners = cut_polygon(corners, distances[face], slopes[face, list(coordinates)])
         if len(corners):
             regions.append(corners)
     return regions
@@ -274,7 +274,7 @@ def wall_places(world: World, coordinate: int) -> list[tuple[int, float, float]]
     ]
 
 
-def _cut(corners: Floats, distance: float, slope: Floats) -> Floats:
+def cut_polygon(corners: Floats, distance: float, slope: Floats) -> Floats:
     """Returns the part of a convex polygon where distance + slope · corner ≤ 0."""
     kept: list[Floats] = []
     heights = distance + corners @ slope

@@ -103,8 +103,8 @@ _EFFORTS, _FEWEST, _MOST = (-1.0, 0.7), 2, 8
 # Power of ten of the widest contact, in the unit of distances, where closing begins; and where
 # bodies touch already.
 _WIDTHS, _NARROW = (-3.0, 0.0), (-3.0, -1.5)
-# When hands begin to push, as parts of the duration; and the last part of it in which they do anew.
-_BEGINS, _LAST_PUSH = (0.1, 0.6), 0.2
+# Parts of the time in which hands reach; and the last part of it in which they do anew.
+_REACHES, _LAST_PUSH = (0.1, 0.6), 0.2
 # A motion that departs by less than this part of its units rests.
 _STILL = 1e-6
 # Parts of a motion's units by which it is perturbed, as powers of ten.
@@ -192,7 +192,7 @@ class Guesses:
         self._reaches: Reaches | None = None
         if isinstance(world, SpaceWorld) and world.contacts:
             limits = problem.state_bounds[:, : world.num_velocities]
-            self._reaches = Reaches(world, law, cost, measures.position, limits)
+            self._reaches = Reaches(world, law, cost, measures.position, limits, measures.duration)
 
     @property
     def starts(self) -> tuple[StartName, ...]:
@@ -343,12 +343,10 @@ class Guesses:
     def _push(self, times: Floats, state: tuple[Floats, Floats], rng: np.random.Generator) -> Guess:
         """Returns the controls of a hand that reaches for an object from a state, and pushes it."""
         assert self._reaches is not None
-        width, T = 10 ** rng.uniform(*_NARROW), times[-1] - times[0]
-        begin = times[0] + rng.uniform(*_BEGINS) * T
-        stretch = begin, begin + rng.uniform(0.5, 1.0) * (times[-1] - begin)
+        width, share = 10 ** rng.uniform(*_NARROW), rng.uniform(*_REACHES)
         bounds = np.array(self._problem.control_bounds)
         try:
-            controls = self._reaches.push(times, state, stretch, bounds, rng)
+            controls = self._reaches.push(times, state, share, bounds, rng)
         except TrajectoryError:  # It runs away.
             controls = np.zeros((len(times) - 1, self._world.num_actuators))
         return Guess(times, controls, None, width)

@@ -19,9 +19,11 @@ _SAMPLES, _SPREAD = 20, (-1.5, 0.3)
 # Parts of the way to a touch at which it is looked at; prices of collisions there, in units, and of
 # its distance.
 _LOOKS, _COLLISION, _DISTANCE = np.linspace(0.2, 1.0, 5), 3.0, 0.1
-# Parts of an object's way, strokes of it at most, and how much of each part a hand may slip; parts
-# of the way to a touch.
-_PARTS, _MOST_STROKES, _SLIP, _ROUND = 32, 4, 0.5, np.linspace(0.0, 1.0, 9)
+# Parts of an object's way, how much of each a hand may slip, and the part of what is left that a
+# part may be in the direction of it, at least; parts of the way to a touch.
+_PARTS, _SLIP, _LEAST, _ROUND = 16, 0.5, 0.3, np.linspace(0.0, 1.0, 9)
+# A stroke's part of the time that is left, in its part of the way that is.
+_HURRY = 0.5, 1.0
 # Newton steps to a touch, the longest in units, how near to its shape they end in theirs, and how
 # near touches are.
 _NEWTON, _LONGEST, _TOUCHES, _NEAR = 12, 0.5, 1e-6, 1e-3
@@ -34,38 +36,48 @@ _NOTHING = 1e-300  # No size is below.
 _TRACKING, _TOLERANCE = 0.5, 1e-6
 
 
-class _Stroke(NamedTuple):
-    """Positions of a reach, and of the push that follows, (K, nq) each, and its contacts."""
+class Stroke(NamedTuple):
+    """Hands reach and push: positions at knots, (N + 1, nq), and after each which contacts push.
 
-    reached: Floats
-    pushed: Floats
-    contacts: tuple[int, ...]
-
-
-class Path(NamedTuple):
-    """Positions at knots, shape (N + 1, nq), and the contacts at which hands push after each."""
+    It ends at a knot, from which on hands rest.
+    """
 
     positions: Floats
     contacts: list[tuple[int, ...]]
+    end: int
 
 
 class _Following(HeldControl):
-    """Drives hands along a path, by computed torques; `controls` are those that it has held.
+    """Drives hands along strokes, by computed torques; `controls` are those that it has held.
 
-    While hands push, they have the forces at their touches, too, that best move the object along as
-    asked, but for what the object needs at rest, as the ground under it answers that.
+    Each stroke begins where those before it have led. While hands push, they have the forces at
+    their touches, too, that best move the object along as asked, but for what the object needs at
+    rest, as the ground under it answers that.
     """
 
     is_open_loop = False
 
-    def __init__(self, reaches: Reaches, times: Floats, path: Path, bounds: Floats) -> None:
+    def __init__(
+        self,
+        reaches: Reaches,
+        times: Floats,
+        share: float,
+        bounds: Floats,
+        rng: np.random.Generator,
+    ) -> None:
         super().__init__(times, np.zeros((len(times) - 1, reaches.world.num_actuators)))
-        self._reaches, self._path, self._bounds = reaches, path, bounds
+        self._reaches, self._share, self._bounds, self._rng = reaches, share, bounds, rng
+        self._begin, self._stroke = 0, Stroke(np.empty(0), [], 0)
 
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
-        world, k = self._reaches.world, int(np.searchsorted(self.times, time, side="right")) - 1
-        (q, v), h = world.split(x), self.times[k + 1] - self.times[k]
-        pace, (positions, contacts) = _TRACKING / h, self._path
+        world, row = self._reaches.world, int(np.searchsorted(self.times, time, side="right")) - 1
+        (q, v), h = world.split(x), self.times[row + 1] - self.times[row]
+        if row >= self._begin + self._stroke.end:
+            left = len(self.times) - 1 - row
+            self._begin = row
+            self._stroke = self._reaches.find_stroke(q, left, self._share, self._rng)
+        k, (positions, contacts, _) = row - self._begin, self._stroke
+        pace = _TRACKING / h
         speed = world.subtract(positions[k + 1], positions[k]) / h
         asked = pace**2 * world.subtract(positions[k], q) + 2 * pace * (speed - v)
         # Springs and dampers of servos, stiffer than steps resolve, are those at the step's end.
@@ -74,8 +86,8 @@ class _Following(HeldControl):
         force = world.calc_mass_matrix(q) @ asked + bias
         if contacts[k]:
             force -= self._reaches.calc_push(q, force - world.calc_bias(q, 0 * v), contacts[k])[0]
-        self.controls[k] = np.clip(world.inverse_actuation @ force, *self._bounds)
-        return Held(self.controls[k], float(self.times[k + 1]))
+        self.controls[row] = np.clip(world.inverse_actuation @ force, *self._bounds)
+        return Held(self.controls[row], float(self.times[row + 1]))
 
 
 def _find_edges(normal: Floats, friction: float) -> Floats:
@@ -90,15 +102,17 @@ class Reaches:
     """Motions in which a hand reaches for an object, and pushes it towards its goal.
 
     Hands are moved by actuators, objects are not. Of random configurations in which one hand or
-    several touch an object they reach the one in which they push it the best way along,
+    several touch an object they reach the one from which they push it nearest to its goal. The
+    object goes as near to the way Δ that is left as these contacts can push it, by (M + T D)⁻¹ Jᵀ f
+    against its inertia and its dampers D, with T the task's duration,
 
-        min ‖W M⁻¹ Jᵀ f − W Δ‖,   f in its cone of friction,
+        min ‖W (M + T D)⁻¹ Jᵀ f − W Δ‖,   f in its cone of friction,
 
-    with Δ the object's way to its goal and W² its weights there. From there on they stick to the
-    object, which goes its way: J_hand δ_hand = −J_object δ_object − n φ, with J of the velocity of
-    the hand's material relative to the object's, and n the normal. Where they can't follow, some
-    reach anew. Hands are simulated along this path, so that what they do to the object
-    is what contact does.
+    W² the weights of the goal; or straight, as far as that is possible, where the ground helps.
+    Hands stick to it: J_hand δ_hand = −J_object δ_object − n φ, with J of the velocity of the
+    hand's material relative to the object's, and n the normal. That is a stroke. It is simulated,
+    so that what hands do to the object is what contact does, and the next one begins where this
+    led to.
 
     Attributes:
         world: has hands and objects.
@@ -106,10 +120,16 @@ class Reaches:
     """
 
     def __init__(
-        self, world: SpaceWorld, law: CompliantLaw, cost: TaskCost, unit: Floats, limits: Floats
+        self,
+        world: SpaceWorld,
+        law: CompliantLaw,
+        cost: TaskCost,
+        unit: Floats,
+        limits: Floats,
+        duration: float,
     ) -> None:
-        """Takes the law of contact, the cost, units of positions (nv,), and limits (2, nv)."""
-        self._limits = limits
+        """Takes the law of contact, the cost, units of positions (nv,), limits (2, nv), and T."""
+        self._limits, self._duration = limits, duration
         self.world, self._law, self._cost, self._unit = world, law, cost, unit
         self._driven = np.any(world.actuation != 0, axis=1)
         self._length = float(np.max(unit[~world.turns], initial=0.0)) or float(np.max(unit))
@@ -129,7 +149,7 @@ class Reaches:
         self,
         times: Floats,
         state: tuple[Floats, Floats],
-        stretch: tuple[float, float],
+        share: float,
         bounds: Floats,
         rng: np.random.Generator,
     ) -> Floats:
@@ -138,61 +158,65 @@ class Reaches:
         Args:
             times: of knots, shape (N + 1,) [s].
             state: q and v at the first of them.
-            stretch: when it begins and ends to push [s].
+            share: of the time, in which hands reach; in the rest they push.
             bounds: of controls, shape (2, nu).
             rng: of what is drawn.
 
         Raises:
             TrajectoryError: the motion runs away.
         """
-        path = self.find_path(times, state[0], stretch, rng)
-        follows = _Following(self, times, path, bounds)
+        follows = _Following(self, times, share, bounds, rng)
         dynamics = Compliant(self.world, self._law)
         CompliantMotion(dynamics, state, float(times[0]), _TOLERANCE).run(follows)
         return follows.controls
 
-    def find_path(
-        self, times: Floats, start: Floats, stretch: tuple[float, float], rng: np.random.Generator
-    ) -> Path:
-        """Returns what `push` follows from q at the start (nq,)."""
-        clock, (begin, end) = float(times[0]), stretch
-        strokes = self._find_strokes(start, rng)
-        total = sum(len(each.pushed) - 1 for each in strokes)
-        path = np.tile(start, (len(times), 1))
-        contacts: list[tuple[int, ...]] = [()] * len(times)
-        none: tuple[int, ...] = ()
-        for each in strokes:
-            pushes = (end - begin) * (len(each.pushed) - 1) / total
-            reaches = (begin - times[0]) / len(strokes)
-            for rows, lasts, by in (
-                (each.reached, reaches, none),
-                (each.pushed, pushes, each.contacts),
-            ):
-                s = np.clip((times - clock) / lasts, 0.0, 1.0)
-                at = s * s * (3 - 2 * s) * (len(rows) - 1)
-                k = np.minimum(at.astype(int), len(rows) - 2)
-                part = (at - k)[:, np.newaxis] * self.world.subtract(rows[k + 1], rows[k])
-                path = np.where(times[:, np.newaxis] > clock, self.world.add(rows[k], part), path)
-                for row in np.flatnonzero((times >= clock) & (times < clock + lasts)):
-                    contacts[row] = by
-                clock += lasts
-        return Path(path, contacts)
+    def find_stroke(
+        self, start: Floats, count: int, share: float, rng: np.random.Generator
+    ) -> Stroke:
+        """Returns a stroke from q at the start (nq,), within N even steps of time.
 
-    def _find_strokes(self, q: Floats, rng: np.random.Generator) -> list[_Stroke]:
-        """Returns strokes; each ends where hands can't follow the object, then some reach anew."""
-        strokes, way, left = list[_Stroke](), self._find_way(q) / _PARTS, _PARTS
-        for _ in range(_MOST_STROKES):
-            pushed, contacts = self._reach(q, way, left, rng)
-            if len(pushed) > 1:
-                strokes.append(_Stroke(self._go_round(q, pushed[0]), np.array(pushed), contacts))
-                q, left = pushed[-1], left - (len(pushed) - 1)
-            if not left:
-                break
-        return strokes
+        It takes the part of them that it has of the object's way, or less.
+
+        Args:
+            start: q at the start.
+            count: N.
+            share: of the stroke's time, in which hands reach.
+            rng: of what is drawn.
+        """
+        contacts: list[tuple[int, ...]] = [()] * count
+        path = np.tile(start, (count + 1, 1))
+        pushed, by = self._reach(start, rng)
+        if len(pushed) < 2 or count < 2:
+            return Stroke(path, contacts, count)
+        ways = [self._measure(self._find_way(q)) for q in (start, pushed[-1])]
+        end = count * rng.uniform(*_HURRY) * (1 - ways[1] / ways[0])
+        last = int(np.clip(np.ceil(end), 2, count))
+        middle = int(np.clip(share * last, 1, last - 1))
+        for rows, first, then in (
+            (self._go_round(start, pushed[0]), 0, middle),
+            (np.array(pushed), middle, last),
+        ):
+            s = np.clip(np.arange(count + 1 - first) / (then - first), 0.0, 1.0)
+            at = s * s * (3 - 2 * s) * (len(rows) - 1)
+            k = np.minimum(at.astype(int), len(rows) - 2)
+            part = (at - k)[:, np.newaxis] * self.world.subtract(rows[k + 1], rows[k])
+            path[first:] = self.world.add(rows[k], part)
+        contacts[middle:last] = [by] * (last - middle)
+        return Stroke(path, contacts, last)
+
+    def _measure(self, way: Floats) -> float:
+        """Returns the length of an object's way, by the roots of its weights."""
+        return float(np.linalg.norm(self._root * way))
 
     def _find_way(self, q: Floats) -> Floats:
         """Returns the way of objects to their goal."""
         return np.where(self._root > 0, -self._cost.goal_errors(q), 0.0)
+
+    def _calc_inertia(self, q: Floats) -> Floats:
+        """Returns M + T D, of dampers D and the task's duration T: what a lasting push works on."""
+        D = np.zeros(len(self._unit))
+        D[self.world.tree.velocities] = self.world.tree.damping
+        return self.world.calc_mass_matrix(q) + self._duration * np.diag(D)
 
     def _go_round(self, q: Floats, touch: Floats) -> Floats:
         """Returns positions from some to others, moved out of what hands would run into."""
@@ -219,7 +243,7 @@ class Reaches:
         edges = np.vstack(
             [_find_edges(normals[i], self._law.friction[i]) @ jacobians[i] for i in contacts]
         )
-        by_force = self._root[:, np.newaxis] * np.linalg.inv(self.world.calc_mass_matrix(q))
+        by_force = self._root[:, np.newaxis] * np.linalg.inv(self._calc_inertia(q))
         by_force *= ~self._driven
         shares, off = scipy.optimize.nnls(by_force @ edges.T, by_force @ wanted)
         return edges.T @ shares, float(off)
@@ -235,25 +259,27 @@ class Reaches:
         return tuple(drawn)
 
     def _reach(
-        self, start: Floats, way: Floats, most: int, rng: np.random.Generator
+        self, start: Floats, rng: np.random.Generator
     ) -> tuple[list[Floats], tuple[int, ...]]:
-        """Returns positions of touches that push the object along a way, that often at most.
+        """Returns positions of touches that push the object far to its goal, part by part.
 
         Also returns their contacts.
         """
         world, best = self.world, (-np.inf, list[Floats](), tuple[int, ...]())
-        nearest, size = world.calc_signed_distance(start), np.linalg.norm(self._root * way)
+        nearest, way = world.calc_signed_distance(start), self._find_way(start)
+        size = max(self._measure(way), _NOTHING)
         for _ in range(_SAMPLES):
-            contacts = self._draw_contacts(rng)
+            contacts, is_straight = self._draw_contacts(rng), bool(rng.integers(2))
             q = self._touch(self._draw_pose(self._touch(start, contacts), contacts, rng), contacts)
             there = world.subtract(q, start)
             distances = world.calc_signed_distance(world.add(start, np.outer(_LOOKS, there)))
             is_near = np.all(np.abs(distances[-1, contacts]) < _NEAR * self._length)
             if is_near and not self._find_excess(q).any():
-                pushed = self._follow(q, way, most, contacts)
+                pushed = self._follow(q, size / _PARTS, contacts, is_straight)
                 inside = float(np.sum(np.minimum(distances - np.minimum(nearest, 0.0), 0.0)))
-                off = self.calc_push(q, world.calc_mass_matrix(q) @ way, contacts)[1]
-                value = len(pushed) / most - off / max(float(size), _NOTHING)
+                value = 1 - self._measure(self._find_way(pushed[-1])) / size
+                if is_straight:
+                    value -= self.calc_push(q, self._calc_inertia(q) @ way, contacts)[1] / size
                 value += _COLLISION * inside / self._length
                 value -= _DISTANCE * float(np.linalg.norm(there / self._unit))
                 best = max(best, (value, pushed, contacts), key=lambda each: each[0])
@@ -269,12 +295,33 @@ class Reaches:
             moved[is_limited] = rng.uniform(*self._limits[:, is_limited]) - at[is_limited]
         return self.world.add(q, moved * np.any(self._hands[list(contacts)], axis=0))
 
-    def _follow(self, q: Floats, way: Floats, most: int, contacts: tuple[int, ...]) -> list[Floats]:
-        """Returns positions from some on while hands stick to an object that goes a way."""
+    def _follow(
+        self, q: Floats, part: float, contacts: tuple[int, ...], is_straight: bool
+    ) -> list[Floats]:
+        """Returns positions from some on while hands stick to an object that goes to its goal.
+
+        It goes straight, or as near to that as these contacts can push it.
+        """
         pushed = [q]
-        while len(pushed) <= most and (then := self._stick(pushed[-1], way, contacts)) is not None:
+        while len(pushed) <= 2 * _PARTS:
+            way = self._find_way(pushed[-1])
+            left = self._measure(way)
+            if not is_straight:
+                way = self._find_pushed(pushed[-1], way, contacts)
+            size = self._measure(way)
+            if size < max(part / 2, _LEAST * left):
+                break
+            then = self._stick(pushed[-1], way * min(1.0, part / size), contacts)
+            if then is None:
+                break
             pushed.append(then)
         return pushed
+
+    def _find_pushed(self, q: Floats, way: Floats, contacts: tuple[int, ...]) -> Floats:
+        """Returns the way nearest to an object's that contacts can push it."""
+        inertia = self._calc_inertia(q)
+        push = self.calc_push(q, inertia @ way, contacts)[0]
+        return np.where(self._root > 0, np.linalg.solve(inertia, push), 0.0)
 
     def _touch(self, q: Floats, contacts: tuple[int, ...]) -> Floats:
         """Returns positions in which hands touch, by Newton steps from others, one by one."""
