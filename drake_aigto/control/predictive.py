@@ -379,7 +379,8 @@ class ModelPredictiveController(LoopController):
         """Returns a moment with the command for a sample, and what its report says of that."""
         motion, (time, x), now = moment.choice.motion, question.sampled, question.now
         mode: Mode = "running"
-        u, planned = motion.calc_control(now), motion.calc_state(now)
+        u = motion.calc_held(now, now + (self.feedback_period or self.period))
+        planned = motion.calc_state(now)
         if np.isinf(moment.usable.now):
             mode = "waiting"
         elif question.sample != "valid":

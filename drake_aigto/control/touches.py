@@ -52,6 +52,13 @@ class PlannedMotion:
         k = int(np.searchsorted(times, time, side="right")) - 1
         return np.array(controls[min(max(k, 0), len(controls) - 1)])
 
+    def calc_held(self, start: float, end: float) -> Floats:
+        """Returns what to hold from a time to another one: the mean of u then, shape (nu,)."""
+        times, controls = self.trajectory.times, self.trajectory.controls
+        knots = np.clip(np.append(times[1:-1], np.inf), start, end)
+        shares = np.diff(knots, prepend=start) / (end - start)
+        return np.asarray(shares @ controls)
+
     @classmethod
     def of(cls, found: Candidate) -> PlannedMotion:
         """Returns a candidate as a motion."""
