@@ -382,6 +382,11 @@ def report(name: str, runs: Sequence[tuple[str, dict[str, Outcome]]]) -> str:
     return "\n".join(lines)
 
 
+def pick(worlds: Sequence[str], only: str) -> list[str]:
+    """Returns the worlds that have one of several parts, separated by commas, in their names."""
+    return [each for each in worlds if any(part in each for part in only.split(","))]
+
+
 def run_worlds(
     doc: str | None,
     worlds: Sequence[str],
@@ -393,8 +398,7 @@ def run_worlds(
         doc, only=("", "worlds with one of these in their names"), seeds=(1, "of noise and kicks")
     )
     print(machine(), flush=True)
-    parts = options.only.split(",")
-    names = [each for each in worlds if any(part in each for part in parts)]
+    names = pick(worlds, options.only)
     done = run_all(run, list_jobs(names, options.seeds), options)
     for name in names:
         if runs := [(what, found) for (other, _, what), found in done if other == name]:

@@ -28,7 +28,9 @@ _LARGE = 3.0
 # What is seen counts e times less after this number of samples.
 _WINDOW = 100.0
 # Predictions are linear in what is unknown this far from where the model was built, in its units.
-_LINEAR = 0.1
+# One sample tells no more than that; and less of friction, whose slopes are steep and short where
+# contacts begin or slips end.
+_LINEAR, _CURVED, _ROUGH = 0.1, 0.05, 0.3
 # The model is built anew so often at one sample, at most.
 _PASSES = 3
 # Factors stay between these; walls and forces within this number of units.
@@ -58,9 +60,9 @@ class ModelEstimate:
         x − x̂(p) ≈ x − x̂(p₀) − Φ (p − p₀),    Φ = ∂x̂/∂p by differences,
 
     and p minimizes Σ wₖ ‖x − x̂(p)‖² / σ² + ‖p − p_model‖² / σ_p² with weights that fall by a factor
-    e in a hundred samples, as Cauchy's for errors above 3 σ, and so that no sample tells p
-    better than it is linear about p₀. Where p has left p₀ by a tenth of
-    σ_p the model is built anew, about p, and that sample looked at again.
+    e in a hundred samples, as Cauchy's for errors above 3 σ. What is not linear about p₀ counts as
+    noise, too, of covariance Φ δ² Φᵀ beside σ²: no sample tells p better than δ. Where p has left
+    p₀ by a tenth of σ_p the model is built anew, about p, and that sample looked at again.
 
     Attributes:
         world: that the model was thought to be.
@@ -177,13 +179,16 @@ class ModelEstimate:
             return self
         (expected, *others), step = errors, _LINEAR * self._units
         slopes = np.array([(expected - each) / h for each, h in zip(others, step, strict=True)]).T
-        size, moved = (np.mean(np.square(each)) for each in (expected, slopes * step))
-        weight, kept = 1 / (1 + size / _LARGE**2 + moved), np.exp(-1 / _WINDOW)
+        doubts = [_ROUGH if each.kind == "friction" else _CURVED for each in self.parameters]
+        spread = slopes * doubts * self._units
+        trust = np.linalg.inv(np.eye(len(expected)) + spread @ spread.T)
+        trust /= 1 + np.mean(np.square(expected)) / _LARGE**2
+        kept = np.exp(-1 / _WINDOW)
         prior = (1 - kept) * self._units**-2.0
         usual, lower, upper = np.array([each[-4:-3] + each[-2:] for each in self.parameters]).T
-        information = kept * before[0] + np.diag(prior) + weight * slopes.T @ slopes
+        information = kept * before[0] + np.diag(prior) + slopes.T @ trust @ slopes
         total = kept * before[1] + prior * usual
-        total += weight * slopes.T @ (expected + slopes @ self.about)
+        total += slopes.T @ trust @ (expected + slopes @ self.about)
         values = np.clip(np.linalg.solve(information, total), lower, upper)
         return dataclasses.replace(self, values=values, information=(information, total))
 
