@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import threading
@@ -10,15 +11,18 @@ from contextlib import contextmanager
 from typing import Any, TypeVar, cast
 
 import numba
+from llvmlite import ir
 from numba import _dynfunc  # type: ignore[attr-defined]
-from numba.core import types
+from numba.core import cgutils, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
 from numba.core.environment import lookup_environment
 from numba.core.event import Event, Listener, install_listener
+from numba.core.imputils import lower_getattr_generic
 from numba.core.typed_passes import NativeLowering
-from numba.extending import intrinsic, overload
+from numba.core.typing.templates import AttributeTemplate, infer_getattr
+from numba.extending import intrinsic, models, overload, register_model
 
 from drake_aigto.code_cache import CodeCache, find_reason
 from drake_aigto.progress import Notice
@@ -26,7 +30,7 @@ from drake_aigto.progress import Notice
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Borrowed = TypeVar("_Borrowed")
 
-# `python -m benchmarks.start_time` measures 10 to 15 s on idle cores of servers; shooting takes 60.
+# `python -m benchmarks.start_time` measures 10 s on idle cores; shooting takes 25, in space 40.
 _COMPILES = "compiling machine code, up to a minute or so (Ctrl-C waits for that); "
 _KEPT = "it is kept for next time"
 _LOST = "it can be kept nowhere: NUMBA_CACHE_DIR may name a folder"
@@ -80,21 +84,26 @@ def _forget_literals(compiled: Any) -> None:
 
 @contextmanager
 def _undisturbed() -> Iterator[None]:
-    """Makes Ctrl-C wait for the end of a call; signals reach the main thread alone.
+    """Makes Ctrl-C wait for the end of a call, and Python's collector of garbage, too.
 
-    LLVM calls Python back, and swallows what is raised there: the function would be half compiled.
+    LLVM calls Python back, and swallows what signals raise there: the function would be half
+    compiled. They reach the main thread alone. Of a compiler's many objects hardly any are garbage
+    before its end, and to look for it takes an eighth of the time.
     """
-    handle = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(handle):
-        yield
-        return
+    handle, is_collecting = signal.getsignal(signal.SIGINT), gc.isenabled()
+    is_main = threading.current_thread() is threading.main_thread() and callable(handle)
     caught: list[tuple[Any, ...]] = []
-    signal.signal(signal.SIGINT, lambda *arguments: caught.append(arguments))
+    if is_main:
+        signal.signal(signal.SIGINT, lambda *arguments: caught.append(arguments))
+    gc.disable()
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handle)
-        if caught:
+        if is_collecting:
+            gc.enable()
+        if is_main:
+            signal.signal(signal.SIGINT, handle)
+        if caught and callable(handle):
             handle(*caught[0])
 
 
@@ -220,17 +229,77 @@ def chosen(choose: Callable[..., Callable[..., Any]]) -> Callable[[_Function], _
     return register
 
 
-# For functions that one place in compiled code calls, and that call many: Numba pastes them there.
-# On their own, LLVM would optimize them once more. Short functions gain nothing by it, and many in
-# one lose, as Numba's time grows faster than a function's length.
-pasted = njit(nogil=True, error_model="numpy", inline="always")
+class _Lent(types.Type):
+    """Numba's type of a named tuple that compiled code passes by its address."""
+
+    def __init__(self, kind: Any) -> None:
+        """Lends tuples of a type."""
+        self.kind, self.instance_class = kind, kind.instance_class
+        super().__init__(f"lent({kind})")
+
+    def find(self, name: str) -> tuple[int, Any]:
+        """Returns the place of a field, and its type: tuples within are lent, too."""
+        place = self.kind.fields.index(name)
+        part = self.kind.types[place]
+        return place, _Lent(part) if isinstance(part, types.BaseNamedTuple) else part
+
+
+@register_model(_Lent)
+class _LentModel(models.PrimitiveModel):
+    """An address."""
+
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, cgutils.voidptr_t)  # type: ignore[no-untyped-call]
+
+
+@infer_getattr
+class _LentAttributes(AttributeTemplate):
+    key = _Lent
+
+    def generic_resolve(self, kind: Any, name: str) -> Any:  # type: ignore[override]
+        """Returns the type of a field; None if there is none of this name."""
+        return kind.find(name)[1] if name in kind.kind.fields else None
+
+
+@lower_getattr_generic(_Lent)  # type: ignore[no-untyped-call, untyped-decorator]
+def _read_lent(context: Any, builder: Any, kind: Any, address: Any, name: str) -> Any:
+    place, part = kind.find(name)
+    layout = context.get_value_type(kind.kind).as_pointer()
+    address = cgutils.gep_inbounds(builder, builder.bitcast(address, layout), 0, place)  # type: ignore[no-untyped-call]
+    if isinstance(part, _Lent):
+        return builder.bitcast(address, cgutils.voidptr_t)
+    return _forget_owners(context, builder, part, _load(builder, address))
+
+
+def _load(builder: Any, address: Any) -> Any:
+    """Returns what is at an address, each number read on its own, as one that never changes."""
+    kind = address.type.pointee
+    if isinstance(kind, ir.Aggregate):
+        value = ir.Constant(kind, ir.Undefined)
+        for i in range(len(kind)):
+            part = _load(builder, cgutils.gep_inbounds(builder, address, 0, i))  # type: ignore[no-untyped-call]
+            value = builder.insert_value(value, part, i)
+        return value
+    value = builder.load(address)
+    value.set_metadata("invariant.load", builder.module.add_metadata([]))
+    return value
 
 
 def _borrow(_: Any, value: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _forget_owners(context, builder, signature.args[0], arguments[0])
+    is_tuple = isinstance(value, types.BaseNamedTuple)
 
-    return value(value), generate
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        found = _forget_owners(context, builder, signature.args[0], arguments[0])
+        return _lend(builder, found) if is_tuple else found
+
+    return (_Lent(value) if is_tuple else value)(value), generate
+
+
+def _lend(builder: Any, value: Any) -> Any:
+    """Returns the address of a value, which LLVM may not look behind: there it never changes."""
+    address = builder.bitcast(cgutils.alloca_once_value(builder, value), cgutils.voidptr_t)  # type: ignore[no-untyped-call]
+    same = ir.FunctionType(cgutils.voidptr_t, [cgutils.voidptr_t])
+    return builder.asm(same, "", "=r,0,~{memory}", [address], side_effect=True)
 
 
 def _forget_owners(context: Any, builder: Any, kind: Any, value: Any) -> Any:
@@ -250,6 +319,10 @@ def _forget_owners(context: Any, builder: Any, kind: Any, value: Any) -> Any:
 # Returns arrays, or tuples of them, whose references are not counted. A kernel may call it first on
 # what Python holds meanwhile, and must return none of it. Else each view of an array, and each
 # function that takes one, counts up and down: atomic operations of some 20 cycles.
+#
+# Named tuples become addresses of theirs, of which functions read the fields that they use. Passed
+# by value, a problem of shooting and its memory would be 700 arguments of each function, which is
+# most of what there would be to compile.
 borrow: Callable[[_Borrowed], _Borrowed] = cast(Any, intrinsic(_borrow))
 
 

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import ast
+import gc
 import os
 import signal
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 import pytest
 from numba.core.event import Event, Listener, install_listener
 
 import drake_aigto
 from drake_aigto import code_cache, kernels
+from drake_aigto.arrays import Floats
 
 CHECKOUT = Path(drake_aigto.__file__).parents[1]
 
-# A kernel that calls one and inlines another, one of them through a package's lazy door, reads a
+# A kernel that calls two others, one of them through a package's lazy door, reads a
 # constant, and takes a record whose type is only named.
 SOURCES = {
     "__init__.py": "",
@@ -29,9 +33,9 @@ class Record(NamedTuple):
     first: float
     second: float
 """,
-    "inlined.py": """
-from drake_aigto.kernels import pasted
-@pasted
+    "below.py": """
+from drake_aigto.kernels import borrowing
+@borrowing
 def double(x):
     return 2.0 * x
 """,
@@ -55,7 +59,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 from drake_aigto.kernels import kernel
 from little.door import raised
-from little.inlined import double
+from little.below import double
 from .numbers import STEP
 if TYPE_CHECKING:
     from little.record import Record
@@ -123,7 +127,7 @@ def test_an_edit_of_anything_that_a_kernel_uses_is_in_the_next_run(little: Path,
     assert run() == (16.0, True)
     edit(little / "door" / "unused.py", "0.0", "1.0")
     assert run() == (16.0, False)
-    edit(little / "inlined.py", "2.0 * x", "3.0 * x")
+    edit(little / "below.py", "2.0 * x", "3.0 * x")
     assert run() == (19.0, True)
     edit(little / "door" / "called.py", "x + 1.0", "x + 2.0")
     assert run() == (22.0, True)
@@ -138,6 +142,80 @@ def test_an_edit_of_anything_that_a_kernel_uses_is_in_the_next_run(little: Path,
         edit(little / name, "Record", "Pair")
     assert run() == (32.0, True)
     assert run() == (32.0, False)
+
+
+class Part(NamedTuple):
+    """What a tuple has within."""
+
+    numbers: Floats
+    sign: float
+
+
+class Whole(NamedTuple):
+    """Fields of all kinds that tables of kernels have."""
+
+    part: Part
+    counts: bool
+    sizes: tuple[int, int]
+    matrix: Floats
+
+
+@kernels.borrowing
+def _weigh(whole: Whole, part: Part) -> float:
+    total = 0.0
+    for i in range(whole.sizes[0]):
+        for j in range(whole.sizes[1]):
+            total += whole.matrix[i, j] * part.numbers[j]
+            whole.matrix[i, j] += 1.0
+    return part.sign * total if whole.counts else total
+
+
+@kernels.kernel
+def _weigh_once(whole: Whole) -> float:
+    whole = kernels.borrow(whole)
+    return _weigh(whole, whole.part)
+
+
+@kernels.kernel
+def _weigh_often(first: Whole, second: Whole) -> float:
+    """Alternates: what an address holds in one call must not be taken for that of the next."""
+    lent, total = kernels.borrow(first), 0.0
+    for i in range(4):
+        total += (i + 1) * (_weigh_once(lent) if i % 2 == 0 else _weigh_once(second))
+    return total
+
+
+def test_compiled_code_reads_borrowed_tuples_as_python_does() -> None:
+    """Else a field's place, or a value that was read before, would be wrong."""
+
+    def make(sign: float, counts: bool) -> Whole:
+        matrix = np.arange(6.0).reshape(2, 3)
+        return Whole(Part(np.array([1.0, 10.0, 100.0]), sign), counts, (2, 3), matrix)
+
+    expected = 0.0
+    first, second = make(-1.0, True), make(-2.0, False)
+    for i in range(4):
+        whole = first if i % 2 == 0 else second
+        total = float((whole.matrix @ whole.part.numbers).sum())
+        expected += (i + 1) * (whole.part.sign if whole.counts else 1.0) * total
+        whole.matrix[:] += 1.0
+    given = make(-1.0, True), make(-2.0, False)
+    assert _weigh_often(*given) == expected
+    np.testing.assert_array_equal(given[0].matrix, first.matrix)
+    np.testing.assert_array_equal(given[1].matrix, second.matrix)
+
+
+@pytest.mark.parametrize("is_collecting", [True, False])
+def test_garbage_is_collected_after_a_compilation_if_it_was_before(is_collecting: bool) -> None:
+    functions: dict[str, Callable[[float], float]] = {}
+    exec("def called(x):\n    return x + 1.0", functions)
+    if not is_collecting:
+        gc.disable()
+    try:
+        assert kernels.kernel(functions["called"])(1.0) == 2.0
+        assert gc.isenabled() == is_collecting
+    finally:
+        gc.enable()
 
 
 class Interruption(Listener):

@@ -14,7 +14,7 @@ from numba import objmode
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import Lanes, System, add_means
-from drake_aigto.kernels import inner, kernel, njit, pasted
+from drake_aigto.kernels import borrowing, inner, kernel, njit
 from drake_aigto.linear import Pattern, factorize, factorize_band, solve_band
 
 _ARMIJO = 1e-4  # share of the linear decrease that a step must reach
@@ -59,7 +59,7 @@ class NewtonProblem(NamedTuple):
     pattern: Pattern | None
 
 
-@pasted
+@borrowing
 def _evaluate(
     problem: NewtonProblem,
     y: Floats,

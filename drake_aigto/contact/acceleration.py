@@ -16,7 +16,7 @@ from drake_aigto.contact.tables import (
     Mechanics,
     MechanicsMemory,
 )
-from drake_aigto.kernels import borrowing, kernel, pasted
+from drake_aigto.kernels import borrowing, kernel
 
 
 @borrowing
@@ -151,7 +151,7 @@ def accelerate(
         _differentiate(mechanics, x, memory)
 
 
-@pasted
+@borrowing
 def _push(mechanics: Mechanics, x: Floats, eps: float, memory: MechanicsMemory) -> None:
     """Computes contact forces and their derivatives by φ and φ̇, and adds Jᵀ f to the total."""
     contacts, solids = mechanics.contacts, mechanics.solids
@@ -188,7 +188,7 @@ def _push(mechanics: Mechanics, x: Floats, eps: float, memory: MechanicsMemory) 
             total[0, j] += force[i, 0] * sums[row + j]
 
 
-@pasted
+@borrowing
 def _differentiate(mechanics: Mechanics, x: Floats, memory: MechanicsMemory) -> None:
     """Computes ∂v̇/∂(q, v, u) = M⁻¹ (∂r − ∂M v̇), with M v̇ = r."""
     actuation, frictions = mechanics.actuation, mechanics.frictions
@@ -248,7 +248,7 @@ def find_friction(frictions: Floats, contact: int) -> int:
     return -1
 
 
-@pasted
+@borrowing
 def _add_friction(mechanics: Mechanics, x: Floats, eps: float, memory: MechanicsMemory) -> None:
     """Computes friction and its derivatives by s and N, and adds Tᵀ times it to v̇, times M."""
     frictions, sums, force, drag = mechanics.frictions, memory.sums, memory.force, memory.drag
@@ -285,7 +285,7 @@ def _deepen(r: int, source: int, mechanics: Mechanics, memory: MechanicsMemory) 
         memory.drag[r, 4] = slope * lever
 
 
-@pasted
+@borrowing
 def _differentiate_friction(mechanics: Mechanics, x: Floats, memory: MechanicsMemory) -> None:
     """Adds ∂(Tᵀ times friction)/∂(q, v), transposed."""
     frictions, sums, force, drag = mechanics.frictions, memory.sums, memory.force, memory.drag

@@ -23,7 +23,7 @@ from drake_aigto.contact.tables import (
 )
 from drake_aigto.dynamics import EquationsOfMotion
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.kernels import kernel
+from drake_aigto.kernels import borrow, kernel
 from drake_aigto.terms import Factor, FunctionKind, Term, expression_terms
 from drake_aigto.world import World
 
@@ -365,4 +365,4 @@ def _contract(bends: Sequence[Sum], places: Sequence[Sequence[int]], n: int) -> 
 def _accelerate(
     mechanics: Mechanics, x: Floats, u: Floats, eps: float, memory: MechanicsMemory
 ) -> None:
-    accelerate(mechanics, x, u, eps, True, memory)
+    accelerate(borrow(mechanics), x, u, eps, True, borrow(memory))

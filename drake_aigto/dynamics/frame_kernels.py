@@ -16,10 +16,10 @@ from drake_aigto.arrays import Floats
 from drake_aigto.dynamics.recursions import place
 from drake_aigto.dynamics.spatial import dot, multiply, rotate
 from drake_aigto.dynamics.tree_tables import FrameTable, TreeMemory, TreeTables
-from drake_aigto.kernels import borrowing, kernel, pasted
+from drake_aigto.kernels import borrow, borrowing, kernel
 
 
-@pasted
+@borrowing
 def _find_frame(tree: TreeTables, frames: FrameTable, f: int, memory: TreeMemory) -> float:
     """Computes p, p − p* and Σ g_c × r_c in `room[2]`, and returns tr E, where links are placed."""
     link, offset, goal = frames.links[f], frames.offsets[f], frames.goal_rotations[f]
@@ -108,6 +108,7 @@ def _add_powers(
 @kernel
 def measure_frames(tree: TreeTables, frames: FrameTable, q: Floats, memory: TreeMemory) -> Floats:
     """Returns p − p* [m] and cos θ of each frame at states q (K, nq), shape (K, F, 4)."""
+    tree, frames, memory = borrow(tree), borrow(frames), borrow(memory)
     errors = np.zeros((q.shape[0], frames.links.size, 4))
     for k in range(q.shape[0]):
         for i in range(tree.parents.size):

@@ -30,12 +30,12 @@ from drake_aigto.dynamics.tree_tables import (
     TreeMemory,
     TreeTables,
 )
-from drake_aigto.kernels import borrowing, pasted
+from drake_aigto.kernels import borrowing
 
 _OWN, _ALL = 10, 22  # Numbers of an inertia; with T and the momentum of `tree_slopes`.
 
 
-@pasted
+@borrowing
 def place(tree: TreeTables, i: int, q: Floats, memory: TreeMemory) -> None:
     """Computes the pose of link i, and its motions S."""
     frame, pose = memory.frames[i], memory.poses[i]
@@ -65,7 +65,7 @@ def place(tree: TreeTables, i: int, q: Floats, memory: TreeMemory) -> None:
     _find_motions(tree, i, memory)
 
 
-@pasted
+@borrowing
 def _place_frame(tree: TreeTables, i: int, memory: TreeMemory) -> None:
     """Computes the rotation of the frame F that link i moves in, and its position as the link's."""
     frame, pose, parent = memory.frames[i], memory.poses[i], tree.parents[i]
@@ -82,7 +82,7 @@ def _place_frame(tree: TreeTables, i: int, memory: TreeMemory) -> None:
         pose[9], pose[10], pose[11] = base[9] + x, base[10] + y, base[11] + z
 
 
-@pasted
+@borrowing
 def _find_motions(tree: TreeTables, i: int, memory: TreeMemory) -> None:
     """Computes S of link i: axes fixed in F, through the link's position if they turn."""
     frame, pose, kind = memory.frames[i], memory.poses[i], tree.kinds[i]
@@ -103,7 +103,7 @@ def _find_motions(tree: TreeTables, i: int, memory: TreeMemory) -> None:
             S[5] = pose[9] * y - pose[10] * x + pitch * z
 
 
-@pasted
+@borrowing
 def spread(tree: TreeTables, q: Floats, v: Floats, memory: TreeMemory) -> None:
     """Computes poses, motions, velocities, accelerations at v̇ = 0, and forces of single links."""
     for s in range(tree.up.size):
@@ -127,7 +127,7 @@ def spread(tree: TreeTables, q: Floats, v: Floats, memory: TreeMemory) -> None:
         _push_link(tree, i, memory)
 
 
-@pasted
+@borrowing
 def _push_link(tree: TreeTables, i: int, memory: TreeMemory) -> None:
     """Computes the inertia of link i, and the force of its motion, I A + V ×* I V."""
     B, C, f = memory.inertias[i], memory.composites[i], memory.forces[i]
@@ -149,7 +149,7 @@ def _push_link(tree: TreeTables, i: int, memory: TreeMemory) -> None:
     C[19], C[20], C[21] = momentum[3], momentum[4], momentum[5]
 
 
-@pasted
+@borrowing
 def push_joints(tree: TreeTables, q: Floats, u: Floats, eps: float, memory: TreeMemory) -> None:
     """Computes the generalized forces of controls, springs, dampers and dry friction."""
     for s in range(tree.up.size):
@@ -167,7 +167,7 @@ def push_joints(tree: TreeTables, q: Floats, u: Floats, eps: float, memory: Tree
             memory.force[tree.dofs[i]] -= tree.stiffnesses[i] * stretch
 
 
-@pasted
+@borrowing
 def find_stiction(tree: TreeTables, s: int, eps: float) -> float:
     """Returns the speed below which a joint sticks, smoothed over ε."""
     return np.sqrt(tree.stiction[s] ** 2 + (eps * tree.pace[s]) ** 2)
@@ -182,7 +182,7 @@ def share_friction(x: float) -> tuple[float, float]:
     return x**3 * (10.0 - 15.0 * a + 6.0 * x * x), 30.0 * x * x * (1.0 - a) ** 2
 
 
-@pasted
+@borrowing
 def gather(tree: TreeTables, has_slopes: bool, memory: TreeMemory) -> None:
     """Computes composite bodies and M, and takes forces of motion from the generalized ones."""
     count = _ALL if has_slopes else _OWN

@@ -42,7 +42,7 @@ from drake_aigto.dynamics.spatial import (
     subtract_positions,
 )
 from drake_aigto.dynamics.tree_tables import QUATERNION, RPY, TreeMemory, TreeTables
-from drake_aigto.kernels import borrow, borrowing, kernel, pasted
+from drake_aigto.kernels import borrow, borrowing, kernel
 
 
 @borrowing
@@ -60,7 +60,7 @@ def accelerate(
     move_tree(tree, has_slopes, memory)
 
 
-@pasted
+@borrowing
 def push_tree(
     tree: TreeTables,
     q: Floats,
@@ -83,7 +83,7 @@ def push_tree(
         _thrust(tree, t, u[u.size - tree.thruster_links.size + t], has_slopes, memory)
 
 
-@pasted
+@borrowing
 def _thrust(tree: TreeTables, t: int, u: float, has_slopes: bool, memory: TreeMemory) -> None:
     """Adds the force of a thruster, which turns with its link, and its derivatives if asked.
 
@@ -114,7 +114,7 @@ def _thrust(tree: TreeTables, t: int, u: float, has_slopes: bool, memory: TreeMe
         j = tree.up[j]
 
 
-@pasted
+@borrowing
 def move_tree(tree: TreeTables, has_slopes: bool, memory: TreeMemory) -> None:
     """Replaces forces, and their derivatives, by v̇ and its own."""
     gather(tree, has_slopes, memory)
@@ -125,7 +125,7 @@ def move_tree(tree: TreeTables, has_slopes: bool, memory: TreeMemory) -> None:
         solve_rows(tree.up, memory.mass, memory.slopes)
 
 
-@pasted
+@borrowing
 def prepare_slopes(tree: TreeTables, memory: TreeMemory) -> None:
     """Computes T of 2B of each link, after `spread`, and before `gather` adds it up."""
     for i in range(tree.parents.size):
@@ -148,7 +148,7 @@ def prepare_slopes(tree: TreeTables, memory: TreeMemory) -> None:
         C[18] = 2 * (a * C[8] - b * C[7] - V[5] * z) + along
 
 
-@pasted
+@borrowing
 def differentiate_joints(tree: TreeTables, eps: float, memory: TreeMemory) -> None:
     """Computes the derivatives of what `push_joints` computes."""
     n, slopes = tree.up.size, memory.slopes
@@ -167,7 +167,7 @@ def differentiate_joints(tree: TreeTables, eps: float, memory: TreeMemory) -> No
             slopes[tree.dofs[i], tree.dofs[i]] = -tree.stiffnesses[i]
 
 
-@pasted
+@borrowing
 def differentiate(tree: TreeTables, memory: TreeMemory) -> None:
     """Takes off the derivatives of h + M v̇ at the v̇ that is in `force`."""
     _spread_accelerations(tree, memory)
@@ -180,7 +180,7 @@ def differentiate(tree: TreeTables, memory: TreeMemory) -> None:
                 memory.forces[parent, k] += memory.forces[i, k]
 
 
-@pasted
+@borrowing
 def _spread_accelerations(tree: TreeTables, memory: TreeMemory) -> None:
     """Computes accelerations, U, and the forces of single links."""
     for i in range(tree.parents.size):
@@ -206,7 +206,7 @@ def _spread_accelerations(tree: TreeTables, memory: TreeMemory) -> None:
         add_cross_force(V, momentum, f)
 
 
-@pasted
+@borrowing
 def _differentiate_motion(tree: TreeTables, i: int, s: int, memory: TreeMemory) -> None:
     """Takes off derivatives by s of forces of links before, and those of s's by them."""
     C, f, n, up = memory.composites[i], memory.forces[i], tree.up.size, tree.up
@@ -254,6 +254,7 @@ def _add_twice_B(C: Floats, x: Floats, out: Floats) -> None:
 @kernel
 def calc_masses(tree: TreeTables, q: Floats, memory: TreeMemory) -> Floats:
     """Returns M of each state, shape (K, n n)."""
+    tree, memory = borrow(tree), borrow(memory)
     n = tree.up.size
     found, rest = np.zeros((q.shape[0], n * n)), np.zeros(n)
     for k in range(q.shape[0]):
@@ -273,6 +274,7 @@ def calc_inverse_dynamics(
     tree: TreeTables, q: Floats, v: Floats, acceleration: Floats, memory: TreeMemory
 ) -> Floats:
     """Returns M v̇ + h of each state, shape (K, n)."""
+    tree, memory = borrow(tree), borrow(memory)
     n = tree.up.size
     found, nothing = np.zeros((q.shape[0], n)), np.zeros(tree.actuation.shape[1])
     for k in range(q.shape[0]):
@@ -296,6 +298,7 @@ def calc_accelerations(
     tree: TreeTables, q: Floats, v: Floats, u: Floats, memory: TreeMemory
 ) -> Floats:
     """Returns v̇ of each state, shape (K, n)."""
+    tree, memory = borrow(tree), borrow(memory)
     found = np.zeros(v.shape)
     for k in range(q.shape[0]):
         accelerate(tree, q[k], v[k], u[k], 0.0, False, memory)
@@ -307,6 +310,7 @@ def calc_accelerations(
 @kernel
 def calc_slopes(tree: TreeTables, q: Floats, v: Floats, u: Floats, memory: TreeMemory) -> Floats:
     """Returns ∂v̇/∂(δ, v, u), shape (n, 2n + nu)."""
+    tree, memory = borrow(tree), borrow(memory)
     n = tree.up.size
     found = np.zeros(memory.slopes.shape)
     accelerate(tree, q, v, u, 0.0, True, memory)
@@ -343,6 +347,7 @@ def repeat_accelerations(
 @kernel
 def calc_poses(tree: TreeTables, q: Floats, memory: TreeMemory) -> tuple[Floats, Floats]:
     """Returns rotations, by rows, and positions of bodies, shape (B, 9) and (B, 3)."""
+    tree, memory = borrow(tree), borrow(memory)
     for i in range(tree.parents.size):
         place(tree, i, q, memory)
     R, p = tree.body_rotations.copy(), tree.body_offsets.copy()
@@ -359,6 +364,7 @@ def calc_poses(tree: TreeTables, q: Floats, memory: TreeMemory) -> tuple[Floats,
 @kernel
 def turn_positions(tree: TreeTables, q: Floats, v: Floats, rate: Floats) -> None:
     """Computes q̇ = N(q) v."""
+    tree = borrow(tree)
     for i in range(tree.parents.size):
         first, at, kind = tree.dofs[i], tree.positions[i], tree.kinds[i]
         x = v[tree.velocities[first]]
@@ -382,10 +388,10 @@ def turn_positions(tree: TreeTables, q: Floats, v: Floats, rate: Floats) -> None
 @kernel
 def add(tree: TreeTables, q: Floats, delta: Floats, moved: Floats) -> None:
     """Computes q ⊕ δ."""
-    add_tangent(tree, q, delta, moved)
+    add_tangent(borrow(tree), q, delta, moved)
 
 
 @kernel
 def subtract(tree: TreeTables, after: Floats, before: Floats, delta: Floats) -> None:
     """Computes the shortest δ with before ⊕ δ = after."""
-    subtract_positions(tree, after, before, delta)
+    subtract_positions(borrow(tree), after, before, delta)

@@ -177,7 +177,7 @@ def _visit_approach(
 @borrowing
 def _visit_modes(program: Program, k: int, penalty: float, job: int, memory: Memory) -> float:
     """Does a job for the rows of modes at knot k, which are in the memory."""
-    values, slopes, weights, _ = memory.modes
+    values, slopes, weights = memory.modes.values, memory.modes.slopes, memory.modes.weights
     row, total, columns = program.bounds.weights.size + 1, 0.0, slopes.shape[2]
     if k == program.kinds.size or program.kinds[k] != FLOW:
         columns = memory.flow.points.shape[1]  # The control of a phase's start is its duration.

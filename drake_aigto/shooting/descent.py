@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.kernels import borrow, borrowing, kernel, pasted
+from drake_aigto.kernels import borrow, borrowing, kernel
 from drake_aigto.shooting.bounds import EXPAND, MEASURE, PENALIZE, UPDATE, add_costs, visit_bounds
 from drake_aigto.shooting.flow import flow, jump, measure_end
 from drake_aigto.shooting.stages import align, shift, subtract
@@ -104,7 +104,7 @@ def expand_motion(
     return travel(program, states, controls, LINEARIZE, 0.0, eps, np.inf, memory)
 
 
-@pasted
+@borrowing
 def _search(
     program: Program,
     states: Floats,
@@ -136,7 +136,7 @@ def _search(
     return 0.0
 
 
-@pasted
+@borrowing
 def _improve(
     program: Program,
     states: Floats,

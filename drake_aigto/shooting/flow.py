@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.kernels import borrowing, pasted
+from drake_aigto.kernels import borrowing
 from drake_aigto.shooting.hold import hold_stage, strike_stage
 from drake_aigto.shooting.stages import (
     accelerate_stage,
@@ -40,7 +40,7 @@ def _find_error(kind: int, error: float) -> tuple[float, float]:
     return error, error * error
 
 
-@pasted
+@borrowing
 def _measure(program: Program, time: float, z: Floats, y: Floats, room: FlowMemory) -> float:
     """Returns Σ w e² about the reference, and computes the gradient and the reference's motion."""
     task, errors = program.task, room.points[4:]
@@ -63,7 +63,7 @@ def _measure(program: Program, time: float, z: Floats, y: Floats, room: FlowMemo
     return rate
 
 
-@pasted
+@borrowing
 def flow(
     program: Program,
     k: int,
@@ -173,7 +173,7 @@ def flow(
     return cost + duration * squares
 
 
-@pasted
+@borrowing
 def _chain(ahead: float, unit: float, nz: int, room: FlowMemory) -> None:
     """Computes ∂y/∂(z, u), and ∂ẏ/∂(z, u) but for turns (`bend`)."""
     X, Y, K = room.slopes[0], room.slopes[1], room.slopes[2]
@@ -196,7 +196,7 @@ def _chain(ahead: float, unit: float, nz: int, room: FlowMemory) -> None:
             K[n + i, nz + j] += slopes[nx + j, i]
 
 
-@pasted
+@borrowing
 def _add_rate(
     weights: Floats, length: float, nz: int, lag: float, room: FlowMemory, l1: Floats, l2: Floats
 ) -> None:
@@ -234,7 +234,7 @@ def _add_duration(
     l2[tau, tau] += unit * unit * rate / (2 * length)
 
 
-@pasted
+@borrowing
 def jump(
     program: Program, k: int, z: Floats, u: Floats, has_slopes: bool, after: Floats, memory: Memory
 ) -> None:

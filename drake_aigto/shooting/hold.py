@@ -21,7 +21,7 @@ from drake_aigto.contact import (
     only_of,
     run_tape,
 )
-from drake_aigto.kernels import borrowing, kernel
+from drake_aigto.kernels import borrow, borrowing, kernel
 from drake_aigto.linear import factor_in_place, solve_factors
 from drake_aigto.shooting.tables import Program
 
@@ -141,6 +141,7 @@ def evaluate_hold(
     memory: MechanicsMemory,
 ) -> None:
     """Computes v̇ with held contacts, and all derivatives, for Python."""
+    mechanics, memory = borrow(mechanics), borrow(memory)
     accelerate(mechanics, x, u, 0.0, True, memory)
     if closed.any():
         hold(closed, leans, x, True, mechanics, memory)

@@ -63,7 +63,7 @@ def _measure_hold(
 ) -> None:
     """Measures forces and slips where a flight starts."""
     mechanics, bounds, room = program.mechanics, program.bounds, memory.flow.mechanics
-    values, slopes, weights, _ = memory.modes
+    values, slopes, weights = memory.modes.values, memory.modes.slopes, memory.modes.weights
     nx, m = memory.flow.points.shape[1], values.shape[0]
     accelerate(mechanics, z[:nx], u, 0.0, True, room)
     hold(program.closed[k], program.leans[k], z[:nx], has_slopes, mechanics, room)
@@ -87,7 +87,7 @@ def _measure_hold(
 def _measure_impact(program: Program, k: int, z: Floats, has_slopes: bool, memory: Memory) -> None:
     """Measures impulses and slips at an impact."""
     mechanics, bounds, room = program.mechanics, program.bounds, memory.flow.mechanics
-    values, slopes, _, after = memory.modes
+    values, slopes, after = memory.modes.values, memory.modes.slopes, memory.modes.after
     nx, m, frictions = memory.flow.points.shape[1], values.shape[0], mechanics.frictions
     run_tape(mechanics.code, mechanics.numbers, z[:nx], has_slopes, room.values, room.sums)
     factor_mass(nx // 2, room.sums, room.factor)
@@ -137,7 +137,8 @@ def _measure_cone(
     program: Program, i: int, unit: float, weight: float, columns: int, memory: Memory
 ) -> None:
     """Computes distances of a force or impulse to both sides of its cone, and derivatives."""
-    (values, slopes, weights, _), room = memory.modes, memory.flow.mechanics
+    modes, room = memory.modes, memory.flow.mechanics
+    values, slopes, weights = modes.values, modes.slopes, modes.weights
     frictions, m, w = program.mechanics.frictions, values.shape[0], room.grip.shape[1]
     index = find_friction(frictions, i)
     friction = frictions[index, COEFFICIENT]
@@ -157,7 +158,7 @@ def _measure_slip(
     program: Program, i: int, side: int, sign: int, z: Floats, has_slopes: bool, memory: Memory
 ) -> None:
     """Computes a slip velocity with a sign, and its derivatives by (q, v) at constant q and v."""
-    values, slopes, weights, _ = memory.modes
+    values, slopes, weights = memory.modes.values, memory.modes.slopes, memory.modes.weights
     n, sums = memory.flow.points.shape[1] // 2, memory.flow.mechanics.sums
     m, w = program.held.shape[1], program.closed.shape[1]
     index = find_friction(program.mechanics.frictions, i)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.kernels import borrowing, pasted
+from drake_aigto.kernels import borrowing
 from drake_aigto.linear import solve_factored
 from drake_aigto.shooting.tables import FLOW, Expansion, Program, SweepMemory
 
@@ -80,12 +80,12 @@ def sweep_back(
     return drop
 
 
-@pasted
+@borrowing
 def _expand_value(
     k: int, nz: int, nc: int, has_gaps: bool, expansion: Expansion, memory: SweepMemory
 ) -> None:
     """Computes gradient and Hessian of the cost from stage k on, by (z, u)."""
-    F, l1, l2, gaps = expansion
+    F, l1, l2, gaps = expansion.F, expansion.l1, expansion.l2, expansion.gaps
     V1, V2, v1, VF, Q1, Q2 = memory.V1, memory.V2, memory.v1, memory.VF, memory.Q1, memory.Q2
     for i in range(nz):
         v1[i] = V1[i]
@@ -231,7 +231,7 @@ def _solve_ball(
     return nu
 
 
-@pasted
+@borrowing
 def _find_gains(
     k: int, nz: int, size: int, is_on_ball: bool, u: Floats, du: Floats, memory: SweepMemory
 ) -> None:
@@ -257,7 +257,7 @@ def _find_gains(
             gains[k, i, c] = y[i] - (off * normal[i] if along > 0.0 else 0.0)
 
 
-@pasted
+@borrowing
 def _step_back(
     nz: int, size: int, multiplier: float, du: Floats, gains: Floats, memory: SweepMemory
 ) -> float:

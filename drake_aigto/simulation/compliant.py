@@ -21,7 +21,7 @@ from drake_aigto.contact import (
     of_tree,
 )
 from drake_aigto.dynamics import turn_positions
-from drake_aigto.kernels import borrow, kernel
+from drake_aigto.kernels import borrow, borrowing, kernel
 from drake_aigto.simulation.recording import (
     Controller,
     Impact,
@@ -341,14 +341,20 @@ def integrate(
         if error > tolerance:
             h = used * max(scale, 0.2)
             continue
-        rows[count, 0] = done
-        rows[count, 1 : 1 + nx], rows[count, 1 + nx :] = x, K[0]
+        _keep(rows[count], done, x, K[0])
         done, count = length if is_last else done + used, count + 1
-        x[:], K[0] = y, K[6]
+        for i in range(nx):
+            x[i], K[0, i] = y[i], K[6, i]
         h = max(h, used * min(scale, 4.0)) if is_last else used * min(scale, 4.0)
         h = min(h, most)
         if is_last or count == rows.shape[0] - 1:
-            rows[count, 0] = done
-            rows[count, 1 : 1 + nx], rows[count, 1 + nx :] = x, K[0]
+            _keep(rows[count], done, x, K[0])
             return done, h, count + 1
     return done, 0.0, count
+
+
+@borrowing
+def _keep(row: Floats, time: float, x: Floats, rates: Floats) -> None:
+    row[0] = time
+    for i in range(x.size):
+        row[1 + i], row[1 + x.size + i] = x[i], rates[i]

@@ -23,7 +23,7 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.contact import Walls, add, calc_time_to_wall, dot, find_size, support
-from drake_aigto.kernels import inner, kernel, pasted
+from drake_aigto.kernels import inner, kernel
 
 # Times are parts of the simulated duration T.
 
@@ -79,7 +79,7 @@ def make_log(most: int, num_positions: int) -> Floats:
     return np.empty((most, STATE + 3 * num_positions))
 
 
-@pasted
+@inner
 def run(
     walls: Walls,
     rules: Rules,

@@ -7,7 +7,7 @@ import numpy as np
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.dynamics import Tree, TreeMemory, place, subtract_positions
 from drake_aigto.geometry import Closest, Shapes, cross, dot, find_closest, place_shapes
-from drake_aigto.kernels import kernel
+from drake_aigto.kernels import borrow, kernel
 
 
 @kernel
@@ -32,6 +32,7 @@ def measure_pairs(
     Returns:
         φ, shape (K, P) [m]; n and C, shape (K, P, 6).
     """
+    tree, shapes, memory, closest = borrow(tree), borrow(shapes), borrow(memory), borrow(closest)
     distances = np.zeros((q.shape[0], pairs.shape[0]))
     points = np.zeros((q.shape[0], pairs.shape[0], 6))
     rotations, places = shapes.rotations.copy(), shapes.places.copy()
@@ -62,6 +63,7 @@ def measure_pairs(
 @kernel
 def subtract_rows(tree: Tree, after: Floats, before: Floats) -> Floats:
     """Returns the shortest δ with before ⊕ δ = after of rows (K, nq) each, shape (K, nv)."""
+    tree = borrow(tree)
     found = np.zeros((after.shape[0], tree.up.size))
     for k in range(after.shape[0]):
         subtract_positions(tree, after[k], before[k], found[k])
