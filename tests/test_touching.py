@@ -10,6 +10,7 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from touching_bodies import Bodies
 
 from drake_aigto.arrays import Floats
+from drake_aigto.contact import SLOWING
 
 # Drake finds how deep these are in each other in closed form; of two capsules by an iteration that
 # misses it by up to their own size.
@@ -45,10 +46,13 @@ def test_contact_forces_are_those_of_drakes_continuous_plant(kinds: tuple[str, s
         np.testing.assert_allclose(force, expected, rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("eps", [0.0, 0.02])
+@pytest.mark.parametrize(("eps", "slowing"), [(0.0, 0.0), (0.02, 0.0), (0.02, 5e-3)])
 @pytest.mark.parametrize("kinds", [*PAIRS, ("capsule", "capsule")], ids="-".join)
-def test_derivatives_of_forces_are_exact(kinds: tuple[str, str], eps: float) -> None:
+def test_derivatives_of_forces_are_exact(
+    kinds: tuple[str, str], eps: float, slowing: float
+) -> None:
     bodies, h = Bodies.of(*kinds), 1e-6
+    bodies.table.law[:, SLOWING] = slowing
     for q, v in touching(bodies, 10):
         _, slopes = bodies.push(q, v, eps)
         n = len(v)

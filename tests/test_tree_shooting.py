@@ -191,6 +191,20 @@ def test_a_body_without_a_foothold_turns_by_its_arms_and_drake_agrees() -> None:
     assert np.abs(tree.subtract(end, result.states[-1, :9])).max() < 1e-4
 
 
+def test_a_slip_ends_in_long_steps_without_turning_round(tmp_path: Path) -> None:
+    speed = [*[0.0] * 6, 0.5, 0.0, 0.0]  # The ball moves along x.
+    scenario = make_scenario(tmp_path, initial_velocity=speed)
+    planner = Planner(scenario, PlanOptions())
+    task = MechanismTask(planner.world, planner.scenario, planner.options)
+    # Friction of 0.5 at 10 m/s² slows the slip of a ball by 17 m/s², 0.17 m/s in each step.
+    found = task.shooting(50).simulate(np.zeros((50, 3)), 2, order=2)
+    slips = task.world.calc_slides(*task.world.split(found.states))
+    names = [contact.name for contact in task.world.contacts]
+    along = slips[:, names.index("m::ball with ground::floor"), 0]
+    assert along[0] == pytest.approx(0.5) and abs(along[-1]) < 0.05
+    assert np.all(along >= -1e-3)
+
+
 @pytest.mark.slow
 def test_a_finalist_costs_what_the_exact_law_says_of_its_controls(tmp_path: Path) -> None:
     planner = Planner(make_scenario(tmp_path, duration=0.5, time_step=0.05), PlanOptions())

@@ -133,7 +133,7 @@ def _make_table(of_shapes: list[Any], num_velocities: int) -> TouchTable:
             np.array(bounds),
         ),
         pairs=np.array([[0, 1]]),
-        law=np.array([[*law, STICTION, 1.0, 0.006]]),
+        law=np.array([[*law, STICTION, 1.0, 0.006, 0.0]]),
         couples=np.array([0]),
         starts=np.array([0, 6 * len(moving)]),
         chain=np.concatenate([6 * body + np.arange(6) for body in moving]),

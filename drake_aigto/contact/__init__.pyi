@@ -64,6 +64,7 @@ from .tables import copy_writable as copy_writable
 from .tables import make_mechanics_memory as make_mechanics_memory
 from .tables import of_tree as of_tree
 from .tables import only_of as only_of
+from .touching import SLOWING as SLOWING
 from .touching import TouchRoom as TouchRoom
 from .touching import TouchTable as TouchTable
 from .touching import evaluate_push as evaluate_push

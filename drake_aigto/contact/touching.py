@@ -11,7 +11,9 @@ noise), v_t to a speed ε / T, and springs that are wide are soft:
 
     x = w log(1 + exp(−φ / w)),    k min(1, g / w) for k,    v_s² + (ε / T)² for v_s²
 
-which is the law itself at ε = 0. With k from afar, light bodies would be thrown.
+which is the law itself at ε = 0. With k from afar, light bodies would be thrown. In Runge-Kutta
+steps v_s is no slower than a f_n, a slip's change in one of them (`TreeMechanism.fit`), lest slips
+oscillate about rest; at a = 0 it is the law's own.
 
 All pairs of shapes on the same two bodies add up to one wrench F = (C × f, f) on A about the
 world's origin, and to 6 × 6 matrices K and G, its derivatives as A moves and as its velocity
@@ -40,7 +42,7 @@ from drake_aigto.geometry import (
 from drake_aigto.kernels import borrow, borrowing, kernel
 
 # Columns of `TouchTable.law`.
-STIFFNESS, DISSIPATION, FRICTION, STICTION, SHARE, GIVE = range(6)
+STIFFNESS, DISSIPATION, FRICTION, STICTION, SHARE, GIVE, SLOWING = range(7)
 # Beyond this many widths ε a depth is below e⁻³² ε: no contact.
 _FAR = 32.0
 
@@ -53,7 +55,7 @@ class TouchTable(NamedTuple):
 
     shapes: Shapes
     pairs: Ints  # shapes A and B of each, A's kind the lower number, shape (P, 2)
-    law: Floats  # k [N/m], d [s/m], μ, v_s [m/s], share, g [m] of each pair, shape (P, 6)
+    law: Floats  # k [N/m], d [s/m], μ, v_s [m/s], share, g [m], and a of each pair, shape (P, 7)
     couples: Ints  # that of each pair, shape (P,)
     # Degrees of freedom that move A or B but not both; of couple i from starts[i] to starts[i + 1].
     starts: Ints  # shape (W + 1,)
@@ -72,7 +74,7 @@ class TouchRoom(NamedTuple):
     wrenches: Floats  # F of couples, shape (W, 6)
     by_move: Floats  # K, transposed, shape (W, 6, 6)
     by_speed: Floats  # G, transposed, shape (W, 6, 6)
-    vectors: Floats  # v, f, f / f_n, and others, shape (8, 3)
+    vectors: Floats  # v, f, ∂f/∂f_n, and others, shape (8, 3)
     by_vectors: Floats  # ∂f/∂v and ∂f/∂n of one pair, shape (2, 3, 3)
     moves: Floats  # δF of one pair by six moves, shape (6, 6)
     motions: Floats  # of one degree of freedom, shape (5, 6)
@@ -187,14 +189,20 @@ def _push_pair(
     found[0], found[1] = distance, normal
     for k in range(3):
         slip[k] = speed[k] - rate * n[k]
-    slow = np.sqrt(law[STICTION] ** 2 + (eps * pace) ** 2)
-    drag, bend = _rub(np.sqrt(dot(slip, slip)) / slow)
+    change = law[SLOWING] * normal
+    slow = np.sqrt(max(law[STICTION], change) ** 2 + (eps * pace) ** 2)
+    squares = dot(slip, slip)
+    drag, bend = _rub(np.sqrt(squares) / slow)
     drag, bend = law[FRICTION] * drag / slow, law[FRICTION] * bend / slow**3
-    for k in range(3):  # f = f_n · unit
-        unit[k] = n[k] - drag * slip[k]
-        f[k] = normal * unit[k]
+    for k in range(3):
+        f[k] = normal * (n[k] - drag * slip[k])
     _add_moments(C, f, room.wrenches[w])
     if has_slopes:
+        by_normal = drag
+        if change > law[STICTION]:
+            by_normal -= (drag + bend * squares) * (change / slow) ** 2
+        for k in range(3):  # ∂f/∂f_n
+            unit[k] = n[k] - by_normal * slip[k]
         by_rate = -stiffness * depth * law[DISSIPATION]
         law_slopes = stiffness * by_distance * brake, by_rate, normal, drag, bend
         _differentiate(w, C, rate, law_slopes, room)
@@ -225,7 +233,7 @@ def _differentiate(
 ) -> None:  # fmt: skip
     """Adds the derivatives of a pair's wrench, as A moves, and as it speeds up.
 
-    With t the slip v − φ̇ n, u = f / f_n, and ω the relative turn,
+    With t the slip v − φ̇ n, u = ∂f/∂f_n, and ω the relative turn,
 
         ∂f/∂v = (∂f_n/∂φ̇) u nᵀ − f_n (drag (1 − n nᵀ) + bend t tᵀ)
         ∂f/∂n = (∂f_n/∂φ̇) u vᵀ + f_n (1 + drag (n vᵀ + φ̇ 1) + bend φ̇ t tᵀ)

@@ -11,7 +11,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.contact.laws import CompliantLaw, ContactLaw
 from drake_aigto.contact.mechanism import Mechanism
 from drake_aigto.contact.tables import TreeMechanics, TreeMechanicsMemory
-from drake_aigto.contact.touching import TouchTable, push
+from drake_aigto.contact.touching import SLOWING, TouchTable, push
 from drake_aigto.dynamics import QUATERNION, Tree, move_tree, push_tree
 from drake_aigto.geometry import Shapes
 from drake_aigto.kernels import borrowing
@@ -23,7 +23,7 @@ _RESTING, _WEIGHTS = 0.03, 3.0
 
 
 def make_touch_table(world: SpaceWorld, law: CompliantLaw) -> TouchTable:
-    """Returns the pairs of a world under a law."""
+    """Returns the pairs of a world under a law, to be fitted to steps (`TreeMechanism.fit`)."""
     tree = world.tree
     signs, couples = np.unique(world.signs, axis=0, return_inverse=True)
     moving = [np.flatnonzero(row) for row in signs]
@@ -37,12 +37,12 @@ def make_touch_table(world: SpaceWorld, law: CompliantLaw) -> TouchTable:
         law.dissipation,
         law.friction,
         np.full(len(couples), world.stiction_speed),
-        *_find_widths(world, law),
+        *_measure_pairs(world, law),
     )
     return TouchTable(
         shapes=world.geometry.shapes,
         pairs=world.geometry.pairs,
-        law=np.column_stack(numbers).reshape(-1, 6),
+        law=np.column_stack(numbers).reshape(-1, 7),
         couples=couples.reshape(-1).astype(np.int64),
         starts=np.cumsum([0, *map(len, moving)]),
         chain=np.concatenate([np.zeros(0, dtype=np.int64), *moving]).astype(np.int64),
@@ -51,19 +51,24 @@ def make_touch_table(world: SpaceWorld, law: CompliantLaw) -> TouchTable:
     )
 
 
-def _find_widths(world: SpaceWorld, law: CompliantLaw) -> tuple[Floats, Floats]:
-    """Returns the part of ε that counts for each pair, and how far its spring gives [m].
+def _measure_pairs(world: SpaceWorld, law: CompliantLaw) -> tuple[Floats, Floats, Floats]:
+    """Returns each pair's part of ε, how far its spring gives [m], and its slowing [m/s²/N].
 
     What no actuator moves is not uncertain: bodies rest on others as they do. And of what is, a
     spring from afar pushes no harder than some times the weight of the mass that it moves there.
+    Friction slows a slip by μ times the mobility along it, at most, per force that presses.
     """
     driven = np.any(world.actuation[world.tree.velocities], axis=1)
     share = np.where(np.any((world.signs != 0) & driven, axis=1), 1.0, _RESTING)
     q, g = world.plant.GetDefaultPositions(), world.plant.gravity_field().gravity_vector()
-    J = world.calc_contact_jacobian(q)
-    mobility = np.einsum("ij,ji->i", J, np.linalg.solve(world.calc_mass_matrix(q), J.T))
-    weight = float(np.linalg.norm(g)) / np.maximum(mobility * law.stiffness, 1e-300)
-    return share, _WEIGHTS * weight if np.any(g) else np.full(len(share), np.inf)
+    n, J = world.relate(q)
+    mobility = J @ np.linalg.solve(world.calc_mass_matrix(q), np.swapaxes(J, 1, 2))
+    across = np.einsum("mi,mij,mj->m", n, mobility, n)
+    sideways = np.eye(3) - n[:, :, np.newaxis] * n[:, np.newaxis]
+    along = np.linalg.eigvalsh(sideways @ mobility @ sideways)[:, -1]
+    weight = float(np.linalg.norm(g)) / np.maximum(across * law.stiffness, 1e-300)
+    give = _WEIGHTS * weight if np.any(g) else np.full(len(share), np.inf)
+    return share, give, law.friction * along
 
 
 @borrowing
@@ -93,7 +98,7 @@ def make_no_touch(num_velocities: int) -> TouchTable:
     shapes = Shapes(counts, counts, np.zeros((0, 3, 3)), none, none.copy(), np.zeros(0))
     carries = np.zeros((num_velocities, num_velocities), dtype=np.bool_)
     pairs, starts = np.zeros((0, 2), dtype=np.int64), np.zeros(1, dtype=np.int64)
-    return TouchTable(shapes, pairs, np.zeros((0, 6)), counts, starts, counts, np.zeros(0), carries)
+    return TouchTable(shapes, pairs, np.zeros((0, 7)), counts, starts, counts, np.zeros(0), carries)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +182,10 @@ class TreeMechanism:
                 of_link = tree.velocities[tree.dofs[i] : tree.dofs[i + 1]]
                 places[of_link] = tree.positions[i] + np.arange(len(of_link))
         fitted = tree._replace(stiction=slow, pace=np.full(len(slow), 1 / duration))
-        return TreeMechanics(fitted, self.touch, 1 / duration, places, self.num_positions)
+        law = self.touch.law.copy()
+        law[:, SLOWING] *= step
+        touch = self.touch._replace(law=law)
+        return TreeMechanics(fitted, touch, 1 / duration, places, self.num_positions)
 
     def calc_inertia(self, q: Floats) -> tuple[Floats, Floats]:
         """Returns M(q), shape (n, n), and h(q, 0), shape (n,)."""

@@ -348,7 +348,9 @@ def settle(
 ) -> ShootingResult:
     """Returns the local optimum near a motion in space, corrected under the exact law (`steady`).
 
-    Its Runge-Kutta steps are halved until that confirms its cost.
+    Its Runge-Kutta steps are halved until that confirms its cost. As friction follows them, each
+    time contact is hardly smoothed first: with the sharp law at once, a drone that had perched for
+    0.16 slipped off, for 1.4.
 
     Args:
         world: its shapes touch with friction.
@@ -357,9 +359,10 @@ def settle(
         motion: whose states are kept, and gaps between them closed, where steps change it.
         most: what promises to cost more, after a first pass by `_LEFT`, is left unfinished.
     """
-    rough, sharp = IN_SPACE
-    limit, substeps = scaled(_LEFT, most), motion.substeps
-    options = dataclasses.replace(POLISH, rungs=(rough,), substeps=substeps, most_promised=limit)
+    limit = scaled(_LEFT, most)
+    options = dataclasses.replace(
+        POLISH, rungs=IN_SPACE, substeps=motion.substeps, most_promised=limit
+    )
     while True:
         prices = motion.prices
         motion = close_gaps(problem, motion, motion.controls, motion.states, options, prices)
@@ -367,13 +370,10 @@ def settle(
         is_over = motion.is_left or motion.cost > options.most_promised or not is_finite
         if is_over or motion.violation > HOPELESS:
             return motion
-        if options.rungs == (sharp,):
-            found = steady(world, scenario, problem, motion)
-            cost = np.inf if found.replay is None else found.replay.cost
-            agrees = abs(cost - motion.exact_cost) <= _AGREES * abs(motion.exact_cost)
-            if agrees or motion.substeps >= MOST_SUBSTEPS:
-                return found
-        substeps *= 2
-        options = dataclasses.replace(
-            options, rungs=(sharp,), substeps=substeps, most_promised=most
-        )
+        found = steady(world, scenario, problem, motion)
+        cost = np.inf if found.replay is None else found.replay.cost
+        agrees = abs(cost - motion.exact_cost) <= _AGREES * abs(motion.exact_cost)
+        if agrees or motion.substeps >= MOST_SUBSTEPS:
+            return found
+        substeps = 2 * motion.substeps
+        options = dataclasses.replace(options, substeps=substeps, most_promised=most)

@@ -40,7 +40,7 @@ _LONG = 4.0
 # The factor by which costs fall at most as steps become shorter, which changes their order, and how
 # many times as many finalists are polished for that: without friction; with it; and in space, where
 # motions are ranked after few iterations.
-_PLAIN, _SLIDING, _IN_SPACE = (1.0, 1), (1.2, 2), (2.0, 4)
+_PLAIN, _SLIDING, _IN_SPACE = (1.0, 1), (1.2, 2), (2.0, 2)
 # Motions that promise to cost more than this times the worst kept one are left unfinished. In 3,072
 # boxes around cart-poles between soft walls that saves 31 % of all iterations and loses 10 of 346
 # motions that would have been the best so far; 1.0 saves 37 % and loses 13, and 1.5 22 % and 8.
