@@ -108,7 +108,9 @@ RECORDS: Mapping[str, str] = {
     "in_the_loop": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --workers 1",
     "in_more_loops": "python -m benchmarks.in_the_loop room/bank_shot floor/rebound"
     " cart_pole/soft_06 --count 100 --workers 2 --minutes 14",
-    "loop_record": "python -m benchmarks.loop_record --seeds 20 --workers 1 --minutes 600",
+    "loop_record": "python -m benchmarks.loop_record --only table1,corridor,room,floor,soft,block"
+    " --workers 1 --minutes 12",
+    "estimated": "python -m benchmarks.estimated --workers 1 --minutes 12",
     "held": "python -m benchmarks.held --workers 1 --minutes 40",
     "loop_speed": "python -m benchmarks.loop_speed",
     "live_latency": "python -m benchmarks.live_latency",
@@ -271,7 +273,8 @@ FIGURES: Mapping[str, Figure] = {
     "in_more_loops_tables": Figure("in_more_loops", r"(?s)\A[^\n]*\n(.*\S)"),
     "friction_loops_table": Figure("friction_loops", r"(?s)\A[^\n]*\n(.*\S)"),
     "friction_worlds_table": Figure("friction_worlds", r"(?s)\A[^\n]*\n(.*\S)"),
-    "loop_record_tables": Figure("loop_record", r"(?s)^(acrobot/swing_up: .*\S)"),
+    "loop_record_tables": Figure("loop_record", r"(?s)^(table1/1: .*\S)"),
+    "estimated_tables": Figure("estimated", r"(?s)^(table1/1  .*\S)"),
     "held_table": Figure("held", r"(?s)^(acrobot/swing_up\ntracking.*\S)"),
     "live_latency_table": Figure("live_latency", r"(?s)\A(.*\S)"),
     "loop_speed_table": Figure("loop_speed", r"(?s)\A[^\n]*\n(.*\S)"),
