@@ -53,8 +53,10 @@ class PlannedMotion:
         return np.array(controls[min(max(k, 0), len(controls) - 1)])
 
     def calc_held(self, start: float, end: float) -> Floats:
-        """Returns what to hold from a time to another one: the mean of u then, shape (nu,)."""
+        """Returns what to hold from a time to another one: u, or its mean over several steps."""
         times, controls = self.trajectory.times, self.trajectory.controls
+        if end - start <= np.max(np.diff(times)):
+            return self.calc_control(start)
         knots = np.clip(np.append(times[1:-1], np.inf), start, end)
         shares = np.diff(knots, prepend=start) / (end - start)
         return np.asarray(shares @ controls)
