@@ -103,7 +103,7 @@ def _draw_mass(rng: np.random.Generator, _: Scenario, world: World) -> Changes:
 def _draw_contact(rng: np.random.Generator, scenario: Scenario, world: World) -> Changes:
     """Of compliant walls the stiffness, of rigid ones the restitution; and friction."""
     changes: Changes = {}
-    if scenario.contact == "compliant":
+    if scenario.contact == "compliant" and world.contacts:
         stiffness = 2 * float(np.mean(world.stiffness)) * _log_uniform(rng, 0.1, 10.0)
         changes["material"] = {"*": {"stiffness": stiffness}}
     else:

@@ -73,8 +73,10 @@ class ShootingProgram:
 
     @staticmethod
     def fits(problem: ShootingProblem) -> bool:
-        """Returns whether a problem has no phases, and bounds of controls one by one."""
-        return problem.phases is None and not np.isfinite(problem.control_norm)
+        """Returns whether there are no phases, no quaternions, and no norm of controls."""
+        mechanism = problem.mechanism
+        is_flat = mechanism.num_positions == mechanism.num_velocities
+        return problem.phases is None and is_flat and not np.isfinite(problem.control_norm)
 
     def solve(self, states: np.ndarray, controls: np.ndarray) -> tuple[float, Control]:
         """Returns J and the held control; infinite if IPOPT fails at a smoothing.

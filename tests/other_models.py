@@ -48,6 +48,49 @@ def carry_double_pendulum(folder: Path) -> Scenario:
     )
 
 
+# An arm of two links whose hand, a ball, can hit a puck on a rail.
+ARM_AND_PUCK = """<mujoco model="arm_and_puck">
+  <worldbody>
+    <body name="upper" pos="0 0 0.7">
+      <joint name="shoulder" axis="0 -1 0" damping="0.02"/>
+      <inertial pos="0 0 -0.2" mass="0.6" diaginertia="0.008 0.008 0.001"/>
+      <body name="fore" pos="0 0 -0.4">
+        <joint name="elbow" axis="0 -1 0" damping="0.02" range="-143 143"/>
+        <inertial pos="0 0 -0.15" mass="0.4" diaginertia="0.004 0.004 0.0005"/>
+        <geom name="hand" type="sphere" size="0.04" pos="0 0 -0.3"/>
+      </body>
+    </body>
+    <body name="puck" pos="0.15 0 0">
+      <joint name="rail" type="slide" axis="1 0 0" damping="0.1" range="-2 2"/>
+      <inertial pos="0 0 0" mass="0.3" diaginertia="0.0003 0.0003 0.0003"/>
+      <geom name="puck" type="sphere" size="0.05"/>
+    </body>
+  </worldbody>
+  <actuator><motor joint="shoulder"/><motor joint="elbow" ctrlrange="-6 6"/></actuator>
+</mujoco>
+"""
+
+
+def hit_puck(folder: Path) -> Scenario:
+    """Returns the task to hit the puck to 0.65 m from where it starts."""
+    model = folder / "arm_and_puck.xml"
+    model.write_text(ARM_AND_PUCK, encoding="utf-8")
+    fields: dict[str, Any] = {
+        "model": str(model),
+        "initial_position": {"shoulder": -0.5, "elbow": -0.3},
+        "initial_velocity": np.zeros(3),
+        "goal_position": {"rail": 0.65},
+        "goal_weight": {"rail": 100.0},
+        "goal_velocity_weight": {"rail": 1.0},
+        "material": {"*": {"stiffness": 5000.0, "dissipation": 1.0, "friction": 0.4}},
+        "contact": "compliant",
+        "control_weight": 0.05,
+        "duration": 1.5,
+        "time_step": 0.03,
+    }
+    return Scenario(**fields)
+
+
 GRAVITY = 9.81
 
 

@@ -17,7 +17,7 @@ from test_shooting import soft, weigh
 from test_shooting_phases import RESTITUTION, ball
 from test_shooting_phases import pose as pose_phases
 
-from drake_aigto.contact import Mechanism, RigidLaw
+from drake_aigto.contact import Mechanism, RigidLaw, evaluate_tape
 from drake_aigto.errors import ProgramError, UnsupportedTermError
 from drake_aigto.shooting import (
     AddedTerms,
@@ -227,6 +227,34 @@ def test_constraints_on_the_state_hold_on_both_sides_of_an_impact() -> None:
     slow = replace(problem, added=added).solve(np.full((N, 1), -1.0), None, FINE)
     assert slow.violation <= 1e-6 and slow.cost > free.cost
     assert slow.states[6, 1] / RESTITUTION == pytest.approx(bound, rel=1e-5)
+
+
+def test_functions_of_quaternions_have_derivatives_along_turns() -> None:
+    world = World.from_scenario(scenario := Scenario.named("drone/deliver"))
+    q, v, u = world.positions, world.velocities, world.controls
+    cost = q[0] * q[1] * v[0] + q[2] ** 2 * q[4] + u[0] * q[3] + v[3] * sin(q[7])
+    added, rng = add(world, running=[cost], everywhere=[cost <= 1.0]), np.random.default_rng(0)
+    (n, nu), tape = world.actuation.shape, added.tape
+    size = 2 * n + nu
+    at = world.add(np.array(world.place(scenario).initial_position), rng.normal(size=n))
+    v0, u0, step = rng.normal(size=n), rng.normal(size=nu), np.float64(1e-4)
+
+    def evaluate(delta: Any) -> Any:
+        x = np.concatenate([world.add(at, delta[:n]), v0 + delta[n : 2 * n], u0 + delta[2 * n :]])
+        values, sums = np.zeros(1 + len(x) + 2 * tape.code[0] + tape.code[1]), tape.constants.copy()
+        evaluate_tape(np.array(tape.code), np.array(tape.numbers), x, values, sums)
+        return sums
+
+    sums, moves = evaluate(np.zeros(size)), step * np.eye(size)
+    slopes = [(evaluate(move)[0] - evaluate(-move)[0]) / (2 * step) for move in moves]
+    np.testing.assert_allclose(sums[2 : 2 + 2 * size], slopes * 2, atol=1e-8)
+    bends = [
+        (evaluate(a + b)[0] - evaluate(a - b)[0] - evaluate(b - a)[0] + evaluate(-a - b)[0])
+        / (4 * step**2)
+        for i, a in enumerate(moves)
+        for b in moves[i:]
+    ]
+    np.testing.assert_allclose(sums[2 + 2 * size :][: len(bends)], bends, atol=1e-7)
 
 
 def test_what_shooting_cannot_take_is_refused_by_name() -> None:

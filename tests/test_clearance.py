@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from space_models import make_scenario
 
 from drake_aigto import Planner, PlanOptions, Scenario, World, plan
 from drake_aigto.errors import ScenarioError
@@ -37,6 +39,32 @@ def test_a_pole_swings_up_at_a_distance_from_its_walls(name: str) -> None:
     plain = plan(Scenario.named(name), QUICK).trajectory
     replay = replay_event_driven(world, scenario, plain.times, plain.controls)
     assert CLEARANCE in replay.broken
+
+
+@pytest.mark.slow  # Shooting over trees is compiled.
+def test_a_finger_passes_a_ball_in_space_at_a_distance_and_as_slowly_as_users_ask(
+    tmp_path: Path,
+) -> None:
+    changes: Any = {
+        "goal_weight": {"x": 100.0, "y": 100.0, "z": 100.0},
+        "clearance": {"*ball*tip*": 0.02},
+        "material": {"*": {"friction": 0.0}},
+    }
+    goal = {"x": 0.15, "y": 0.0, "z": 0.07}
+    planner = Planner(make_scenario(tmp_path, goal_position=goal, **changes), QUICK)
+    program, world = planner.transcription, planner.world
+    *_, z = program.state()[:3]
+    vx = program.state()[world.num_positions]
+    program.AddConstraintToAllKnotPoints(vx <= 0.4, "slow")
+    program.AddFinalCost(100.0 * (z - 0.11) ** 2, "high")
+    found = planner.plan()
+    assert found.holds and not found.best.is_idle
+    near = [contact.name for contact in world.contacts].index("m::ball with m::tip")
+    for replay in found.replay:
+        assert world.calc_signed_distance(replay.positions)[:, near].min() > 0.0185
+        assert not replay.broken and 0.3 < replay.velocities[:, 0].max() < 0.402
+        assert replay.positions[-1, 2] == pytest.approx(0.09, abs=2e-3)
+    assert found.best.added_costs["high"] == pytest.approx(0.04, rel=0.1)
 
 
 def test_the_distance_of_two_spheres_is_that_between_their_surfaces() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from other_models import hit_puck
 from scaled_worlds import Factors, scale_scenario
 
 from drake_aigto import PlanOptions, Scenario, World, plan
@@ -26,6 +27,12 @@ def test_a_spinner_is_turned_by_any_angle(angle: float, most: float) -> None:
     found = plan(scenario)
     assert found.holds and not found.best.is_idle
     assert found.cost < most
+
+
+def test_an_arm_hits_a_puck_where_gaps_can_not_be_closed_by_whole_steps(tmp_path: Path) -> None:
+    found = plan(hit_puck(tmp_path), PlanOptions(renewals=0, starts=4, finalists=1))
+    assert found.holds and found.best.contacts
+    assert found.cost < 0.35  # idle: about 1.5
 
 
 def test_a_small_spinner_is_turned_as_a_large_one(tmp_path: Path) -> None:

@@ -462,10 +462,12 @@ def test_what_is_not_planned_for_in_space_is_refused_by_name(tmp_path: Path) -> 
     timed = make_scenario(tmp_path, duration_range=[0.5, 2.0])
     with pytest.raises(ScenarioError, match=r"duration_range: got .* in space, expected none"):
         _ = Planner(timed).task
-    planner = Planner(make_scenario(tmp_path))
-    u = planner.transcription.input()
-    planner.transcription.AddRunningCost(u[0] * u[0])
-    with pytest.raises(ProgramError, match="costs and constraints of users: got some, in space"):
+    wrist = '<joint name="wrist" type="ball"><parent>finger</parent><child>paw</child></joint>'
+    text = ball_and_finger(more=link("paw", 0.1, "") + wrist)
+    planner = Planner(make_scenario(tmp_path, text, initial_velocity=np.zeros(12)))
+    yaw = planner.world.positions[5]
+    planner.transcription.AddFinalCost(yaw**2, "yaw")
+    with pytest.raises(ProgramError, match="'yaw' can't be planned: got a function of roll, pitch"):
         planner.plan()
 
 

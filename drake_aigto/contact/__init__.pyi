@@ -69,9 +69,11 @@ from .touching import TouchRoom as TouchRoom
 from .touching import TouchTable as TouchTable
 from .touching import evaluate_push as evaluate_push
 from .touching import make_touch_room as make_touch_room
+from .touching import measure_distance as measure_distance
 from .touching import push as push
 from .tree_mechanism import AnyMechanism as AnyMechanism
 from .tree_mechanism import TreeMechanism as TreeMechanism
 from .tree_mechanism import accelerate_bodies as accelerate_bodies
 from .tree_mechanism import make_mechanism as make_mechanism
 from .tree_mechanism import make_touch_table as make_touch_table
+from .tree_mechanism import place_bodies as place_bodies

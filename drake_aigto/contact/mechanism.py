@@ -110,6 +110,16 @@ class TapeBuilder:
                     _add(found, tuple(sorted((*rest, other))), slope)
         return {product: c for product, c in found.items() if c != 0.0}
 
+    def differentiate_along(self, sum_: Sum, rates: Floats) -> Sum:
+        """Returns Σ_j (c_j0 + Σ_k c_jk x_k) ∂f/∂x_j of a sum; rates are c, shape (J, 1 + K)."""
+        found: Sum = {}
+        for j in np.flatnonzero(rates.any(axis=1)).tolist():
+            for product, slope in self.differentiate(sum_, j).items():
+                for k in np.flatnonzero(rates[j]).tolist():
+                    longer = tuple(sorted((*product, k))) if k else product
+                    _add(found, longer, slope * float(rates[j, k]))
+        return {product: c for product, c in found.items() if c != 0.0}
+
     def build(self, values: list[Sum], slopes: list[Sum]) -> SumTape:
         """Returns the tape of sums: values and slopes; values can be computed alone."""
         sums = [*values, *slopes]

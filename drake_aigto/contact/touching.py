@@ -102,6 +102,24 @@ def meet(table: TouchTable, pair: int, reach: float, room: TouchRoom) -> bool:
 
 
 @borrowing
+def measure_distance(
+    table: TouchTable, pair: int, S: Floats, room: TouchRoom, slope: Floats
+) -> float:
+    """Returns φ of a pair whose shapes are placed [m]; computes ∂φ/∂δ by degrees of freedom."""
+    near, C, moment, w = room.closest, room.vectors[0], room.vectors[1], table.couples[pair]
+    meet(table, pair, np.inf, room)
+    for k in range(3):
+        C[k] = near.foot[k] + near.distance[0] * near.n[k] / 2
+    cross(C, near.n, moment)
+    for i in range(S.shape[0]):
+        slope[i] = 0.0
+    for a in range(table.starts[w], table.starts[w + 1]):
+        i = table.chain[a]
+        slope[i] = table.signs[a] * (dot(S[i], moment) + dot(S[i, 3:], near.n))
+    return float(near.distance[0])
+
+
+@borrowing
 def find_depth(distance: float, eps: float) -> tuple[float, float]:
     """Returns x and ∂x/∂φ."""
     if eps == 0.0:

@@ -12,8 +12,8 @@ from drake_aigto.contact.laws import CompliantLaw, ContactLaw
 from drake_aigto.contact.mechanism import Mechanism
 from drake_aigto.contact.tables import TreeMechanics, TreeMechanicsMemory
 from drake_aigto.contact.touching import SLOWING, TouchTable, push
-from drake_aigto.dynamics import QUATERNION, Tree, move_tree, push_tree
-from drake_aigto.geometry import Shapes
+from drake_aigto.dynamics import QUATERNION, Tree, move_tree, place, push_tree
+from drake_aigto.geometry import Shapes, place_shapes
 from drake_aigto.kernels import borrowing
 from drake_aigto.world import SpaceWorld, World
 
@@ -92,6 +92,15 @@ def accelerate_bodies(
         memory.acceleration[0, tree.velocities[s]] = room.force[s]
 
 
+@borrowing
+def place_bodies(mechanics: TreeMechanics, q: Floats, memory: TreeMechanicsMemory) -> None:
+    """Computes where links and shapes are at q, which may be the beginning of a state."""
+    tree, room = mechanics.tree, memory.touch
+    for i in range(tree.parents.size):
+        place(tree, i, q, memory.tree)
+    place_shapes(mechanics.touch.shapes, memory.tree.poses, room.rotations, room.places)
+
+
 def make_no_touch(num_velocities: int) -> TouchTable:
     """Returns the table of a tree without contact."""
     counts, none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
@@ -145,14 +154,7 @@ class TreeMechanism:
     @property
     def actuation(self) -> Floats:
         """B where no link is turned, shape (n, nu)."""
-        return self.tree.calc_actuation(self._unturned)
-
-    @property
-    def _unturned(self) -> Floats:
-        """Positions at which no link is turned, shape (nq,)."""
-        q = np.zeros(self.num_positions)
-        q[self.tree.positions[self.tree.kinds == QUATERNION]] = 1.0
-        return q
+        return self.tree.calc_actuation(self.tree.unturned)
 
     @property
     def has_friction(self) -> bool:
@@ -173,7 +175,7 @@ class TreeMechanism:
             speed: of contacts [m/s], which those of a tree do not need.
         """
         tree = self.tree
-        masses = tree.calc_mass_matrix(self._unturned)
+        masses = tree.calc_mass_matrix(self.tree.unturned)
         mobility = np.diag(np.linalg.inv(masses))[tree.velocities]
         slow = np.maximum(tree.stiction, tree.friction * mobility * step)
         places = np.full(self.num_velocities, -1)

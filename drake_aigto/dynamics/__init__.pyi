@@ -48,6 +48,7 @@ from .tree_reader import refuse_loop as refuse_loop
 from .tree_tables import NO_FRAMES as NO_FRAMES
 from .tree_tables import PRISMATIC as PRISMATIC
 from .tree_tables import QUATERNION as QUATERNION
+from .tree_tables import RPY as RPY
 from .tree_tables import TRANSLATION as TRANSLATION
 from .tree_tables import FrameTable as FrameTable
 from .tree_tables import TreeMemory as TreeMemory

@@ -96,6 +96,19 @@ class Coordinates:
         """Returns positions halfway between two, (…, nq)."""
         return (other + one) / 2
 
+    @property
+    def origin(self) -> Floats:
+        """Positions that are zero, or not turned, shape (nq,)."""
+        return np.zeros(self.num_positions)
+
+    @property
+    def rates(self) -> Floats:
+        """N(q) of q̇ = N(q) v, c_ij0 + Σ_k c_ijk q_k of velocity i, shape (nv, nq, 1 + nq).
+
+        NaN where it is no such sum.
+        """
+        return np.dstack([np.eye(self.num_positions), np.zeros((self.num_positions,) * 3)])
+
     def calc_position_rate(self, q: Floats, v: Floats) -> Floats:
         """Returns q̇, shape (…, nq)."""
         return np.broadcast_to(v, np.shape(q))

@@ -14,7 +14,7 @@ from pydrake.systems.framework import Context
 
 from drake_aigto.arrays import Floats
 from drake_aigto.dynamics.tree_reader import Thrust, check_force, read_tables
-from drake_aigto.dynamics.tree_tables import NUM_POSITIONS, TreeTables, make_tree_memory
+from drake_aigto.dynamics.tree_tables import NUM_POSITIONS, QUATERNION, TreeTables, make_tree_memory
 
 _ROUNDING = 1e-12  # Of the largest thrust on a coordinate.
 _NUM_PROBES = 2  # States at which forces are compared to Drake's: one might agree by chance.
@@ -66,6 +66,13 @@ class Tree(TreeTables):
     def num_velocities(self) -> int:
         """The number of velocities, nv."""
         return len(self.up)
+
+    @property
+    def unturned(self) -> Floats:
+        """Positions at which no link is turned, shape (nq,)."""
+        q = np.zeros(self.num_positions)
+        q[self.positions[self.kinds == QUATERNION]] = 1.0
+        return q
 
     def calc_mass_matrix(self, q: Floats) -> Floats:
         """Returns M(q), shape (…, nv, nv), at q of shape (…, nq)."""

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from pydrake.solvers import MathematicalProgram
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Floats, Ints, read_only
 from drake_aigto.contact import Sum, SumTape, TapeBuilder, evaluate_tape
-from drake_aigto.dynamics import EquationsOfMotion
+from drake_aigto.dynamics import Coordinates, EquationsOfMotion
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.tables import FLOW, Added
 from drake_aigto.terms import parse_costs, parse_rows
@@ -19,6 +19,9 @@ from drake_aigto.transcription import Addition, Additions
 
 # Knots of functions that are not bound to a time.
 EVERYWHERE, AT_END = -1.0, float(np.inf)
+
+
+_NO_PAIRS = read_only(np.empty(0), np.int64)
 
 
 class AddedFunction(NamedTuple):
@@ -52,55 +55,78 @@ class AddedTerms:
     Functions are sums of products of powers, sin and cos; x_k is the state at knot k, (q, v), at an
     impact the one after it, and constraints without controls count before it as well. Costs have
     exact gradients, and exact Hessians without negative eigenvalues; constraints have multipliers
-    like bounds.
+    like bounds. Derivatives by q are those along q ⊕ δ.
 
     Attributes:
-        rows: description of each function.
-        tape: of values, slopes, and curvatures of costs, by (q, v, u); see `tables.Added`.
+        rows: description of each function, R of them.
+        tape: of values, slopes, and curvatures of costs, by (δ, v, u); see `tables.Added`.
+        coordinates: of the state.
+        pairs: of shapes in space whose distances are functions, too, the last ones, shape (P,).
     """
 
     rows: tuple[AddedFunction, ...]
     tape: SumTape
+    coordinates: Coordinates
+    pairs: Ints
 
     @classmethod
-    def of(cls, world: EquationsOfMotion, additions: Additions) -> AddedTerms:
+    def of(
+        cls, world: EquationsOfMotion, additions: Additions, pairs: Ints = _NO_PAIRS
+    ) -> AddedTerms:
         """Returns the functions of a world's state and control from additions to its task.
 
+        Args:
+            world: the mechanism.
+            additions: to the task.
+            pairs: of shapes in space that are kept apart, shape (P,).
+
         Raises:
-            ProgramError: one reads variables of several knots.
+            ProgramError: one reads variables of several knots, or angles that no sum moves along.
             UnsupportedTermError: one has a factor that is no power, sin or cos.
         """
         builder = TapeBuilder([*world.positions, *world.velocities, *world.controls])
-        found = list(_read_all(builder, world, additions))
-        size, functions = len(builder.variables), [function for _, function in found]
-        differentiate = builder.differentiate
-        slopes = [[differentiate(f, c) for c in range(size)] for f in functions]
-        bends: list[Sum] = []
-        for (row, _), by_column in zip(found, slopes, strict=True):
-            pairs = ((c, d) for c in range(size) for d in range(c, size))
+        found, size = list(_read_all(builder, world, additions)), len(world.rates)
+        size += len(builder.variables) - world.num_positions
+        functions, derivatives, bends = list[Sum](), list[Sum](), list[Sum]()
+        for row, function in found:
+            slopes = _differentiate(builder, world, function)
+            if any(map(np.isnan, [c for slope in slopes for c in slope.values()])):
+                raise ProgramError(
+                    f"'{row.name}' can't be planned",
+                    got="a function of roll, pitch and yaw of a ball joint",
+                    expected="one of other coordinates, or a free body's quaternion",
+                )
+            functions.append(function)
+            derivatives += slopes
+            twice = [_differentiate(builder, world, s if row.is_cost else {}) for s in slopes]
             bends += [
-                builder.differentiate(by_column[c], d) if row.is_cost else {} for c, d in pairs
+                _average(twice[c][d], twice[d][c]) for c in range(size) for d in range(c, size)
             ]
-        derivatives = [*(slope for each in slopes for slope in each), *bends]
-        return cls(tuple(row for row, _ in found), builder.build(functions, derivatives))
+        nothing: list[Sum] = [{}] * len(pairs)
+        tape = builder.build([*functions, *nothing], [*derivatives, *size * nothing, *bends])
+        return cls(tuple(row for row, _ in found), tape, world, pairs)
 
-    def measure_units(self, scales: Floats) -> Floats:
+    def measure_units(self, scales: Floats, length: float) -> Floats:
         """Returns Σ_i |∂f/∂x_i| s_i of each function, the largest about 0 and ±s; 1 where it is 0.
 
         Args:
-            scales: s, of (q, v, u).
+            scales: s, of (δ, v, u).
+            length: unit of distances [m].
         """
-        units, tape, shape = np.zeros(len(self.rows)), self.tape, (len(self.rows), len(scales))
-        if not self.rows:
-            return units
-        code, numbers = np.array(tape.code), np.array(tape.numbers)
-        values = np.zeros(1 + len(scales) + 2 * tape.code[0] + tape.code[1])
-        for sign in (-1.0, 0.0, 1.0):
-            sums = tape.constants.copy()
-            evaluate_tape(code, numbers, sign * scales, values, sums)
-            slopes = sums[len(units) :][: len(units) * len(scales)].reshape(shape)
-            units = np.maximum(units, np.abs(slopes) @ scales)
-        return np.where(np.isfinite(units) & (units > 0), units, 1.0)
+        count, tape, coordinates = len(self.rows), self.tape, self.coordinates
+        units, n = np.zeros(count), coordinates.num_velocities
+        if count:
+            code, numbers = np.array(tape.code), np.array(tape.numbers)
+            first, (num_waves, num_products) = count + len(self.pairs), tape.code[:2]
+            for sign in (-1.0, 0.0, 1.0):
+                moved, sums = sign * scales, tape.constants.copy()
+                x = np.concatenate([coordinates.add(coordinates.origin, moved[:n]), moved[n:]])
+                values = np.zeros(1 + len(x) + 2 * num_waves + num_products)
+                evaluate_tape(code, numbers, x, values, sums)
+                slopes = sums[first:][: count * len(scales)].reshape(count, len(scales))
+                units = np.maximum(units, np.abs(slopes) @ scales)
+        units = np.where(np.isfinite(units) & (units > 0), units, 1.0)
+        return np.concatenate([units, np.full(len(self.pairs), length)])
 
     def check_untimed(self) -> None:
         """Refuses functions of one time, as phases of free durations have no knot there.
@@ -117,28 +143,50 @@ class AddedTerms:
                     remedy="Use AddConstraintToAllKnotPoints, AddRunningCost or AddFinalCost.",
                 )
 
-    def lay_out(self, kinds: Ints, shares: Floats, times: Floats | None) -> tuple[Added, Floats]:
-        """Returns the tables of costs for kernels, and bounds at knots, shape (2, K + 1, R).
+    def lay_out(
+        self, kinds: Ints, shares: Floats, times: Floats | None, least_distances: Floats | None
+    ) -> tuple[Added, Floats]:
+        """Returns tables for kernels, and bounds at knots, shape (2, K + 1, R + P).
 
         Args:
             kinds: of the K stages, see `Program`.
             shares: their lengths, see `Program`.
             times: of the knots [s]; None: phases have free durations.
+            least_distances: of all pairs of shapes [m].
 
         Raises:
             ProgramError: a function is bound to a time, and knots are free to move.
         """
         if times is None:
             self.check_untimed()
-        places = np.zeros((len(kinds) + 1, len(self.rows)), dtype=np.bool_)
+        size = len(self.rows) + len(self.pairs)
+        places = np.zeros((len(kinds) + 1, size), dtype=np.bool_)
         for r, row in enumerate(self.rows):
             places[_find_stages(row, kinds, times), r] = True
-        factors = np.where([row.is_cost for row in self.rows], places, 0.0)
-        is_running = np.array([row.is_running for row in self.rows], dtype=np.bool_)
+        places[1:, len(self.rows) :] = True
+        no_costs = np.zeros(len(self.pairs), dtype=np.bool_)
+        are_costs, is_running = (
+            np.array([*(getattr(row, name) for row in self.rows), *no_costs], dtype=np.bool_)
+            for name in ("is_cost", "is_running")
+        )
+        factors = np.where(are_costs, places, 0.0)
         factors[:-1, is_running] *= shares[:, np.newaxis]
         lower, upper = ([getattr(row, end) for row in self.rows] for end in ("lower", "upper"))
+        least = np.empty(0) if least_distances is None else least_distances
+        lower, upper = [*lower, *least[self.pairs]], [*upper, *np.where(no_costs, 0.0, np.inf)]
         bounds = np.where(places, lower, -np.inf), np.where(places, upper, np.inf)
-        return Added(*self.tape, is_running, factors), np.stack(bounds)
+        return Added(*self.tape, is_running, factors, np.array(self.pairs)), np.stack(bounds)
+
+
+def _differentiate(builder: TapeBuilder, world: Coordinates, function: Sum) -> list[Sum]:
+    """Returns the derivatives of a sum over (q, v, u) along (δ, v, u)."""
+    moves = [builder.differentiate_along(function, rates) for rates in world.rates]
+    others = range(world.num_positions, len(builder.variables))
+    return [*moves, *(builder.differentiate(function, c) for c in others)]
+
+
+def _average(one: Sum, other: Sum) -> Sum:
+    return {each: (one.get(each, 0.0) + other.get(each, 0.0)) / 2 for each in {**one, **other}}
 
 
 def _find_stages(row: AddedFunction, kinds: Ints, times: Floats | None) -> Ints:
@@ -154,7 +202,8 @@ def _find_stages(row: AddedFunction, kinds: Ints, times: Floats | None) -> Ints:
     return flights[[np.argmin(np.abs(times - row.time))]]
 
 
-NO_TERMS = AddedTerms((), TapeBuilder([]).build([], []))
+_NOTHING = Coordinates(np.zeros(0, dtype=np.bool_), *(np.zeros(0, dtype=object),) * 2)
+NO_TERMS = AddedTerms((), TapeBuilder([]).build([], []), _NOTHING, _NO_PAIRS)
 
 
 def _read_all(
@@ -193,7 +242,7 @@ def _read(
 ) -> Iterator[tuple[AddedFunction, Sum]]:
     """Yields the functions of one addition over (q, v, u)."""
     n, label = world.num_positions, f"'{addition.name}' can't be planned for a mechanism"
-    first = {"q": 0, "v": n, "u": 2 * n}
+    first = {"q": 0, "v": n, "u": n + world.num_velocities}
     variables = [first[place.part] + place.coordinate for place in addition.places]
     row = AddedFunction(
         addition.name, True, is_running, -np.inf, np.inf, time, addition.reads_control

@@ -7,10 +7,14 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import (
     Mechanics,
+    TreeMechanics,
+    TreeMechanicsMemory,
     find_foremost,
     find_row,
     find_slope,
+    measure_distance,
     only_of,
+    place_bodies,
     run_tape,
     triangle,
 )
@@ -201,9 +205,9 @@ def _visit_added(
 ) -> float:
     """Does a job for the constraints of users at knot k."""
     bounds, sums, total = program.bounds, memory.added.sums, 0.0
-    R, C, nz = program.added.is_running.size, memory.added.x.size, bounds.does_turn.size
-    first = nz + program.held.shape[1]
-    _evaluate_added(program.added, z, u, memory)
+    R, nz = program.added.is_running.size, bounds.does_turn.size
+    C, first = memory.flow.points.shape[1] + u.size, nz + program.held.shape[1]
+    _evaluate_added(program, z, u, memory)
     for r in range(R):
         low, high, weight = bounds.lower[k, first + r], bounds.upper[k, first + r], 0.0
         if low > -np.inf or high < np.inf:
@@ -216,12 +220,32 @@ def _visit_added(
 
 
 @borrowing
-def _evaluate_added(added: Added, z: Floats, u: Floats, memory: Memory) -> None:
+def _evaluate_added(program: Program, z: Floats, u: Floats, memory: Memory) -> None:
     """Computes the functions of users at a knot with all derivatives."""
-    x, nx = memory.added.x, memory.flow.points.shape[1]
+    added, x, sums = program.added, memory.added.x, memory.added.sums
+    width = x.size - u.size
     for i in range(x.size):
-        x[i] = z[i] if i < nx else u[i - nx]
-    run_tape(added.code, added.numbers, x, True, memory.added.values, memory.added.sums)
+        x[i] = z[i] if i < width else u[i - width]
+    run_tape(added.code, added.numbers, x, True, memory.added.values, sums)
+    _measure_apart(program.mechanics, added, z, sums, memory.flow.mechanics)
+
+
+@only_of(TreeMechanics)
+def _measure_apart(
+    mechanics: TreeMechanics, added: Added, z: Floats, sums: Floats, memory: TreeMechanicsMemory
+) -> None:
+    """Computes distances of pairs that are kept apart, and their slopes by δ."""
+    tree, R, P = mechanics.tree, added.is_running.size, added.pairs.size
+    n, C = tree.up.size, 2 * tree.up.size + tree.actuation.shape[1]
+    if P > 0:
+        place_bodies(mechanics, z, memory)
+    for p in range(P):
+        r = R - P + p
+        sums[r] = measure_distance(
+            mechanics.touch, added.pairs[p], memory.tree.motions, memory.touch, memory.reference
+        )
+        for s in range(n):
+            sums[R + r * C + tree.velocities[s]] = memory.reference[s]
 
 
 @inner
@@ -234,10 +258,11 @@ def add_costs(
     """
     added, sums = program.added, memory.added.sums
     gradient, A = memory.added.gradient, memory.added.hessian
-    R, C, nx, cost = added.is_running.size, memory.added.x.size, memory.flow.points.shape[1], 0.0
+    R, nx, cost = added.is_running.size, memory.flow.points.shape[1], 0.0
+    C = nx + u.size
     nz, l1, l2 = memory.sweep.V1.size, memory.expansion.l1[k], memory.expansion.l2[k]
     has_phases = nz > nx
-    _evaluate_added(added, z, u, memory)
+    _evaluate_added(program, z, u, memory)
     clear(gradient, A)
     for r in range(R):
         factor, stretches = added.factors[k, r], has_phases and added.is_running[r]

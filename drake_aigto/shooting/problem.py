@@ -210,8 +210,13 @@ class ShootingProblem(OptimalControlProblem):
         """
         controls, substeps, same = result.controls, 2 * result.substeps, result.exact_cost
         if self.is_unstable(result):
-            finer = self.linearize(controls, substeps, 0.0, result.states).cost
-            same = self.linearize(controls, result.substeps, 0.0, result.states, result.order).cost
+            try:
+                finer = self.linearize(controls, substeps, 0.0, result.states).cost
+                same = self.linearize(
+                    controls, result.substeps, 0.0, result.states, result.order
+                ).cost
+            except ProgramError:  # Its squares exceed all numbers.
+                return same, np.inf
         else:
             finer = self.simulate(controls, substeps).exact_cost
         return same if self.mechanism.has_friction else finer, abs(finer - same)

@@ -35,7 +35,9 @@ def make_program(problem: OptimalControlProblem, substeps: int, order: int) -> P
     layout = problem.layout
     closed, leans, restitutions = _find_closed(layout, problem.mechanism)
     times = problem.times if problem.phases is None else None
-    added, limits = problem.added.lay_out(layout.kinds, layout.shares, times)
+    added, limits = problem.added.lay_out(
+        layout.kinds, layout.shares, times, problem.least_distances
+    )
     program = Program(
         mechanics=problem.fit_mechanism(substeps),
         task=_make_task(problem.cost),
@@ -99,7 +101,8 @@ def _make_bounds(problem: OptimalControlProblem, layout: StageLayout, of_users: 
     low_control, high_control = _bound_controls(problem, layout)
     T, nx, nz, m = np.ptp(problem.times), len(problem.scales), lower.shape[1], low.shape[1]
     scales = np.concatenate([problem.scales, np.full(nz - nx, T)])
-    units = problem.added.measure_units(np.concatenate([problem.scales, problem.control_scales]))
+    sizes = np.concatenate([problem.scales, problem.control_scales])
+    units = problem.added.measure_units(sizes, problem.length)
     weights = np.concatenate([scales**-2, np.full(m, float(problem.length) ** -2), units**-2])
     start = problem.start[: problem.mechanism.num_positions]
     # A hard goal of a hinge is modulo 2π.
@@ -163,7 +166,7 @@ def _bound_distances(problem: OptimalControlProblem, layout: StageLayout) -> Flo
         bounds[0, :-1][layout.held] = -np.inf
         bounds[0][beside], bounds[1][beside] = -np.inf, most[beside]
         bounds[:, hit, layout.kinds[hit]] = 0.0
-    if problem.least_distances is not None:
+    if problem.least_distances is not None and m:
         bounds[0] = np.maximum(bounds[0], problem.least_distances)
     return bounds
 

@@ -54,13 +54,14 @@ class Bounds(NamedTuple):
 
 
 class Added(NamedTuple):
-    """Costs and constraints of users at knots: R functions f of x = (q, v, u), C numbers."""
+    """Costs and constraints of users at knots: R functions f(q, v, u), by C numbers (δ, v, u)."""
 
-    code: Ints  # of a `Tape` of all f, of ∂f/∂x (C each), and of upper triangles of ∂²f/∂x² by rows
+    code: Ints  # of a `Tape` of all f, of slopes (C each), and of upper triangles of curvatures
     numbers: Floats  # of the same
     constants: Floats  # of the same
     is_running: Bools  # whether the length of the stage is a factor, shape (R,)
     factors: Floats  # of costs at each knot, of phases without τ, shape (K + 1, R)
+    pairs: Ints  # of shapes whose distances are the last f, shape (P,)
 
 
 class Program(NamedTuple):
@@ -192,8 +193,8 @@ def make_memory(program: Program) -> Memory:
         ),
         ModeMemory(*map(zeros, ((m, 3), (m, 3, nx + nu), (m, 3), nx))),
         AddedMemory(
-            x=np.zeros(C),
-            values=np.zeros(1 + C + 2 * code[0] + code[1]),
+            x=np.zeros(C + width),
+            values=np.zeros(1 + C + width + 2 * code[0] + code[1]),
             sums=program.added.constants.copy(),
             gradient=np.zeros(C + (nz > nx)),
             hessian=np.zeros((C + (nz > nx), C + (nz > nx))),

@@ -187,10 +187,10 @@ class Additions:
             found[each.name] = max(found.get(each.name, 0.0), off, *missed)
         return found
 
-    def miss_at_start(self, addition: Addition, state: Floats) -> float:
+    def miss_at_start(self, addition: Addition, q: Floats, v: Floats) -> float:
         """Returns the initial state's violation of a constraint, as in `violations`."""
-        q, v = np.split(state[np.newaxis], 2, axis=1)
-        return self._violation(addition, Samples(np.zeros(1), q, v, np.empty((0, 0))), 0)
+        start = Samples(np.zeros(1), q[np.newaxis], v[np.newaxis], np.empty((0, 0)))
+        return self._violation(addition, start, 0)
 
     def units(self, addition: Addition) -> Floats:
         """Returns Σ_i |∂g/∂x_i| s_i of each row of a constraint, the largest about 0 and ±s."""

@@ -30,14 +30,14 @@ def check_bounds_of(additions: Additions) -> None:
                 )
 
 
-def check_start(additions: Additions, state: Floats) -> None:
-    """Refuses constraints on the initial state alone, shape (nq + nv,), that it does not meet.
+def check_start(additions: Additions, q: Floats, v: Floats) -> None:
+    """Refuses constraints on the initial state alone, shapes (nq,), (nv,), that it does not meet.
 
     Raises:
         ProgramError: there is one.
     """
     for each in additions.constraints:
-        if each.is_of_start and (missed := additions.miss_at_start(each, state)):
+        if each.is_of_start and (missed := additions.miss_at_start(each, q, v)):
             raise ProgramError(
                 f"the constraint '{each.name}'",
                 got=f"an initial state that misses it by {missed:.1g} of the task's scales",

@@ -171,13 +171,12 @@ class OpenProgram(KnotProgram):
             ProgramError: they contradict each other or the start.
             UnsupportedTermError: a constraint whose formula Drake does not give.
         """
-        start = self.scenario.initial_position, self.scenario.initial_velocity
         other = copy.copy(self)
         other._forget_program()
         other._layout = self._layout.copy()
         additions = self._at_own_knots(additions)
         check_bounds_of(additions)
-        check_start(additions, np.concatenate(start))
+        check_start(additions, self.scenario.initial_position, self.scenario.initial_velocity)
         other._take(additions)
         names = {*self._always_met, *(each.name for each in additions.constraints)}
         check_linear(other.prog(), names)

@@ -300,12 +300,15 @@ def _drive(plant: MultibodyPlant, path: Path, facts: ModelFacts) -> None:
         facts.efforts.pop(known[name][0].name(), None)
     if moving and not driven and not facts.fields.thrusters:
         idle = sorted(facts.no_effort & set(moving))
-        first = (idle or sorted(moving))[0]
-        remedy = f"effort_limits: {{{first}: ...}}" if idle else f"actuators: [{first}, ...]"
-        answer = {"effort_limits": dict.fromkeys(idle, 1.0)} if idle else {"actuators": "all"}
+        others = sorted(set(moving) - set(idle))
+        ways = [f"actuators: [{others[0]}, ...]"] if others else []
+        ways += [f"effort_limits: {{{idle[0]}: ...}}"] if idle else []
+        remedy = " or ".join(ways)
+        answer = {"actuators": others} if others else {"effort_limits": dict.fromkeys(idle, 1.0)}
+        none = f", and none at {', '.join(others)}" if others else ""
         raise FixableError(
             "the model lacks an actuator",
-            got=f"limits of effort of 0 at {', '.join(idle)}" if idle else f"none in {path}",
+            got=f"limits of effort of 0 at {', '.join(idle)}{none}" if idle else f"none in {path}",
             expected="a joint that is driven",
             remedy=f"Drive joints by the scenario's {remedy}, or in the model.",
             fields=answer,

@@ -20,7 +20,7 @@ from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.geometry import make_closest
 from drake_aigto.world.diagram import find_plant, scale_masses
 from drake_aigto.world.frames import FrameGoals
-from drake_aigto.world.limits import Limits, check_sizes
+from drake_aigto.world.limits import Limits, check_clearance, check_sizes
 from drake_aigto.world.material import SpringMaterial, combine_springs
 from drake_aigto.world.model_facts import find_errors
 from drake_aigto.world.model_fields import Limited, Named, as_globs
@@ -183,9 +183,7 @@ class SpaceWorld(SpaceCoordinates, World):
         TaskCost.of(self, scenario)
         self.bounds(scenario)
         check_made_for(self, scenario)
-        if scenario.clearance:
-            got = f"{', '.join(scenario.clearance)}, in space"
-            raise ScenarioError("clearance", got, "none, as pairs are kept apart in the plane")
+        check_clearance(self, self.least_distances(scenario), scenario.initial_position)
         if not self.pairs:
             return
         if scenario.contact != "compliant":

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, read_only
-from drake_aigto.dynamics import PRISMATIC, QUATERNION, TRANSLATION, Coordinates, Tree
+from drake_aigto.dynamics import PRISMATIC, QUATERNION, RPY, TRANSLATION, Coordinates, Tree
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -99,6 +99,28 @@ class SpaceCoordinates(Coordinates):
     def middle(self, one: Floats, other: Floats) -> Floats:
         """Returns positions halfway between two, (…, nq)."""
         return self.add(one, self.subtract(other, one) / 2)
+
+    @property
+    def origin(self) -> Floats:
+        """Positions that are zero, or not turned, shape (nq,)."""
+        return self.tree.unturned
+
+    @cached_property
+    def rates(self) -> Floats:
+        """N(q) of q̇ = N(q) v, c_ij0 + Σ_k c_ijk q_k of velocity i, shape (nv, nq, 1 + nq).
+
+        NaN of angles of roll, pitch and yaw.
+        """
+        tree, n = self.tree, self.num_positions
+        found = np.zeros((self.num_velocities, n, 1 + n))
+        for i, velocity in enumerate(np.eye(self.num_velocities)):
+            at_zero = tree.calc_position_rate(np.zeros(n), velocity)
+            columns = [tree.calc_position_rate(q, velocity) - at_zero for q in np.eye(n)]
+            found[i] = np.column_stack([at_zero, *columns])
+        for i in np.flatnonzero(tree.kinds == RPY).tolist():
+            first, of_link = tree.positions[i], tree.velocities[tree.dofs[i] : tree.dofs[i + 1]]
+            found[of_link, first : first + 3] = np.nan
+        return found
 
     def calc_position_rate(self, q: Floats, v: Floats) -> Floats:
         """Returns q̇ = N(q) v, shape (…, nq)."""

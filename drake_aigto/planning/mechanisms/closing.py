@@ -286,19 +286,23 @@ def close_gaps(
 ) -> ShootingResult:
     """Returns the local optimum near states and controls of a motion.
 
-    In space, where contact may get lost as gaps between states are closed, that near the controls
-    counts if it costs hardly more than the motion. Other arguments are those of
-    `ShootingProblem.solve`.
+    The first one that costs hardly more than the motion counts, or the best: near its states, where
+    gaps between them are closed by whole steps or by wary ones, or near its controls alone. In
+    space, contact may get lost as gaps are closed, so controls come first. Other arguments are
+    those of `ShootingProblem.solve`.
     """
-    if states is None or not isinstance(problem.mechanism, TreeMechanism):
-        return problem.solve(controls, states, options, prices)
-    found = problem.solve(controls, None, options, prices)
-    if found.violation <= HOPELESS and found.cost <= _HARDLY * motion.cost:
-        return found
-    other = problem.solve(controls, states, options, prices)
-    return min(
-        *(found, other), key=lambda each: (each.is_left or each.violation > HOPELESS, each.cost)
-    )
+    ways = [(states, options)]
+    if states is not None:
+        alone, wary = (None, options), (states, dataclasses.replace(options, is_wary=True))
+        is_in_space = isinstance(problem.mechanism, TreeMechanism)
+        ways = [alone, *ways] if is_in_space else [*ways, wary, alone]
+    tried = []
+    for way in ways:
+        found = problem.solve(controls, *way, prices)
+        if found.violation <= HOPELESS and found.cost <= _HARDLY * motion.cost:
+            return found
+        tried.append(found)
+    return min(tried, key=lambda each: (each.is_left or each.violation > HOPELESS, each.cost))
 
 
 def halve_steps(problem: ShootingProblem, motion: ShootingResult, most: float) -> ShootingResult:

@@ -10,7 +10,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import AnyMechanism, ContactLaw, RigidLaw, contact_law, make_mechanism
-from drake_aigto.errors import ProgramError, ScenarioError
+from drake_aigto.errors import ScenarioError
 from drake_aigto.planning.candidate import (
     NO_CONTROL,
     Candidate,
@@ -74,16 +74,18 @@ class Compiled:
     added: AddedTerms = NO_TERMS
 
     @classmethod
-    def of(cls, world: World, law: ContactLaw, additions: Additions) -> Compiled:
+    def of(
+        cls, world: World, scenario: Scenario, law: ContactLaw, additions: Additions
+    ) -> Compiled:
         """Compiles a world with its contact law, and costs and constraints of users.
 
         Raises:
             ProgramError, UnsupportedTermError: see `AddedTerms.of`.
         """
-        if additions and isinstance(world, SpaceWorld):
-            remedy = "Weigh coordinates in the scenario."
-            raise ProgramError("costs and constraints of users", "some, in space", "none", remedy)
-        added = AddedTerms.of(world, additions) if additions else NO_TERMS
+        apart = np.flatnonzero(np.isfinite(world.least_distances(scenario)))
+        if not isinstance(world, SpaceWorld):
+            apart = apart[:0]  # There, distances of all contacts have bounds.
+        added = AddedTerms.of(world, additions, apart) if additions or len(apart) else NO_TERMS
         return cls(make_mechanism(world, law), additions, added)
 
 
@@ -139,7 +141,7 @@ class PosedMechanism:
         self.scales, self.state_scales = Scales.of(world, scenario), state_scales(world, scenario)
         self.measures = Measures.of(world, scenario)
         self.search_steps = min(scenario.num_steps, options.search_steps)
-        self._compiled = compiled or Compiled.of(world, self.law, additions)
+        self._compiled = compiled or Compiled.of(world, scenario, self.law, additions)
         self.additions = self._compiled.additions
         if isinstance(self.law, RigidLaw) or scenario.duration_range is not None:
             self._compiled.added.check_untimed()
@@ -161,7 +163,7 @@ class PosedMechanism:
             scales=np.concatenate([measures.position, measures.velocity]),
             length=measures.length,
             state_bounds=limit_states(self.world, bounds),
-            least_distances=self.least_distances if self.mechanism.num_contacts else None,
+            least_distances=self.least_distances,
             phases=None if free is None else Phases.free(T, free),
         )
 
