@@ -236,7 +236,7 @@ def test_functions_of_quaternions_have_derivatives_along_turns() -> None:
     added, rng = add(world, running=[cost], everywhere=[cost <= 1.0]), np.random.default_rng(0)
     (n, nu), tape = world.actuation.shape, added.tape
     size = 2 * n + nu
-    at = world.add(np.array(world.place(scenario).initial_position), rng.normal(size=n))
+    at = world.add(np.array(world.place(scenario).initial_position), rng.normal(size=(n,)))
     v0, u0, step = rng.normal(size=n), rng.normal(size=nu), np.float64(1e-4)
 
     def evaluate(delta: Any) -> Any:
