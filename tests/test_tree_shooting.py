@@ -198,6 +198,7 @@ def test_a_slip_ends_in_long_steps_without_turning_round(tmp_path: Path) -> None
     task = MechanismTask(planner.world, planner.scenario, planner.options)
     # Friction of 0.5 at 10 m/s² slows the slip of a ball by 17 m/s², 0.17 m/s in each step.
     found = task.shooting(50).simulate(np.zeros((50, 3)), 2, order=2)
+    assert isinstance(task.world, SpaceWorld)
     slips = task.world.calc_slides(*task.world.split(found.states))
     names = [contact.name for contact in task.world.contacts]
     along = slips[:, names.index("m::ball with ground::floor"), 0]
