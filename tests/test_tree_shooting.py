@@ -26,7 +26,7 @@ from drake_aigto.shooting import (
     make_memory,
 )
 from drake_aigto.simulation import replay_event_driven
-from drake_aigto.world import FrameGoal, FrameGoals, Pose, PoseWeight, TaskCost
+from drake_aigto.world import FrameGoal, FrameGoals, Pose, PoseWeight, SpaceWorld, TaskCost
 
 Rng = np.random.Generator
 
