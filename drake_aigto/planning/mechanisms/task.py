@@ -191,7 +191,7 @@ class MechanismTask(PosedMechanism):
         problem = self.shooting(self.search_steps).lasting(float(guess.times[-1]))
         controls, states = guess.sample(problem.knot_times)
         found = problem.solve(controls, states, options)
-        if self.mechanism.has_friction or not is_patient or self.is_of_use(found):
+        if states is None or not is_patient or self.is_of_use(found):
             return found
         # Worse than no control, it has most likely diverged.
         return min(found, problem.solve(controls, states, options.wary), key=self.rank)
