@@ -20,7 +20,7 @@ from drake_aigto.planning.candidate import (
     sample,
 )
 from drake_aigto.planning.feedback import Feedback
-from drake_aigto.planning.mechanisms.closing import POLISH
+from drake_aigto.planning.mechanisms.closing import MOST_SUBSTEPS, POLISH
 from drake_aigto.planning.mechanisms.guesses import Measures
 from drake_aigto.planning.mechanisms.traces import trace
 from drake_aigto.planning.options import PlanOptions
@@ -268,12 +268,20 @@ class PosedMechanism:
     @cached_property
     def idle_motion(self) -> ShootingResult:
         """The uncontrolled motion, of the best duration."""
-        problem = self.shooting(self.scenario.num_steps)
-        none = np.zeros((self.scenario.num_steps, self.world.num_actuators))
+        problem, num_steps = self.shooting(self.scenario.num_steps), self.scenario.num_steps
+        none = np.zeros((num_steps, self.world.num_actuators))
         if problem.phases is None:
-            return problem.simulate(none, POLISH.substeps)
+            return self.let_go(num_steps)
         nothing = np.tile(np.clip(0.0, *problem.control_bounds), (2, 1))
         return dataclasses.replace(problem, control_bounds=nothing).solve(none, None, POLISH)
+
+    def let_go(self, num_steps: int) -> ShootingResult:
+        """Returns the uncontrolled motion, in Runge-Kutta steps that do not blow it up."""
+        problem, none = self.shooting(num_steps), np.zeros((num_steps, self.world.num_actuators))
+        motion = problem.simulate(none, POLISH.substeps)
+        while not np.isfinite(motion.states).all() and motion.substeps < MOST_SUBSTEPS:
+            motion = problem.simulate(none, 2 * motion.substeps)
+        return motion
 
     def confirm(self, candidate: Candidate) -> Replays:
         """Returns the candidate's replays: its own, and Drake's if the options confirm."""

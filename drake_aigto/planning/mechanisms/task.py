@@ -64,9 +64,7 @@ class MechanismTask(PosedMechanism):
     @cached_property
     def coast(self) -> ShootingResult:
         """The uncontrolled motion."""
-        problem = self.shooting(self.search_steps)
-        controls = np.zeros((self.search_steps, self.world.num_actuators))
-        return problem.simulate(controls, substeps=4)
+        return self.let_go(self.search_steps)
 
     @property
     def num_starts(self) -> int:
