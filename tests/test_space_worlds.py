@@ -396,7 +396,7 @@ def test_a_ball_is_pushed_to_its_goal_by_a_plan_that_both_replays_confirm(tmp_pa
         run = run_in_loop(controller, asked, world, Disturbance(start_offset=off))
         misses = np.array([run.replay.positions[-1], alone]) - placed.goal_position
         missed = np.linalg.norm(misses[:, first + 4 : first + 6], axis=1)
-        assert missed[0] < 0.5 * missed[1]
+        assert missed[0] < 0.6 * missed[1]
 
 
 @pytest.mark.slow  # 20 CPU s each, compiled.

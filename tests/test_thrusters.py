@@ -104,7 +104,7 @@ def test_friction_holds_a_perched_drone_without_thrust_in_drake() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "renewals"), [("drone/deliver", 2), ("drone/perch", 0)])
+@pytest.mark.parametrize(("name", "renewals"), [("drone/deliver", 2), ("drone/perch", 48)])
 def test_drones_reach_their_goals_and_both_replays_confirm_it(name: str, renewals: int) -> None:
     plan = Planner(Scenario.named(name), PlanOptions(renewals=renewals, finalists=1)).plan()
     assert plan.holds and plan.reached

@@ -145,12 +145,8 @@ class MechanismTask(PosedMechanism):
         return self.pose_again(found).solve(found.controls, None, fine, found.prices)
 
     def is_coarse(self, motion: ShootingResult) -> bool:
-        """Returns whether Runge-Kutta steps are too long for a motion's contacts.
-
-        A motion that is no better than no control is not worth shorter ones.
-        """
-        is_last = motion.substeps >= MOST_SUBSTEPS
-        if not self._is_sliding or is_last or not self.is_of_use(motion):
+        """Returns whether Runge-Kutta steps are too long for a motion's contacts."""
+        if not self._is_sliding or motion.substeps >= MOST_SUBSTEPS:
             return False
         return self.pose_again(motion).add_errors(motion) > _UNRESOLVED
 
