@@ -91,6 +91,55 @@ def hit_puck(folder: Path) -> Scenario:
     return Scenario(**fields)
 
 
+# A body on a leg of two links, in a plane, with motors at hip and knee.
+LEG = """<mujoco model="leg">
+  <compiler angle="radian"/>
+  <worldbody>
+    <geom name="ground" type="plane" size="20 20 1"/>
+    <body name="body">
+      <joint name="x" type="slide" axis="1 0 0"/>
+      <joint name="z" type="slide" axis="0 0 1"/>
+      <joint name="pitch" axis="0 1 0"/>
+      <inertial pos="0 0 0" mass="4" diaginertia="0.05 0.05 0.05"/>
+      <body name="thigh">
+        <joint name="hip" axis="0 1 0" damping="0.05" range="-2 2"/>
+        <inertial pos="0 0 -0.1" mass="0.5" diaginertia="0.003 0.003 0.0005"/>
+        <body name="shank" pos="0 0 -0.2">
+          <joint name="knee" axis="0 1 0" damping="0.05" range="-2.6 2.6"/>
+          <inertial pos="0 0 -0.1" mass="0.3" diaginertia="0.002 0.002 0.0005"/>
+          <geom name="foot" type="sphere" size="0.02" pos="0 0 -0.2"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="hip" ctrlrange="-40 40"/><motor joint="knee" ctrlrange="-40 40"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def hop_on_leg(folder: Path) -> Scenario:
+    """Returns the task to hop by 0.4 m, upright."""
+    model = folder / "leg.xml"
+    model.write_text(LEG, encoding="utf-8")
+    pose = {"z": 0.3495, "hip": -0.6, "knee": 1.2}
+    fields: dict[str, Any] = {
+        "model": str(model),
+        "initial_position": pose,
+        "initial_velocity": np.zeros(5),
+        "goal_position": {"x": 0.4, "pitch": 0.0, **pose},
+        "goal_weight": {"x": 100.0, "z": 100.0, "pitch": 50.0, "hip": 1.0, "knee": 1.0},
+        "goal_velocity_weight": {"x": 5.0, "z": 5.0, "pitch": 2.0, "hip": 0.1, "knee": 0.1},
+        "material": {"*": {"stiffness": 40000.0, "dissipation": 0.5, "friction": 0.8}},
+        "contact": "compliant",
+        "stiction_speed": 0.05,
+        "duration": 0.8,
+        "time_step": 0.02,
+    }
+    return Scenario(**fields)
+
+
 GRAVITY = 9.81
 
 

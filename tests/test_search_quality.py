@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from other_models import hit_puck
+from other_models import hit_puck, hop_on_leg
 from scaled_worlds import Factors, scale_scenario
 
-from drake_aigto import PlanOptions, Scenario, World, plan
-from drake_aigto.planning import MechanismSearch, make_mechanism_task
+from drake_aigto import Planner, PlanOptions, Scenario, World, plan
+from drake_aigto.planning import Aim, MechanismSearch, MechanismTask, make_mechanism_task
 
 pytestmark = pytest.mark.slow
 SPINNER = Scenario.named("spinner/two_radians")
@@ -33,6 +33,15 @@ def test_an_arm_hits_a_puck_where_gaps_can_not_be_closed_by_whole_steps(tmp_path
     found = plan(hit_puck(tmp_path), PlanOptions(renewals=0, starts=4, finalists=1))
     assert found.holds and found.best.contacts
     assert found.cost < 0.35  # idle: about 1.5
+
+
+def test_a_leg_with_limits_is_closed_where_whole_steps_blow_it_up(tmp_path: Path) -> None:
+    planner = Planner(hop_on_leg(tmp_path))
+    task = planner.task
+    assert isinstance(task, MechanismTask)
+    found = task.close(task.guesses.plain("rest", 0.0), Aim())
+    misses, cost = task.rank(found)
+    assert not misses and cost < 50.0  # 3e4, 175 rad beyond its limits, by whole steps
 
 
 def test_a_small_spinner_is_turned_as_a_large_one(tmp_path: Path) -> None:
