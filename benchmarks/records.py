@@ -112,7 +112,6 @@ RECORDS: Mapping[str, str] = {
     " --workers 1 --minutes 12",
     "estimated": "python -m benchmarks.estimated --workers 1 --minutes 12",
     "held": "python -m benchmarks.held --workers 1 --minutes 40",
-    "space": "python -m benchmarks.space --seeds 1 --renewals 24",
     "loop_speed": "python -m benchmarks.loop_speed",
     "live_latency": "python -m benchmarks.live_latency",
     "loops_changing": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --changing"
