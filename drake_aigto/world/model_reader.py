@@ -299,19 +299,16 @@ def _drive(plant: MultibodyPlant, path: Path, facts: ModelFacts) -> None:
         known[name][0].set_effort_limit(limit)
         facts.efforts.pop(known[name][0].name(), None)
     if moving and not driven and not facts.fields.thrusters:
-        idle = sorted(facts.no_effort & set(moving))
-        others = sorted(set(moving) - set(idle))
-        ways = [f"actuators: [{others[0]}, ...]"] if others else []
-        ways += [f"effort_limits: {{{idle[0]}: ...}}"] if idle else []
-        remedy = " or ".join(ways)
-        answer = {"actuators": others} if others else {"effort_limits": dict.fromkeys(idle, 1.0)}
+        idle, others = sorted(facts.no_effort & {*moving}), sorted({*moving} - facts.no_effort)
+        ways = [f"actuators: [{each}, ...]" for each in others[:1]]
+        ways += [f"effort_limits: {{{each}: ...}}" for each in idle[:1]]
         none = f", and none at {', '.join(others)}" if others else ""
         raise FixableError(
             "the model lacks an actuator",
             got=f"limits of effort of 0 at {', '.join(idle)}{none}" if idle else f"none in {path}",
             expected="a joint that is driven",
-            remedy=f"Drive joints by the scenario's {remedy}, or in the model.",
-            fields=answer,
+            remedy=f"Drive joints by the scenario's {' or '.join(ways)}, or in the model.",
+            fields={"actuators": others} if others else {"effort_limits": dict.fromkeys(idle, 1.0)},
         )
 
 
