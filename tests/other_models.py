@@ -33,10 +33,8 @@ DOUBLE_PENDULUM = """<mujoco model="double_pendulum">
 
 def carry_double_pendulum(folder: Path) -> Scenario:
     """Returns the task to carry both poles, upright at start and end, 0.5 m along the rail."""
-    model = folder / "double_pendulum.xml"
-    model.write_text(DOUBLE_PENDULUM, encoding="utf-8")
     return Scenario(
-        model=str(model),
+        model=write(folder / "double_pendulum.xml", DOUBLE_PENDULUM),
         initial_position=np.zeros(3),
         initial_velocity=np.zeros(3),
         goal_position=[0.5, 0.0, 0.0],
@@ -46,6 +44,13 @@ def carry_double_pendulum(folder: Path) -> Scenario:
         time_step=0.04,
         ignored_shapes="all",
     )
+
+
+def pose(path: Path, text: str, stiffness: float, friction: float, **fields: Any) -> Scenario:
+    """Returns a task of a model whose shapes all touch alike."""
+    material: Any = {"*": {"stiffness": stiffness, "dissipation": 1.0, "friction": friction}}
+    model = write(path, text)
+    return Scenario(model=model, material=material, contact="compliant", **fields)
 
 
 # An arm of two links whose hand, a ball, can hit a puck on a rail.
@@ -73,22 +78,20 @@ ARM_AND_PUCK = """<mujoco model="arm_and_puck">
 
 def hit_puck(folder: Path) -> Scenario:
     """Returns the task to hit the puck to 0.65 m from where it starts."""
-    model = folder / "arm_and_puck.xml"
-    model.write_text(ARM_AND_PUCK, encoding="utf-8")
-    fields: dict[str, Any] = {
-        "model": str(model),
-        "initial_position": {"shoulder": -0.5, "elbow": -0.3},
-        "initial_velocity": np.zeros(3),
-        "goal_position": {"rail": 0.65},
-        "goal_weight": {"rail": 100.0},
-        "goal_velocity_weight": {"rail": 1.0},
-        "material": {"*": {"stiffness": 5000.0, "dissipation": 1.0, "friction": 0.4}},
-        "contact": "compliant",
-        "control_weight": 0.05,
-        "duration": 1.5,
-        "time_step": 0.03,
-    }
-    return Scenario(**fields)
+    return pose(
+        folder / "arm_and_puck.xml",
+        ARM_AND_PUCK,
+        5000.0,
+        0.4,
+        initial_position={"shoulder": -0.5, "elbow": -0.3},
+        initial_velocity=np.zeros(3),
+        goal_position={"rail": 0.65},
+        goal_weight={"rail": 100.0},
+        goal_velocity_weight={"rail": 1.0},
+        control_weight=0.05,
+        duration=1.5,
+        time_step=0.03,
+    )
 
 
 # A body on a leg of two links, in a plane, with motors at hip and knee.
@@ -121,23 +124,21 @@ LEG = """<mujoco model="leg">
 
 def hop_on_leg(folder: Path) -> Scenario:
     """Returns the task to hop by 0.4 m, upright."""
-    model = folder / "leg.xml"
-    model.write_text(LEG, encoding="utf-8")
-    pose = {"z": 0.3495, "hip": -0.6, "knee": 1.2}
-    fields: dict[str, Any] = {
-        "model": str(model),
-        "initial_position": pose,
-        "initial_velocity": np.zeros(5),
-        "goal_position": {"x": 0.4, "pitch": 0.0, **pose},
-        "goal_weight": {"x": 100.0, "z": 100.0, "pitch": 50.0, "hip": 1.0, "knee": 1.0},
-        "goal_velocity_weight": {"x": 5.0, "z": 5.0, "pitch": 2.0, "hip": 0.1, "knee": 0.1},
-        "material": {"*": {"stiffness": 40000.0, "dissipation": 0.5, "friction": 0.8}},
-        "contact": "compliant",
-        "stiction_speed": 0.05,
-        "duration": 0.8,
-        "time_step": 0.02,
-    }
-    return Scenario(**fields)
+    start = {"z": 0.3495, "hip": -0.6, "knee": 1.2}
+    return pose(
+        folder / "leg.xml",
+        LEG,
+        40000.0,
+        0.8,
+        initial_position=start,
+        initial_velocity=np.zeros(5),
+        goal_position={"x": 0.4, "pitch": 0.0, **start},
+        goal_weight={"x": 100.0, "z": 100.0, "pitch": 50.0, "hip": 1.0, "knee": 1.0},
+        goal_velocity_weight={"x": 5.0, "z": 5.0, "pitch": 2.0, "hip": 0.1, "knee": 0.1},
+        stiction_speed=0.05,
+        duration=0.8,
+        time_step=0.02,
+    )
 
 
 GRAVITY = 9.81

@@ -105,17 +105,19 @@ def meet(table: TouchTable, pair: int, reach: float, room: TouchRoom) -> bool:
 def measure_distance(
     table: TouchTable, pair: int, S: Floats, room: TouchRoom, slope: Floats
 ) -> float:
-    """Returns φ of a pair whose shapes are placed [m]; computes ∂φ/∂δ by degrees of freedom."""
-    near, C, moment, w = room.closest, room.vectors[0], room.vectors[1], table.couples[pair]
+    """Returns φ of a pair whose shapes are placed [m]; computes ∂φ/∂δ by degrees of freedom.
+
+    That is the power of a unit force along its normal.
+    """
+    near, F, w = room.closest, room.moves[0], table.couples[pair]
     meet(table, pair, np.inf, room)
-    for k in range(3):
-        C[k] = near.foot[k] + near.distance[0] * near.n[k] / 2
-    cross(C, near.n, moment)
+    for k in range(6):
+        F[k] = 0.0
+    _add_moments(near.foot, near.n, F)
     for i in range(S.shape[0]):
         slope[i] = 0.0
     for a in range(table.starts[w], table.starts[w + 1]):
-        i = table.chain[a]
-        slope[i] = table.signs[a] * (dot(S[i], moment) + dot(S[i, 3:], near.n))
+        slope[table.chain[a]] = table.signs[a] * power(S[table.chain[a]], F)
     return float(near.distance[0])
 
 

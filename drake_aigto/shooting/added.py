@@ -14,13 +14,12 @@ from drake_aigto.contact import Sum, SumTape, TapeBuilder, evaluate_tape
 from drake_aigto.dynamics import Coordinates, EquationsOfMotion
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.tables import FLOW, Added
+from drake_aigto.simulation import CLEARANCE
 from drake_aigto.terms import parse_costs, parse_rows
 from drake_aigto.transcription import Addition, Additions
 
 # Knots of functions that are not bound to a time.
 EVERYWHERE, AT_END = -1.0, float(np.inf)
-
-
 _NO_PAIRS = read_only(np.empty(0), np.int64)
 
 
@@ -44,6 +43,10 @@ class AddedFunction(NamedTuple):
     upper: float
     time: float
     reads_control: bool
+
+
+# The distance of a pair of shapes that are kept apart: compiled code measures it.
+_APART = AddedFunction(CLEARANCE, False, False, -np.inf, np.inf, EVERYWHERE, False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +88,9 @@ class AddedTerms:
             UnsupportedTermError: one has a factor that is no power, sin or cos.
         """
         builder = TapeBuilder([*world.positions, *world.velocities, *world.controls])
-        found, size = list(_read_all(builder, world, additions)), len(world.rates)
-        size += len(builder.variables) - world.num_positions
+        found: list[tuple[AddedFunction, Sum]] = [*_read_all(builder, world, additions)]
+        found += [(_APART, {})] * len(pairs)
+        size = len(world.rates) + len(builder.variables) - world.num_positions
         functions, derivatives, bends = list[Sum](), list[Sum](), list[Sum]()
         for row, function in found:
             slopes = _differentiate(builder, world, function)
@@ -102,8 +106,7 @@ class AddedTerms:
             bends += [
                 _average(twice[c][d], twice[d][c]) for c in range(size) for d in range(c, size)
             ]
-        nothing: list[Sum] = [{}] * len(pairs)
-        tape = builder.build([*functions, *nothing], [*derivatives, *size * nothing, *bends])
+        tape = builder.build(functions, [*derivatives, *bends])
         return cls(tuple(row for row, _ in found), tape, world, pairs)
 
     def measure_units(self, scales: Floats, length: float) -> Floats:
@@ -115,18 +118,18 @@ class AddedTerms:
         """
         count, tape, coordinates = len(self.rows), self.tape, self.coordinates
         units, n = np.zeros(count), coordinates.num_velocities
-        if count:
-            code, numbers = np.array(tape.code), np.array(tape.numbers)
-            first, (num_waves, num_products) = count + len(self.pairs), tape.code[:2]
-            for sign in (-1.0, 0.0, 1.0):
-                moved, sums = sign * scales, tape.constants.copy()
-                x = np.concatenate([coordinates.add(coordinates.origin, moved[:n]), moved[n:]])
-                values = np.zeros(1 + len(x) + 2 * num_waves + num_products)
-                evaluate_tape(code, numbers, x, values, sums)
-                slopes = sums[first:][: count * len(scales)].reshape(count, len(scales))
-                units = np.maximum(units, np.abs(slopes) @ scales)
-        units = np.where(np.isfinite(units) & (units > 0), units, 1.0)
-        return np.concatenate([units, np.full(len(self.pairs), length)])
+        if not count:
+            return units
+        code, numbers = np.array(tape.code), np.array(tape.numbers)
+        for sign in (-1.0, 0.0, 1.0):
+            moved, sums = sign * scales, tape.constants.copy()
+            x = np.concatenate([coordinates.add(coordinates.origin, moved[:n]), moved[n:]])
+            values = np.zeros(1 + len(x) + 2 * code[0] + code[1])
+            evaluate_tape(code, numbers, x, values, sums)
+            slopes = sums[count:][: count * len(scales)].reshape(count, len(scales))
+            units = np.maximum(units, np.abs(slopes) @ scales)
+        units[count - len(self.pairs) :] = length
+        return np.where(np.isfinite(units) & (units > 0), units, 1.0)
 
     def check_untimed(self) -> None:
         """Refuses functions of one time, as phases of free durations have no knot there.
@@ -146,7 +149,7 @@ class AddedTerms:
     def lay_out(
         self, kinds: Ints, shares: Floats, times: Floats | None, least_distances: Floats | None
     ) -> tuple[Added, Floats]:
-        """Returns tables for kernels, and bounds at knots, shape (2, K + 1, R + P).
+        """Returns the tables of costs for kernels, and bounds at knots, shape (2, K + 1, R).
 
         Args:
             kinds: of the K stages, see `Program`.
@@ -159,21 +162,15 @@ class AddedTerms:
         """
         if times is None:
             self.check_untimed()
-        size = len(self.rows) + len(self.pairs)
-        places = np.zeros((len(kinds) + 1, size), dtype=np.bool_)
+        places = np.zeros((len(kinds) + 1, len(self.rows)), dtype=np.bool_)
         for r, row in enumerate(self.rows):
             places[_find_stages(row, kinds, times), r] = True
-        places[1:, len(self.rows) :] = True
-        no_costs = np.zeros(len(self.pairs), dtype=np.bool_)
-        are_costs, is_running = (
-            np.array([*(getattr(row, name) for row in self.rows), *no_costs], dtype=np.bool_)
-            for name in ("is_cost", "is_running")
-        )
-        factors = np.where(are_costs, places, 0.0)
+        factors = np.where([row.is_cost for row in self.rows], places, 0.0)
+        is_running = np.array([row.is_running for row in self.rows], dtype=np.bool_)
         factors[:-1, is_running] *= shares[:, np.newaxis]
         lower, upper = ([getattr(row, end) for row in self.rows] for end in ("lower", "upper"))
-        least = np.empty(0) if least_distances is None else least_distances
-        lower, upper = [*lower, *least[self.pairs]], [*upper, *np.where(no_costs, 0.0, np.inf)]
+        if least_distances is not None:
+            lower[len(lower) - len(self.pairs) :] = least_distances[self.pairs]
         bounds = np.where(places, lower, -np.inf), np.where(places, upper, np.inf)
         return Added(*self.tape, is_running, factors, np.array(self.pairs)), np.stack(bounds)
 

@@ -210,13 +210,9 @@ class ShootingProblem(OptimalControlProblem):
         """
         controls, substeps, same = result.controls, 2 * result.substeps, result.exact_cost
         if self.is_unstable(result):
-            try:
-                finer = self.linearize(controls, substeps, 0.0, result.states).cost
-                same = self.linearize(
-                    controls, result.substeps, 0.0, result.states, result.order
-                ).cost
-            except ProgramError:  # Its squares exceed all numbers.
+            if (both := self._expand_twice(result)) is None:
                 return same, np.inf
+            finer, same = (each.cost for each in both)
         else:
             finer = self.simulate(controls, substeps).exact_cost
         return same if self.mechanism.has_friction else finer, abs(finer - same)
@@ -227,16 +223,25 @@ class ShootingProblem(OptimalControlProblem):
         Each stage is compared with twice as many steps of order 4 from its own state; units are
         those of `estimate_error`.
         """
-        controls, states, order = result.controls, result.states, result.order
-        try:
-            finer = self.linearize(controls, 2 * result.substeps, 0.0, states)
-            same = self.linearize(controls, result.substeps, 0.0, states, order)
-        except ProgramError:  # Its squares exceed all numbers.
+        if (both := self._expand_twice(result)) is None:
             return np.inf
+        finer, same = both
         off = np.sum(np.abs(finer.gaps - same.gaps), axis=0) / self.scales
         change = abs(finer.cost - same.cost) / max(abs(finer.cost), self.cost_scale)
         error = max(change, float(off.max()))
         return error if np.isfinite(error) else np.inf
+
+    def _expand_twice(self, result: ShootingResult) -> tuple[MotionExpansion, ...] | None:
+        """Returns the problem about a result in half its steps, of order 4, and in its own.
+
+        None: its squares exceed all numbers.
+        """
+        u, x, count = result.controls, result.states, result.substeps
+        steps = (2 * count, 4), (count, result.order)
+        try:
+            return tuple(self.linearize(u, each, 0.0, x, order) for each, order in steps)
+        except ProgramError:
+            return None
 
     def make_program(self, options: ShootingOptions) -> Program:
         """Returns the tables that compiled code reads, with multipliers of their own, zero.

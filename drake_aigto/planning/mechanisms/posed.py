@@ -268,10 +268,10 @@ class PosedMechanism:
     @cached_property
     def idle_motion(self) -> ShootingResult:
         """The uncontrolled motion, of the best duration."""
-        problem, num_steps = self.shooting(self.scenario.num_steps), self.scenario.num_steps
-        none = np.zeros((num_steps, self.world.num_actuators))
-        if problem.phases is None:
+        num_steps = self.scenario.num_steps
+        if (problem := self.shooting(num_steps)).phases is None:
             return self.let_go(num_steps)
+        none = np.zeros((num_steps, self.world.num_actuators))
         nothing = np.tile(np.clip(0.0, *problem.control_bounds), (2, 1))
         return dataclasses.replace(problem, control_bounds=nothing).solve(none, None, POLISH)
 
