@@ -153,12 +153,12 @@ def test_an_arm_of_seven_joints_pushes_a_box_in_drake_as_the_search_says() -> No
     planner = Planner(Scenario.named("arm_and_box/push"))
     task, world = planner.task, planner.world
     assert isinstance(task, MechanismTask)
-    found = task.close(task.guesses.draw("push", np.random.default_rng([18, 0, 0])), Aim())
+    push = task.guesses.draw("push", np.random.default_rng([18, 0, 0]))
+    found = task.close(push, Aim(substeps=32))  # In longer steps, friction creeps.
     scenario = task.scenario
     drake = replay_drake(world, scenario, found.times, found.controls)
-    way = np.linalg.norm((scenario.initial_position - scenario.goal_position)[-3:])
     for q in (found.states[-1, : world.num_positions], drake.positions[-1]):
-        assert np.linalg.norm((q - scenario.goal_position)[-3:]) < 0.3 * way
+        assert np.linalg.norm((q - scenario.goal_position)[-3:]) < 0.05
     assert np.linalg.norm((scenario.initial_position - scenario.goal_position)[-3:]) > 0.2
 
 

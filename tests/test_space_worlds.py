@@ -391,12 +391,14 @@ def test_a_ball_is_pushed_to_its_goal_by_a_plan_that_both_replays_confirm(tmp_pa
     motion = plan.trajectory
     alone = replay_drake(world, moved, motion.times, motion.controls).positions[-1]
     planner = Planner(asked, PlanOptions(renewals=4, finalists=1), world)
-    replans = ModelPredictiveController(planner, 0.1, horizon="shrinking", plan=plan)
+    replans = ModelPredictiveController(
+        planner, 0.1, horizon="shrinking", plan=plan, feedback_period=asked.time_step
+    )
     for controller in (TrackingController(plan), replans):
         run = run_in_loop(controller, asked, world, Disturbance(start_offset=off))
         misses = np.array([run.replay.positions[-1], alone]) - placed.goal_position
         missed = np.linalg.norm(misses[:, first + 4 : first + 6], axis=1)
-        assert missed[0] < 0.6 * missed[1]
+        assert missed[0] < 0.5 * missed[1]
 
 
 @pytest.mark.slow  # 20 CPU s each, compiled.
