@@ -12,7 +12,7 @@ from box_programs import evaluate, exact_factor_mean, exact_row
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drake_aigto.box import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE
+from drake_aigto.box import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE, factor_mean
 from drake_aigto.terms import WAVES, Factor, FunctionKind
 
 # The goal is 1e-13 of the natural size; 5e-16 is the worst that 1,800 random boxes gave.
@@ -206,6 +206,17 @@ def test_an_exponential_overflows_to_infinity_and_underflows_to_zero_without_nan
     # e^{x − 1e6} over |x| ≤ 1e6: the closed form's own numbers would overflow, the mean does not.
     mean = evaluate(Factor(0, EXPONENTIAL, 0, 1.0, -1e6), 0.0, 1e6)[VALUE]
     assert mean == pytest.approx(0.5e-6, rel=1e-15)
+
+
+@pytest.mark.parametrize("leftover", [math.nan, math.inf, 1.0])
+@pytest.mark.parametrize("kind", [kind for kind in FunctionKind if kind is not COSINE])
+def test_a_mean_does_not_depend_on_what_was_behind_its_row(
+    kind: FunctionKind, leftover: float
+) -> None:
+    """A program's rows have room for a sine behind each cosine; other functions leave it alone."""
+    row = np.full(12, leftover)
+    factor_mean(int(kind), 1, 0.5, 2.0, 0.7, 0.3, row)
+    np.testing.assert_array_equal(row[:6], evaluate(Factor(0, kind, 1, 0.5, 2.0), 0.7, 0.3))
 
 
 @given(st.floats(-300.0, 300.0), st.sampled_from([COSINE, SINE]), st.integers(0, 2))

@@ -328,9 +328,9 @@ def _exponential_mean(
     loss = -0.5 * math.expm1(-2.0 * s)
     _fill_moments(s, loss, 1.0 - loss, 1.0, moments)
     _wave_mean(exponent, abs(scale), moments, 1.0, even, odd, c, w, row, 0)
-    for entry in row:
-        if not math.isfinite(entry):
-            row[:] = 0.0
+    for part in range(6):
+        if not math.isfinite(row[part]):
+            row[:6] = 0.0
             falls = exponent % 2 == 1 and c + math.copysign(w, scale) < 0.0
             row[VALUE] = -math.inf if falls else math.inf
             return
