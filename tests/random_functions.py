@@ -58,6 +58,7 @@ UNARY: tuple[Callable[..., Any], ...] = (
     lambda m, a: a**2 - 0.5 * a,
     lambda m, a: a**3,
     lambda m, a: 1.0 / (1.5 + m.sin(a)),
+    lambda m, a: 1.0 / a,
 )
 BINARY: tuple[Callable[..., Any], ...] = (
     lambda m, a, b: a + b,

@@ -196,6 +196,9 @@ SMALL, TINY = -8.437660688527946e-86, -3.8056667485585995e-75
         ),
         # A root that is 0 at an end: its slope there has no value.
         (lambda x: x, (lambda x: sym.sqrt(sym.abs(sym.cos(x))), 0.5, 0.9), 0.0, 3.0, 0.63),
+        # Poles within cells, across which slopes say nothing.
+        (lambda x, y, z: sym.pow(1.0 / x, 0.3) + y + z, None, [-math.inf, 0, 0], 4.0, 0.66),
+        (lambda x: x, (lambda x: sym.exp(x) / x, -math.inf, -1e30), -1e-12, 0.03, -9e-31),
         # A power above the number of operations.
         (lambda x: x, (lambda x: sym.sqrt(0.5 + x**18), -np.inf, 2.5), -16.0, 1.1, -1.0),
     ],

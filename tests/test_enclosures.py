@@ -268,6 +268,14 @@ def test_a_feasible_point_is_never_excluded_in_10000_programs(seed: int) -> None
 def check_feasible_points(rng: np.random.Generator, count: int) -> None:
     """Rows and bounds that a point meets just about, fixed variables and rows twice among them."""
     exact = SimpleNamespace(**HIGH_PRECISION)
+
+    def value_at(function: Callable[..., Any], numbers: Sequence[Any]) -> float:
+        with mpmath.workdps(40):
+            try:
+                return float(function(exact, numbers))
+            except ZeroDivisionError:
+                return math.inf
+
     for trial in range(count):
         size = int(rng.integers(1, 7))
         scales = [-150.0, -8.0, 0.0, 0.0, 0.0, 0.0, 4.0, 60.0]
@@ -278,12 +286,12 @@ def check_feasible_points(rng: np.random.Generator, count: int) -> None:
         prog = MathematicalProgram()
         x = prog.NewContinuousVariables(size, "x")
         prog.AddBoundingBoxConstraint(point - reach[0], point + reach[1], x)
+        numbers = list(map(mpmath.mpf, point.tolist()))
         cost = random_function(rng, size, 3)
         add_cost(prog, cost(sym, x) + 0.1 * x[0])
         for _ in range(int(rng.integers(0, 4))):
             row = random_function(rng, size, 3)
-            with mpmath.workdps(40):
-                value = float(row(exact, list(map(mpmath.mpf, point.tolist()))))
+            value = value_at(row, numbers)
             if not math.isfinite(value):
                 continue
             slack = 1e-12 * (1e-3 + abs(value))
@@ -299,9 +307,7 @@ def check_feasible_points(rng: np.random.Generator, count: int) -> None:
                     continue
                 constraint = ExpressionConstraint([written], [low], [high])
                 prog.AddConstraint(constraint, vars=constraint.vars())
-        with mpmath.workdps(40):
-            numbers = list(map(mpmath.mpf, point.tolist()))
-            least = float(cost(exact, numbers) + 0.1 * numbers[0])
+        least = value_at(cost, numbers) + 0.1 * float(point[0])
         cells = int(10.0 ** rng.uniform(0.0, 2.8))
         found = certify(prog, point if trial % 2 else None, cells=cells)
         assert not found.is_infeasible

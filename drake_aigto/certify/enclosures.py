@@ -100,8 +100,9 @@ def derivatives(
         return c, minus(s), minus(c)
     if operation == Operation.RECIPROCAL:
         value = reciprocal(x)
-        cube = power(value, 3)
-        return value, minus(power(value, 2)), (2.0 * cube[0], 2.0 * cube[1])
+        if x[0] < 0.0 < x[1]:  # It jumps from −∞ to ∞, whatever its slopes are.
+            return value, value, value
+        return value, minus(power(value, 2)), scaled(2.0, power(value, 3))
     if operation == Operation.REAL_POWER:
         less, least = plus((p, p), (-1.0, -1.0)), plus((p, p), (-2.0, -2.0))
         first, second = _slope_of_power(x, less), _slope_of_power(x, least)

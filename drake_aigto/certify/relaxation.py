@@ -262,8 +262,8 @@ class Relaxation:
         shares = self._reads * np.where(np.isfinite(width), width, 1.0)
         total = np.sum(shares, axis=1)
         own = self._scores[self._functions]
-        parts = np.divide(own, total, out=np.zeros_like(total), where=total > 0.0)
-        scores = parts @ shares
+        with np.errstate(over="ignore", invalid="ignore"):
+            scores = np.divide(own, total, out=np.zeros_like(total), where=total > 0.0) @ shares
         i = int(np.argmax(scores))
         if not scores[i] > 0.0:
             return -1, 0.0
