@@ -50,9 +50,11 @@ def njit(**options: Any) -> Callable[[_Function], _Function]:
 
     What is compiled is kept, and installed packages may have it from the start (`CodeCache`).
 
-    No function gets a C entry, which nothing here calls and which takes time to compile.
+    No function gets a C entry, which nothing here calls and which takes time to compile. Each may
+    make arrays unless its options say otherwise: Numba would forbid it to what is first called by a
+    function that may not, as if that were for all below.
     """
-    options["no_cfunc_wrapper"] = True
+    options = {"no_cfunc_wrapper": True, "_nrt": True, **options}
     is_inner = options.get("no_cpython_wrapper", False)
     pipeline = _InnerPipeline if is_inner else _KernelPipeline
 
@@ -202,7 +204,7 @@ kernel = njit(nogil=True, error_model="numpy")
 # For functions that compiled code alone calls: without an entry for Python, which takes as long to
 # compile as the function itself if that is short. Python must not call it: Numba does not check
 # that.
-inner = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, _nrt=True)
+inner = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True)
 
 # The same for functions that make no arrays, and return none: they count no references, neither to
 # arguments nor to views of them, which whoever calls holds meanwhile. Recursions over short arrays

@@ -205,6 +205,27 @@ def test_compiled_code_reads_borrowed_tuples_as_python_does() -> None:
     np.testing.assert_array_equal(given[1].matrix, second.matrix)
 
 
+@kernels.kernel
+def _make_ones(size: int) -> float:
+    return float(np.ones(size).sum())
+
+
+@kernels.borrowing
+def _add_ones(size: int) -> float:
+    return _make_ones(size) + _make_ones(1)
+
+
+@kernels.kernel
+def _add_ones_below(size: int) -> float:
+    return _add_ones(size)
+
+
+def test_kernels_make_arrays_also_where_what_borrows_calls_them_first() -> None:
+    """As AIGO's descent calls the means of a program whose systems are sparse."""
+    assert _add_ones_below(2) == 3.0
+    assert _make_ones(2) == 2.0
+
+
 @pytest.mark.parametrize("is_collecting", [True, False])
 def test_garbage_is_collected_after_a_compilation_if_it_was_before(is_collecting: bool) -> None:
     functions: dict[str, Callable[[float], float]] = {}
