@@ -28,9 +28,7 @@ _LARGE = 3.0
 # What is seen counts e times less after this number of samples.
 _WINDOW = 100.0
 # Predictions are linear in what is unknown this far from where the model was built, in its units.
-# One sample tells no more than that; and less of friction, whose slopes are steep and short where
-# contacts begin or slips end.
-_LINEAR, _CURVED, _ROUGH = 0.1, 0.05, 0.3
+_LINEAR = 0.1
 # The model is built anew so often at one sample, at most.
 _PASSES = 3
 # Factors stay between these; walls and forces within this number of units.
@@ -57,12 +55,16 @@ class ModelEstimate:
 
     Between two samples the model predicts x̂(p), by simulation under the command, so that the error
 
-        x − x̂(p) ≈ x − x̂(p₀) − Φ (p − p₀),    Φ = ∂x̂/∂p by differences,
+        x − x̂(p) ≈ x − x̂(p₀) − Φ (p − p₀),    Φ_i = (x̂(p₀ + h_i) − x̂(p₀ − h_i)) / 2h_i,
 
     and p minimizes Σ wₖ ‖x − x̂(p)‖² / σ² + ‖p − p_model‖² / σ_p² with weights that fall by a factor
-    e in a hundred samples, as Cauchy's for errors above 3 σ. What is not linear about p₀ counts as
-    noise, too, of covariance Φ δ² Φᵀ beside σ²: no sample tells p better than δ. Where p has left
-    p₀ by a tenth of σ_p the model is built anew, about p, and that sample looked at again.
+    e in a hundred samples, as Cauchy's for errors above 3 σ that doubts about p do not explain.
+    What bends about p₀, by second differences over what p is known to, counts as noise: of
+    covariance Σ b_i b_iᵀ beside σ², b_i = (x̂(p₀ + h_i) − 2x̂(p₀) + x̂(p₀ − h_i)) σ_i²/2h_i². So a
+    sample in which something begins to slip tells little while friction is not known (the
+    divided-difference filter of Nørgaard, Poulsen and Ravn, Automatica 2000, with central slopes).
+    Where p has left p₀ by a tenth of σ_p, or is known twice as well, the model is built anew, about
+    p, and that sample looked at again.
 
     Attributes:
         world: that the model was thought to be.
@@ -71,7 +73,8 @@ class ModelEstimate:
         values: p.
         information: of p, (P, P), and Σ wₖ Φᵀ(…) as it has been summed, (P,).
         about: p₀.
-        models: at p₀, and at p₀ with each parameter changed by a tenth of its unit.
+        steps: h, by which parameters are changed: what p is known to, a tenth of σ_p at least.
+        models: at p₀, at p₀ with each parameter higher, and with each lower.
     """
 
     world: World
@@ -80,6 +83,7 @@ class ModelEstimate:
     values: Floats
     information: tuple[Floats, Floats]
     about: Floats
+    steps: Floats
     models: tuple[Model, ...]
 
     @classmethod
@@ -100,8 +104,8 @@ class ModelEstimate:
         usual = np.array([each.usual for each in parameters])
         precisions = np.array([each.unit for each in parameters]) ** -2.0
         empty = cls(world, scenario, parameters, usual, (np.diag(precisions), precisions * usual),
-                    usual, ())  # fmt: skip
-        return dataclasses.replace(empty, models=empty._build(usual))
+                    usual, usual, ())  # fmt: skip
+        return empty._build()
 
     def __deepcopy__(self, memo: object) -> ModelEstimate:
         """Returns itself: it never changes."""
@@ -142,9 +146,12 @@ class ModelEstimate:
                 world = dataclasses.replace(world, bias=world.bias - force)
         return world, scenario
 
-    def _build(self, about: Floats) -> tuple[Model, ...]:
-        rows = [about, *(about + step for step in np.diag(_LINEAR * self._units))]
-        return tuple(map(self._change, rows))
+    def _build(self) -> ModelEstimate:
+        """Returns the same with models about its values."""
+        steps = np.maximum(self.deviations, _LINEAR * self._units)
+        changes = [np.zeros_like(steps), *np.diag(steps), *np.diag(-steps)]
+        models = tuple(self._change(self.values + change) for change in changes)
+        return dataclasses.replace(self, about=self.values, steps=steps, models=models)
 
     def watch(self, samples: tuple[Floats, Floats], held: HeldControl) -> ModelEstimate:
         """Returns what is known after another sample.
@@ -157,37 +164,46 @@ class ModelEstimate:
             return self
         known = self
         for _ in range(_PASSES):
-            found = known._update(samples, held, self.information)
-            if np.all(np.abs(found.values - found.about) <= _LINEAR * self._units):
+            found = known._update(samples, held, self)
+            linear = _LINEAR * self._units
+            is_near = np.abs(found.values - found.about) <= linear
+            is_fine = found.steps <= np.maximum(2.0 * found.deviations, linear)
+            if np.all(is_near & is_fine):
                 return found
             try:
-                models = found._build(found.values)
+                known = found._build()
             except AigtoError:  # A wall that is nearer than the start, say.
                 return found
-            known = dataclasses.replace(found, about=found.values, models=models)
+            if np.all(is_near):
+                return known
         return known
 
     def _update(
-        self, samples: tuple[Floats, Floats], held: HeldControl, before: tuple[Floats, Floats]
+        self, samples: tuple[Floats, Floats], held: HeldControl, before: ModelEstimate
     ) -> ModelEstimate:
-        """Returns the same after a sample, linear about p₀, with the information before it."""
+        """Returns the same after a sample, linear about p₀, with what was known before it."""
         ends = [predict(model, samples[0], held) for model in self.models]
         noise = np.repeat(_NOISE, self.world.num_velocities)
         scales = noise * tangent_scales(self.world, self.scenario)
-        errors = [self.world.calc_error(samples[1], end[0]) / scales for end in ends if end]
+        errors = np.array(
+            [self.world.calc_error(samples[1], end[0]) / scales for end in ends if end]
+        )
         if len(errors) < len(ends):
             return self
-        (expected, *others), step = errors, _LINEAR * self._units
-        slopes = np.array([(expected - each) / h for each, h in zip(others, step, strict=True)]).T
-        doubts = [_ROUGH if each.kind == "friction" else _CURVED for each in self.parameters]
-        spread = slopes * doubts * self._units
-        trust = np.linalg.inv(np.eye(len(expected)) + spread @ spread.T)
-        trust /= 1 + np.mean(np.square(expected)) / _LARGE**2
+        expected, (above, below) = errors[0], np.split(errors[1:], 2)
+        slopes = ((below - above) / (2.0 * self.steps[:, np.newaxis])).T
+        reach = (before.deviations / self.steps)[:, np.newaxis] ** 2
+        bends = 0.5 * ((above + below - 2.0 * expected) * reach).T
+        noise = np.eye(len(expected)) + bends @ bends.T
+        likely = noise + slopes @ np.linalg.solve(before.information[0], slopes.T)
+        error = expected - slopes @ (before.values - self.about)
+        trust = np.linalg.inv(noise)
+        trust /= 1 + error @ np.linalg.solve(likely, error) / len(error) / _LARGE**2
         kept = np.exp(-1 / _WINDOW)
         prior = (1 - kept) * self._units**-2.0
         usual, lower, upper = np.array([each[-4:-3] + each[-2:] for each in self.parameters]).T
-        information = kept * before[0] + np.diag(prior) + slopes.T @ trust @ slopes
-        total = kept * before[1] + prior * usual
+        information = kept * before.information[0] + np.diag(prior) + slopes.T @ trust @ slopes
+        total = kept * before.information[1] + prior * usual
         total += slopes.T @ trust @ (expected + slopes @ self.about)
         values = np.clip(np.linalg.solve(information, total), lower, upper)
         return dataclasses.replace(self, values=values, information=(information, total))
