@@ -185,6 +185,18 @@ def test_rows_of_huge_numbers_hold_to_rounding(capfd: pytest.CaptureFixture[str]
     assert not capfd.readouterr().out  # SNOPT finds such rows singular, and would print so.
 
 
+def test_rows_that_overflow_relative_to_their_size_are_not_met() -> None:
+    prog, _ = make_program(
+        2,
+        lambda x: 1e-80 * x[0],
+        lambda x: 1e-250 * x[0] ** 2 * x[1] ** 2 <= 1e71,
+        low=1e80,
+        high=1e81,
+    )
+    result = AigoSolver(AigoOptions(certify=True)).Solve(prog)
+    assert result.get_optimal_cost() == pytest.approx(1.0)
+
+
 def test_points_where_a_row_has_no_slope_may_be_passed() -> None:
     prog, _ = make_program(
         2,

@@ -18,6 +18,7 @@ from pydrake.solvers import (
     Binding,
     CommonSolverOption,
     Cost,
+    ExpressionConstraint,
     ExpressionCost,
     L1NormCost,
     L2NormCost,
@@ -183,6 +184,12 @@ def test_a_constraint_or_halved_ranges_may_show_that_a_function_has_a_value() ->
     result = AigoSolver().Solve(prog)
     assert result.is_success() and result.GetSolution(x)[0] == pytest.approx(0.0, abs=1e-4)
     assert result.get_optimal_cost() == pytest.approx(0.5, abs=1e-6)
+    # Drake multiplies (−x)^0.3 out to (−1)^0.3 x^0.3, and raises.
+    prog, x = in_box(root, -3.0, 0.0, lambda x: x[0] + x[1] >= -0.25)
+    power = ExpressionConstraint([sym.pow(-x[0], 0.3)], [0.0], [0.8])
+    prog.AddConstraint(power, vars=power.vars())
+    with pytest.raises(UnsupportedTermError, match=r"sqrt.* >= 0"):
+        AigoSolver().Solve(prog)
     # By terms alone, the divisor might be as low as −5.
     prog, _ = in_box(lambda x: 1 / (x[0] ** 2 - 2 * x[0] + 2) + x[1] ** 2, -1.0, 3.0)
     assert AigoSolver().Solve(prog).get_optimal_cost() == pytest.approx(0.2, abs=1e-6)

@@ -316,7 +316,7 @@ class Certifier:
         if self._clock.is_over:
             return "the seconds allowed were used up: the bound depends on the clock"
         if bound == -math.inf:
-            return _missing(self._formulas) or "the cost falls without end in some cell"
+            return _missing(self._formulas) or "no lower end of the cost is known in some cell"
         if isinstance(self._search, CellSearch) and self._search.is_over:
             return "cells are as small as numbers allow, or their number is"
         told = "the cells allowed were used up"

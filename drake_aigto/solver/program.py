@@ -270,7 +270,8 @@ class AigoProgram:
             binding, own = bindings[number], owners == number
             read = x[self.source.FindDecisionVariableIndices(binding.variables())]
             excess[own] -= _rounding(binding.evaluator(), read)
-        return float(np.max(excess / sizes, initial=0.0))
+        with np.errstate(over="ignore"):
+            return float(np.max(excess / sizes, initial=0.0))
 
     @cached_property
     def _source_rows(self) -> tuple[list[Binding], Ints, Floats, Floats, Floats]:

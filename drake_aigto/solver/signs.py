@@ -99,7 +99,7 @@ class Signs:
 
     def _is_row_above(self, e: Expression, is_strict: bool) -> bool:
         """Returns whether a row says that e is above 0."""
-        own = e.Expand()
+        own = _expanded(e)
         return any(
             not (rest := own - side).GetVariables()
             and ((least := bound + rest.Evaluate()) > 0.0 or (least == 0.0 and not is_strict))
@@ -110,11 +110,19 @@ class Signs:
     def _sides(self) -> list[tuple[Expression, float]]:
         """Formulas, and their lower bounds."""
         return [
-            (side.Expand(), bound)
+            (_expanded(side), bound)
             for formula, low, high in self._rows
             for side, bound in ((formula, low), (-formula, -high))
             if math.isfinite(bound)
         ]
+
+
+def _expanded(e: Expression) -> Expression:
+    """Returns e with its products multiplied out, unless Drake has no value of a factor."""
+    try:
+        return e.Expand()
+    except ValueError:  # Of (−x)^0.3 it takes the root of −1.
+        return e
 
 
 def _multiply(*parts: Range) -> Range:
