@@ -19,7 +19,7 @@ from drake_aigto.planning.candidate import (
     sample,
 )
 from drake_aigto.planning.feedback import Feedback, Regulator, calc_divergence
-from drake_aigto.planning.mechanisms.closing import COARSE, Aim, find_tight, soften, steady
+from drake_aigto.planning.mechanisms.closing import COARSE, Aim, find_tight, settle, soften, steady
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, Measures
 from drake_aigto.planning.mechanisms.phases import (
     find_deepest,
@@ -144,6 +144,7 @@ __all__ = [
     "retimed",
     "run_search",
     "sample",
+    "settle",
     "soften",
     "solve_in_arcs",
     "steady",

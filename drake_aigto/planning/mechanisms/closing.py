@@ -92,6 +92,8 @@ _AGREES = 5e-4
 _FALLS = 0.01
 # Costs fall by up to this factor after the first pass in space.
 _LEFT = 1.2
+# Motions that cost more than this times as much in halved steps have lost contact, and are left.
+_WRECKED = 10.0
 # Times the cost of a motion that another one costs at most, which is as good.
 _HARDLY = 1.05
 # In the plane with friction, motions that cost more after a pass at smoothing ε than 1 + `_RISES` ε
@@ -386,8 +388,9 @@ def settle(
             best = found
         if is_done or motion.substeps >= MOST_SUBSTEPS:
             return best
-        substeps = 2 * motion.substeps
-        options = dataclasses.replace(options, substeps=substeps, most_promised=most)
+        lost = _WRECKED * max(motion.cost, _EXACT * problem.cost_scale)
+        rungs = tuple(each._replace(most=lost) for each in IN_SPACE)
+        options = ShootingOptions(rungs, 2 * motion.substeps, most_promised=min(most, lost))
 
 
 def _rank_settled(motion: ShootingResult) -> tuple[bool, float]:
