@@ -95,6 +95,15 @@ def test_the_record_is_of_what_a_diagram_does() -> None:
     np.testing.assert_allclose(recorded[row], x, atol=1e-3)
 
 
+def test_a_start_that_is_given_by_names_is_moved_by_its_offset() -> None:
+    scenario = Scenario.named("finger_and_box/push")
+    world = World.from_scenario(scenario)
+    offset = np.linspace(-0.01, 0.01, world.num_velocities)
+    _, true = Disturbance(start_offset=offset).apply(world, scenario)
+    named = world.place(scenario).initial_position
+    np.testing.assert_allclose(world.subtract(true.initial_position, named), offset, atol=1e-12)
+
+
 def test_a_kick_is_a_jump_and_a_plan_that_changes_its_mind_is_kept() -> None:
     run = replan()
     times, v = run.replay.times, run.replay.velocities

@@ -102,7 +102,7 @@ class Disturbance(ArrayRecord):
             ModelError: a wall moves (`World.with_wall_moved`).
         """
         self._check_sizes(world)
-        changes: dict[str, object] = {}
+        scenario, changes = world.place(scenario), dict[str, object]()
         if self.start_offset.any():
             changes["initial_position"] = world.add(scenario.initial_position, self.start_offset)
         if self.restitution_factor != 1:

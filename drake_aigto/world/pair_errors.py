@@ -21,7 +21,7 @@ END = "_end"
 _INSTEAD = {
     "Capsule": "capsules by spheres along their axes",
     "Cylinder": "cylinders across the plane of motion by spheres of their radius",
-    "Box": "boxes that stand on corners by spheres there",
+    "Box": "boxes that stand on corners by spheres there, and those that are the ground by planes",
     "Mesh": "meshes by boxes or spheres",
     "Convex": "meshes by boxes or spheres",
     "Ellipsoid": "ellipsoids by spheres",

@@ -133,7 +133,12 @@ class PosedMechanism:
         options.check(is_of_balls=False)
         if isinstance(world, SpaceWorld) and scenario.duration_range is not None:
             got = f"{list(scenario.duration_range)}, in space"
-            raise ScenarioError("duration_range", got, "none, as its time is given there")
+            remedy = (
+                "Leave it out: plan_many compares durations. A model is read in space if more than "
+                "one face of a box can be touched, if bodies float, or for other contact there."
+            )
+            expected = "none, as its time is given there"
+            raise ScenarioError("duration_range", got, expected, remedy)
         self.world, self.scenario, self.options = world, scenario, options
         self.task, self.bounds = TaskCost.of(world, scenario), world.bounds(scenario)
         self.least_distances = world.least_distances(scenario)
