@@ -68,6 +68,24 @@ def test_prices_of_rows_prove_a_chain_once_its_best_point_is_found() -> None:
     assert details.lower_bound <= problem.minimum + 1e-9
 
 
+@pytest.mark.parametrize("size", [12, 30])
+def test_rows_of_all_variables_leave_the_bound_that_a_chain_has_without_them(size: int) -> None:
+    prog, x = box(size)
+    for i, own in enumerate(x):
+        slope = 0.3 + 0.05 * i / size
+        add_cost(prog, own**4 - 2.0 * own**2 + slope * own + sym.cos(5.0 * own))
+        if i:
+            add_cost(prog, 0.3 * own * x[i - 1])
+    without_rows = AigoSolver(CERTIFY).Solve(prog).get_solver_details().lower_bound
+    prog.AddConstraint(sum(x) == 1.0)
+    prog.AddConstraint(sum(own**2 for own in x) <= 1.2 * size)
+    options = AigoOptions(certify=True, cells=3000, rounds=2, starts=2)
+    details = AigoSolver(options).Solve(prog).get_solver_details()
+    assert details.certificate.method == Method.CLIQUES
+    assert details.gap < 0.1  # 1.0 by cells alone
+    assert without_rows - 1e-6 * abs(without_rows) <= details.lower_bound <= details.cost
+
+
 def on_a_circle() -> tuple[MathematicalProgram, float]:
     prog, (x, y) = program(lambda x, y: x**2 * y - x, 2)
     prog.AddConstraint(x**2 + y**2 == 1.0)
@@ -399,6 +417,16 @@ def test_scip_proves_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyscipopt", None)
     with pytest.raises(OptionsError, match=re.escape("pip install 'drake_aigto[scip]'")):
         certify(prog, prover="scip")
+
+
+def test_programs_without_variables_or_costs_are_bounded_too() -> None:
+    prog = MathematicalProgram()
+    for own, least in ((prog, 0.0), (box(1)[0], 0.0)):
+        for total in (least, least + 3.0):
+            assert certify(own).lower_bound == pytest.approx(total, abs=1e-9)
+            details = AigoSolver(CERTIFY).Solve(own).get_solver_details()
+            assert details.status == AigoStatus.PROVEN
+            own.AddCost(sym.Expression(3.0))
 
 
 def test_few_rows_that_contradict_each_other_are_told_with_numbers() -> None:

@@ -214,6 +214,25 @@ def test_relaxations_hold_at_all_points_of_a_cell_in_high_precision(seed: int) -
                     assert total - rounding <= cell.upper[row]
 
 
+@pytest.mark.parametrize("reach", [1.0, np.inf])
+def test_a_cell_keeps_its_points_that_cost_no_more_than_the_cutoff(reach: float) -> None:
+    rng, exact = np.random.default_rng(12), SimpleNamespace(**HIGH_PRECISION)
+    for _ in range(60):
+        size = int(rng.integers(2, 4))
+        point = rng.normal(size=size)
+        reaches = np.where(rng.random((2, size)) < 0.5, reach, 1e-3)
+        ends = point - reaches[0], point + reaches[1]
+        prog, x = box(size, *ends)
+        cost, row = (random_function(rng, size, 3) for _ in range(2))
+        add_cost(prog, cost(sym, x) + 0.1 * x[0])
+        written = ExpressionConstraint([row(sym, x) + 0.1 * x[1]], [-np.inf], [1e9])
+        prog.AddConstraint(written, vars=written.vars())
+        cutoff = float(cost(exact, point.tolist()) + 0.1 * point[0])
+        low, high = (end.copy() for end in ends)
+        Relaxation(read_formulas(prog)).bound(low, high, cutoff + 1e-12 * (1.0 + abs(cutoff)))
+        assert np.all((low <= point) & (point <= high))
+
+
 @pytest.mark.parametrize("p", [0.5, 0.3, 1.5, -0.3])
 def test_relaxations_hold_where_a_power_begins(p: float) -> None:
     """At 0 a root has no slope, and a tangent there says nothing."""

@@ -27,6 +27,7 @@ from drake_aigto.errors import OptionsError
 # A point → a feasible one near it, if there is one.
 Improve = Callable[[Floats], Floats | None]
 Progress = Callable[[str], None]
+Search = CellSearch | CliqueSearch
 Prover = Literal["own", "scip"]
 
 # Of up to this many variables, cells of all of them converge faster than trees of cliques; with
@@ -192,7 +193,7 @@ class Certifier:
         self._asked = read_formulas(prog)
         self._formulas, is_feasible = narrowed(self._asked)
         formulas, self._gap = self._formulas, gap
-        self._search: CellSearch | CliqueSearch | None = None
+        self._search: Search | None = None
         self._method = Method.SUM if is_feasible else Method.ROWS
         order = _find_order(formulas)
         # Of programs with rows, whose prices are those of the last point with this cost.
@@ -203,6 +204,8 @@ class Certifier:
             self._search = CliqueSearch(formulas, _MARGIN * gap, order)
         elif is_feasible and formulas.lower.size:
             self._method, self._search = Method.CELLS, CellSearch(formulas, _MARGIN * gap)
+        # With rows, two of simpler programs are added before it, once a point is known.
+        self._searches = [] if self._search is None else [self._search]
         size = formulas.lower.size
         self._cost = (
             SumOfFormulas(tape_of([formulas.summands], size), [range(size)])
@@ -222,8 +225,8 @@ class Certifier:
         value = self._cost.range(x, x)[1]
         if value < self._best_cost:
             self._best, self._best_cost = x, value
-        if self._search is not None:
-            self._search.offer(x, value)
+        for search in self._searches:
+            search.offer(x, value)
 
     @functools.cached_property
     def _row_tape(self) -> Tape:
@@ -243,12 +246,17 @@ class Certifier:
             cells: number of cells at most.
             improve: called with points of the lowest cells; returns a feasible one nearby, or None.
         """
-        search, end, is_open = self._search, self._num_cells + cells, True
-        while search is not None and is_open and not self._is_over(end):
+        end, over = self._num_cells + cells, set[Search]()
+        while (left := [e for e in self._searches if e not in over]) and not self._is_over(end):
             if self._order is not None and self._best_cost < self._priced_cost:
-                self._price_rows(self._order, end, improve)
-            else:
-                is_open = self._step(search, end, improve)
+                self._price_rows(self._order)
+                continue
+            # All have their share, as nobody knows which of them gets there.
+            search = min(left, key=lambda each: each.num_cells)
+            if not self._step(search, end, improve):
+                over.add(search)
+            if search is not self._search:
+                self._floor = max(self._floor, search.lower_bound)
         return self.certificate()
 
     def _is_over(self, end: int) -> bool:
@@ -256,7 +264,7 @@ class Certifier:
         is_spent = self._num_cells >= end or self._clock.is_over
         return is_spent or self._gap_of(self._bound) <= self._gap
 
-    def _step(self, search: CellSearch | CliqueSearch, end: int, improve: Improve) -> bool:
+    def _step(self, search: Search, end: int, improve: Improve) -> bool:
         """Bounds some cells, and returns whether others are left; see `run`."""
         before = search.num_cells
         is_open = search.run(end - self._num_cells, self._scale)
@@ -273,15 +281,19 @@ class Certifier:
                 self.offer(better)
         return is_open
 
-    def _price_rows(self, order: Sequence[tuple[int, ...]], end: int, improve: Improve) -> None:
-        """Raises the floor by cliques: the cost, with rows at prices that the best point says."""
-        self._priced_cost = self._best_cost
-        search = CliqueSearch(with_prices(self._formulas, self._best), _MARGIN * self._gap, order)
-        search.offer(self._best, self._best_cost)
-        is_open = True
-        while is_open and not self._is_over(end) and self._best_cost == self._priced_cost:
-            is_open = self._step(search, end, improve)
-            self._floor = max(self._floor, search.lower_bound)
+    def _price_rows(self, order: Sequence[tuple[int, ...]]) -> None:
+        """Searches by cliques, too: the cost with rows at prices that the best point says.
+
+        And the cost without rows, as prices may be those of another valley.
+        """
+        priced = with_prices(self._formulas, self._best)
+        programs = [priced]
+        if self._priced_cost == math.inf:
+            programs.append(replace(priced, summands=self._formulas.summands))
+        own = [CliqueSearch(each, _MARGIN * self._gap, order) for each in programs]
+        for search in own:
+            search.offer(self._best, self._best_cost)
+        self._searches, self._priced_cost = [*own, *self._searches[-2:]], self._best_cost
 
     @property
     def _bound(self) -> float:
@@ -355,7 +367,8 @@ def _find_order(formulas: Formulas) -> list[tuple[int, ...]] | None:
     size, few = formulas.lower.size, _FEW_WITH_ROWS if formulas.rows else _FEW
     if size <= few or not np.all(np.isfinite(formulas.upper - formulas.lower)):
         return None
-    read = [each.variables for each in (*formulas.summands, *formulas.rows)]
+    parts = (*formulas.summands, *(part for row in formulas.rows for part in row.parts()))
+    read = [each.variables for each in parts]
     if max(map(len, read), default=0) > MOST_VARIABLES:
         return None
     return elimination(size, read, MOST_VARIABLES)

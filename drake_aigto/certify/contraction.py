@@ -232,7 +232,8 @@ def narrowed(formulas: Formulas) -> tuple[Formulas, bool]:
     joint = join([(row,) for row in formulas.rows], lower.size)
     low, high = formulas.row_bounds
     is_left = bool(np.all(lower <= upper))
-    is_left = is_left and bool(contract_all(joint, low, high, lower[None], upper[None])[0])
+    if is_left and formulas.rows:
+        is_left = bool(contract_all(joint, low, high, lower[None], upper[None])[0])
     return (replace(formulas, lower=lower, upper=upper) if is_left else formulas), is_left
 
 

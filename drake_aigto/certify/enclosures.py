@@ -298,7 +298,7 @@ class SumOfFormulas:
     def __init__(self, tape: Tape, variables: Sequence[Sequence[int]]) -> None:
         """Takes the formulas."""
         self._tape = tape
-        self._read = np.zeros((len(variables), max(1, *map(len, variables), 0)), dtype=np.int64)
+        self._read = np.zeros((len(variables), max(map(len, variables), default=0)), dtype=np.int64)
         for row, read in zip(self._read, variables, strict=True):
             row[: len(read)] = read
 

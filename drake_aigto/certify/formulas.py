@@ -82,6 +82,16 @@ class Summand:
     factor: float = 1.0
     target: float = 0.0
 
+    def parts(self, factor: float = 1.0, target: float = 0.0) -> list[Summand]:
+        """Returns factor · (formula − target) as the summands that the formula adds up."""
+        e, binding, index = self.expression, self.binding, self.index
+        found = operands(e) if e.get_kind() == ExpressionKind.Add else [e]
+        targets = itertools.chain([target], itertools.repeat(0.0))
+        return [
+            Summand(binding, part, index, _read(part, index), factor, own)
+            for part, own in zip(found, targets, strict=False)
+        ]
+
 
 @dataclass(frozen=True, eq=False)
 class BoundedFormula(Summand):
@@ -137,8 +147,7 @@ def read_formulas(prog: MathematicalProgram) -> Formulas:
     rows: list[BoundedFormula] = []
     for binding in prog.GetAllCosts():
         (total,), own = _expressions(binding, index, *_COSTS)
-        parts = operands(total) if total.get_kind() == ExpressionKind.Add else [total]
-        summands += [Summand(binding, part, own, _read(part, own)) for part in parts]
+        summands += Summand(binding, total, own, ()).parts()
     for binding in prog.GetAllConstraints():
         evaluator = binding.evaluator()
         bounds = evaluator.lower_bound(), evaluator.upper_bound()
@@ -174,6 +183,8 @@ def _expressions(
             expected=expected,
             remedy=remedy,
         )
+    if not variables.size:  # Drake takes no variables for numbers with derivatives.
+        return list(map(Expression, evaluator.Eval(np.zeros(0)))), index
     if not isinstance(evaluator, (ExpressionCost, ExpressionConstraint)):
         return evaluator.Eval(variables), index
     own = {
@@ -282,11 +293,8 @@ def with_prices(formulas: Formulas, x: Floats) -> Formulas:
         active &= ~wrong
         prices[~active] = 0.0
     targets = np.where(at_high, high, low).tolist()
-    priced = (
-        Summand(row.binding, row.expression, row.index, row.variables, price, target)
-        for row, price, target in zip(rows, prices.tolist(), targets, strict=True)
-        if price
-    )
+    every = zip(rows, prices.tolist(), targets, strict=True)
+    priced = (part for row, price, own in every if price for part in row.parts(price, own))
     return replace(formulas, summands=(*formulas.summands, *priced), rows=())
 
 

@@ -182,13 +182,13 @@ class Relaxation:
         if not self._fill(low, high, cutoff):
             return nothing
         bound, w, y = self._solve(root, 1.0)
-        bound = max(bound, float(self._cell.ranges[root, 0, 0]))
         if bound == np.inf:
             return nothing
         if math.isfinite(cutoff - bound):
             cut_by_residuals(bound, cutoff, self._residuals, low, high)
             if np.any(low > high):
                 return nothing
+        bound = max(bound, float(self._cell.ranges[root, 0, 0]))
         x = np.clip(w[: low.size], low, high)
         return Relaxed(bound, x, self._choose_cut(w, y, x, low, high))
 
