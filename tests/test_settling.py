@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from drake_aigto.planning import settle
+from drake_aigto.shooting import IMPLICIT
 
 COST = 2.0
 
@@ -37,6 +38,7 @@ def motion(cost: float, substeps: int, is_left: bool = False) -> Any:
         cost=cost,
         exact_cost=cost,
         substeps=substeps,
+        order=IMPLICIT,
         is_left=is_left,
         violation=0.0,
         replay=None,
@@ -62,4 +64,5 @@ def test_a_motion_that_costs_somewhat_more_in_shorter_steps_is_followed_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     _, problem = follow([COST, 3 * COST], monkeypatch)
-    assert [each.substeps for each in problem.asked] == [4, 8, 16, 32, 64]
+    steps = [(each.substeps, each.order) for each in problem.asked]
+    assert steps == [(count, IMPLICIT) for count in (4, 8, 16, 32, 64)]

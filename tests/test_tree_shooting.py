@@ -19,6 +19,7 @@ from drake_aigto.contact import TreeMechanism
 from drake_aigto.dynamics import Tree
 from drake_aigto.planning import MechanismTask, PlanOptions
 from drake_aigto.shooting import (
+    IMPLICIT,
     ShootingOptions,
     ShootingProblem,
     Smoothing,
@@ -109,8 +110,14 @@ def replay(plant: MultibodyPlant, start: Floats, times: Floats, controls: Floats
     return plant.GetPositions(context)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_expansions_of_a_floating_body_are_differences_along_the_manifold(seed: int) -> None:
+# Turns are rotation vectors about a stage's start: moved with it, its steps have other errors.
+@pytest.mark.parametrize(
+    ("seed", "order", "substeps", "off"),
+    [(0, 4, 2, 1e-5), (1, 4, 2, 1e-5), (1, IMPLICIT, 16, 2e-4)],
+)
+def test_expansions_of_a_floating_body_are_differences_along_the_manifold(
+    seed: int, order: int, substeps: int, off: float
+) -> None:
     rng = np.random.default_rng(seed)
     plant = make_floating(rng)
     (q, _, _), (goal, _, _), (about, _, _) = (sample_state(plant, rng) for _ in range(3))
@@ -122,7 +129,7 @@ def test_expansions_of_a_floating_body_are_differences_along_the_manifold(seed: 
     cost = replace(problem.cost, QT=A @ A.T, Q=np.arange(1.0, 9.0), positions=about[np.newaxis])
     cost = replace(cost, frames=frames)
     problem, n, nq = replace(problem, cost=cost), 8, 9
-    program = problem.make_program(ShootingOptions((Smoothing(0.0, 1, 1.0),), 2))
+    program = problem.make_program(ShootingOptions((Smoothing(0.0, 1, 1.0),), substeps, order))
     memory, tree = make_memory(program), Tree.of(plant)
     states, controls = np.zeros((4, nq + n)), rng.normal(size=(3, 2))
     for state in states:  # With gaps of some 0.3 rad and m.
@@ -141,12 +148,12 @@ def test_expansions_of_a_floating_body_are_differences_along_the_manifold(seed: 
         return total, memory.expansion.gaps[min(k, 2)].copy()
 
     for k, column in np.ndindex(4, 2 * n + 2):
-        (high, after), (low, before) = expand(k, column, 1e-6), expand(k, column, -1e-6)
+        (high, after), (low, before) = expand(k, column, 1e-5), expand(k, column, -1e-5)
         if k < 3:
-            np.testing.assert_allclose((after - before) / 2e-6, F[k, :, column], atol=2e-5)
+            np.testing.assert_allclose((after - before) / 2e-5, F[k, :, column], atol=2 * off)
         if k < 3 or column < 2 * n:
             slope = float(gradient[k, column])
-            np.testing.assert_allclose((high - low) / 2e-6, slope, atol=1e-5 * max(1.0, abs(slope)))
+            np.testing.assert_allclose((high - low) / 2e-5, slope, atol=off * max(1.0, abs(slope)))
 
 
 def test_steps_of_a_turning_body_are_of_fourth_order() -> None:
@@ -160,6 +167,17 @@ def test_steps_of_a_turning_body_are_of_fourth_order() -> None:
     first, second = (np.abs(end - ends[-1]).max() for end in ends[:2])
     assert 10 < first / second < 24
     assert np.isclose(np.linalg.norm(ends[0][:4]), 1.0, atol=1e-14)
+
+
+def test_the_error_of_implicit_steps_falls_with_their_length() -> None:
+    rng = np.random.default_rng(5)
+    plant = make_arm(rng, 2)
+    problem = make_problem(plant, np.zeros(2), np.zeros(2), 10, 1.0, np.ones(4))
+    controls = rng.normal(size=(10, 2))
+    exact = problem.simulate(controls, 256).states[-1]
+    ends = [problem.simulate(controls, n, order=IMPLICIT).states[-1] for n in (16, 32, 64)]
+    errors = [np.abs(end - exact).max() for end in ends]
+    assert 1.8 < errors[0] / errors[1] < 2.3 and 1.8 < errors[1] / errors[2] < 2.3
 
 
 def test_an_arm_of_seven_joints_goes_to_a_pose_and_drake_agrees() -> None:
@@ -191,19 +209,24 @@ def test_a_body_without_a_foothold_turns_by_its_arms_and_drake_agrees() -> None:
     assert np.abs(tree.subtract(end, result.states[-1, :9])).max() < 1e-4
 
 
-def test_a_slip_ends_in_long_steps_without_turning_round(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("order", "substeps", "left", "back"), [(2, 2, 0.05, 1e-3), (IMPLICIT, 1, 5e-4, 5e-3)]
+)
+def test_a_slip_ends_in_long_steps_without_turning_round(
+    tmp_path: Path, order: int, substeps: int, left: float, back: float
+) -> None:
     speed = [*[0.0] * 6, 0.5, 0.0, 0.0]  # The ball moves along x.
     scenario = make_scenario(tmp_path, initial_velocity=speed)
     planner = Planner(scenario, PlanOptions())
     task = MechanismTask(planner.world, planner.scenario, planner.options)
     # Friction of 0.5 at 10 m/s² slows the slip of a ball by 17 m/s², 0.17 m/s in each step.
-    found = task.shooting(50).simulate(np.zeros((50, 3)), 2, order=2)
+    found = task.shooting(50).simulate(np.zeros((50, 3)), substeps, order=order)
     assert isinstance(task.world, SpaceWorld)
     slips = task.world.calc_slides(*task.world.split(found.states))
     names = [contact.name for contact in task.world.contacts]
     along = slips[:, names.index("m::ball with ground::floor"), 0]
-    assert along[0] == pytest.approx(0.5) and abs(along[-1]) < 0.05
-    assert np.all(along >= -1e-3)
+    assert along[0] == pytest.approx(0.5) and abs(along[-1]) < left
+    assert np.all(along >= -back)  # The exact one is −0.0034 m/s once, as the ball bounces.
 
 
 @pytest.mark.slow

@@ -10,10 +10,12 @@ from drake_aigto.shooting.descent import expand_motion
 from drake_aigto.shooting.hold import evaluate_hold
 from drake_aigto.shooting.optimal_control import Phases
 from drake_aigto.shooting.problem import ShootingProblem, limit_states
+from drake_aigto.shooting.program import IMPLICIT
 from drake_aigto.shooting.solve import ShootingOptions, ShootingResult, Smoothing
 from drake_aigto.shooting.tables import make_memory
 
 __all__ = [
+    "IMPLICIT",
     "NO_TERMS",
     "AddedTerms",
     "Phases",

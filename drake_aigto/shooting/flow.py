@@ -7,6 +7,7 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.kernels import borrowing
 from drake_aigto.shooting.hold import hold_stage, strike_stage
+from drake_aigto.shooting.implicit import step_implicitly
 from drake_aigto.shooting.stages import (
     accelerate_stage,
     add_frames,
@@ -115,6 +116,15 @@ def flow(
                 for c in range(columns):
                     K[i, c], K[n + i, c] = X[n + i, c], 0.0
         bend(mechanics, x, has_slopes, slope, X, K, room.mechanics)
+        if method.shape[0] == 1:  # Of trees, and without phases.
+            step_implicitly(mechanics, z, u, eps, delta, has_slopes, room)
+            if is_measured:
+                rate = _measure(program, start + (s + 1) * delta, z, y, room)
+                cost += delta * rate
+                if has_slopes:
+                    turn_error_rows(mechanics, y, Y, room.mechanics)
+                    _add_rate(task.running, delta, nz, 0.0, room, l1, l2)
+            continue
         for r in range(method.shape[0]):
             ahead, part = method[r, 0], method[r, 1]
             for i in range(nx):

@@ -256,9 +256,13 @@ class OptimalControlProblem:
         """Its stages."""
         return StageLayout.of(self.times, self.phases, self.mechanism.num_contacts)
 
-    def fit_mechanism(self, substeps: int) -> Any:
-        """Returns the mechanism's tables for compiled code and this number of steps of a stage."""
-        return self.mechanism.fit(*self._measure_steps(substeps))
+    def fit_mechanism(self, substeps: int, is_implicit: bool = False) -> Any:
+        """Returns the mechanism's tables for compiled code and this number of steps of a stage.
+
+        Implicit steps resolve friction, whatever their length.
+        """
+        step, duration, speed = self._measure_steps(substeps)
+        return self.mechanism.fit(0.0 if is_implicit else step, duration, speed)
 
     def _measure_steps(self, substeps: int) -> tuple[float, float, float]:
         """Returns the longest step [s], the duration [s], and a speed of contacts [m/s]."""

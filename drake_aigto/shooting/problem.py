@@ -12,7 +12,7 @@ from drake_aigto.contact import AnyMechanism, TreeMechanism
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.optimal_control import OptimalControlProblem
-from drake_aigto.shooting.program import make_program
+from drake_aigto.shooting.program import IMPLICIT, make_program
 from drake_aigto.shooting.solve import (
     MotionExpansion,
     ShootingOptions,
@@ -187,7 +187,7 @@ class ShootingProblem(OptimalControlProblem):
         return calc_growth(found.transitions, self.scales).factor > MOST_GROWTH
 
     def estimate_error(self, result: ShootingResult) -> float:
-        """Returns the error of a result's steps, against twice as many of order 4.
+        """Returns the error of a result's steps, against twice as many of order 4, or implicit.
 
         It is the larger one of the cost's change, in units of the cost or of `cost_scale` if that
         is larger, and the final state's, in units of its scales. Of an unstable result, which only
@@ -196,7 +196,8 @@ class ShootingProblem(OptimalControlProblem):
         question = self.starting_from(result)
         if question.is_unstable(result):
             return question.add_errors(result)
-        finer = question.simulate(result.controls, 2 * result.substeps)
+        substeps, order = _refine(result)
+        finer = question.simulate(result.controls, substeps, order=order)
         same = question.simulate(result.controls, result.substeps, order=result.order)
         unit = max(abs(finer.exact_cost), self.cost_scale)
         off = np.abs(self.mechanism.subtract(finer.states[-1], same.states[-1])) / self.scales
@@ -208,20 +209,20 @@ class ShootingProblem(OptimalControlProblem):
 
         With friction, whose stiction speed follows the steps, it is J in its own steps.
         """
-        controls, substeps, same = result.controls, 2 * result.substeps, result.exact_cost
+        (substeps, order), same = _refine(result), result.exact_cost
         if self.is_unstable(result):
             if (both := self._expand_twice(result)) is None:
                 return same, np.inf
             finer, same = (each.cost for each in both)
         else:
-            finer = self.simulate(controls, substeps).exact_cost
+            finer = self.simulate(result.controls, substeps, order=order).exact_cost
         return same if self.mechanism.has_friction else finer, abs(finer - same)
 
     def add_errors(self, result: ShootingResult) -> float:
         """Returns the errors of all stages of a result, added up without their growth.
 
-        Each stage is compared with twice as many steps of order 4 from its own state; units are
-        those of `estimate_error`.
+        Each stage is compared with twice as many steps of order 4, or implicit ones, from its own
+        state; units are those of `estimate_error`.
         """
         if (both := self._expand_twice(result)) is None:
             return np.inf
@@ -232,14 +233,15 @@ class ShootingProblem(OptimalControlProblem):
         return error if np.isfinite(error) else np.inf
 
     def _expand_twice(self, result: ShootingResult) -> tuple[MotionExpansion, ...] | None:
-        """Returns the problem about a result in half its steps, of order 4, and in its own.
+        """Returns the problem about a result in half its steps (`_refine`), and in its own.
 
         None: its squares exceed all numbers.
         """
-        u, x, count = result.controls, result.states, result.substeps
-        steps = (2 * count, 4), (count, result.order)
+        u, x, steps = result.controls, result.states, (result.substeps, result.order)
         try:
-            return tuple(self.linearize(u, each, 0.0, x, order) for each, order in steps)
+            return tuple(
+                self.linearize(u, each, 0.0, x, order) for each, order in (_refine(result), steps)
+            )
         except ProgramError:
             return None
 
@@ -287,3 +289,8 @@ def limit_states(world: World, bounds: Limits) -> Floats:
     """Returns bounds of q and v in the tangent space, (2, 2n); turns in space have none."""
     free = np.array([[-np.inf], [np.inf]])
     return np.hstack([world.in_tangent(bounds.position, free), bounds.velocity])
+
+
+def _refine(result: ShootingResult) -> tuple[int, int]:
+    """Returns the number and the order of steps that those of a result are compared with."""
+    return 2 * result.substeps, IMPLICIT if result.order == IMPLICIT else 4

@@ -11,10 +11,13 @@ from drake_aigto.shooting.optimal_control import OptimalControlProblem, StageLay
 from drake_aigto.shooting.tables import CHORDAL, EXACT, FLOW, MODULO, Bounds, CostTable, Program
 from drake_aigto.world import TaskCost
 
+# Steps of this order are implicit in velocities (`step_implicitly`).
+IMPLICIT = 1
 # Time of each evaluation of a Runge-Kutta step, as a part of the step, and its weight. Its state is
 # ahead of the start by that part of the slope before it; before the first one only positions move.
 # So order 2 is the leapfrog method for forces without velocities, which suits stiff springs.
 _METHODS = {
+    IMPLICIT: np.array([[1.0, 1.0]]),
     2: np.array([[0.5, 0.0], [0.5, 1.0]]),
     4: np.array([[0.0, 1 / 6], [0.5, 1 / 3], [0.5, 1 / 3], [1.0, 1 / 6]]),
 }
@@ -30,7 +33,7 @@ def make_program(problem: OptimalControlProblem, substeps: int, order: int) -> P
     Args:
         problem: the task.
         substeps: Runge-Kutta steps of a stage.
-        order: of their error, 2 or 4.
+        order: of their error, 4, 2 or `IMPLICIT`.
     """
     layout = problem.layout
     closed, leans, restitutions = _find_closed(layout, problem.mechanism)
@@ -39,7 +42,7 @@ def make_program(problem: OptimalControlProblem, substeps: int, order: int) -> P
         layout.kinds, layout.shares, times, problem.least_distances
     )
     program = Program(
-        mechanics=problem.fit_mechanism(substeps),
+        mechanics=problem.fit_mechanism(substeps, order == IMPLICIT),
         task=_make_task(problem.cost),
         bounds=_make_bounds(problem, layout, limits),
         added=added,

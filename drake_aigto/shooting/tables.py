@@ -80,7 +80,9 @@ class Program(NamedTuple):
     steps: Floats  # lengths of stages [s]; with phases, as shares of τ; shape (K,)
     times: Floats  # starts of stages, without phases, shape (K + 1,) [s]
     substeps: int  # Runge-Kutta steps of a stage
-    method: Floats  # time of each evaluation, as a part of a step, and its weight, shape (E, 2)
+    # Time of each evaluation, as a part of a step, and its weight, shape (E, 2); a single one is of
+    # velocities at the end of the step (`implicit`).
+    method: Floats
 
 
 class FlowMemory(NamedTuple):
@@ -92,6 +94,8 @@ class FlowMemory(NamedTuple):
     points: Floats
     by_column: Floats  # the derivative of the cost's rate by (z, u), shape (nc,)
     slopes: Floats  # of the first four points by (z, u), shape (4, nx, nc)
+    newton: Floats  # the matrix of a Newton step for velocities, shape (n, n)
+    off: Floats  # the step, below as many zeros, shape (nx, 1)
 
 
 class ModeMemory(NamedTuple):
@@ -190,6 +194,8 @@ def make_memory(program: Program) -> Memory:
             points=np.zeros((7, nx)),
             by_column=np.zeros(nc),
             slopes=np.zeros((4, nx, nc)),
+            newton=np.zeros((nx // 2, nx // 2)),
+            off=np.zeros((nx, 1)),
         ),
         ModeMemory(*map(zeros, ((m, 3), (m, 3, nx + nu), (m, 3), nx))),
         AddedMemory(

@@ -112,12 +112,14 @@ class Aim(NamedTuple):
         most: motions that promise to cost more are left unfinished, where one pass closes them, or
             wide ones tell; between rigid walls, those that cost more (`RigidMechanismTask.bounce`).
         is_patient: whether motions worse than no control are closed again, with more care.
-        substeps: Runge-Kutta steps of the last pass, at least.
+        substeps: steps of the last pass, at least.
+        order: of these.
     """
 
     most: float = np.inf
     is_patient: bool = True
     substeps: int = 1
+    order: int = COARSE.order
 
     def limit(self, options: ShootingOptions, is_telling: bool) -> ShootingOptions:
         """Returns options with this limit, unless their costs are of other walls or prices.
@@ -356,10 +358,8 @@ def settle(
 ) -> ShootingResult:
     """Returns the local optimum near a motion in space, corrected under the exact law (`steady`).
 
-    Its Runge-Kutta steps are halved until that confirms its cost and halving lowers it no more: as
-    friction follows steps, a drone that perches creeps in longer ones, for 0.149, and sticks in
-    shorter ones, for 0.136. Each time contact is hardly smoothed first: with the sharp law at once,
-    the drone slipped off, for 1.4.
+    Its steps are halved until that confirms its cost and halving lowers it no more. Each time
+    contact is hardly smoothed first: with the sharp law at once, a drone slipped off, for 1.4.
 
     Args:
         world: its shapes touch with friction.
@@ -370,7 +370,7 @@ def settle(
     """
     limit = scaled(_LEFT, most)
     options = dataclasses.replace(
-        POLISH, rungs=IN_SPACE, substeps=motion.substeps, most_promised=limit
+        POLISH, rungs=IN_SPACE, substeps=motion.substeps, order=motion.order, most_promised=limit
     )
     best: ShootingResult | None = None
     while True:
@@ -390,7 +390,8 @@ def settle(
             return best
         lost = _WRECKED * max(motion.cost, _EXACT * problem.cost_scale)
         rungs = tuple(each._replace(most=lost) for each in IN_SPACE)
-        options = ShootingOptions(rungs, 2 * motion.substeps, most_promised=min(most, lost))
+        steps = 2 * motion.substeps, motion.order
+        options = ShootingOptions(rungs, *steps, most_promised=min(most, lost))
 
 
 def _rank_settled(motion: ShootingResult) -> tuple[bool, float]:

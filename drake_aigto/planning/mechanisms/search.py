@@ -103,7 +103,6 @@ class MechanismSearch(Search):
         self._left_out: list[KeptMotion] = []  # As another one that holds costs less.
         self._aim = Aim()
         self._num_closed = self._num_of_use = self._num_broken = 0
-        self._substeps = 1  # Of closings, at least.
         self._scales = task.state_scales[: task.world.num_positions]
         self._rigid = task if isinstance(task, RigidMechanismTask) else None
         self._tried: set[_Key] = set()
@@ -183,10 +182,10 @@ class MechanismSearch(Search):
             self._resolve()
 
     def _resolve(self) -> None:
-        """Closes the kept motions anew in shorter steps while the best one's are too long."""
+        """Closes the kept motions anew in better steps while the best one's are too long."""
         while self.motions and self.task.is_coarse(best := self.motions[0].result):
-            self._substeps = 2 * best.substeps
-            self.tell(f"shooting in {self._substeps} steps between knots")
+            self._aim = self.task.refine(best)
+            self.tell(f"shooting in {self._aim.substeps} steps of order {self._aim.order}")
             wave = [Proposal(each.origin, self._again(each.result)) for each in self.motions]
             closed = zip(self.motions, self._close_at_once(wave), strict=True)
             again = [replace(old, result=new, rank=self.task.rank(new)) for old, new in closed]
@@ -195,9 +194,9 @@ class MechanismSearch(Search):
             self.motions = best_of(finite)
 
     def _again(self, motion: ShootingResult) -> Callable[[], ShootingResult]:
-        """Returns what closes a motion in as many Runge-Kutta steps as others from now on."""
+        """Returns what closes a motion in such steps as others from now on."""
         guess = Guess(motion.times, motion.controls, width=0.0)
-        return partial(self.task.close, guess, Aim(substeps=self._substeps))
+        return partial(self.task.close, guess, self._aim)
 
     @property
     def chance(self) -> float:
@@ -269,7 +268,7 @@ class MechanismSearch(Search):
         limits = costs[:1] if self._rigid else costs[-1:] if is_full else []
         most = scaled(self.task.close_ratio, min(limits, default=np.inf))
         is_patient = 2 * self._num_of_use <= self._num_closed
-        self._aim = Aim(most, is_patient, self._substeps)
+        self._aim = self._aim._replace(most=most, is_patient=is_patient)
         super().close(wave)
 
     def _find_unbranched(self) -> KeptMotion | None:

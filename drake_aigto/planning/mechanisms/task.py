@@ -29,7 +29,7 @@ from drake_aigto.planning.mechanisms.closing import (
 )
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, sample_cubic
 from drake_aigto.planning.mechanisms.posed import PosedMechanism
-from drake_aigto.shooting import ShootingOptions, ShootingResult
+from drake_aigto.shooting import IMPLICIT, ShootingOptions, ShootingResult
 from drake_aigto.world import SpaceWorld
 
 # Price of violating bounds (relative to the state's scales) in the task's scale. As a violation may
@@ -134,14 +134,15 @@ class MechanismTask(PosedMechanism):
         is_telling = self.mechanism.has_friction and not isinstance(self.world, SpaceWorld)
         options = aim.limit(options, is_telling)
         *wide, last = options.rungs
-        if not wide or aim.substeps <= options.substeps:
-            options = dataclasses.replace(options, substeps=max(options.substeps, aim.substeps))
+        if not wide or (aim.substeps <= options.substeps and aim.order == options.order):
+            substeps = max(options.substeps, aim.substeps)
+            options = dataclasses.replace(options, substeps=substeps, order=aim.order)
             return self._close_on_springs(guess, options, aim.is_patient)
         coarse = dataclasses.replace(options, rungs=tuple(wide), most_promised=wide[-1].most)
         found = self._close_on_springs(guess, coarse, aim.is_patient)
         if found.is_left or not np.isfinite(found.cost):
             return found
-        fine = dataclasses.replace(options, rungs=(last,), substeps=aim.substeps)
+        fine = dataclasses.replace(options, rungs=(last,), substeps=aim.substeps, order=aim.order)
         return self.pose_again(found).solve(found.controls, None, fine, found.prices)
 
     def is_coarse(self, motion: ShootingResult) -> bool:
@@ -150,11 +151,21 @@ class MechanismTask(PosedMechanism):
             return False
         return self.pose_again(motion).add_errors(motion) > _UNRESOLVED
 
+    def refine(self, motion: ShootingResult) -> Aim:
+        """Returns steps that resolve a motion's contacts better: implicit ones, or half as long."""
+        if self._rubs_in_space and motion.order != IMPLICIT:
+            return Aim(substeps=motion.substeps, order=IMPLICIT)
+        return Aim(substeps=2 * motion.substeps, order=motion.order)
+
     @property
     def _is_sliding(self) -> bool:
         """Whether compliant contacts slide, and no joint does."""
         is_compliant = isinstance(self.law, CompliantLaw)
         return is_compliant and self.mechanism.has_friction and self.world.dry_friction is None
+
+    @property
+    def _rubs_in_space(self) -> bool:
+        return self.mechanism.has_friction and isinstance(self.world, SpaceWorld)
 
     @property
     def _slides_in_plane(self) -> bool:
@@ -172,6 +183,8 @@ class MechanismTask(PosedMechanism):
         """Options for refining closed motions."""
         scenario = self.scenario
         tight = find_tight(self.world, scenario.initial_position, scenario.time_step)
+        if self._rubs_in_space:
+            tight = dataclasses.replace(tight, order=IMPLICIT)
         return self._resolve(tight)
 
     def _resolve(self, options: ShootingOptions) -> ShootingOptions:
@@ -237,7 +250,7 @@ class MechanismTask(PosedMechanism):
             cooling = dataclasses.replace(COOLING, substeps=substeps)
             cooled = problem.starting_from(motion).solve(motion.controls, None, cooling)
             motion = min(motion, cooled, key=self.rank)
-        if isinstance(self.world, SpaceWorld) and has_friction:
+        if self._rubs_in_space:
             return settle(self.world, self.scenario, problem, motion, most)
         motion = halve_steps(problem, motion, most)
         is_done = motion.is_left or motion.violation > HOPELESS

@@ -1,0 +1,138 @@
+"""Steps of trees of joints that are implicit in velocities: friction and dampers may be stiff.
+
+Positions drift for half a step with the old velocity and for half with the new one, which obeys
+
+    w = v + h a(q, w, u),    q half a step ahead,
+
+by Newton's method. For forces without velocities that is the leapfrog method. What brakes is as
+stable as it is strong, at any h: a contact that sticks creeps by no more than the law lets it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.contact import TreeMechanics
+from drake_aigto.contact.tables import only_of
+from drake_aigto.kernels import borrowing
+from drake_aigto.shooting.stages import accelerate_stage, bend
+from drake_aigto.shooting.tables import FlowMemory
+
+# Newton's method ends at this share of squares of velocities, or after so many evaluations; steps
+# that do not lower the residual are shortened by this factor, down to this length.
+_TOLERANCE, _MOST, _SHORTER, _SHORTEST = 1e-20, 30, 0.3, 1e-3
+
+
+@only_of(TreeMechanics)
+def step_implicitly(
+    mechanics: TreeMechanics,
+    z: Floats,
+    u: Floats,
+    eps: float,
+    h: float,
+    has_slopes: bool,
+    room: FlowMemory,
+) -> None:
+    """Takes a step of length h from x; y becomes the middle's positions and the end's velocities.
+
+    The rate of x is known (`bend`), as are derivatives by (z, u) if asked: X of x, K of its rate.
+    Those of y become Y.
+    """
+    x, y, slope = room.points[0], room.points[1], room.points[2]
+    X, Y, K, slopes = room.slopes[0], room.slopes[1], room.slopes[2], room.mechanics.slopes
+    nx, columns, half = x.size, room.by_column.size if has_slopes else 0, h / 2
+    n, nu = nx // 2, u.size
+    for i in range(n):
+        y[i], y[n + i] = x[i] + half * slope[i], x[n + i]
+        for c in range(columns):
+            Y[i, c], Y[n + i, c] = X[i, c] + half * K[i, c], X[n + i, c]
+    _find_velocities(mechanics, z, u, eps, h, room)
+    if has_slopes:
+        for i in range(n):
+            for j in range(n):
+                part = h * slopes[j, i]
+                for c in range(columns):
+                    Y[n + i, c] += part * Y[j, c]
+            for j in range(nu):
+                Y[n + i, nx + j] += h * slopes[nx + j, i]
+        _set_matrix(h, n, slopes, room.newton)
+        _eliminate(room.newton, n, Y)
+    for i in range(n):
+        slope[i] = y[n + i]
+        for c in range(columns):
+            K[i, c] = Y[n + i, c]
+    bend(mechanics, y, has_slopes, slope, Y, K, room.mechanics)
+    for i in range(n):
+        x[i], x[n + i] = y[i] + half * slope[i], y[n + i]
+        for c in range(columns):
+            X[i, c], X[n + i, c] = Y[i, c] + half * K[i, c], Y[n + i, c]
+
+
+@borrowing
+def _find_velocities(
+    mechanics: TreeMechanics, z: Floats, u: Floats, eps: float, h: float, room: FlowMemory
+) -> None:
+    """Computes velocities of y that obey w = v + h a, and derivatives of a there."""
+    x, y, off, n = room.points[0], room.points[1], room.off, room.off.shape[0] // 2
+    acceleration, best, length = room.mechanics.acceleration, np.inf, 1.0
+    for count in range(_MOST + 1):
+        accelerate_stage(mechanics, z, y, u, eps, True, room.mechanics)
+        squares = total = 0.0
+        for i in range(n):
+            change = h * acceleration[0, i]
+            error = y[n + i] - x[n + i] - change
+            squares += error * error
+            total += change * change + x[n + i] * x[n + i]
+        if squares <= _TOLERANCE * total or count == _MOST or not np.isfinite(squares):
+            return
+        if squares < best or length < _SHORTEST:
+            best, length = squares, 1.0
+            for i in range(n):
+                off[n + i, 0] = y[n + i] - x[n + i] - h * acceleration[0, i]
+            _set_matrix(h, n, room.mechanics.slopes, room.newton)
+            _eliminate(room.newton, n, off)
+            shift = -1.0
+        else:
+            shift = (1.0 - _SHORTER) * length
+            length *= _SHORTER
+        for i in range(n):
+            y[n + i] += shift * off[n + i, 0]
+
+
+@borrowing
+def _set_matrix(h: float, n: int, slopes: Floats, matrix: Floats) -> None:
+    """Computes 1 − h ∂a/∂v."""
+    for i in range(n):
+        for j in range(n):
+            matrix[i, j] = (1.0 if i == j else 0.0) - h * slopes[n + j, i]
+
+
+@borrowing
+def _eliminate(matrix: Floats, first: int, rows: Floats) -> None:
+    """Replaces rows from one on by the inverse of a matrix times them; the matrix is lost."""
+    n = matrix.shape[0]
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+                pivot = i
+        for j in range(n if pivot != k else 0):
+            matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+        for c in range(rows.shape[1] if pivot != k else 0):
+            rows[first + k, c], rows[first + pivot, c] = rows[first + pivot, c], rows[first + k, c]
+        inverse = 1.0 / matrix[k, k]
+        for i in range(k + 1, n):
+            factor = matrix[i, k] * inverse
+            if factor != 0.0:
+                for j in range(k + 1, n):
+                    matrix[i, j] -= factor * matrix[k, j]
+                for c in range(rows.shape[1]):
+                    rows[first + i, c] -= factor * rows[first + k, c]
+    for k in range(n - 1, -1, -1):
+        inverse = 1.0 / matrix[k, k]
+        for c in range(rows.shape[1]):
+            rows[first + k, c] *= inverse
+        for i in range(k):
+            for c in range(rows.shape[1]):
+                rows[first + i, c] -= matrix[i, k] * rows[first + k, c]
