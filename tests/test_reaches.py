@@ -134,10 +134,19 @@ def test_candidates_have_as_many_substeps_as_are_asked_for(tmp_path: Path) -> No
         PlanOptions(search_substeps=0)
 
 
-@pytest.mark.slow  # 47 CPU s but for Drake's replay, compiled.
-def test_two_fingers_turn_a_disc_in_several_strokes_and_both_replays_confirm_it() -> None:
-    options = PlanOptions(renewals=16, finalists=1, search_substeps=8)
-    plan = Planner(Scenario.named("planar_hand/turn"), options).plan()
+# 68 and 111 CPU s, with Drake's replay, compiled.
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("planar_hand/turn", PlanOptions(renewals=16, finalists=1)),
+        ("three_fingers/turn", PlanOptions(renewals=0, finalists=1)),
+    ],
+)
+def test_fingers_turn_an_object_over_several_touches_and_both_replays_confirm_it(
+    name: str, options: PlanOptions
+) -> None:
+    plan = Planner(Scenario.named(name), options).plan()
     assert plan.holds
     replays, arrival = list(plan.replay), plan.find_arrival()
     assert len(replays) == 2
