@@ -10,11 +10,12 @@ stable as it is strong, at any h: a contact that sticks creeps by no more than t
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import TreeMechanics
-from drake_aigto.contact.tables import only_of
+from drake_aigto.contact import TreeMechanics, only_of
 from drake_aigto.kernels import borrowing
 from drake_aigto.shooting.stages import accelerate_stage, bend
 from drake_aigto.shooting.tables import FlowMemory
@@ -71,7 +72,7 @@ def step_implicitly(
 
 @borrowing
 def _find_velocities(
-    mechanics: TreeMechanics, z: Floats, u: Floats, eps: float, h: float, room: FlowMemory
+    mechanics: Any, z: Floats, u: Floats, eps: float, h: float, room: FlowMemory
 ) -> None:
     """Computes velocities of y that obey w = v + h a, and derivatives of a there."""
     x, y, off, n = room.points[0], room.points[1], room.off, room.off.shape[0] // 2

@@ -250,7 +250,7 @@ class MechanismTask(PosedMechanism):
             cooling = dataclasses.replace(COOLING, substeps=substeps)
             cooled = problem.starting_from(motion).solve(motion.controls, None, cooling)
             motion = min(motion, cooled, key=self.rank)
-        if self._rubs_in_space:
+        if isinstance(self.world, SpaceWorld) and has_friction:
             return settle(self.world, self.scenario, problem, motion, most)
         motion = halve_steps(problem, motion, most)
         is_done = motion.is_left or motion.violation > HOPELESS
