@@ -51,7 +51,7 @@ RECORDS: Mapping[str, str] = {
     "robustness": "python -m benchmarks robustness --scenarios 20 --percent 1 --seed 0 --workers 2"
     " --json docs/results/robustness.json",
     "page": f"python -m benchmarks page {_STUDIES} --out docs/results.md",
-    "corridor": f"{_WORLDS} corridor --count 200 --peer coasting --workers 2",
+    "corridor": f"{_WORLDS} corridor --count 200 --peer coasting --workers 1",
     "floor": f"{_WORLDS} floor --count 200 --peer coasting --workers 2",
     "room": f"{_WORLDS} room --count 200 --peer coasting --workers 2",
     "two_masses": f"{_WORLDS} two_masses --count 30 --peer coasting --peer listed --workers 2",
