@@ -1,4 +1,4 @@
-"""Finalists in space whose motion is lost in shorter steps are left soon."""
+"""How finalists in space are settled: what begins from their states, and what is left soon."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drake_aigto.planning import settle
-from drake_aigto.shooting import IMPLICIT
+from drake_aigto.contact import TreeMechanism
+from drake_aigto.errors import ProgramError
+from drake_aigto.planning import close_gaps, settle, steady
+from drake_aigto.shooting import IMPLICIT, ShootingOptions
 
 COST = 2.0
 
@@ -17,7 +19,7 @@ COST = 2.0
 class Problem:
     """Closes any motion at the given costs, in turn, and keeps the options it was asked with."""
 
-    mechanism = None  # As in a plane, one way to close gaps without states.
+    mechanism: Any = None  # As in a plane.
     cost_scale = 100.0
 
     def __init__(self, costs: list[float]) -> None:
@@ -66,3 +68,37 @@ def test_a_motion_that_costs_somewhat_more_in_shorter_steps_is_followed_on(
     _, problem = follow([COST, 3 * COST], monkeypatch)
     steps = [(each.substeps, each.order) for each in problem.asked]
     assert steps == [(count, IMPLICIT) for count in (4, 8, 16, 32, 64)]
+
+
+@pytest.mark.parametrize(
+    ("order", "ways"), [(IMPLICIT, ["alone", "whole", "wary"]), (4, ["whole", "wary", "alone"])]
+)
+def test_steps_of_another_order_begin_from_the_states(order: int, ways: list[str]) -> None:
+    problem, found = Problem([50 * COST]), motion(COST, 4)
+    problem.mechanism = TreeMechanism.__new__(TreeMechanism)
+    asked = []
+
+    def solve(controls: Any, states: Any, options: Any, prices: Any) -> Any:
+        asked.append("alone" if states is None else "wary" if options.is_wary else "whole")
+        return Problem.solve(problem, controls, states, options, prices)
+
+    other: Any = SimpleNamespace(mechanism=problem.mechanism, solve=solve)
+    options = ShootingOptions(order=order)
+    close_gaps(other, found, found.controls, np.zeros((2, 2)), options)
+    assert asked == ways
+
+
+def test_feedback_is_about_the_states_of_a_motion() -> None:
+    asked = []
+
+    def resolve(controls: Any, substeps: int, states: Any = None, order: int = 4) -> Any:
+        asked.append((substeps, states, order))
+        raise ProgramError("controls", got="enough", expected="no more")
+
+    problem: Any = SimpleNamespace(resolve=resolve)
+    nothing: Any = None
+    found = motion(COST, 4)
+    found.states = np.ones((2, 2))
+    with pytest.raises(ProgramError):
+        steady(nothing, nothing, problem, found)
+    assert asked == [(4, found.states, IMPLICIT)]

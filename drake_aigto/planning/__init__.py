@@ -19,7 +19,15 @@ from drake_aigto.planning.candidate import (
     sample,
 )
 from drake_aigto.planning.feedback import Feedback, Regulator, calc_divergence
-from drake_aigto.planning.mechanisms.closing import COARSE, Aim, find_tight, settle, soften, steady
+from drake_aigto.planning.mechanisms.closing import (
+    COARSE,
+    Aim,
+    close_gaps,
+    find_tight,
+    settle,
+    soften,
+    steady,
+)
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, Measures
 from drake_aigto.planning.mechanisms.phases import (
     find_deepest,
@@ -115,6 +123,7 @@ __all__ = [
     "Veto",
     "add_impulses",
     "calc_divergence",
+    "close_gaps",
     "coarsen",
     "drop",
     "find_deepest",

@@ -258,8 +258,8 @@ def steady(
     Where friction sticks and slips, Runge-Kutta steps are of low order, and instability amplifies
     their errors: an error of 1e-8 becomes 1e-3 for a pole that balances for 3 s. So the motion is
     simulated again by the world's own equations, each control corrected at its knot by the gains
-    of the motion (`ShootingProblem.linearize`). Between compliant walls, what is returned is that
-    simulation with its cost, so that a plan promises what was integrated; else the controls of it.
+    about its states (`ShootingProblem.linearize`). Between compliant walls, that is what is
+    returned, with its cost, so that plans promise what was integrated; else the controls of it.
 
     Args:
         world: the mechanism.
@@ -267,7 +267,8 @@ def steady(
         problem: that the motion is a result of.
         motion: near an optimum.
     """
-    about, _ = problem.resolve(motion.controls, motion.substeps)
+    steps, x, order = motion.substeps, motion.states, motion.order
+    about, _ = problem.resolve(motion.controls, steps, x, order)
     controller = _Correcting(world, motion, about.gains, problem.control_bounds)
     found = None
     if scenario.contact == "compliant":
@@ -294,14 +295,14 @@ def close_gaps(
 
     The first one that costs hardly more than the motion counts, or the best: near its states, where
     gaps between them are closed by whole steps or by wary ones, or near its controls alone. In
-    space, contact may get lost as gaps are closed, so controls come first. Other arguments are
-    those of `ShootingProblem.solve`.
+    space, contact may get lost as gaps are closed, so controls come first, unless steps are of
+    another order, in which they lead elsewhere. Others are arguments of `ShootingProblem.solve`.
     """
     ways = [(states, options)]
     if states is not None:
         alone, wary = (None, options), (states, dataclasses.replace(options, is_wary=True))
-        is_in_space = isinstance(problem.mechanism, TreeMechanism)
-        ways = [alone, *ways] if is_in_space else [*ways, wary, alone]
+        is_known = isinstance(problem.mechanism, TreeMechanism) and options.order == motion.order
+        ways = [alone, *ways, wary] if is_known else [*ways, wary, alone]
     tried = []
     for way in ways:
         found = problem.solve(controls, *way, prices)

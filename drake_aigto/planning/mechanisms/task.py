@@ -153,9 +153,13 @@ class MechanismTask(PosedMechanism):
 
     def refine(self, motion: ShootingResult) -> Aim:
         """Returns steps that resolve a motion's contacts better: implicit ones, or half as long."""
-        if self._rubs_in_space and motion.order != IMPLICIT:
+        if self._is_stiff(motion):
             return Aim(substeps=motion.substeps, order=IMPLICIT)
         return Aim(substeps=2 * motion.substeps, order=motion.order)
+
+    def _is_stiff(self, motion: ShootingResult) -> bool:
+        """Returns whether explicit steps of a motion soften the friction of shapes in space."""
+        return self._rubs_in_space and motion.order != IMPLICIT
 
     @property
     def _is_sliding(self) -> bool:
@@ -241,7 +245,11 @@ class MechanismTask(PosedMechanism):
         has_friction, num_steps = self.mechanism.has_friction, self.scenario.num_steps
         if self._slides_in_plane:
             motion = self._tighten(motion, FINEST)
-        elif len(motion.controls) < num_steps or motion.substeps < POLISH.substeps:
+        elif (
+            len(motion.controls) < num_steps
+            or motion.substeps < POLISH.substeps
+            or self._is_stiff(motion)
+        ):
             motion = self.tighten(motion)
         problem = self.shooting(num_steps)
         if self.world.dry_friction is not None:
