@@ -161,20 +161,6 @@ def test_a_gradient_solver_finds_nothing_better_near_a_swing_up() -> None:
     assert rival.fun > result.cost * (1 - 1e-6)
 
 
-def test_a_bounded_control_in_other_units_leads_to_the_same_motion() -> None:
-    mechanism, options = soft("pendulum"), replace(FINE, rungs=(Smoothing(1e-3, 12, 1e-9),))
-    costs = []
-    for unit in np.linspace(0.9, 1.0, 6):  # Sums are rounded otherwise.
-        tables = mechanism.mechanics._replace(actuation=mechanism.actuation / unit)
-        weights = {"QT": np.eye(1), "QTv": np.eye(1) / 20, "is_chordal": np.ones(1, dtype=bool)}
-        cost = weigh([np.pi], 1e-4 / unit**2, Q=np.zeros(1), Qv=np.zeros(1), **weights)
-        bounds = unit * np.array([[-16.0], [16.0]])
-        scaled = replace(mechanism, mechanics=tables)
-        problem = pose(scaled, cost, [0.0, 1.0], N=50, T=2.0, control_bounds=bounds)
-        costs.append(problem.solve(np.zeros((50, 1)), None, options).cost)
-    assert costs == pytest.approx(np.full(6, costs[0]), rel=1e-9)
-
-
 def test_a_guess_of_states_is_followed_and_its_gaps_are_closed() -> None:
     problem = pose(soft("cart-pole"), weigh([0.3, np.pi]), np.zeros(4))
     share = np.linspace(0, 1, 31)[:, None]

@@ -154,9 +154,8 @@ def _solve_box(
             slope[i] = g[i]
             for j in range(size):
                 slope[i] += H[i, j] * du[j]
-            # A trial that was cut to a bound is this difference exactly; the sum may be rounded.
-            at_lower = du[i] <= lower[i] - u[i] and slope[i] > 0.0
-            at_upper = du[i] >= upper[i] - u[i] and slope[i] < 0.0
+            at_lower = u[i] + du[i] <= lower[i] and slope[i] > 0.0
+            at_upper = u[i] + du[i] >= upper[i] and slope[i] < 0.0
             is_free[i] = not (at_lower or at_upper)
             step[i] = -slope[i] if is_free[i] else 0.0
         if not _factor_free(size, 0.0, H, is_free, factor):
