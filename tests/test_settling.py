@@ -71,7 +71,7 @@ def test_a_motion_that_costs_somewhat_more_in_shorter_steps_is_followed_on(
 
 
 @pytest.mark.parametrize(
-    ("order", "ways"), [(IMPLICIT, ["alone", "whole", "wary"]), (4, ["whole", "wary", "alone"])]
+    ("order", "ways"), [(IMPLICIT, ["alone", "wary", "whole"]), (4, ["whole", "wary", "alone"])]
 )
 def test_steps_of_another_order_begin_from_the_states(order: int, ways: list[str]) -> None:
     problem, found = Problem([50 * COST]), motion(COST, 4)

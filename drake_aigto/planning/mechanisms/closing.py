@@ -295,14 +295,14 @@ def close_gaps(
 
     The first one that costs hardly more than the motion counts, or the best: near its states, where
     gaps between them are closed by whole steps or by wary ones, or near its controls alone. In
-    space, contact may get lost as gaps are closed, so controls come first, unless steps are of
-    another order, in which they lead elsewhere. Others are arguments of `ShootingProblem.solve`.
+    space, contact may get lost as gaps are closed, so controls and wary steps come first, unless
+    steps are of another order, where controls fail. Others are as in `ShootingProblem.solve`.
     """
     ways = [(states, options)]
     if states is not None:
         alone, wary = (None, options), (states, dataclasses.replace(options, is_wary=True))
         is_known = isinstance(problem.mechanism, TreeMechanism) and options.order == motion.order
-        ways = [alone, *ways, wary] if is_known else [*ways, wary, alone]
+        ways = [alone, wary, *ways] if is_known else [*ways, wary, alone]
     tried = []
     for way in ways:
         found = problem.solve(controls, *way, prices)
