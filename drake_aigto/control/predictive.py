@@ -107,8 +107,7 @@ class ModelPredictiveController(LoopController):
             planner: of balls between rigid walls, or of a mechanism; its task and options are
                 compiled once more.
             period: between ticks [s].
-            horizon: whether it always lasts as long as the scenario, or ends with it. A goal with a
-                velocity is passed only where it ends: one that recedes never arrives there.
+            horizon: always as long as the scenario, or ending with it, as goals with velocity need.
             iterations: of the descent in a tick, at most; balls between rigid walls have none, and
                 mechanisms there up to five times as many, or a fixed number where these lead to
                 nothing. None: as many as take half of a period, at most 15, measured at the start;
