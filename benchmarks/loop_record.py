@@ -44,7 +44,7 @@ WORLDS = (
     *("acrobot/swing_up", "pushed_block/slide"),
 )
 METHODS = ("open loop", "TVLQR", "tracking", "planning again", "MPPI")
-# Factors of masses, friction and stiffness; walls are as much nearer, of the task's length.
+# Factors of masses, friction and stiffness; walls are as much nearer, of their room (`find_room`).
 OFF = (0.2, -0.2, 0.1, -0.1, 0.05, -0.05)
 NOISES = (2e-3, 5e-3)  # [m, rad], and ten times as much of velocities [1/s]
 DELAYS = (0.01, 0.02, 0.04)  # [s]
@@ -243,7 +243,7 @@ def list_disturbances(
         "kick": KICK * scales.velocity * rng.normal(size=n),
         "kick_time": float(rng.uniform(0.1, 0.7) * scenario.duration),
     }
-    walls = _can_move_walls(world, scenario)
+    walls = find_room(world, scenario)
     for size in NOISES:
         yield f"noise {1e3 * size:g}", Disturbance(noise=size * noise, seed=seed)
     yield "kick", Disturbance(**kick)
@@ -258,7 +258,7 @@ def list_disturbances(
     if world.frictions:
         everything["friction_factor"] = 1 + 0.1 * signs[1]
     if walls:
-        everything["wall_shift"] = 0.05 * signs[2] * scales.length
+        everything["wall_shift"] = 0.05 * signs[2] * walls
     yield "all at once", Disturbance(**everything)
     if seed:
         return
@@ -271,18 +271,23 @@ def list_disturbances(
         if world.frictions:
             yield f"friction {off:+g}", Disturbance(friction_factor=1 + off)
         if walls:
-            yield f"wall {off:+g}", Disturbance(wall_shift=off * scales.length)
+            yield f"wall {off:+g}", Disturbance(wall_shift=off * walls)
         if scenario.contact == "compliant":
             yield f"stiffness {off:+g}", Disturbance(stiffness_factor=1 + off)
 
 
-def _can_move_walls(world: World, scenario: Scenario) -> bool:
-    """Returns whether there are walls, each of one face that stands still."""
+def find_room(world: World, scenario: Scenario) -> float:
+    """Returns how far off the nearest wall is at the start or the goal, where it is farther [m].
+
+    0 if there are none, if both touch one, or if not all have one face each that stands still.
+    """
     try:
         Disturbance(wall_shift=1e-3).apply(world, scenario)
     except AigtoError:
-        return False
-    return True
+        return 0.0
+    ends = np.stack([scenario.initial_position, scenario.goal_position])
+    room = float(np.min(np.max(world.calc_signed_distance(ends), axis=0)))
+    return room if room > 1e-9 else 0.0
 
 
 def list_jobs(names: Sequence[str], seeds: int) -> list[Job]:
