@@ -153,7 +153,8 @@ class SpaceFriction:
         """Gives shapes one coefficient for sticking and sliding, in this context only."""
         source = self._plant.get_source_id()
         for shape in dict.fromkeys(s for pair in self._pairs for s in pair.shapes):
-            own = read_material(self._scene_graph, root, shape).GetProperty(*FRICTION)
+            properties = read_material(self._scene_graph, root, shape)
+            own = properties.GetProperty(*FRICTION)  # It lives no longer than the properties.
             value = own.dynamic_friction() if friction is None else friction
             if (own.static_friction(), own.dynamic_friction()) != (value, value):
                 material = CoulombFriction(value, value)
