@@ -24,7 +24,13 @@ from drake_aigto.planning import (
     make_mechanism_task,
     make_trajectory,
 )
-from drake_aigto.shooting import ShootingOptions, ShootingProblem, ShootingResult, Smoothing
+from drake_aigto.shooting import (
+    IMPLICIT,
+    ShootingOptions,
+    ShootingProblem,
+    ShootingResult,
+    Smoothing,
+)
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import Scenario, SpaceWorld, TaskCost
@@ -138,7 +144,8 @@ class CompliantHorizon(_ShootingHorizon):
         self._has_friction = self._problem.mechanism.has_friction
         substeps, order = _SUBSTEPS, 2
         if self._has_friction:
-            substeps, order = _FRICTION_STEPS, 4
+            is_in_space = isinstance(self.world, SpaceWorld)
+            substeps, order = _FRICTION_STEPS, IMPLICIT if is_in_space else 4
         is_light = self._has_friction or isinstance(self.world, SpaceWorld)
         smoothing = _LIGHT if is_light else _SMOOTHING
         rungs = (Smoothing(smoothing, iterations, _TOLERANCE),)
