@@ -173,7 +173,7 @@ def test_an_arm_of_seven_joints_pushes_a_box_in_drake_as_the_search_says() -> No
 
 @pytest.mark.slow  # 18 CPU s, compiled.
 def test_servos_that_follow_a_line_bring_a_quadruped_to_its_feet_in_drake_too() -> None:
-    planner = Planner(Scenario.named("quadruped/leap_up"), PlanOptions(search_substeps=32))
+    planner = Planner(Scenario.named("quadruped/leap_up"), PlanOptions(search_substeps=16))
     task, world = planner.task, planner.world
     assert isinstance(task, MechanismTask)
     found = task.tighten(task.close(task.guesses.plain("line", 0.0, has_states=False), Aim()))
