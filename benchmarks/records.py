@@ -110,8 +110,8 @@ RECORDS: Mapping[str, str] = {
     " cart_pole/soft_06 --count 100 --workers 2 --minutes 14",
     "loop_record": "python -m benchmarks.loop_record --only table1,corridor,room,floor,soft,block"
     " --workers 1 --minutes 12",
-    "estimated": "python -m benchmarks.estimated --workers 1 --minutes 12",
-    "held": "python -m benchmarks.held --workers 1 --minutes 40",
+    "estimated": "python -m benchmarks.estimated --workers 1 --minutes 25",
+    "held": "python -m benchmarks.held --workers 1 --minutes 70",
     "loop_speed": "python -m benchmarks.loop_speed",
     "live_latency": "python -m benchmarks.live_latency",
     "loops_changing": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --changing"
