@@ -63,6 +63,15 @@ def test_what_differs_from_the_model_is_found() -> None:
     assert known.deviations[0] < 0.1
 
 
+@pytest.mark.parametrize("scenario", [BALL, Scenario.named("pendulum/off_the_wall")])
+@pytest.mark.parametrize("shift", [0.03, -0.03])
+def test_a_rigid_wall_is_as_near_as_it_is_said_to_be(scenario: Scenario, shift: float) -> None:
+    world = World.from_scenario(scenario)
+    truth = Disturbance(mass_factor=1.2, wall_shift=shift).apply(world, scenario)
+    known = watch(ModelEstimate.of(world, scenario, ["mass", "walls"]), truth, count=60)
+    check(known, [1.2, shift])
+
+
 @pytest.mark.slow
 def test_noise_does_not_pass_for_another_model() -> None:
     world = World.from_scenario(POLE)

@@ -27,8 +27,9 @@ _NOISE = 2e-3, 1e-2
 _LARGE = 3.0
 # What is seen counts e times less after this number of samples.
 _WINDOW = 100.0
-# Predictions are linear in what is unknown this far from where the model was built, in its units.
-_LINEAR = 0.1
+# Predictions are differentiated over this share of a parameter's unit, and linear as far from where
+# the model was built; no sample tells more than the second one.
+_LINEAR, _CURVED = 0.1, 0.05
 # The model is built anew so often at one sample, at most.
 _PASSES = 3
 # Factors stay between these; walls and forces within this number of units.
@@ -59,12 +60,12 @@ class ModelEstimate:
 
     and p minimizes Σ wₖ ‖x − x̂(p)‖² / σ² + ‖p − p_model‖² / σ_p² with weights that fall by a factor
     e in a hundred samples, as Cauchy's for errors above 3 σ that doubts about p do not explain.
-    What bends about p₀, by second differences over what p is known to, counts as noise: of
-    covariance Σ b_i b_iᵀ beside σ², b_i = (x̂(p₀ + h_i) − 2x̂(p₀) + x̂(p₀ − h_i)) σ_i²/2h_i². So a
-    sample in which something begins to slip tells little while friction is not known (the
-    divided-difference filter of Nørgaard, Poulsen and Ravn, Automatica 2000, with central slopes).
-    Where p has left p₀ by a tenth of σ_p, or is known twice as well, the model is built anew, about
-    p, and that sample looked at again.
+    What is not linear counts as noise, of covariance Σ b_i b_iᵀ + Φ δ² Φᵀ beside σ²: no sample
+    tells p better than δ, and bends b_i = (x̂(p₀ + h_i) − 2x̂(p₀) + x̂(p₀ − h_i)) / 2 are taken as
+    far as p_i is in doubt, σ_i: they grow by (σ_i / h_i)². So a sample in which something begins to
+    slip tells little while friction is not known. (Second differences are those of Nørgaard,
+    Poulsen and Ravn's filter, Automatica 2000.) Where p has left p₀ by h, a tenth of σ_p, or by
+    half of its doubt σ, the model is built anew, about p, and that sample looked at again.
 
     Attributes:
         world: that the model was thought to be.
@@ -73,7 +74,6 @@ class ModelEstimate:
         values: p.
         information: of p, (P, P), and Σ wₖ Φᵀ(…) as it has been summed, (P,).
         about: p₀.
-        steps: h, by which parameters are changed: what p is known to, a tenth of σ_p at least.
         models: at p₀, at p₀ with each parameter higher, and with each lower.
     """
 
@@ -83,7 +83,6 @@ class ModelEstimate:
     values: Floats
     information: tuple[Floats, Floats]
     about: Floats
-    steps: Floats
     models: tuple[Model, ...]
 
     @classmethod
@@ -104,7 +103,7 @@ class ModelEstimate:
         usual = np.array([each.usual for each in parameters])
         precisions = np.array([each.unit for each in parameters]) ** -2.0
         empty = cls(world, scenario, parameters, usual, (np.diag(precisions), precisions * usual),
-                    usual, usual, ())  # fmt: skip
+                    usual, ())  # fmt: skip
         return empty._build()
 
     def __deepcopy__(self, memo: object) -> ModelEstimate:
@@ -148,10 +147,11 @@ class ModelEstimate:
 
     def _build(self) -> ModelEstimate:
         """Returns the same with models about its values."""
-        steps = np.maximum(self.deviations, _LINEAR * self._units)
-        changes = [np.zeros_like(steps), *np.diag(steps), *np.diag(-steps)]
-        models = tuple(self._change(self.values + change) for change in changes)
-        return dataclasses.replace(self, about=self.values, steps=steps, models=models)
+        steps = np.diag(_LINEAR * self._units)
+        changed = [self.values, *(self.values + steps), *(self.values - steps)]
+        return dataclasses.replace(
+            self, about=self.values, models=tuple(map(self._change, changed))
+        )
 
     def watch(self, samples: tuple[Floats, Floats], held: HeldControl) -> ModelEstimate:
         """Returns what is known after another sample.
@@ -165,17 +165,13 @@ class ModelEstimate:
         known = self
         for _ in range(_PASSES):
             found = known._update(samples, held, self)
-            linear = _LINEAR * self._units
-            is_near = np.abs(found.values - found.about) <= linear
-            is_fine = found.steps <= np.maximum(2.0 * found.deviations, linear)
-            if np.all(is_near & is_fine):
+            near = np.minimum(_LINEAR * self._units, found.deviations / 2.0)
+            if np.all(np.abs(found.values - found.about) <= near):
                 return found
             try:
                 known = found._build()
             except AigtoError:  # A wall that is nearer than the start, say.
                 return found
-            if np.all(is_near):
-                return known
         return known
 
     def _update(
@@ -183,18 +179,19 @@ class ModelEstimate:
     ) -> ModelEstimate:
         """Returns the same after a sample, linear about p₀, with what was known before it."""
         ends = [predict(model, samples[0], held) for model in self.models]
-        noise = np.repeat(_NOISE, self.world.num_velocities)
-        scales = noise * tangent_scales(self.world, self.scenario)
+        scales = tangent_scales(self.world, self.scenario)
+        scales = np.repeat(_NOISE, self.world.num_velocities) * scales
         errors = np.array(
             [self.world.calc_error(samples[1], end[0]) / scales for end in ends if end]
         )
         if len(errors) < len(ends):
             return self
         expected, (above, below) = errors[0], np.split(errors[1:], 2)
-        slopes = ((below - above) / (2.0 * self.steps[:, np.newaxis])).T
-        reach = (before.deviations / self.steps)[:, np.newaxis] ** 2
-        bends = 0.5 * ((above + below - 2.0 * expected) * reach).T
-        noise = np.eye(len(expected)) + bends @ bends.T
+        steps = _LINEAR * self._units
+        slopes = (below - above).T / (2.0 * steps)
+        bends = (above + below - 2.0 * expected).T * np.maximum(before.deviations / steps, 1.0) ** 2
+        spread = np.hstack([bends / 2.0, slopes * _CURVED * self._units])
+        noise = np.eye(len(expected)) + spread @ spread.T
         likely = noise + slopes @ np.linalg.solve(before.information[0], slopes.T)
         error = expected - slopes @ (before.values - self.about)
         trust = np.linalg.inv(noise)
