@@ -15,9 +15,9 @@ from shooting_problems import differ, pose
 from shooting_problems import weigh as weigh_effort
 
 from drake_aigto.contact import CompliantLaw, Mechanism, RigidLaw
-from drake_aigto.errors import ProgramError
+from drake_aigto.errors import OptionsError, ProgramError
 from drake_aigto.planning import MechanismTask, PlanOptions
-from drake_aigto.shooting import ShootingOptions, ShootingProblem, Smoothing
+from drake_aigto.shooting import IMPLICIT, ShootingOptions, ShootingProblem, Smoothing
 from drake_aigto.world import Scenario, TaskCost, World
 
 STICTION = 2  # Which of the numbers of friction the stiction speed is.
@@ -90,6 +90,12 @@ def test_the_error_falls_as_the_integrators_order_says(order: int, substeps: int
         coarse, fine, finest = map(measure, ends)
         found = np.log2(np.linalg.norm(coarse - fine) / np.linalg.norm(fine - finest))
         assert order - 0.3 < found < order + 0.3
+
+
+def test_implicit_steps_are_refused_where_there_is_no_tree_of_joints() -> None:
+    problem = pose(soft("pendulum"), weigh([np.pi]), np.zeros(2))
+    with pytest.raises(OptionsError, match=r"^order: got implicit steps in the plane .* 2 or 4"):
+        problem.simulate(np.zeros((30, 1)), 1, 0.0, IMPLICIT)
 
 
 def check_stationary(problem: ShootingProblem, controls: Any, order: int) -> None:

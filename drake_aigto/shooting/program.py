@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.contact import COEFFICIENT, SOURCE, AnyMechanism, copy_writable
+from drake_aigto.contact import COEFFICIENT, SOURCE, AnyMechanism, TreeMechanism, copy_writable
 from drake_aigto.dynamics import NO_FRAMES
+from drake_aigto.errors import OptionsError
 from drake_aigto.shooting.optimal_control import OptimalControlProblem, StageLayout
 from drake_aigto.shooting.tables import CHORDAL, EXACT, FLOW, MODULO, Bounds, CostTable, Program
 from drake_aigto.world import TaskCost
@@ -34,7 +35,14 @@ def make_program(problem: OptimalControlProblem, substeps: int, order: int) -> P
         problem: the task.
         substeps: Runge-Kutta steps of a stage.
         order: of their error, 4, 2 or `IMPLICIT`.
+
+    Raises:
+        OptionsError: implicit steps of what is no tree of joints, or has phases.
     """
+    is_tree = isinstance(problem.mechanism, TreeMechanism) and problem.phases is None
+    if order == IMPLICIT and not is_tree:
+        got, expected = "implicit steps in the plane or with phases", "an order of 2 or 4"
+        raise OptionsError("order", got, expected)
     layout = problem.layout
     closed, leans, restitutions = _find_closed(layout, problem.mechanism)
     times = problem.times if problem.phases is None else None
