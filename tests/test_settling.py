@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -48,9 +48,8 @@ def motion(cost: float, substeps: int, is_left: bool = False) -> Any:
 
 
 def follow(costs: list[float], monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Problem]:
-    steady = "drake_aigto.planning.mechanisms.closing.steady"
-    monkeypatch.setattr(steady, lambda world, scenario, problem, found: found)
-    nothing: Any = None
+    name, nothing = "drake_aigto.planning.mechanisms.closing.steady", cast(Any, None)
+    monkeypatch.setattr(name, lambda world, scenario, problem, found: found)
     problem: Any = Problem(costs)
     return settle(nothing, nothing, problem, motion(COST, 4), np.inf), problem
 

@@ -86,10 +86,9 @@ class Summand:
         """Returns factor · (formula − target) as the summands that the formula adds up."""
         e, binding, index = self.expression, self.binding, self.index
         found = operands(e) if e.get_kind() == ExpressionKind.Add else [e]
-        targets = itertools.chain([target], itertools.repeat(0.0))
         return [
-            Summand(binding, part, index, _read(part, index), factor, own)
-            for part, own in zip(found, targets, strict=False)
+            Summand(binding, part, index, _read(part, index), factor, 0.0 if i else target)
+            for i, part in enumerate(found)
         ]
 
 

@@ -142,11 +142,11 @@ class CompliantHorizon(_ShootingHorizon):
         super().__init__(planner, is_receding, period)
         self._problem = self._pose()
         self._has_friction = self._problem.mechanism.has_friction
+        is_in_space = isinstance(self.world, SpaceWorld)
         substeps, order = _SUBSTEPS, 2
         if self._has_friction:
-            is_in_space = isinstance(self.world, SpaceWorld)
             substeps, order = _FRICTION_STEPS, IMPLICIT if is_in_space else 4
-        is_light = self._has_friction or isinstance(self.world, SpaceWorld)
+        is_light = self._has_friction or is_in_space
         smoothing = _LIGHT if is_light else _SMOOTHING
         rungs = (Smoothing(smoothing, iterations, _TOLERANCE),)
         self._options = ShootingOptions(rungs, substeps, order=order, multiplier_updates=1)

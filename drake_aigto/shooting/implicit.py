@@ -20,8 +20,9 @@ from drake_aigto.kernels import borrowing
 from drake_aigto.shooting.stages import accelerate_stage, bend
 from drake_aigto.shooting.tables import FlowMemory
 
-# Newton's method ends at this share of squares of velocities, or after so many evaluations; steps
-# that do not lower the residual are shortened by this factor, down to this length.
+# Newton's method ends once the residual's square is below this share of the velocities' squares, or
+# after `_MOST` evaluations. A Newton step that raises the residual is shortened by this factor, and
+# again, until it is as short as `_SHORTEST` of itself.
 _TOLERANCE, _MOST, _SHORTER, _SHORTEST = 1e-20, 30, 0.3, 1e-3
 
 

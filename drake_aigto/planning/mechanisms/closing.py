@@ -391,8 +391,10 @@ def settle(
             return best
         lost = _WRECKED * max(motion.cost, _EXACT * problem.cost_scale)
         rungs = tuple(each._replace(most=lost) for each in IN_SPACE)
-        steps = 2 * motion.substeps, motion.order
-        options = ShootingOptions(rungs, *steps, most_promised=min(most, lost))
+        substeps, promised = 2 * motion.substeps, min(most, lost)
+        options = dataclasses.replace(
+            options, rungs=rungs, substeps=substeps, most_promised=promised
+        )
 
 
 def _rank_settled(motion: ShootingResult) -> tuple[bool, float]:
