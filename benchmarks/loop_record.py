@@ -11,7 +11,8 @@ Controllers: the plan's control alone; a time-varying LQR as one writes it by ha
 about the smooth dynamics, compliant walls included; `TrackingController`;
 `ModelPredictiveController` from the same plan; and MPPI, which moves the plan's control to samples
 about it, by their cost in our own simulation. The tracker and what plans again are told the delay
-and the limits of actuators.
+and the limits of actuators. Where states are measured with noise, all of these get them from a
+`StateFilter`.
 """
 
 from __future__ import annotations
@@ -348,7 +349,9 @@ def simulate(
     for method in methods:
         controller = make_controller(method, prepared, disturbance)
         try:
-            loop = run_in_loop(controller, plan.scenario, world, disturbance, end)
+            filters = bool(disturbance.noise.any()) and method != "open loop"
+            about = controller, plan.scenario, world, disturbance, end
+            loop = run_in_loop(*about, filters=filters)
         except AigtoError as error:
             print(f"{name}, {what}, seed {seed}: {method}: {error}", flush=True)
             loop = None

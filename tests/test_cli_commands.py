@@ -293,6 +293,7 @@ def test_control_says_that_it_was_interrupted(
         (["table1/1", "--kick", "0.3", "--kick-time", "0"], "--kick: got no --kick-time above 0"),
         (["table1/1", "--delay", "9"], "delay: got 9 s, expected less than the run's 1 s"),
         (["table1/1", "--noise-seed", "2"], "--noise-seed: got no --noise"),
+        (["table1/1", "--filter"], "--filter: got no --noise"),
         (["table1/1", "--renewals", "4"], "renewals: got 4 for balls between rigid walls"),
         (["table1/1", "--port", "0"], "--port: got no --live"),
         (["table1/1", "--method", "tracking", "--search-every", "3"], "--search-every: got"),

@@ -233,6 +233,8 @@ def _add_controller(group: Any) -> None:
         "(default: receding if --seconds is longer than the scenario)"
     )
     group.add_argument("--horizon", choices=["shrinking", "receding"], help=text)
+    text = "filter the noise by the model, before the controller"
+    group.add_argument("--filter", action="store_true", help=text)
     text = "the most renewals of a search (default: the planner's)"
     group.add_argument("--renewals", type=natural, metavar="N", help=text)
 
@@ -263,7 +265,8 @@ def _control(options: argparse.Namespace) -> int:
         if options.seconds is None and isinstance(controller, TrackingController):
             duration = float(controller.plan.trajectory.times[-1])
         with hear_ctrl_c(KEEPING):
-            run = run_in_loop(controller, scenario, world, disturbance, duration, meshcat, progress)
+            about = controller, scenario, world, disturbance, duration, meshcat, progress
+            run = run_in_loop(*about, filters=options.filter)
     status = _answer_run(options, run, meshcat)
     if isinstance(controller, TrackingController) and controller.plan.is_interrupted:
         print(f"of the plan: {show.INTERRUPTED}", flush=True)
@@ -276,6 +279,7 @@ def _check_flags(options: argparse.Namespace, disturbance: Disturbance) -> None:
     needs = {
         "--kick": (not disturbance.kick.any() or disturbance.kick_time > 0, "--kick-time above 0"),
         "--kick-time": ("kick_time" not in options or disturbance.kick.any(), "--kick"),
+        "--filter": (not options.filter or disturbance.noise.any(), "--noise"),
         "--noise-seed": (options.seed is None or disturbance.noise.any(), "--noise"),
         "--port": (options.port is None or options.live, "--live"),
     }

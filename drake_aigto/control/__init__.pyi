@@ -2,6 +2,7 @@ from .catch import Bridge as Bridge
 from .catch import Catch as Catch
 from .estimation import ModelEstimate as ModelEstimate
 from .estimation import ModelEstimator as ModelEstimator
+from .filtering import StateFilter as StateFilter
 from .horizon import Horizon as Horizon
 from .loop import LoopRecorder as LoopRecorder
 from .loop import run_in_loop as run_in_loop

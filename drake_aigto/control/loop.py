@@ -14,8 +14,9 @@ from pydrake.systems.primitives import Adder, DiscreteTimeDelay, Saturation, Tra
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
+from drake_aigto.control.filtering import StateFilter
 from drake_aigto.control.loop_run import ClosedLoopRun, Disturbance, PlannedPath, PlanSwitch
-from drake_aigto.control.ports import LoopController, TickStatus
+from drake_aigto.control.ports import OFTEN, LoopController, TickStatus
 from drake_aigto.control.predictive import ModelPredictiveController
 from drake_aigto.control.tracking import TrackingController
 from drake_aigto.errors import ControlError, ModelError
@@ -174,6 +175,7 @@ def run_in_loop(
     duration: float | None = None,
     meshcat: Meshcat | None = None,
     progress: Callable[[str], None] | None = None,
+    filters: bool = False,
 ) -> ClosedLoopRun:
     """Simulates a world's plant under a controller, as Drake users run it, and records all of it.
 
@@ -189,10 +191,13 @@ def run_in_loop(
         duration: how long to simulate [s]; None: the scenario's.
         meshcat: shows the plant as it moves, in real time, if given.
         progress: called with a line of text from time to time.
+        filters: whether a `StateFilter` that knows how large the noise is stands before the
+            controller.
 
     Raises:
-        ControlError: the disturbance does not fit, its kick or all its commands come after the end,
-            the duration is not above zero, or the controller is for another plant.
+        ControlError: the disturbance does not fit, there is no noise to filter, its kick or all its
+            commands come after the end, the duration is not above zero, or the controller is for
+            another plant.
         ModelError: a world of a diagram of one's own, which has no ports to connect: connect the
             controller there.
         ScenarioError: what is true does not fit, such as a start inside a wall.
@@ -201,7 +206,8 @@ def run_in_loop(
     scenario, disturbance = world.place(scenario), disturbance or Disturbance()
     end = _check_duration(duration, scenario, disturbance)
     true_world, true = disturbance.apply(world, scenario)
-    diagram = _connect(true_world, controller, disturbance, end, meshcat)
+    quiet = _make_filter(world, scenario, disturbance, controller) if filters else None
+    diagram = _connect(true_world, controller, disturbance, end, meshcat, quiet)
     plant_world = true_world.of_diagram(diagram)
     plant_world.check(true)
     simulator, contacts = start_plant(plant_world, true, (0.0, true.duration))
@@ -227,8 +233,9 @@ def _connect(
     disturbance: Disturbance,
     end: float,
     meshcat: Meshcat | None,
+    quiet: StateFilter | None,
 ) -> Diagram:
-    """Returns a diagram of a copy of the plant, and the controller."""
+    """Returns a diagram of a copy of the plant, and the controller, with a filter before it."""
     builder = DiagramBuilder()
     plant: Any = builder.AddSystem(world.diagram.Clone())
     if not all(plant.HasOutputPort(name) for name in ("state", "contact_results", "query")):
@@ -243,6 +250,10 @@ def _connect(
     state = plant.GetOutputPort("state")
     if disturbance.noise.any():
         state = _add_noise(builder, state, disturbance, controller.period, end)
+    if quiet is not None:
+        builder.AddSystem(quiet)
+        builder.Connect(state, quiet.GetInputPort("measured_state"))
+        state = quiet.get_output_port()
     builder.Connect(state, controller.get_input_port_estimated_state())
     control = controller.get_output_port_control()
     if disturbance.delay:
@@ -252,12 +263,25 @@ def _connect(
         builder.Connect(control, cut.get_input_port())
         control = cut.get_output_port()
     builder.Connect(control, plant.GetInputPort("actuation"))
+    if quiet is not None:
+        builder.Connect(control, quiet.GetInputPort("control"))
     if controller.HasInputPort("contact_results"):
         felt = controller.GetInputPort("contact_results")
         builder.Connect(plant.GetOutputPort("contact_results"), felt)
     if meshcat is not None:
         MeshcatVisualizer.AddToBuilder(builder, plant.GetOutputPort("query"), meshcat)
     return builder.Build()
+
+
+def _make_filter(
+    world: World, scenario: Scenario, disturbance: Disturbance, controller: LoopController
+) -> StateFilter:
+    """Returns a filter of what the controller samples."""
+    if not disturbance.noise.any():
+        expected = "noise of the estimated state"
+        raise ControlError("filters", got="a disturbance without noise", expected=expected)
+    often = min(controller.period, scenario.time_step / OFTEN)
+    return StateFilter(world, scenario, disturbance.noise, controller.period, often)
 
 
 def _add_delay(builder: DiagramBuilder, control: OutputPort, delay: float) -> OutputPort:
