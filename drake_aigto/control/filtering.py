@@ -101,7 +101,9 @@ class StateFilter(LeafSystem):
             expected = f"standard deviations of q and v, {nx} numbers, some above zero"
             raise ControlError("noise", got=self._noise.tolist(), expected=expected)
         self.period = check_seconds("period", period, is_positive=True)
-        often = check_seconds("control_period", control_period or period, is_positive=True)
+        often = check_seconds(
+            "control_period", period if control_period is None else control_period, is_positive=True
+        )
         _, scales = np.split(tangent_scales(world, scenario), 2)
         self._unknown = _UNKNOWN**2 * scales**2 / Scales.of(world, scenario).time
         self._measured = self.DeclareVectorInputPort("measured_state", nx)
