@@ -421,3 +421,19 @@ def test_ctrl_c_ends_all_penalties_and_says_so(monkeypatch: pytest.MonkeyPatch) 
     details = solve(prog).get_solver_details()
     assert details.status is AigoStatus.INTERRUPTED
     assert len(stages) == 1
+
+
+def test_a_search_that_is_interrupted_before_any_point_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("drake_aigto.solver.solve.Solve._search", interrupt)
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(1)
+    prog.AddBoundingBoxConstraint(-1.0, 1.0, x)
+    prog.AddCost(x[0] ** 4 - x[0])
+    result = AigoSolver().Solve(prog)
+    assert not result.is_success()
+    assert result.get_solver_details().status is AigoStatus.INTERRUPTED

@@ -128,7 +128,7 @@ class AigoStatus(enum.Enum):
         "sign"
     )
     NOT_FINITE = "the cost is not finite in any box: bound the variables to where it is"
-    INTERRUPTED = "interrupted: the answer is the best so far"
+    INTERRUPTED = "interrupted: the answer is the best so far, if there is any"
 
 
 # All others are solutions.

@@ -157,7 +157,7 @@ class Solve:
         best = self._answers.best
         if best is None:
             x = self._program.answer(self._first.center)
-            return x, np.inf, AigoDetails.of_nothing(AigoStatus.NOT_FINITE, x)
+            return x, np.inf, AigoDetails.of_nothing(status or AigoStatus.NOT_FINITE, x)
         return best.x, self._program.cost(best.x), self._details(best, status or self._judge(best))
 
     def _search(self) -> None:
