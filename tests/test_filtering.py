@@ -155,6 +155,16 @@ def test_a_turn_in_space_is_filtered() -> None:
     assert np.linalg.norm(found[-1][:4]) == pytest.approx(1.0)
 
 
+def test_no_command_answers_a_bounce_with_what_was_before_it() -> None:
+    """It would take 54 N for a moment: felt and filtered, a bounce is not at the same time."""
+    rebound = plan("floor/rebound")
+    noise = Disturbance(noise=np.array([2e-3, 2e-2]))
+    controller = TrackingController(rebound)
+    loop = run_in_loop(controller, rebound.scenario, disturbance=noise, filters=True)
+    assert np.max(np.abs(loop.controls)) < 3.0
+    assert loop.cost < 1.2 * rebound.cost
+
+
 @pytest.mark.parametrize("again", [False, True])
 def test_a_loop_costs_less_with_a_filter(again: bool) -> None:
     base, planner = plan("table1/1"), Planner(BALL)

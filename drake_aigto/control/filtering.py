@@ -59,7 +59,9 @@ class StateFilter(LeafSystem):
     sample that is not finite goes through as it is, so that a controller sees it.
 
     Input ports: `measured_state`, q and v; and `control`, u as it acts on the plant. Output port:
-    `estimated_state`, q and v of now; between samples, as the model leads the last estimate on.
+    `estimated_state`, q and v of now; between samples, as the model leads the last estimate on. Of
+    a `TrackingController` behind it leave `contact_results` unconnected: the plant feels a bounce a
+    moment before or after the filter has it, and only what the tracker sees in its estimates fits.
 
         quiet = builder.AddSystem(StateFilter(world, scenario, noise, period=0.01))
         builder.Connect(plant.get_state_output_port(), quiet.GetInputPort("measured_state"))

@@ -265,7 +265,8 @@ def _connect(
     builder.Connect(control, plant.GetInputPort("actuation"))
     if quiet is not None:
         builder.Connect(control, quiet.GetInputPort("control"))
-    if controller.HasInputPort("contact_results"):
+    # Bounces are counted where the filter sees them, or a command answers one with the other.
+    if quiet is None and controller.HasInputPort("contact_results"):
         felt = controller.GetInputPort("contact_results")
         builder.Connect(plant.GetOutputPort("contact_results"), felt)
     if meshcat is not None:
