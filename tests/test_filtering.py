@@ -22,6 +22,7 @@ from drake_aigto import (
 )
 from drake_aigto.control import Disturbance, StateFilter, run_in_loop
 from drake_aigto.errors import ControlError
+from drake_aigto.show import format_run
 from drake_aigto.simulation import EVENT_DRIVEN, HeldControl, tangent_scales
 from drake_aigto.world import Scales
 
@@ -161,6 +162,7 @@ def test_no_command_answers_a_bounce_with_what_was_before_it() -> None:
     noise = Disturbance(noise=np.array([2e-3, 2e-2]))
     controller = TrackingController(rebound)
     loop = run_in_loop(controller, rebound.scenario, disturbance=noise, filters=True)
+    assert loop.is_filtered and "(seed 0), filtered before the controller" in format_run(loop)
     assert np.max(np.abs(loop.controls)) < 3.0
     assert loop.cost < 1.2 * rebound.cost
 

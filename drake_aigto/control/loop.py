@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable
 from typing import Any
@@ -216,7 +217,8 @@ def run_in_loop(
         simulator.set_target_realtime_rate(1.0)
     recorder = LoopRecorder(plant_world, controller, contacts, end, progress)
     is_interrupted = _advance(simulator, recorder, disturbance, end)
-    return recorder.read(world, scenario, true, disturbance, is_interrupted)
+    run = recorder.read(world, scenario, true, disturbance, is_interrupted)
+    return dataclasses.replace(run, is_filtered=filters)
 
 
 def _check_duration(duration: float | None, scenario: Scenario, disturbance: Disturbance) -> float:

@@ -252,6 +252,7 @@ class ClosedLoopRun:
         ticks: what each tick of `ModelPredictiveController` said; of tracking, none.
         switches: when it changed its mind.
         is_interrupted: whether Ctrl-C ended it; then it is what happened by then.
+        is_filtered: whether a `StateFilter` stood before the controller.
         known_world: see `world`; files do not have it (`load`).
     """
 
@@ -266,6 +267,7 @@ class ClosedLoopRun:
     ticks: tuple[TickStatus, ...]
     switches: tuple[PlanSwitch, ...]
     is_interrupted: bool
+    is_filtered: bool = False
     known_world: World | None = field(default=None, compare=False, repr=False, metadata=LEFT_OUT)
 
     def __post_init__(self) -> None:

@@ -44,7 +44,7 @@ def run_facts(run: ClosedLoopRun) -> Iterator[Fact]:
     yield "simulation", f"in Drake's Simulator, {where}; {_METHODS[run.method]}"
     if run.is_interrupted:
         yield "interrupted", CUT_SHORT
-    d = run.disturbance
+    d, filtered = run.disturbance, ", filtered before the controller" if run.is_filtered else ""
     disturbed = {
         f"start off by {weight_text(d.start_offset)}": d.start_offset.any(),
         f"masses times {d.mass_factor:g}": d.mass_factor != 1,
@@ -52,7 +52,7 @@ def run_facts(run: ClosedLoopRun) -> Iterator[Fact]:
         f"walls {1e3 * d.wall_shift:g} mm nearer": d.wall_shift,
         f"restitution times {d.restitution_factor:g}": d.restitution_factor != 1,
         f"a kick of {weight_text(d.kick)} at {d.kick_time:g} s": d.kick.any(),
-        f"noise of {weight_text(d.noise)} (seed {d.seed})": d.noise.any(),
+        f"noise of {weight_text(d.noise)} (seed {d.seed}){filtered}": d.noise.any(),
         f"commands {1e3 * d.delay:g} ms late": d.delay,
         f"stiffness times {d.stiffness_factor:g}": d.stiffness_factor != 1,
         f"commands cut at {d.saturation.tolist()}": d.saturation.any(),
