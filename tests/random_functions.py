@@ -50,6 +50,7 @@ UNARY: tuple[Callable[..., Any], ...] = (
     lambda m, a: m.atan(a),
     lambda m, a: m.exp(m.sin(a)),
     lambda m, a: m.log(1.0 + a * a),
+    lambda m, a: (0.1 + m.abs(a)) * m.log(0.1 + m.abs(a)),
     lambda m, a: m.pow(2.0 + m.cos(a), 1.3),
     lambda m, a: m.sqrt(0.5 + a**2),
     lambda m, a: m.pow(m.abs(a), 1.5),

@@ -212,6 +212,8 @@ SMALL, TINY = -8.437660688527946e-86, -3.8056667485585995e-75
             [1.7406e-08, 8.4e-83, TINY],
             1.74e-08,
         ),
+        # 0 log 0 = 0, and so are its multiples.
+        (lambda x: x, (lambda x: 0.5 * x * sym.log(0.5 * x), -1e-15, 1e-15), -5.0, 0.0, 0.0),
         # A root that is 0 at an end: its slope there has no value.
         (lambda x: x, (lambda x: sym.sqrt(sym.abs(sym.cos(x))), 0.5, 0.9), 0.0, 3.0, 0.63),
         # Poles within cells, across which slopes say nothing.
@@ -236,6 +238,17 @@ def test_edges_of_numbers_and_of_domains_bring_no_false_claim(
         found = certify(prog, cells=cells)
         assert not found.is_infeasible
         assert found.lower_bound <= least + 1e-9 * abs(least)
+
+
+@pytest.mark.parametrize("size", [1, 5])
+@pytest.mark.parametrize(("sign", "least"), [(1.0, -math.exp(-1.0)), (-1.0, 0.0)])
+def test_x_log_x_is_0_at_0(size: int, sign: float, least: float) -> None:
+    prog, x = box(size, 0.0, 1.0)
+    for own in x:
+        add_cost(prog, sign * own * sym.log(own))
+    found = certify(prog)
+    assert found.gap <= 1e-6
+    assert size * least - 1e-5 <= found.lower_bound <= size * least + 1e-15
 
 
 def test_a_fixed_point_that_meets_a_row_only_nearly_is_an_answer_without_a_proof() -> None:

@@ -111,6 +111,7 @@ ONE = {
     "power -0.3": lambda m, x: m.pow(x, -0.3),
     "exp": lambda m, x: m.exp(x),
     "log": lambda m, x: m.log(x),
+    "x log x": lambda m, x: x * m.log(x),
     "sin": lambda m, x: m.sin(x),
     "cos": lambda m, x: m.cos(x),
     "tanh": lambda m, x: m.tanh(x),
@@ -161,6 +162,7 @@ MPMATH: dict[Operation, Callable[..., Any]] = {
     Operation.MIN: lambda a, b, p, v: min(v[a], v[b]),
     Operation.ABS: lambda a, b, p, v: abs(v[a]),
     Operation.ATAN: lambda a, b, p, v: mpmath.atan(v[a]),
+    Operation.X_LOG: lambda a, b, p, v: v[a] * mpmath.log(v[a]),
 }
 
 

@@ -238,12 +238,15 @@ class CellSearch(BoundSearch):
         ends, outer = np.array([low.ravel(), high.ravel()]), np.tile(self._outer, count)
         keep = may_hold_minima(slopes.reshape(-1, 2), bends.reshape(-1, 2), ends, outer)
         bounds[~np.all(keep.reshape(low.shape), axis=1)] = np.inf
-        reach = high - low
-        is_near = np.all((low - reach <= self.best) & (self.best <= high + reach), axis=1)
+        with np.errstate(over="ignore"):  # Sides of some 1e308 reach everything.
+            reach = high - low
+            is_near = np.all((low - reach <= self.best) & (self.best <= high + reach), axis=1)
         centers = middles(low.ravel(), high.ravel()).reshape(low.shape)
         points = np.where(is_near[:, None], np.clip(self.best, low, high), centers)
-        found = bound_all(self._tape, 0, (low, high), points, np.zeros_like(low), False)
-        np.maximum(bounds, found, out=bounds)
+        sides = np.zeros((5, low.size))
+        sides[:3] = low.ravel(), high.ravel(), points.ravel()
+        places = np.arange(low.size).reshape(low.shape)
+        np.maximum(bounds, bound_all(self._tape, 0, sides, places, False), out=bounds)
         values = enclose_all(self._tape, formulas, points, points, VALUE)[:, 0, 1]
         self.offer(points[(best := np.argmin(values))], float(values[best]))
 

@@ -19,7 +19,6 @@ import heapq
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,7 +31,7 @@ from drake_aigto.certify.enclosures import (
     enclose_all,
     sum_outward,
 )
-from drake_aigto.certify.expansions import bound_tables, may_hold_minima
+from drake_aigto.certify.expansions import bound_all, may_hold_minima
 from drake_aigto.certify.formulas import Formulas, formula_of
 from drake_aigto.certify.intervals import UNIT
 from drake_aigto.certify.tape import make_tape
@@ -74,22 +73,6 @@ def elimination(
             beside[j] -= {i, j}
             heapq.heappush(queue, (len(beside[j]), j))
     return order
-
-
-class Bins(NamedTuple):
-    """Bins of all variables, one variable after the other.
-
-    Attributes:
-        starts: first bin of each variable (n + 1,).
-        low: lower ends (K,).
-        high: upper ends (K,).
-        points: c (K,).
-    """
-
-    starts: Ints
-    low: Floats
-    high: Floats
-    points: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +124,7 @@ class CliqueSearch(BoundSearch):
         edges[:, 0], edges[:, -1] = lower, upper
         self._starts = _FIRST_BINS * np.arange(lower.size + 1)
         self._low, self._high = edges[:, :-1].ravel(), edges[:, 1:].ravel()
+        self._points = 0.5 * self._low + 0.5 * self._high  # c
         # Of each group's bins, where its formula's variables are best, as far as is known.
         self._partners: dict[Group, Floats] = {}
         # Of bins that were bounded, the least sum with each, until they are halved.
@@ -185,18 +169,17 @@ class CliqueSearch(BoundSearch):
         self._drop_by_slopes()
         best = np.repeat(self.best, np.diff(self._starts))
         points = 0.5 * self._low + 0.5 * self._high
-        points = np.where((self._low <= best) & (best <= self._high), best, points)
-        bins = Bins(self._starts, self._low, self._high, points)
+        self._points = np.where((self._low <= best) & (best <= self._high), best, points)
         with np.errstate(invalid="ignore"):
-            self._pass_up(self._fill(bins), bins)
+            self._pass_up(self._fill())
             if math.isfinite(self._total):
                 bound = self._total - self._rounding
                 self.lower_bound = max(self.lower_bound, min(bound, self.least))
-                self.lowest_point = self._pass_down(bins)
+                self.lowest_point = self._pass_down()
                 self._lowest = min(self._lowest, self.value(self.lowest_point))
                 return True
         # Nothing is known of any bin where a cell has no bound.
-        self._marginals = np.full(bins.low.size, self._total)
+        self._marginals = np.full(self._low.size, self._total)
         self.is_empty = self._total == np.inf
         return True
 
@@ -251,39 +234,42 @@ class CliqueSearch(BoundSearch):
         self._starts = np.concatenate([[0], np.cumsum(times * kept)])
         self._low, self._high = (np.repeat(ends[keep], times) for ends in (self._low, self._high))
 
-    def _fill(self, bins: Bins) -> list[Floats]:
+    def _fill(self) -> list[Floats]:
         """Returns a table of bounds for each formula, an axis for each variable."""
-        slopes = {group: self._slopes(group, bins) for group in self._coupled}
+        slopes = {group: self._slopes(group) for group in self._coupled}
         values = np.concatenate([np.empty(0), *slopes.values()])
-        owners = [np.empty(0, dtype=np.int64), *(g.bins(bins.starts)[-1] for g in slopes)]
-        ends, counts = np.column_stack([values, values]), np.diff(bins.starts)
+        owners = [np.empty(0, dtype=np.int64), *(g.bins(self._starts)[-1] for g in slopes)]
+        ends, counts = np.column_stack([values, values]), np.diff(self._starts)
         # The slopes that are moved to functions of one variable, for each bin.
-        moved = sum_outward(ends, np.concatenate(owners), bins.low.size)
+        moved = sum_outward(ends, np.concatenate(owners), self._low.size)
         tables: list[Floats] = [np.empty(0)] * len(self._variables)
         for group in self._groups:
-            own = -np.repeat(slopes[group][:, None], 2, axis=1) if group in slopes else moved
-            found = bound_tables(self._tape, group.formulas, group.variables, bins, own)
-            shapes = counts[group.variables]
-            parts = np.split(found, np.cumsum(np.prod(shapes, axis=1))[:-1])
-            for formula, table, shape in zip(group.formulas, parts, shapes, strict=True):
-                tables[formula] = table.reshape(shape)
+            own = group.bins(self._starts)[-1]
+            low, high = moved.T if group not in slopes else (-slopes[group], -slopes[group])
+            sides = np.array([self._low[own], self._high[own], self._points[own], low, high])
+            first = 0
+            for formula, shape in zip(group.formulas, counts[group.variables], strict=True):
+                starts = first + np.cumsum(shape) - shape
+                cells = starts + np.moveaxis(np.indices(shape), 0, -1).reshape(-1, shape.size)
+                found = bound_all(self._tape, formula, sides, cells, False)
+                tables[formula], first = found.reshape(shape), first + np.sum(shape)
         return tables
 
-    def _slopes(self, group: Group, bins: Bins) -> Floats:
+    def _slopes(self, group: Group) -> Floats:
         """Returns s: a formula's slope along a variable, at each bin and its neighbors (S,)."""
-        of, local, own = group.bins(bins.starts)
+        of, local, own = group.bins(self._starts)
         points, rows = (
             self._partners.get(group, self.best[group.variables[of]]),
             np.arange(own.size),
         )
-        points[rows, local] = bins.points[own]
+        points[rows, local] = self._points[own]
         found = enclose_all(self._tape, group.formulas[of], points, points, GRADIENT)
         slopes = np.mean(found[rows, 1 + local], axis=-1)
         return np.where(np.isfinite(slopes), slopes, 0.0)
 
-    def _pass_up(self, tables: Sequence[Floats], bins: Bins) -> None:
+    def _pass_up(self, tables: Sequence[Floats]) -> None:
         """Adds tables up along the elimination, and sets the total."""
-        counts, order = np.diff(bins.starts), self._order
+        counts, order = np.diff(self._starts), self._order
         self._sums = [np.zeros(counts[list(clique)]) for clique in order]
         # No sum with a larger entry is as low as the best value.
         lowest = sum(abs(float(np.min(table))) for table in tables)
@@ -311,7 +297,7 @@ class CliqueSearch(BoundSearch):
         """Returns the number of the clique with which the first of some variables is eliminated."""
         return min(map(self._rank.__getitem__, variables))
 
-    def _pass_down(self, bins: Bins) -> Floats:
+    def _pass_down(self) -> Floats:
         """Fills min-marginals and the best neighbors, and returns the points of the best bins."""
         order = self._order
         marginals: list[Floats] = [np.empty(0)] * len(order)
@@ -334,11 +320,11 @@ class CliqueSearch(BoundSearch):
             chosen[clique[0]] = np.argmin(sums[(slice(None), *at)])
         self._marginals = np.concatenate(marginals)
         for group in self._coupled:
-            found = (points for k in group.formulas for points in self._best_points(k, bins))
+            found = (points for k in group.formulas for points in self._best_points(k))
             self._partners[group] = np.concatenate(list(found))
-        return bins.points[bins.starts[:-1] + chosen]
+        return self._points[self._starts[:-1] + chosen]
 
-    def _best_points(self, formula: int, bins: Bins) -> Iterator[Floats]:
+    def _best_points(self, formula: int) -> Iterator[Floats]:
         """Yields for each variable of a formula the points of its bins' best neighbors.
 
         All variables of the formula (·, m); values in the variable's own column do not matter.
@@ -351,7 +337,7 @@ class CliqueSearch(BoundSearch):
             others = [j for j in clique if j != i]
             places = dict(zip(others, np.unravel_index(best, flat.shape[1:]), strict=True))
             yield np.column_stack(
-                [bins.points[bins.starts[j] + places.get(j, 0 * best)] for j in variables]
+                [self._points[self._starts[j] + places.get(j, 0 * best)] for j in variables]
             )
 
 

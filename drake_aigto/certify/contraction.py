@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from pydrake.solvers import MathematicalProgram
 
-from drake_aigto.arrays import Bools, Floats
+from drake_aigto.arrays import Floats
 from drake_aigto.certify.enclosures import VALUE, SumOfFormulas, at, enclose, make_scratch, put
 from drake_aigto.certify.formulas import BoundedFormula, Formulas, join, read_formulas, tape_of
 from drake_aigto.certify.intervals import (
@@ -28,6 +28,7 @@ from drake_aigto.certify.intervals import (
     real_power,
     reciprocal,
     times,
+    up,
     widened,
 )
 from drake_aigto.certify.tape import JointTape, Operation
@@ -102,6 +103,8 @@ def _inverse(operation: int, y: Interval, p: float) -> Interval:
         return logarithm(y)
     if operation == Operation.LOG:
         return exponential(y)
+    if operation == Operation.X_LOG:  # x log x ≥ x − 1
+        return 0.0, up(1.0 + max(y[1], 0.0))
     if operation == Operation.TANH:
         low = math.atanh(y[0]) if -1.0 < y[0] < 1.0 else -np.inf
         return widened(low, math.atanh(y[1]) if -1.0 < y[1] < 1.0 else np.inf)
@@ -178,22 +181,12 @@ def contract(
     jets: Floats,
     old: Floats,
 ) -> bool:
-    """Narrows low ≤ x ≤ high (n,), in place, to where all formulas may be within bounds.
+    """Narrows a box low ≤ x ≤ high (n,), in place, to where all formulas may be within bounds (R,).
 
-    Args:
-        joint: the formulas.
-        lower: their bounds (R,).
-        upper: shape (R,).
-        low: lower ends.
-        high: upper ends.
-        jets: as `make_scratch` returns them; filled with the ranges of entries.
-        old: room (2, n).
-
-    Returns:
-        Whether anything is left; if not, the box says nothing.
+    Fills jets, as `make_scratch` returns them, with the ranges of entries; `old` is room (2, n).
+    Returns whether anything is left; if not, the box says nothing.
     """
-    for i in range(low.size):
-        old[0, i], old[1, i] = low[i], high[i]
+    old[0], old[1] = low, high
     for _ in range(_MOST_SWEEPS):
         if not _contract_once(joint, lower, upper, low, high, jets):
             return False
@@ -203,27 +196,10 @@ def contract(
 
 
 @kernel
-def contract_all(
-    joint: JointTape, lower: Floats, upper: Floats, low: Floats, high: Floats
-) -> Bools:
-    """Narrows cells, in place, to where all formulas may be within bounds.
-
-    Args:
-        joint: the formulas.
-        lower: their bounds (R,).
-        upper: shape (R,).
-        low: lower ends of the cells (C, n), contiguous.
-        high: upper ends.
-
-    Returns:
-        Whether anything is left of each (C,).
-    """
-    size = low.shape[1]
-    jets, old = make_scratch(joint.tape, size, VALUE), np.empty((2, size))
-    is_left = np.empty(len(low), dtype=np.bool_)
-    for c in range(is_left.size):
-        is_left[c] = contract(joint, lower, upper, low[c], high[c], jets, old)
-    return is_left
+def contract_box(joint: JointTape, lower: Floats, upper: Floats, low: Floats, high: Floats) -> bool:
+    """Narrows a box in place, as `contract` does, and returns whether anything is left."""
+    jets = make_scratch(joint.tape, low.size, VALUE)
+    return contract(joint, lower, upper, low, high, jets, np.empty((2, low.size)))
 
 
 def narrowed(formulas: Formulas) -> tuple[Formulas, bool]:
@@ -233,7 +209,7 @@ def narrowed(formulas: Formulas) -> tuple[Formulas, bool]:
     low, high = formulas.row_bounds
     is_left = bool(np.all(lower <= upper))
     if is_left and formulas.rows:
-        is_left = bool(contract_all(joint, low, high, lower[None], upper[None])[0])
+        is_left = bool(contract_box(joint, low, high, lower, upper))
     return (replace(formulas, lower=lower, upper=upper) if is_left else formulas), is_left
 
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.certify.intervals import (
+    TINY,
     UNIT,
     Interval,
     cosine,
@@ -34,6 +35,7 @@ from drake_aigto.certify.intervals import (
     sine,
     times,
     widened,
+    x_log,
 )
 from drake_aigto.certify.tape import Operation, Tape
 from drake_aigto.kernels import inner, kernel
@@ -110,6 +112,9 @@ def derivatives(
     if operation == Operation.LOG:
         first = reciprocal((max(x[0], 0.0), x[1]))
         return logarithm(x), first, minus(power(first, 2))
+    if operation == Operation.X_LOG:
+        first = plus(logarithm((x[0], max(x[1], TINY))), (1.0, 1.0))
+        return x_log(x), first, reciprocal((max(x[0], 0.0), x[1]))
     if operation == Operation.ABS:
         if x[0] > 0.0:
             return x, (1.0, 1.0), none
@@ -123,6 +128,19 @@ def derivatives(
     first = reciprocal(plus((1.0, 1.0), power(x, 2)))  # of tan⁻¹
     second = times((-2.0 * x[1], -2.0 * x[0]), power(first, 2))
     return widened(math.atan(x[0]), math.atan(x[1])), first, second
+
+
+@inner
+def function_value(operation: int, a: int, b: int, p: float, jets: Floats) -> Interval:
+    """Returns the range of a function, but for sums, from those of its arguments in jets."""
+    x = at(jets, a, 0)
+    if operation == Operation.MULTIPLY:
+        return times(x, at(jets, b, 0))
+    if operation == Operation.MAX:
+        return max(x[0], at(jets, b, 0)[0]), max(x[1], at(jets, b, 0)[1])
+    if operation == Operation.MIN:
+        return min(x[0], at(jets, b, 0)[0]), min(x[1], at(jets, b, 0)[1])
+    return derivatives(operation, x, b, p, VALUE)[0]
 
 
 @inner
@@ -237,7 +255,11 @@ def enclose(tape: Tape, formula: int, low: Floats, high: Floats, order: int, jet
             _take_larger(jets, k, a, b, sign, size, count)
         else:
             x = at(jets, a, 0)
-            if operation == Operation.LOG or operation == Operation.REAL_POWER:
+            if (
+                operation == Operation.LOG
+                or operation == Operation.X_LOG
+                or operation == Operation.REAL_POWER
+            ):
                 is_partial |= x[0] < 0.0
                 is_open &= x[0] > 0.0
             values = derivatives(operation, x, b, p, order)

@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, VALUE, at, enclose, make_scratch
+from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, VALUE, enclose, jet_size
 from drake_aigto.certify.intervals import (
     TINY,
     UNIT,
@@ -165,63 +165,44 @@ def expansion_bound(
     return best
 
 
-@inner
-def set_steps(point: Floats, low: Floats, high: Floats, steps: Floats) -> None:
-    """Fills x − c of a cell's ends (L, 2), rounded outward, with 0 in between."""
-    for i in range(point.size):
-        steps[i, 0] = min(down(low[i] - point[i]), 0.0)
-        steps[i, 1] = max(up(high[i] - point[i]), 0.0)
-
-
-@inner
-def middle_of(low: float, high: float) -> float:
-    """Returns where a side is cut, with or without ends."""
-    if math.isinf(low) and math.isinf(high):
-        return 0.0
-    if math.isinf(high):
-        return max(1.0, 2.0 * low) if low >= 0.0 else 0.0
-    if math.isinf(low):
-        return min(-1.0, 2.0 * high) if high <= 0.0 else 0.0
-    return min(max(0.5 * low + 0.5 * high, low), high)
-
-
 @kernel
 def middles(low: Floats, high: Floats) -> Floats:
-    """Returns where sides are cut (n,)."""
-    found = np.empty(low.size)
+    """Returns where sides are cut (n,), with or without ends."""
+    found = np.zeros(low.size)
     for i in range(low.size):
-        found[i] = middle_of(low[i], high[i])
+        a, b = low[i], high[i]
+        if math.isfinite(a) and math.isfinite(b):
+            found[i] = min(max(0.5 * a + 0.5 * b, a), b)
+        elif math.isfinite(a) and a >= 0.0:
+            found[i] = max(1.0, 2.0 * a)
+        elif math.isfinite(b) and b <= 0.0:
+            found[i] = min(-1.0, 2.0 * b)
     return found
 
 
 @inner
-def _bound_about(
-    tape: Tape,
-    formula: int,
-    cell: tuple[Floats, Floats],
-    point: Floats,
-    slopes: Floats,
-    is_convex: bool,
-    work: Room,
-) -> float:
-    """Returns a bound of f + s (x − c) over a cell; ∞ where f has no value. See `bound_all`."""
-    jets, about, over, steps, matrix, scales = work
-    low, high = cell
+def _bound_about(tape: Tape, formula: int, cell: Floats, is_convex: bool, room: Room) -> float:
+    """Returns a bound of f + s (x − c) over a cell (5, L); see `bound_all`."""
+    jets, about, over, steps, matrix, scales = room
+    low, high, point = cell[0], cell[1], cell[2]
     end = enclose(tape, formula, low, high, VALUE if is_convex else HESSIAN, jets)
     if end < 0:
         return np.inf
     natural = jets[end, 0, 0]
     over[:] = jets[end]
-    set_steps(point, low, high, steps)
-    for i in range(low.size):
-        natural = down(natural + times(at(slopes, i, 0), (steps[i, 0], steps[i, 1]))[0])
+    for i in range(point.size):
+        steps[i, 0], steps[i, 1] = (
+            min(down(low[i] - point[i]), 0.0),
+            max(up(high[i] - point[i]), 0.0),
+        )
+        natural = down(natural + times((cell[3, i], cell[4, i]), (steps[i, 0], steps[i, 1]))[0])
     end = enclose(tape, formula, point, point, GRADIENT, jets)
     if end < 0:
         return natural
     about[:] = jets[end]
-    for i in range(low.size):
+    for i in range(point.size):
         for totals in (about, over):
-            slope = plus((totals[1 + i, 0], totals[1 + i, 1]), at(slopes, i, 0))
+            slope = plus((totals[1 + i, 0], totals[1 + i, 1]), (cell[3, i], cell[4, i]))
             totals[1 + i, 0], totals[1 + i, 1] = slope
     if is_convex:
         bound = _plane_bound(about, steps)
@@ -230,41 +211,28 @@ def _bound_about(
     return bound if bound > natural else natural
 
 
-@inner
-def make_room(tape: Tape, size: int) -> Room:
-    """Returns room for jets of entries, two jets, steps, a matrix, and numbers per variable."""
-    jets = make_scratch(tape, size, HESSIAN)
-    two = np.empty((2, jets.shape[1], 2))
-    return jets, two[0], two[1], np.empty((size, 2)), np.empty((size, size)), np.empty(size)
-
-
 @kernel
-def bound_all(
-    tape: Tape,
-    formula: int,
-    cells: tuple[Floats, Floats],
-    points: Floats,
-    slopes: Floats,
-    is_convex: bool,
-) -> Floats:
+def bound_all(tape: Tape, formula: int, sides: Floats, cells: Ints, is_convex: bool) -> Floats:
     """Returns bounds of f + s (x − c) over cells (C,); ∞ where f has no value.
 
     Args:
         tape: holds f.
         formula: its number.
-        cells: their lower and upper ends (C, L).
-        points: c (C, L).
-        slopes: s (C, L).
+        sides: of cells: lower and upper ends, points c, and lower and upper ends of s (5, K).
+        cells: which sides each has (C, L).
         is_convex: whether f is known to be convex.
     """
-    low, high = cells
-    size = low.shape[1]
-    found, work, ends = np.empty(len(low)), make_room(tape, size), np.empty((size, 1, 2))
+    size, length = cells.shape[1], tape.starts[formula + 1] - tape.starts[formula]
+    jets, two = (
+        np.empty((length, jet_size(size, HESSIAN), 2)),
+        np.empty((2, jet_size(size, HESSIAN), 2)),
+    )
+    room = jets, two[0], two[1], np.empty((size, 2)), np.empty((size, size)), np.empty(size)
+    found, cell = np.empty(len(cells)), np.empty((5, size))
     for c in range(found.size):
         for i in range(size):
-            ends[i, 0, 0] = ends[i, 0, 1] = slopes[c, i]
-        cell = low[c], high[c]
-        found[c] = _bound_about(tape, formula, cell, points[c], ends, is_convex, work)
+            cell[:, i] = sides[:, cells[c, i]]
+        found[c] = _bound_about(tape, formula, cell, is_convex, room)
     return found
 
 
@@ -285,44 +253,3 @@ def may_hold_minima(slopes: Floats, bends: Floats, ends: Floats, outer: Floats) 
     is_concave = (bends[:, 1] < 0.0) & ~at_lower & ~at_upper
     is_smooth = np.all(np.isfinite(np.hstack([slopes, bends])), axis=1)
     return ~(is_smooth & (rises | falls | is_concave))
-
-
-@kernel
-def bound_tables(
-    tape: Tape,
-    formulas: Ints,
-    variables: Ints,
-    bins: tuple[Ints, Floats, Floats, Floats],
-    slopes: Floats,
-) -> Floats:
-    """Returns bounds of f + s (x − c) over all cells of formulas' bins, as tables in C's order.
-
-    Args:
-        tape: holds the formulas.
-        formulas: their numbers (G,).
-        variables: those that each reads (G, m).
-        bins: the first of each variable (n + 1,); their lower ends, upper ends and points c (K,).
-        slopes: s of each bin of each variable of each formula (S, 2).
-    """
-    starts, lows, highs, points = bins
-    counts, size = np.diff(starts), variables.shape[1]
-    total = 0
-    for k in range(formulas.size):
-        total += np.prod(counts[variables[k]])
-    found, work = np.empty(total), make_room(tape, size)
-    low, high, point, own = np.empty(size), np.empty(size), np.empty(size), np.zeros((size, 1, 2))
-    place = first = 0
-    for k in range(formulas.size):
-        for cell in range(np.prod(counts[variables[k]])):
-            rest, offset = cell, first + np.sum(counts[variables[k]])
-            for i in range(size - 1, -1, -1):
-                count = counts[variables[k, i]]
-                offset -= count
-                each = starts[variables[k, i]] + rest % count
-                low[i], high[i], point[i] = lows[each], highs[each], points[each]
-                own[i, 0] = slopes[offset + rest % count]
-                rest //= count
-            found[place] = _bound_about(tape, formulas[k], (low, high), point, own, False, work)
-            place += 1
-        first += np.sum(counts[variables[k]])
-    return found

@@ -105,8 +105,9 @@ class FlightFamily:
             high: upper ends.
             slopes: s (E, m).
         """
-        middles = 0.5 * low + 0.5 * high
-        return bound_all(self.tape, 0, (low, high), middles, slopes, self.is_convex)
+        sides = np.array([low, high, 0.5 * low + 0.5 * high, slopes, slopes]).reshape(5, -1)
+        cells = np.arange(low.size).reshape(low.shape)
+        return bound_all(self.tape, 0, sides, cells, self.is_convex)
 
 
 def _flights(

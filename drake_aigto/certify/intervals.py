@@ -3,7 +3,8 @@
 IEEE arithmetic is within half a unit in the last place, ½ u |x| with u = 2⁻⁵²; so x (1 ∓ u) is
 beyond what was rounded to x. Results that may have underflowed move by a number that is above every
 subnormal one; a lower end that overflows is the largest number, as the exact one is beyond it. Of
-exp, log, tan⁻¹, tanh, sin, cos and powers with a fraction, four units are taken (see `LIBRARY`).
+exp, log, x log x, tan⁻¹, tanh, sin, cos and powers with a fraction, four units are taken (see
+`LIBRARY`).
 """
 
 from __future__ import annotations
@@ -61,7 +62,8 @@ def plus(x: Interval, y: Interval) -> Interval:
 
 
 @inner
-def _product(a: float, b: float) -> float:
+def product(a: float, b: float) -> float:
+    """Returns a b, rounded to nearest, with 0 · ∞ = 0."""
     return 0.0 if a == 0.0 or b == 0.0 else a * b
 
 
@@ -71,7 +73,7 @@ def times(x: Interval, y: Interval) -> Interval:
     (a, b), (c, d) = x, y
     if (a == 0.0 and b == 0.0) or (c == 0.0 and d == 0.0):
         return 0.0, 0.0
-    p, q, r, s = _product(a, c), _product(a, d), _product(b, c), _product(b, d)
+    p, q, r, s = product(a, c), product(a, d), product(b, c), product(b, d)
     low, high = min(min(p, q), min(r, s)), max(max(p, q), max(r, s))
     low, high = down(low) - TINY, up(high) + TINY
     # A product that underflows is 0, whatever its sign: that of the factors tells it.
@@ -175,10 +177,25 @@ def exponential(x: Interval) -> Interval:
 
 @inner
 def logarithm(x: Interval) -> Interval:
-    """Returns log x over the part above 0; upside down if there is none."""
-    if x[1] <= 0.0:
+    """Returns log x over the part from 0 on, −∞ at 0; upside down if there is none.
+
+    With 0 · ∞ = 0, x log x is 0 at 0, whatever else it is multiplied by.
+    """
+    if x[1] < 0.0:
         return np.inf, -np.inf
-    return widened(math.log(x[0]) if x[0] > 0.0 else -np.inf, math.log(x[1]))
+    low = math.log(x[0]) if x[0] > 0.0 else -np.inf
+    return widened(low, math.log(x[1]) if x[1] > 0.0 else -np.inf)
+
+
+@inner
+def x_log(x: Interval) -> Interval:
+    """Returns x log x, which is 0 at 0, over the part from 0 on; upside down if there is none."""
+    if x[1] < 0.0:
+        return np.inf, -np.inf
+    a, turn = max(x[0], 0.0), math.exp(-1.0)
+    first = a * math.log(a) if a > 0.0 else 0.0
+    last = x[1] * math.log(x[1]) if x[1] > 0.0 else 0.0
+    return widened(-turn if a < turn < x[1] else min(first, last), max(first, last))
 
 
 @inner

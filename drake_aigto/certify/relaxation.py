@@ -143,7 +143,7 @@ class Relaxation:
             np.empty((num_columns, 1, 2)),
             np.empty((2, size)),
         )
-        self._residuals, self._scores = np.empty((num_columns, 2)), np.empty(num_columns)
+        self._residuals = np.empty((num_columns, 2))
         self._functions = np.flatnonzero(np.diff(structure.first) > 1)
         self._reads = _readers(structure, size)[self._functions]
         self._starts = structure.starts.astype(np.int32)
@@ -257,11 +257,10 @@ class Relaxation:
         self, w: Floats, y: Floats, x: Floats, low: Floats, high: Floats
     ) -> tuple[int, float]:
         """Returns the variable that the functions farthest from their columns read, and where."""
-        violations(self.structure, self._cell, w, y, self._scores)
+        own = violations(self.structure, self._cell, self._functions, w, y)
         width = high - low
         shares = self._reads * np.where(np.isfinite(width), width, 1.0)
         total = np.sum(shares, axis=1)
-        own = self._scores[self._functions]
         with np.errstate(over="ignore", invalid="ignore"):
             scores = np.divide(own, total, out=np.zeros_like(total), where=total > 0.0) @ shares
         i = int(np.argmax(scores))

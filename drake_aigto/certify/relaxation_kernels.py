@@ -16,12 +16,13 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.certify.contraction import contract, narrow
-from drake_aigto.certify.enclosures import at, derivatives
+from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, VALUE, at, derivatives, function_value
 from drake_aigto.certify.intervals import (
     Interval,
     down,
     minus,
     plus,
+    product,
     times,
     up,
     up_product,
@@ -105,7 +106,7 @@ def _line_through(value: Interval, slope: float, t: float) -> Interval:
 @inner
 def _tangent(operation: int, b: int, p: float, x: Interval, t: float) -> tuple[float, Interval]:
     """Returns a slope s near that at t, and what φ(t) + φ′(t) (a − t) − s a is over x."""
-    value, first, _ = derivatives(operation, (t, t), b, p, 1)
+    value, first, _ = derivatives(operation, (t, t), b, p, GRADIENT)
     slope = 0.5 * (first[0] + first[1])
     turn = times(plus(first, (-slope, -slope)), plus(x, (-t, -t)))
     return slope, plus(_line_through(value, slope, t), turn)
@@ -117,14 +118,13 @@ def _put_function(structure: Structure, cell: LinearProgram, k: int) -> None:
     tape, row = structure.joint.tape, structure.first[k]
     operation, argument, b, p = tape.operations[k], tape.a[k], tape.b[k], tape.numbers[k]
     x = cell.box[0, argument], cell.box[1, argument]
-    _, first, second = derivatives(operation, x, b, p, 2)
+    _, first, second = derivatives(operation, x, b, p, HESSIAN)
     is_convex = second[0] >= 0.0 or operation == Operation.ABS
     is_concave = second[1] <= 0.0 and not is_convex
-    at_low, _, _ = derivatives(operation, (x[0], x[0]), b, p, 0)
-    at_high, _, _ = derivatives(operation, (x[1], x[1]), b, p, 0)
-    none = -np.inf, np.inf
+    at_low, _, _ = derivatives(operation, (x[0], x[0]), b, p, VALUE)
+    at_high, _, _ = derivatives(operation, (x[1], x[1]), b, p, VALUE)
     for extra in range(ROWS_OF_ONE):
-        _put_row(structure, cell, row + extra, (np.nan, 0.0), none)
+        _put_row(structure, cell, row + extra, (np.nan, 0.0), (-np.inf, np.inf))
     width = x[1] - x[0]
     if 0.0 < width < np.inf:
         slope = (0.5 * (at_high[0] + at_high[1]) - 0.5 * (at_low[0] + at_low[1])) / width
@@ -137,18 +137,11 @@ def _put_function(structure: Structure, cell: LinearProgram, k: int) -> None:
         ends = (-np.inf if is_convex else least, np.inf if is_concave else most)
         _put_row(structure, cell, row, (slope, 0.0), ends)
     if is_convex or is_concave:
-        middle = 0.5 * x[0] + 0.5 * x[1]
-        for n in range(1, ROWS_OF_ONE):
-            t = middle
-            if n == 1:
-                t = x[0]
-            elif n == 2:
-                t = x[1]
-            elif n > 3:
-                t = 0.5 * x[n - 4] + 0.5 * middle
+        for n, part in enumerate((0.0, 1.0, 0.5, 0.25, 0.75)):
+            t = product(1.0 - part, x[0]) + product(part, x[1])
             slope, ends = _tangent(operation, b, p, x, t)
             ends = (ends[0], np.inf) if is_convex else (-np.inf, ends[1])
-            _put_row(structure, cell, row + n, (slope, 0.0), ends)
+            _put_row(structure, cell, row + 1 + n, (slope, 0.0), ends)
         return
     for n in range(4):
         slope = first[n % 2]
@@ -183,28 +176,6 @@ def _put_pair(structure: Structure, cell: LinearProgram, k: int) -> None:
         _put_row(structure, cell, row + n, (1.0, 0.0) if one == i else (0.0, 1.0), ends)
 
 
-@inner
-def _narrow_value(structure: Structure, cell: LinearProgram, k: int) -> bool:
-    """Cuts a function's range down to what its arguments leave; returns if anything is left.
-
-    Rows narrow what they read, and that may be read by other functions, too.
-    """
-    tape, count = structure.joint.tape, structure.first[k + 1] - structure.first[k]
-    operation, x, b = tape.operations[k], at(cell.ranges, tape.a[k], 0), tape.b[k]
-    if count == ROWS_OF_ONE:
-        value, _, _ = derivatives(operation, x, b, tape.numbers[k], 0)
-        return narrow(cell.ranges, k, value)
-    if count == ROWS_OF_TWO:
-        y = at(cell.ranges, b, 0)
-        value = times(x, y)
-        if operation == Operation.MAX:
-            value = max(x[0], y[0]), max(x[1], y[1])
-        elif operation == Operation.MIN:
-            value = min(x[0], y[0]), min(x[1], y[1])
-        return narrow(cell.ranges, k, value)
-    return True
-
-
 @kernel
 def relax(
     structure: Structure,
@@ -224,12 +195,15 @@ def relax(
         high: upper ends.
         cell: filled.
     """
-    joint = structure.joint
-    if not contract(joint, lower, upper, low, high, cell.ranges, cell.old):
+    operations, first, last, numbers, _ = structure.joint.tape
+    if not contract(structure.joint, lower, upper, low, high, cell.ranges, cell.old):
         return False
-    for k in range(cell.box.shape[1]):
-        if not _narrow_value(structure, cell, k):
-            return False
+    for k in range(operations.size):
+        if structure.first[k + 1] - structure.first[k] > 1:
+            # Rows narrow what they read, and that may be read by other functions, too.
+            value = function_value(operations[k], first[k], last[k], numbers[k], cell.ranges)
+            if not narrow(cell.ranges, k, value):
+                return False
         cell.box[0, k], cell.box[1, k] = at(cell.ranges, k, 0)
     for k in range(cell.box.shape[1]):
         count = structure.first[k + 1] - structure.first[k]
@@ -313,33 +287,25 @@ def cut_by_residuals(
 
 @kernel
 def violations(
-    structure: Structure, cell: LinearProgram, w: Floats, multipliers: Floats, scores: Floats
-) -> None:
-    """Fills how far functions are from their columns at a point, in the cost's unit (E,).
+    structure: Structure, cell: LinearProgram, functions: Ints, w: Floats, multipliers: Floats
+) -> Floats:
+    """Returns how far functions are from their columns at a point, in the cost's unit (F,).
 
     Args:
         structure: of the program.
         cell: its linear program.
+        functions: their columns (F,).
         w: the point (E,).
         multipliers: of the rows (M,).
-        scores: filled.
     """
-    tape = structure.joint.tape
-    for k in range(scores.size):
-        operation, a = tape.operations[k], w[tape.a[k]]
-        count = structure.first[k + 1] - structure.first[k]
-        scores[k] = 0.0
-        if count == ROWS_OF_TWO:
-            b = w[tape.b[k]]
-            value = a * b
-            if operation != Operation.MULTIPLY:
-                value = max(a, b) if operation == Operation.MAX else min(a, b)
-        elif count == ROWS_OF_ONE:
-            x = min(max(a, cell.box[0, tape.a[k]]), cell.box[1, tape.a[k]])
-            own, _, _ = derivatives(operation, (x, x), tape.b[k], tape.numbers[k], 0)
-            value = 0.5 * own[0] + 0.5 * own[1]
-        else:
-            continue
+    operations, first, last, numbers, _ = structure.joint.tape
+    points, scores = np.empty_like(cell.ranges), np.zeros(functions.size)
+    for k in range(w.size):
+        points[k] = min(max(w[k], cell.box[0, k]), cell.box[1, k])
+    for n in range(functions.size):
+        k = functions[n]
+        low, high = function_value(operations[k], first[k], last[k], numbers[k], points)
         weight = np.sum(np.abs(multipliers[structure.first[k] : structure.first[k + 1]]))
-        score = weight * abs(w[k] - value)
-        scores[k] = score if math.isfinite(score) else 0.0
+        score = weight * abs(w[k] - (0.5 * low + 0.5 * high))
+        scores[n] = score if math.isfinite(score) else 0.0
+    return scores

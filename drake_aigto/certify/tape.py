@@ -40,6 +40,7 @@ class Operation(IntEnum):
     MIN = 15
     TANH = 16
     ATAN = 17
+    X_LOG = 18  # a log a, 0 at 0
 
 
 # Operation, a, b and p.
@@ -192,8 +193,15 @@ class Formula:
         """Enters a sum or a product, from left to right."""
         total = self._enter(parts[0])
         for part in parts[1:]:
-            total = self.put(operation, total, self._enter(part))
+            total = self._join(operation, total, self._enter(part))
         return total
+
+    def _join(self, operation: Operation, a: int, b: int) -> int:
+        """Enters a sum or a product of two; x log x, which has a limit at 0, is one function."""
+        x, y = min(a, b), max(a, b)
+        if operation == Operation.MULTIPLY and self._known.get((Operation.LOG, x, 0, 0.0)) == y:
+            return self.put(Operation.X_LOG, x)
+        return self.put(operation, a, b)
 
     def _nested(self, variable: Expression, coefficients: Mapping[int, float]) -> int:
         """Adds Σ a_p x^p: x^r (… (a_p x^(p−q) + a_q) …)."""
