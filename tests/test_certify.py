@@ -263,6 +263,18 @@ def test_a_fixed_point_that_meets_a_row_only_nearly_is_an_answer_without_a_proof
     assert details.certificate.is_infeasible  # No point meets the row, but for a tolerance.
 
 
+def test_numbers_that_overflow_bring_no_warning() -> None:
+    prog, (x,) = box(1, -np.inf, 2e60)
+    add_cost(prog, 1e150 * sym.sqrt(sym.abs(x**3)))
+    details = AigoSolver(AigoOptions(certify=True, rounds=2)).Solve(prog).get_solver_details()
+    assert details.lower_bound == 0.0
+    assert 0.0 <= details.cost < np.inf
+    # Sides of cells do, too.
+    prog, (x,) = box(1, -1.5e308, 1.5e308)
+    add_cost(prog, sym.atan(x) ** 2)
+    assert certify(prog, cells=100).lower_bound == 0.0
+
+
 def test_a_variable_that_a_row_fixes_does_not_end_the_search() -> None:
     prog, x = program(lambda x, y, z: (x - y) ** 2 + sym.sin(3.0 * y) + y * z**2, 3)
     prog.AddConstraint(x[0] == 1.0 / 3.0)

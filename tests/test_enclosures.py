@@ -200,7 +200,7 @@ def test_relaxations_hold_at_all_points_of_a_cell_in_high_precision(seed: int) -
         ends = low, low + 10.0 ** rng.uniform(-6.0, 0.0, size)
         narrowed = [end.copy() for end in ends]
         bound = relaxation.bound(narrowed[0], narrowed[1], np.inf).bound
-        structure, cell = relaxation.linear_program
+        structure, cell = relaxation.structure, relaxation.cell
         with mpmath.workdps(40):
             for _ in range(5):
                 point = [mpmath.mpf(v) for v in rng.uniform(*ends).tolist()]
@@ -244,7 +244,7 @@ def test_relaxations_hold_where_a_power_begins(p: float) -> None:
     prog.AddConstraint(row, vars=row.vars())
     relaxation = Relaxation(read_formulas(prog))
     relaxation.bound(np.zeros(1), np.ones(1), np.inf)
-    structure, cell = relaxation.linear_program
+    structure, cell = relaxation.structure, relaxation.cell
     for w in ((at, at**p) for at in (1e-12, 1e-3, 0.5, 1.0)):
         for row, (first, last) in enumerate(itertools.pairwise(structure.starts)):
             total = cell.values[first:last] @ np.array(w)[structure.columns[first:last]]
@@ -263,7 +263,7 @@ def test_however_bad_the_multipliers_are_the_bound_holds() -> None:
     prog.AddConstraint(quadratic() <= 1.0)
     relaxation = Relaxation(read_formulas(prog))
     relaxation.bound(np.full(3, -1.0), np.full(3, 2.0), np.inf)
-    structure, cell = relaxation.linear_program
+    structure, cell = relaxation.structure, relaxation.cell
     points = rng.uniform(-1.0, 2.0, (3000, 3))
     feasible = [p for p in points if prog.CheckSatisfied(prog.GetAllConstraints(), p, 0.0)]
     (cost,) = prog.GetAllCosts()

@@ -285,6 +285,8 @@ def test_a_start_outside_of_bounds_is_moved_inside() -> None:
             LocalStatus.UNBOUNDED,
         ),
         (Problem(lambda x: -log(x[0]), lambda x: [], [-1.0]), LocalStatus.NOT_FINITE),
+        # Rows whose slopes and values overflow.
+        (Problem(lambda x: x[0], lambda x: [x[0] ** 4 - 1], [1e110]), LocalStatus.NOT_FINITE),
     ],
 )
 def test_what_can_not_be_solved_is_told(problem: Problem, status: LocalStatus) -> None:

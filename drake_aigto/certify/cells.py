@@ -12,7 +12,7 @@ from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.certify.enclosures import HESSIAN, VALUE, SumOfFormulas, enclose_all
 from drake_aigto.certify.expansions import bound_all, may_hold_minima, middles
 from drake_aigto.certify.formulas import Formulas, tape_of
-from drake_aigto.certify.relaxation import Relaxation, sides_of
+from drake_aigto.certify.relaxation import Relaxation
 
 _MOST_OPEN = 400_000  # cells
 _BATCH = 4  # this part of the open cells is cut at once, and at least this number
@@ -126,7 +126,9 @@ class CellSearch(BoundSearch):
         self._is_bent = self._is_free and size <= _MOST_BENT
         is_small = self._is_free and size <= _FEW_BENT
         self._relaxation = None if is_small else Relaxation(formulas)
-        self._sides, self._rounds = sides_of(formulas), _MOST_ROUNDS if self._relaxation else 0
+        sides = formulas.upper - formulas.lower
+        self._sides = np.where((sides > 0.0) & np.isfinite(sides), sides, 1.0)
+        self._rounds = _MOST_ROUNDS if self._relaxation else 0
         # Variables that a round has not come to yet, and the sides that it found.
         self._left: list[int] = []
         self._found = self._sides
@@ -176,8 +178,7 @@ class CellSearch(BoundSearch):
                 self._rounds, self._open = 0, whole.some(np.zeros(1, dtype=bool))
                 return
         if not self._left:
-            with np.errstate(invalid="ignore"):
-                is_shorter = bool(np.any(self._found - (high - low) > _SPENT * self._found))
+            is_shorter = bool(np.any(self._found - (high - low) > _SPENT * self._found))
             self._rounds = self._rounds - 1 if is_shorter else 0
             if not self._rounds:
                 self._open = self._bounded(whole)
@@ -238,9 +239,8 @@ class CellSearch(BoundSearch):
         ends, outer = np.array([low.ravel(), high.ravel()]), np.tile(self._outer, count)
         keep = may_hold_minima(slopes.reshape(-1, 2), bends.reshape(-1, 2), ends, outer)
         bounds[~np.all(keep.reshape(low.shape), axis=1)] = np.inf
-        with np.errstate(over="ignore"):  # Sides of some 1e308 reach everything.
-            reach = high - low
-            is_near = np.all((low - reach <= self.best) & (self.best <= high + reach), axis=1)
+        reach = high - low
+        is_near = np.all((low - reach <= self.best) & (self.best <= high + reach), axis=1)
         centers = middles(low.ravel(), high.ravel()).reshape(low.shape)
         points = np.where(is_near[:, None], np.clip(self.best, low, high), centers)
         sides = np.zeros((5, low.size))

@@ -41,6 +41,10 @@ _MARGIN = 0.5
 _TOLERANCE = 1e-6  # of rows, at points that are found
 
 
+# What overflows is infinite, and ∞ − ∞ says nothing: no claim rests on either.
+_quiet = np.errstate(over="ignore", invalid="ignore")
+
+
 class Method(enum.Enum):
     """How a bound was found."""
 
@@ -181,6 +185,7 @@ class Certifier:
         UnsupportedTermError: as in `certify`.
     """
 
+    @_quiet
     def __init__(
         self,
         prog: MathematicalProgram,
@@ -219,6 +224,7 @@ class Certifier:
         self._scale = max(min(1.0, width), _LEAST_SCALE) if math.isfinite(width) else 1.0
         self._best, self._best_cost = np.full(formulas.lower.size, np.nan), math.inf
 
+    @_quiet
     def offer(self, x: Floats) -> None:
         """Takes a point that meets all constraints, if it is the best so far."""
         x = np.clip(x, self._asked.lower, self._asked.upper)
@@ -239,6 +245,7 @@ class Certifier:
         is_met = (found[:, 0] >= low - _TOLERANCE) & (found[:, 1] <= high + _TOLERANCE)
         return x if np.all(is_met & np.isfinite(found[:, 1])) else None
 
+    @_quiet
     def run(self, cells: int, improve: Improve = lambda _: None) -> Certificate:
         """Bounds more cells, and returns the bound so far.
 
@@ -339,12 +346,7 @@ class Certifier:
 
 
 class _Clock:
-    """Seconds that are left, and lines of progress.
-
-    Args:
-        seconds: the most, if any.
-        progress: as in `certify`.
-    """
+    """Seconds that are left, and lines of progress, as `certify` has them."""
 
     def __init__(self, seconds: float | None, progress: Progress | None) -> None:
         self._end = math.inf if seconds is None else time.monotonic() + seconds

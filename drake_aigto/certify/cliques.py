@@ -170,14 +170,13 @@ class CliqueSearch(BoundSearch):
         best = np.repeat(self.best, np.diff(self._starts))
         points = 0.5 * self._low + 0.5 * self._high
         self._points = np.where((self._low <= best) & (best <= self._high), best, points)
-        with np.errstate(invalid="ignore"):
-            self._pass_up(self._fill())
-            if math.isfinite(self._total):
-                bound = self._total - self._rounding
-                self.lower_bound = max(self.lower_bound, min(bound, self.least))
-                self.lowest_point = self._pass_down()
-                self._lowest = min(self._lowest, self.value(self.lowest_point))
-                return True
+        self._pass_up(self._fill())
+        if math.isfinite(self._total):
+            bound = self._total - self._rounding
+            self.lower_bound = max(self.lower_bound, min(bound, self.least))
+            self.lowest_point = self._pass_down()
+            self._lowest = min(self._lowest, self.value(self.lowest_point))
+            return True
         # Nothing is known of any bin where a cell has no bound.
         self._marginals = np.full(self._low.size, self._total)
         self.is_empty = self._total == np.inf
@@ -219,9 +218,8 @@ class CliqueSearch(BoundSearch):
             bends.append(over[at, 1 + ends.shape[2] + local * (local + 1) // 2 + local])
             owners.append(own)
         whose, count = np.concatenate(owners), self._low.size
-        with np.errstate(invalid="ignore"):
-            rise = sum_outward(np.concatenate(slopes), whose, count)
-            bend = sum_outward(np.concatenate(bends), whose, count)
+        rise = sum_outward(np.concatenate(slopes), whose, count)
+        bend = sum_outward(np.concatenate(bends), whose, count)
         outer = np.repeat(np.array(self._outer), np.diff(self._starts), axis=1)
         return may_hold_minima(rise, bend, np.array([self._low, self._high]), outer)
 

@@ -1,11 +1,10 @@
 """Lower bounds of a function over a cell, from enclosures of its derivatives.
 
-About a point c of the cell, with d = x − c and the Hessian's enclosure H = C ± R:
+About a point c of the cell, with d = x − c and the Hessian's enclosure H:
 
     f(c) + Σ_i min G_i d_i                          the mean value theorem
     f(c) + Σ_i min (g_i d_i + ½ κ_i d_i²)           κ_i = H_ii − Σ_j |H_ij| s_j / s_i  (Gershgorin)
-    f(c) + Σ_i min g_i d_i                          where f is convex: C − diag(Σ_j R_ij s_j / s_i)
-                                                    has a Cholesky factor
+    f(c) + Σ_i min g_i d_i                          where f is convex
 
 G is the gradient over the cell, g that at c, s the cell's widths. The second and third bound are
 off by what falls with the cell's width squared, and by nothing at a minimum.
@@ -33,15 +32,8 @@ from drake_aigto.certify.intervals import (
 from drake_aigto.certify.tape import Tape
 from drake_aigto.kernels import inner, kernel
 
-# A Cholesky factor of A − δ I that rounding lets be found shows A to be positive definite where
-# δ ≥ (n + 2) u tr A (Rump 2006, "Verification of positive definiteness", BIT 46:433-452), unless
-# products underflow.
-_ROUNDING = 16.0 * UNIT
-_LEAST_TRACE = 1e-200
-
-# Room for jets of entries (E, J, 2), jets about a point and over a cell (J, 2), steps (L, 2), a
-# matrix (L, L), and scales (L,).
-Room = tuple[Floats, Floats, Floats, Floats, Floats, Floats]
+# Room for jets of entries (E, J, 2), jets about a point and over a cell (J, 2), and steps (L, 2).
+Room = tuple[Floats, Floats, Floats, Floats]
 
 
 @inner
@@ -77,92 +69,17 @@ def _least_of(slope: float, curvature: float, d: float) -> float:
 
 
 @inner
-def curvature(over: Floats, scales: Floats, i: int) -> float:
+def curvature(over: Floats, steps: Floats, i: int) -> float:
     """Returns κ_i, where ½ dᵀHd ≥ ½ Σ κ_i d_i² for all H in a jet (J, 2)."""
-    size = scales.size
+    size, own = len(steps), max(steps[i, 1] - steps[i, 0], TINY)
     total = over[bend_place(size, i, i), 0]
     for j in range(size):
         if j != i:
-            place = bend_place(size, i, j)
+            place, other = bend_place(size, i, j), max(steps[j, 1] - steps[j, 0], TINY)
             most = max(-over[place, 0], over[place, 1])
             if most > 0.0:
-                total = down(total - up_product(most, up_quotient(scales[j], scales[i])))
+                total = down(total - up_product(most, up_quotient(other, own)))
     return total
-
-
-@inner
-def _is_convex(over: Floats, scales: Floats, matrix: Floats) -> bool:
-    """Returns whether all symmetric matrices in the Hessian of a jet are positive definite."""
-    size, trace = scales.size, 0.0
-    for i in range(size):
-        for j in range(i + 1):
-            place = bend_place(size, i, j)
-            low, high = over[place, 0], over[place, 1]
-            if not (math.isfinite(low) and math.isfinite(high)):
-                return False
-            matrix[i, j] = 0.5 * low + 0.5 * high
-        trace += abs(matrix[i, i])
-    if not trace > _LEAST_TRACE:
-        return False
-    for i in range(size):
-        radius = 0.0
-        for j in range(size):
-            place = bend_place(size, i, j)
-            # (low + high)/2 is off by less than a unit of either.
-            own = 0.5 * (over[place, 1] - over[place, 0])
-            own += _ROUNDING * (abs(over[place, 0]) + abs(over[place, 1]))
-            radius += up_product(own, up_quotient(scales[j], scales[i]))
-        matrix[i, i] -= radius * (1.0 + _ROUNDING) + _ROUNDING * (size + 2) * (trace + radius)
-    for j in range(size):
-        for i in range(j, size):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                matrix[j, j] = math.sqrt(total)
-            else:
-                matrix[i, j] = total / matrix[j, j]
-    return True
-
-
-@inner
-def _plane_bound(about: Floats, steps: Floats) -> float:
-    """Returns a bound of a convex function, by its tangent at the point."""
-    bound = about[0, 0]
-    for i in range(steps.shape[0]):
-        slope, step = (about[1 + i, 0], about[1 + i, 1]), (steps[i, 0], steps[i, 1])
-        bound = down(bound + times(slope, step)[0])
-    return bound
-
-
-@inner
-def expansion_bound(
-    about: Floats, over: Floats, steps: Floats, matrix: Floats, scales: Floats
-) -> float:
-    """Returns the best of the bounds about a point.
-
-    Args:
-        about: jet of f at the point, with its gradient (J, 2).
-        over: jet of f over the cell, with its Hessian (J, 2).
-        steps: x − c of the cell's ends, rounded outward (L, 2).
-        matrix: room (L, L).
-        scales: room (L,).
-    """
-    for i in range(scales.size):
-        scales[i] = max(steps[i, 1] - steps[i, 0], TINY)
-    is_bowl = _is_convex(over, scales, matrix)
-    mean = bent = about[0, 0]
-    for i in range(scales.size):
-        step, slope = (steps[i, 0], steps[i, 1]), (about[1 + i, 0], about[1 + i, 1])
-        mean = down(mean + times((over[1 + i, 0], over[1 + i, 1]), step)[0])
-        bent = down(bent + least_quadratic(slope, curvature(over, scales, i), step))
-    best = -np.inf
-    for bound in (mean, bent, _plane_bound(about, steps) if is_bowl else -np.inf):
-        if bound > best:  # NaN is not
-            best = bound
-    return best
 
 
 @kernel
@@ -183,32 +100,33 @@ def middles(low: Floats, high: Floats) -> Floats:
 @inner
 def _bound_about(tape: Tape, formula: int, cell: Floats, is_convex: bool, room: Room) -> float:
     """Returns a bound of f + s (x − c) over a cell (5, L); see `bound_all`."""
-    jets, about, over, steps, matrix, scales = room
+    jets, about, over, steps = room
     low, high, point = cell[0], cell[1], cell[2]
     end = enclose(tape, formula, low, high, VALUE if is_convex else HESSIAN, jets)
     if end < 0:
         return np.inf
-    natural = jets[end, 0, 0]
     over[:] = jets[end]
+    best = over[0, 0]
     for i in range(point.size):
-        steps[i, 0], steps[i, 1] = (
-            min(down(low[i] - point[i]), 0.0),
-            max(up(high[i] - point[i]), 0.0),
-        )
-        natural = down(natural + times((cell[3, i], cell[4, i]), (steps[i, 0], steps[i, 1]))[0])
+        steps[i, 0] = min(down(low[i] - point[i]), 0.0)
+        steps[i, 1] = max(up(high[i] - point[i]), 0.0)
+        best = down(best + times((cell[3, i], cell[4, i]), (steps[i, 0], steps[i, 1]))[0])
     end = enclose(tape, formula, point, point, GRADIENT, jets)
     if end < 0:
-        return natural
+        return best
     about[:] = jets[end]
+    mean = bent = about[0, 0]
     for i in range(point.size):
-        for totals in (about, over):
-            slope = plus((totals[1 + i, 0], totals[1 + i, 1]), (cell[3, i], cell[4, i]))
-            totals[1 + i, 0], totals[1 + i, 1] = slope
-    if is_convex:
-        bound = _plane_bound(about, steps)
-    else:
-        bound = expansion_bound(about, over, steps, matrix, scales)
-    return bound if bound > natural else natural
+        moved, step = (cell[3, i], cell[4, i]), (steps[i, 0], steps[i, 1])
+        slope, bend = plus((about[1 + i, 0], about[1 + i, 1]), moved), 0.0
+        if not is_convex:
+            bend = curvature(over, steps, i)
+            mean = down(mean + times(plus((over[1 + i, 0], over[1 + i, 1]), moved), step)[0])
+        bent = down(bent + least_quadratic(slope, bend, step))
+    for bound in (bent, -np.inf if is_convex else mean):
+        if bound > best:  # NaN is not
+            best = bound
+    return best
 
 
 @kernel
@@ -223,11 +141,8 @@ def bound_all(tape: Tape, formula: int, sides: Floats, cells: Ints, is_convex: b
         is_convex: whether f is known to be convex.
     """
     size, length = cells.shape[1], tape.starts[formula + 1] - tape.starts[formula]
-    jets, two = (
-        np.empty((length, jet_size(size, HESSIAN), 2)),
-        np.empty((2, jet_size(size, HESSIAN), 2)),
-    )
-    room = jets, two[0], two[1], np.empty((size, 2)), np.empty((size, size)), np.empty(size)
+    jets = np.empty((length, jet_size(size, HESSIAN), 2))
+    room = jets, np.empty_like(jets[0]), np.empty_like(jets[0]), np.empty((size, 2))
     found, cell = np.empty(len(cells)), np.empty((5, size))
     for c in range(found.size):
         for i in range(size):

@@ -79,13 +79,7 @@ class FlightFamily:
         return np.where(np.isfinite(slopes), slopes, 0.0)
 
     def bound(self, low: Floats, high: Floats, most: float) -> Floats:
-        """Returns bounds over cells (E,); ∞ where no flight within the walls costs up to the most.
-
-        Args:
-            low: lower ends (E, m).
-            high: upper ends.
-            most: the largest cost of interest.
-        """
+        """Returns bounds over cells (E, m); ∞ where no flight within walls costs up to the most."""
         found = self._values(0, low, high)[:, 0]
         keep = found <= most
         for place in range(1, self.tape.starts.size - 1):
@@ -98,13 +92,7 @@ class FlightFamily:
         return enclose_all(self.tape, np.full(len(low), formula), low, high, VALUE)[:, 0]
 
     def expand(self, low: Floats, high: Floats, slopes: Floats) -> Floats:
-        """Returns bounds of cost + s (x − c) over cells, about their middles c (E,).
-
-        Args:
-            low: lower ends (E, m).
-            high: upper ends.
-            slopes: s (E, m).
-        """
+        """Returns bounds of cost + s (x − c) over cells (E, m), about their middles c."""
         sides = np.array([low, high, 0.5 * low + 0.5 * high, slopes, slopes]).reshape(5, -1)
         cells = np.arange(low.size).reshape(low.shape)
         return bound_all(self.tape, 0, sides, cells, self.is_convex)

@@ -126,6 +126,7 @@ class Relaxation:
 
     Attributes:
         structure: its columns and rows.
+        cell: those of the last cell.
         effort: of one of them, in cells.
     """
 
@@ -135,7 +136,7 @@ class Relaxation:
         low, high = formulas.row_bounds
         self._lower, self._upper = np.append(-np.inf, low), np.append(np.inf, high)
         size, num_columns = formulas.lower.size, structure.first.size - 1
-        self._cell = LinearProgram(
+        self.cell = LinearProgram(
             structure.values.copy(),
             structure.lower.copy(),
             structure.upper.copy(),
@@ -165,11 +166,6 @@ class Relaxation:
         self._basis: Any = None
         self.effort = 1 + self._functions.size // 4 + size // 4
 
-    @property
-    def linear_program(self) -> tuple[Structure, LinearProgram]:
-        """Columns and rows, and those of the last cell."""
-        return self.structure, self._cell
-
     def bound(self, low: Floats, high: Floats, cutoff: float) -> Relaxed:
         """Bounds the cost over a cell, which is narrowed in place.
 
@@ -188,7 +184,7 @@ class Relaxation:
             cut_by_residuals(bound, cutoff, self._residuals, low, high)
             if np.any(low > high):
                 return nothing
-        bound = max(bound, float(self._cell.ranges[root, 0, 0]))
+        bound = max(bound, float(self.cell.ranges[root, 0, 0]))
         x = np.clip(w[: low.size], low, high)
         return Relaxed(bound, x, self._choose_cut(w, y, x, low, high))
 
@@ -205,11 +201,11 @@ class Relaxation:
 
     def _fill(self, low: Floats, high: Floats, cutoff: float) -> bool:
         self._upper[0] = cutoff
-        return bool(relax(self.structure, self._lower, self._upper, low, high, self._cell))
+        return bool(relax(self.structure, self._lower, self._upper, low, high, self.cell))
 
     def _solve(self, column: int, sign: float) -> tuple[float, Floats, Floats]:
         """Returns a bound of ± a column, the point where that is least, and multipliers."""
-        cell, solver, highs = self._cell, self._highs, self._core
+        cell, solver, highs = self.cell, self._highs, self._core
         box, cost = cell.box, np.zeros(cell.box.shape[1])
         cost[column] = sign
         solver.passModel(
@@ -251,13 +247,13 @@ class Relaxation:
         return self._bound(column, sign, y), w, y
 
     def _bound(self, column: int, sign: float, y: Floats) -> float:
-        return float(safe_bound(self.structure, self._cell, (column, sign), y, self._residuals))
+        return float(safe_bound(self.structure, self.cell, (column, sign), y, self._residuals))
 
     def _choose_cut(
         self, w: Floats, y: Floats, x: Floats, low: Floats, high: Floats
     ) -> tuple[int, float]:
         """Returns the variable that the functions farthest from their columns read, and where."""
-        own = violations(self.structure, self._cell, self._functions, w, y)
+        own = violations(self.structure, self.cell, self._functions, w, y)
         width = high - low
         shares = self._reads * np.where(np.isfinite(width), width, 1.0)
         total = np.sum(shares, axis=1)
@@ -271,12 +267,6 @@ class Relaxation:
             inner = _INNER * width[i]
             place = min(max(float(x[i]), low[i] + inner), high[i] - inner)
         return (i if low[i] < place < high[i] else -1), place
-
-
-def sides_of(formulas: Formulas) -> Floats:
-    """Returns the sides of a program's box, 1 where it has no such side (n,)."""
-    sides = formulas.upper - formulas.lower
-    return np.where((sides > 0.0) & np.isfinite(sides), sides, 1.0)
 
 
 def _readers(structure: Structure, size: int) -> Floats:

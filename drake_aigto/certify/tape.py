@@ -117,13 +117,7 @@ class Formula:
         return list(self._known)
 
     def add(self, place_of: Index, e: Expression, factor: float = 1.0, target: float = 0.0) -> None:
-        """Adds factor · (e − target) to the sum.
-
-        Args:
-            place_of: id of a variable ↦ its place among the formula's.
-            e: the expression.
-            factor: as above.
-            target: as above.
+        """Adds factor · (e − target) to the sum, of variables in these places of the formula.
 
         Raises:
             NoEnclosureError: it has a function without an enclosure.

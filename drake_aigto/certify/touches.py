@@ -211,10 +211,7 @@ class _LineFlights:
     def with_slopes(self, cells: _Cells, walls: Ints, touches: Floats) -> _Cells:
         """Returns cells with p: the slope of the cost to go at a cell's middle.
 
-        Args:
-            cells: whose.
-            walls: of the touches that come next (N,); −1: the end comes next.
-            touches: their times and speeds (N, 2).
+        The next touches are of walls (N,), −1 where the end comes next, at times and speeds (N, 2).
         """
         found, own = np.zeros_like(cells.low), cells.middles
         time = touches[:, 0] - own[:, 0]

@@ -104,8 +104,8 @@ class ScaledProblem:
         no_multipliers = np.zeros(self.structure.rows.size)
         gradient, band = self.structure.assemble(x, self._scales, no_multipliers)
         steepest = np.max(np.abs(gradient), initial=0.0)
-        slopes = self.structure.steepest_slopes(band)
-        # A gradient that overflows leaves a scale above 0.
+        # Gradients that overflow leave scales above 0.
+        slopes = np.minimum(self.structure.steepest_slopes(band), 1e300)
         relative = min(steepest / cost_unit, 1e300)
         return (
             float(_STEEPEST / max(_STEEPEST, relative) / cost_unit),

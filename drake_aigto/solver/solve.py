@@ -139,6 +139,7 @@ class Solve:
     def _guess(self) -> Floats:
         return self._program.reduce(self._asked)
 
+    @np.errstate(over="ignore")  # Far out functions do, and what is infinite is no answer.
     def run(self) -> tuple[Floats, float, AigoDetails]:
         """Returns the answer x (n,), its cost, and details."""
         status = None
