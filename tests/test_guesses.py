@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from mechanisms import LEFT, MECHANISMS, build_world, drop_ball, joint, link, plane, sphere, wall
+from space_models import ball_and_finger, make_scenario
 
 from drake_aigto import Scenario, World, planning
 from drake_aigto.contact import RigidLaw
@@ -20,6 +22,7 @@ from drake_aigto.planning import (
     make_mechanism_task,
     soften,
 )
+from drake_aigto.world import SpaceWorld
 
 
 @cache
@@ -103,11 +106,11 @@ def test_a_renewal_perturbs_a_stretch_alone_or_moves_all_of_a_motion() -> None:
     assert kept > 10
 
 
-def slide(length: float, mass: float, time: float) -> tuple[World, Scenario]:
+def slide(length: float, mass: float, time: float, damping: float = 0.0) -> tuple[World, Scenario]:
     """Returns a ball on a rail before a wall, in other units of length, mass and time."""
     world = build_world(
         link("ball", mass, ">0 0 0 0 0 0", shape=sphere("ball", "0 0 0", radius=0.1 * length))
-        + joint("prismatic", "world", "ball", "1 0 0")
+        + joint("prismatic", "world", "ball", "1 0 0", brake(damping))
         + wall(plane("wall", "0 0 0 0 1.5707963267948966 0"))
     )
     scenario = Scenario(
@@ -130,6 +133,31 @@ def test_units_scale_with_lengths_masses_and_times_and_with_nothing_else(units: 
     np.testing.assert_allclose(other.velocity, length / time * one.velocity)
     assert other.length == pytest.approx(length * one.length)
     assert other.speed == pytest.approx(length / time * one.speed)
+
+
+def brake(damping: float) -> str:
+    return f"<dynamics><damping>{damping}</damping></dynamics>"
+
+
+@pytest.mark.parametrize("damping", [0.01, 1.0, 100.0])
+@pytest.mark.parametrize("is_in_space", [False, True])
+def test_the_scale_of_controls_moves_by_the_unit_in_the_duration_whatever_brakes(
+    damping: float, is_in_space: bool, tmp_path: Path
+) -> None:
+    world, scenario = slide(1.0, 1.0, 1.0, damping)
+    scenario = dataclasses.replace(scenario, contact="rigid")
+    if is_in_space:
+        text = ball_and_finger().replace(brake(0.2), brake(damping))
+        scenario = make_scenario(tmp_path, text)
+        world = SpaceWorld.from_scenario(scenario)
+        scenario = world.place(scenario)
+    problem = make_mechanism_task(world, scenario, PlanOptions()).shooting(20)
+    i, T = int(np.argmax(world.actuation[:, 0])), scenario.duration
+    m = world.calc_mass_matrix(scenario.initial_position)[i, i]
+    # From rest, as m v̇ = u − d v.
+    decay = m / damping
+    way = problem.control_scales[0] / damping * (T - decay * (1 - np.exp(-T / decay)))
+    assert 0.5 < way / problem.scales[i] < 1.0
 
 
 def test_hinges_are_measured_in_radians_and_their_contacts_by_their_arms() -> None:

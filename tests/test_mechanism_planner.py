@@ -267,6 +267,16 @@ def test_the_chance_of_a_better_motion_falls_with_every_time_that_the_best_is_fo
         assert search.chance == pytest.approx((1.5 if count == 1 else 0.5) / (count * (count + 1)))
 
 
+def test_a_search_that_found_nothing_but_the_motion_without_control_goes_on() -> None:
+    scenario = Scenario.named("push_circle/round_it")
+    search = MechanismSearch(MechanismTask(World.from_scenario(scenario), scenario, QUICK))
+    first, *_ = next(search.propose())
+    for _ in range(8):
+        search.close([first])
+    assert search.found == 8 and search.promise >= 0.99 * search.task.coast.cost
+    assert search.chance == 1.0
+
+
 @pytest.mark.parametrize(
     ("name", "given", "message"),
     [

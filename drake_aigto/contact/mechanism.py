@@ -21,7 +21,7 @@ from drake_aigto.contact.tables import (
     copy_writable,
     make_mechanics_memory,
 )
-from drake_aigto.dynamics import EquationsOfMotion
+from drake_aigto.dynamics import EquationsOfMotion, read_damping
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.kernels import borrow, kernel
 from drake_aigto.terms import Factor, FunctionKind, Term, expression_terms
@@ -183,10 +183,12 @@ class Mechanism:
         mechanics: the tables.
         edges: upper bounds of φ_j where a sphere touches face i, with its center in front of that
             and not beyond an edge: −r for other faces of its solid, else ∞, shape (m, m) [m].
+        damping: d of joints, whose force is −d v, shape (n,) [N s/m, N m s/rad].
     """
 
     mechanics: Mechanics
     edges: Floats
+    damping: Floats
 
     @classmethod
     def of(cls, world: World, law: ContactLaw) -> Mechanism:
@@ -212,7 +214,9 @@ class Mechanism:
         )
         is_other = world.are_of_one_solid & ~np.eye(world.num_contacts, dtype=bool)
         radii = [contact.radius for contact in world.contacts]
-        return cls(copy_writable(tables), np.where(is_other, np.negative(radii), np.inf))
+        edges = np.where(is_other, np.negative(radii), np.inf)
+        damping = read_damping(world.plant, world.plant.CreateDefaultContext())
+        return cls(copy_writable(tables), edges, damping)
 
     @property
     def num_positions(self) -> int:

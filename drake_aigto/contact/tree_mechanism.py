@@ -157,6 +157,13 @@ class TreeMechanism:
         return self.tree.calc_actuation(self.tree.unturned)
 
     @property
+    def damping(self) -> Floats:
+        """The dampers d of joints, whose force is −d v, shape (n,) [N s/m, N m s/rad]."""
+        found = np.zeros(self.num_velocities)
+        found[self.tree.velocities] = self.tree.damping
+        return found
+
+    @property
     def has_friction(self) -> bool:
         """Whether there is friction, of joints or where shapes touch."""
         return bool(np.any(self.touch.law[:, 2] > 0) or np.any(self.tree.friction > 0))

@@ -44,6 +44,7 @@ from .tree_reader import Thrust as Thrust
 from .tree_reader import check_constraints as check_constraints
 from .tree_reader import check_force as check_force
 from .tree_reader import find_joint as find_joint
+from .tree_reader import read_damping as read_damping
 from .tree_reader import refuse_loop as refuse_loop
 from .tree_tables import NO_FRAMES as NO_FRAMES
 from .tree_tables import PRISMATIC as PRISMATIC

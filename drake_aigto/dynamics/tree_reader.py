@@ -279,14 +279,11 @@ class _PlantTree:
     def _read_drives(self) -> tuple[Floats, Floats, Floats]:
         """Returns damping (nv,), armature (nv,) and B (nv, nu), as the plant orders them."""
         plant, context = self._plant, self._context
-        damping, armature = np.zeros(plant.num_velocities()), np.zeros(plant.num_velocities())
-        for joint in {link.joint.index(): link.joint for link in self._links}.values():
-            start, count = joint.velocity_start(), joint.num_velocities()
-            damping[start : start + count] = joint.GetDampingVector(context)
+        armature = np.zeros(plant.num_velocities())
         for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
             start = actuator.joint().velocity_start()
             armature[start] += actuator.calc_reflected_inertia(context)
-        return damping, armature, plant.MakeActuationMatrix()
+        return read_damping(plant, context), armature, plant.MakeActuationMatrix()
 
     def _read_springs(self) -> tuple[Floats, Floats]:
         """Returns stiffnesses and rests of links, shape (L,).
@@ -369,3 +366,12 @@ def _ints(values: Any) -> Any:
 def _floats(rows: Any, size: int) -> Floats:
     """Returns rows of a size as an array."""
     return np.array([np.ravel(row) for row in rows], dtype=float).reshape(-1, size)
+
+
+def read_damping(plant: MultibodyPlant, context: Context) -> Floats:
+    """Returns d of dampers of joints, whose force is −d v, shape (nv,) [N s/m, N m s/rad]."""
+    found = np.zeros(plant.num_velocities())
+    for joint in map(plant.get_joint, plant.GetJointIndices()):
+        start, count = joint.velocity_start(), joint.num_velocities()
+        found[start : start + count] = joint.GetDampingVector(context)
+    return found

@@ -25,7 +25,6 @@ from drake_aigto.planning.mechanisms.closing import (
     close_gaps,
     find_tight,
     settle,
-    soften,
     steady,
 )
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, Measures
@@ -40,7 +39,7 @@ from drake_aigto.planning.mechanisms.phases import (
 from drake_aigto.planning.mechanisms.reaches import Reaches
 from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask, make_mechanism_task
 from drake_aigto.planning.mechanisms.search import MechanismSearch
-from drake_aigto.planning.mechanisms.task import MechanismTask
+from drake_aigto.planning.mechanisms.task import MechanismTask, soften
 from drake_aigto.planning.mechanisms.touches import drop, lead_over_edges, list_mode_changes
 from drake_aigto.planning.mechanisms.traces import (
     add_impulses,

@@ -239,7 +239,7 @@ class OptimalControlProblem:
 
     @cached_property
     def control_scales(self) -> Floats:
-        """The control that moves by the scales in the duration, against friction and gravity.
+        """The control that moves by the scales in the duration, against what brakes, and gravity.
 
         Its shape is (nu,).
         """
@@ -248,7 +248,7 @@ class OptimalControlProblem:
         mass, bias = self.mechanism.calc_inertia(q)
         inverse = np.abs(np.linalg.pinv(self.mechanism.actuation))
         force = np.abs(mass) @ self.scales[:n] / T**2 + np.abs(bias)
-        force += self.mechanism.calc_drag(q)
+        force += self.mechanism.calc_drag(q) + self.mechanism.damping * self.scales[n:]
         return inverse @ force + np.finfo(float).tiny
 
     @cached_property

@@ -9,12 +9,18 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, TreeMechanism, calc_dissipation
+from drake_aigto.contact import CompliantLaw, ContactLaw, TreeMechanism
 from drake_aigto.planning.feedback import count_damper_steps
 from drake_aigto.planning.search import scaled
-from drake_aigto.shooting import ShootingOptions, ShootingProblem, ShootingResult, Smoothing
+from drake_aigto.shooting import (
+    IMPLICIT,
+    ShootingOptions,
+    ShootingProblem,
+    ShootingResult,
+    Smoothing,
+)
 from drake_aigto.simulation import EVENT_DRIVEN, Held, HeldControl, has_knots, replay_with
-from drake_aigto.world import Scenario, SpaceWorld, World, find_anywhere
+from drake_aigto.world import Scenario, SpaceWorld, World
 
 # Guesses are closed in a few steps, some from contact that is wide at first (`Guess.width`).
 COARSE = ShootingOptions(
@@ -67,8 +73,6 @@ TIGHT_DRY = ShootingOptions(
     rungs=tuple(Smoothing(each, 60, 1e-6) for each in (0.01, 3e-3, 1e-3)), substeps=4, penalty=1e-5
 )
 
-_LEAST_RESTITUTION = 0.2  # of springs that stand in for rigid walls
-_LEAST_MOBILITY = 0.01  # of the one elsewhere: an arm that is not quite stretched out
 
 # The longest second-order Runge-Kutta step that resolves contact, as a part of the time in which
 # the fastest oscillation turns by 1 rad. Steps of twice that are stable, but fill the kept motions
@@ -193,41 +197,15 @@ def find_tight(world: World, q: Floats, time_step: float) -> ShootingOptions:
 def _resolve_dampers(
     options: ShootingOptions, world: World, q: Floats, time_step: float
 ) -> ShootingOptions:
-    """Returns options with Runge-Kutta steps in which the dampers of joints are stable."""
+    """Returns options with steps in which the dampers of joints are stable.
+
+    Where these ask for more steps than contacts in space, steps are implicit: there robots leave
+    the start, with whose inertia steps are counted.
+    """
     least = count_damper_steps(world, q, time_step)
+    if least > options.substeps and _meets_in_space(world):
+        return dataclasses.replace(options, order=IMPLICIT)
     return dataclasses.replace(options, substeps=max(options.substeps, least))
-
-
-def soften(world: World, law: RigidLaw, time_step: float, speed: float) -> CompliantLaw:
-    """Returns springs that stand in for rigid walls, as soft as time steps require.
-
-    They reverse a speed in π dt, k = 1/(dt² J M⁻¹ Jᵀ) at the plant's default position, where
-    explicit steps would become unstable at twice the frequency; their restitution is e at a speed.
-
-    Args:
-        world: has M and J.
-        law: has μ, and e; it is at least 0.2, as springs with less would pull.
-        time_step: dt [s].
-        speed: φ̇ of an impact with restitution e [m/s].
-    """
-    mobility = _calc_mobility(world)
-    e = np.maximum(law.restitution, _LEAST_RESTITUTION)
-    dissipation = np.array([calc_dissipation(each, speed) for each in e])
-    return CompliantLaw(1 / (time_step**2 * mobility), dissipation, law.friction)
-
-
-def _calc_mobility(world: World) -> Floats:
-    """Returns J M⁻¹ Jᵀ of each contact at the plant's default position, shape (m,) [1/kg].
-
-    If an arm is stretched out there along the wall's normal, with zero mobility, it is that at
-    another position.
-    """
-    mobilities = []
-    for q in (world.plant.GetDefaultPositions(), find_anywhere(world.plant)):
-        J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)
-        mobilities.append(np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T)))
-    here, elsewhere = mobilities
-    return np.where(here > _LEAST_MOBILITY * elsewhere, here, elsewhere)
 
 
 class _Correcting(HeldControl):

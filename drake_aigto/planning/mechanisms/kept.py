@@ -16,8 +16,9 @@ from drake_aigto.shooting import ShootingResult
 MOST_KEPT, _SAME = 8, 1e-3
 # Motions whose positions differ by no more than this, relative to their scales, have one optimum.
 _NEAR = 0.05
-# Motions that cost at most this times the best are near it, as far as a chance of better ones goes.
-_NEARLY = 1.1
+# Motions that cost at most this times the best are near it, as far as a chance of better ones goes,
+# unless they save no more than this part of what the uncontrolled motion costs.
+_NEARLY, _HARDLY = 1.1, 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,17 +68,23 @@ def best_of(motions: Sequence[KeptMotion]) -> list[KeptMotion]:
     return sorted(motions, key=lambda each: each.rank)[:MOST_KEPT]
 
 
-def calc_chance(motions: Sequence[KeptMotion], searches: int) -> float:
+def calc_chance(motions: Sequence[KeptMotion], searches: int, idle: float) -> float:
     """Returns the estimated chance that the next search finds a motion better than all.
 
     Of n searches, N came near the best, and s of these found what no other did. So the next
     comes near it with N / n, finds something new there with (s + ½) / N (Good and Turing), and
-    any of those N + 1 is as likely to be the best: (s + ½) / (n (N + 1)).
+    any of those N + 1 is as likely to be the best: (s + ½) / (n (N + 1)). While the best is hardly
+    better than no control, how often that was found tells nothing, and the chance is 1.
+
+    Args:
+        motions: that are kept, the best first.
+        searches: n.
+        idle: the cost of the uncontrolled motion.
     """
     misses, cost = motions[0].rank
-    limit = misses, scaled(_NEARLY, cost)
+    limit = misses, min(scaled(_NEARLY, cost), idle - _HARDLY * abs(idle))
     near = [motion.found for motion in motions if motion.rank <= limit]
-    return (near.count(1) + 0.5) / (searches * (sum(near) + 1))
+    return (near.count(1) + 0.5) / (searches * (sum(near) + 1)) if near else 1.0
 
 
 def is_better(motion: KeptMotion, known: KeptMotion) -> bool:

@@ -101,7 +101,7 @@ class MechanismSearch(Search):
         self._tight: list[KeptMotion] = []  # The best motions, in shorter steps.
         self._known: list[KeptMotion] = []  # Motions before and after their polish.
         self._left_out: list[KeptMotion] = []  # As another one that holds costs less.
-        self._aim = Aim()
+        self._aim = Aim(order=task.closing_order)
         self._num_closed = self._num_of_use = self._num_broken = 0
         self._scales = task.state_scales[: task.world.num_positions]
         self._rigid = task if isinstance(task, RigidMechanismTask) else None
@@ -201,7 +201,7 @@ class MechanismSearch(Search):
     @property
     def chance(self) -> float:
         """The estimated chance that the next search finds a better motion (`calc_chance`)."""
-        return calc_chance(self.motions, self.searches)
+        return calc_chance(self.motions, self.searches, self.task.price(self.task.coast))
 
     def _draw(self, number: int) -> Proposal:
         """Returns a renewal, or every second time a random start."""

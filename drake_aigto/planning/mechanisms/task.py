@@ -8,7 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from drake_aigto.contact import CompliantLaw
+from drake_aigto.arrays import Floats
+from drake_aigto.contact import CompliantLaw, RigidLaw, calc_dissipation
 from drake_aigto.planning.mechanisms.closing import (
     COOLING,
     FINER,
@@ -24,13 +25,12 @@ from drake_aigto.planning.mechanisms.closing import (
     find_tight,
     halve_steps,
     settle,
-    soften,
     steady,
 )
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, sample_cubic
 from drake_aigto.planning.mechanisms.posed import PosedMechanism
 from drake_aigto.shooting import IMPLICIT, ShootingOptions, ShootingResult
-from drake_aigto.world import SpaceWorld
+from drake_aigto.world import SpaceWorld, World, find_anywhere
 
 # Price of violating bounds (relative to the state's scales) in the task's scale. As a violation may
 # save more than that, motions with a larger one than `_MUCH` rank after all others.
@@ -49,6 +49,8 @@ _WORTH = 1.2
 # resolve. Those of the best motions after 16 renewals add up to 0.3 to 0.8 for the spinner, the
 # block and the disc that a pusher goes round, and to 29 to 220 for the hopper and the planar hand.
 _UNRESOLVED = 5.0
+_LEAST_RESTITUTION = 0.2  # of springs that stand in for rigid walls
+_LEAST_MOBILITY = 0.01  # of the one elsewhere: an arm that is not quite stretched out
 
 
 class MechanismTask(PosedMechanism):
@@ -182,6 +184,11 @@ class MechanismTask(PosedMechanism):
         time_step = self.scenario.duration / self.search_steps
         return self._resolve(find_closing(self.world, self.law, q, time_step, is_aimed))
 
+    @property
+    def closing_order(self) -> int:
+        """The order of the steps in which guesses are closed."""
+        return self._closing.order
+
     @cached_property
     def _tightening(self) -> ShootingOptions:
         """Options for refining closed motions."""
@@ -274,3 +281,35 @@ class MechanismTask(PosedMechanism):
     def rank(self, motion: ShootingResult) -> tuple[bool, float]:
         """Orders motions by whether their violation is large, and by their price."""
         return motion.violation > _MUCH, self.price(motion)
+
+
+def soften(world: World, law: RigidLaw, time_step: float, speed: float) -> CompliantLaw:
+    """Returns springs that stand in for rigid walls, as soft as time steps require.
+
+    They reverse a speed in π dt, k = 1/(dt² J M⁻¹ Jᵀ) at the plant's default position, where
+    explicit steps would become unstable at twice the frequency; their restitution is e at a speed.
+
+    Args:
+        world: has M and J.
+        law: has μ, and e; it is at least 0.2, as springs with less would pull.
+        time_step: dt [s].
+        speed: φ̇ of an impact with restitution e [m/s].
+    """
+    mobility = _calc_mobility(world)
+    e = np.maximum(law.restitution, _LEAST_RESTITUTION)
+    dissipation = np.array([calc_dissipation(each, speed) for each in e])
+    return CompliantLaw(1 / (time_step**2 * mobility), dissipation, law.friction)
+
+
+def _calc_mobility(world: World) -> Floats:
+    """Returns J M⁻¹ Jᵀ of each contact at the plant's default position, shape (m,) [1/kg].
+
+    If an arm is stretched out there along the wall's normal, with zero mobility, it is that at
+    another position.
+    """
+    mobilities = []
+    for q in (world.plant.GetDefaultPositions(), find_anywhere(world.plant)):
+        J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)
+        mobilities.append(np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T)))
+    here, elsewhere = mobilities
+    return np.where(here > _LEAST_MOBILITY * elsewhere, here, elsewhere)
