@@ -76,8 +76,9 @@ _TRUE = 1e-7
 _STEADY = 1.0
 # A polish may lower costs by up to this factor.
 _UNPOLISHED = 1.2
-# A polish diverged if it raised the cost by more than this factor.
-_FAR = 1.05
+# A polish that raised the cost by more than the first factor ended at another optimum, and by more
+# than the second it diverged.
+_OTHER, _FAR = 1.01, 1.05
 # Costs fall by up to this factor while walls are cleared, and met to rounding.
 _UNSETTLED = 1.01
 _COARSE = ShootingOptions(rungs=(Smoothing(0.0, 40, 1e-3),), multiplier_updates=4)
@@ -241,7 +242,7 @@ class RigidMechanismTask(MechanismTask):
         limit = scaled(_UNSETTLED, most)
         first = motion if is_as_is else self._shoot(touches, motion, num_steps, _FINE, limit)
         found = self._with_depth(self._refine(first, most=limit))
-        if scaled(_FAR, self.price(motion)) < self.price(found) and self.price(motion) < most:
+        if scaled(_OTHER, self.price(motion)) < self.price(found) and self.price(motion) < most:
             # That is another optimum, because of other steps or of a graze left out.
             wary = self._shoot(touches, motion, num_steps, _FINE.wary, limit)
             others = [self._refine(wary, is_wary=True, most=limit)]
