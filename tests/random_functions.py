@@ -82,3 +82,22 @@ def random_function(rng: np.random.Generator, size: int, depth: int) -> Callable
         return lambda m, x: one(m, first(m, x))
     both = BINARY[int(rng.integers(len(BINARY)))]
     return lambda m, x: both(m, first(m, x), last(m, x))
+
+
+EDGES: tuple[Callable[..., Any], ...] = (
+    lambda m, a: m.sqrt(a),
+    lambda m, a: m.pow(a, 0.3),
+    lambda m, a: m.pow(a, 1.5),
+    lambda m, a: m.pow(a, -0.3),
+    lambda m, a: m.log(a),
+    lambda m, a: a * m.log(a),
+    lambda m, a: m.pow(a, 7),
+    lambda m, a: m.exp(-a * a),
+)
+
+
+def random_edge(rng: np.random.Generator, point: np.ndarray) -> Callable[..., Any]:
+    """Returns a function of one variable whose domain, if it has an edge, ends at a point."""
+    i, sign = int(rng.integers(point.size)), float(rng.choice([1.0, -1.0]))
+    own, shift = EDGES[int(rng.integers(len(EDGES)))], -sign * float(point[i])
+    return lambda m, x: own(m, sign * x[i] + shift)

@@ -14,7 +14,15 @@ import numpy as np
 import pydrake.symbolic as sym
 import pytest
 from pydrake.solvers import ExpressionConstraint, MathematicalProgram
-from random_functions import FUNCTIONS, HIGH_PRECISION, add_cost, box, program, random_function
+from random_functions import (
+    FUNCTIONS,
+    HIGH_PRECISION,
+    add_cost,
+    box,
+    program,
+    random_edge,
+    random_function,
+)
 
 from drake_aigto.certify import (
     Operation,
@@ -287,15 +295,25 @@ def test_a_feasible_point_is_never_excluded_in_10000_programs(seed: int) -> None
 
 
 def check_feasible_points(rng: np.random.Generator, count: int) -> None:
-    """Rows and bounds that a point meets just about, fixed variables and rows twice among them."""
+    """Rows and bounds that a point meets just about, fixed variables and rows twice among them.
+
+    Functions end there, variables are pinned, and costs have scales of 1e±150.
+    """
     exact = SimpleNamespace(**HIGH_PRECISION)
 
     def value_at(function: Callable[..., Any], numbers: Sequence[Any]) -> float:
         with mpmath.workdps(40):
             try:
-                return float(function(exact, numbers))
-            except ZeroDivisionError:
+                value = float(function(exact, numbers))
+            except (ZeroDivisionError, TypeError):  # A complex number is no value.
                 return math.inf
+        return math.inf if math.isnan(value) else value
+
+    def draw() -> Callable[..., Any]:
+        kind, i = rng.random(), int(rng.integers(size))
+        if kind < 0.1:
+            return lambda m, x: 1.0 * x[i]
+        return random_edge(rng, point) if kind < 0.3 else random_function(rng, size, 3)
 
     for trial in range(count):
         size = int(rng.integers(1, 7))
@@ -308,10 +326,10 @@ def check_feasible_points(rng: np.random.Generator, count: int) -> None:
         x = prog.NewContinuousVariables(size, "x")
         prog.AddBoundingBoxConstraint(point - reach[0], point + reach[1], x)
         numbers = list(map(mpmath.mpf, point.tolist()))
-        cost = random_function(rng, size, 3)
-        add_cost(prog, cost(sym, x) + 0.1 * x[0])
+        cost, scale = draw(), float(10.0 ** rng.choice([0.0, 0.0, 0.0, -150.0, 100.0]))
+        add_cost(prog, scale * (cost(sym, x) + 0.1 * x[0]))
         for _ in range(int(rng.integers(0, 4))):
-            row = random_function(rng, size, 3)
+            row = draw()
             value = value_at(row, numbers)
             if not math.isfinite(value):
                 continue
@@ -328,9 +346,9 @@ def check_feasible_points(rng: np.random.Generator, count: int) -> None:
                     continue
                 constraint = ExpressionConstraint([written], [low], [high])
                 prog.AddConstraint(constraint, vars=constraint.vars())
-        least = value_at(cost, numbers) + 0.1 * float(point[0])
+        least = scale * (value_at(cost, numbers) + 0.1 * float(point[0]))
         cells = int(10.0 ** rng.uniform(0.0, 2.8))
         found = certify(prog, point if trial % 2 else None, cells=cells)
-        assert not found.is_infeasible
-        slack = 1e-12 * (1e-3 + abs(least)) if math.isfinite(least) else 0.0
+        assert not found.is_infeasible or least == math.inf  # The cost has no value there.
+        slack = 1e-12 * (1e-3 * scale + abs(least)) if math.isfinite(least) else 0.0
         assert found.lower_bound <= least + slack
