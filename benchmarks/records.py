@@ -102,7 +102,7 @@ RECORDS: Mapping[str, str] = {
     "loops": "python -m benchmarks.loops --count 2 --workers 2",
     "chain": "python -m benchmarks.chain --workers 2 --first-seed 100 --patience 20 --minutes 60"
     f" {_SOLVER}",
-    "certificates": "python -m benchmarks.certificates --worlds 50",
+    "certificates": "python -m benchmarks.certificates --worlds 20 --lossy 10 --workers 1",
     "provers": "python -m benchmarks.provers --workers 1",
     "push_bot_bounds": "python -m benchmarks.push_bot_bounds",
     "in_the_loop": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --workers 1",
