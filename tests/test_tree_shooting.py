@@ -13,7 +13,7 @@ from pydrake.systems.analysis import Simulator
 from space_models import make_scenario
 from trees import AXIS, add_body, attach, sample_state
 
-from drake_aigto import Planner
+from drake_aigto import Planner, Scenario
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import TreeMechanism
 from drake_aigto.dynamics import Tree
@@ -227,6 +227,16 @@ def test_a_slip_ends_in_long_steps_without_turning_round(
     along = slips[:, names.index("m::ball with ground::floor"), 0]
     assert along[0] == pytest.approx(0.5) and abs(along[-1]) < left
     assert np.all(along >= -back)  # The exact one is −0.0034 m/s once, as the ball bounces.
+
+
+def test_damped_steps_bring_a_quadruped_of_stiff_servos_down_in_few_iterations() -> None:
+    planner = Planner(Scenario.named("quadruped/leap_up"))
+    task = MechanismTask(planner.world, planner.scenario, planner.options)
+    problem, controls = task.shooting(20), np.zeros((20, 12))
+    options = ShootingOptions((Smoothing(1e-3, 40, 1e-4),), substeps=5, order=IMPLICIT)
+    before = problem.simulate(controls, 5, order=IMPLICIT)
+    # Damping that falls after steps of 1e-4 leaves 153 of 222 then.
+    assert problem.solve(controls, options=options).cost < 0.1 * before.cost
 
 
 @pytest.mark.slow

@@ -274,17 +274,22 @@ def close_gaps(
     The first one that costs hardly more than the motion counts, or the best: near its states, where
     gaps between them are closed by whole steps or by wary ones, or near its controls alone. In
     space, contact may get lost as gaps are closed, so controls and wary steps come first, unless
-    steps are of another order, where controls fail. Others are as in `ShootingProblem.solve`.
+    steps are of another order, where controls fail, and what costs more does not count at once.
+    Others are as in `ShootingProblem.solve`.
     """
-    ways = [(states, options)]
+    ways, most = [(states, options)], scaled(_HARDLY, motion.cost)
     if states is not None:
         alone, wary = (None, options), (states, dataclasses.replace(options, is_wary=True))
-        is_known = isinstance(problem.mechanism, TreeMechanism) and options.order == motion.order
-        ways = [alone, wary, *ways] if is_known else [*ways, wary, alone]
+        in_space, is_known = (
+            isinstance(problem.mechanism, TreeMechanism),
+            options.order == motion.order,
+        )
+        ways = [alone, wary, *ways] if in_space and is_known else [*ways, wary, alone]
+        most = motion.cost if in_space and not is_known else most
     tried = []
     for way in ways:
         found = problem.solve(controls, *way, prices)
-        if found.violation <= HOPELESS and found.cost <= _HARDLY * motion.cost:
+        if found.violation <= HOPELESS and found.cost <= most:
             return found
         tried.append(found)
     return min(tried, key=lambda each: (each.is_left or each.violation > HOPELESS, each.cost))
