@@ -328,6 +328,10 @@ GOOD = "initial_position: 1.0\ninitial_velocity: [-2.0]\ngoal_position: 0.73\n"
         ),
         (GOOD + "zzz: 1\n", r"unknown key 'zzz': expected one of .*, ignored_shapes\.$"),
         ("goal_position: 1\n", r"missing initial_position, initial_velocity\. These have no defau"),
+        (
+            "initial_position: 1\ngoal_position: 1\n",
+            r"missing initial_velocity\. It has no default",
+        ),
         (GOOD + "epsilon: 0\n", r"epsilon: got 0 J, expected more than 0 J"),
         (GOOD + "epsilon: tiny\n", r"epsilon: got 'tiny' \(str\), expected a number"),
         (GOOD + "delta: .nan\n", "delta: got nan, expected a finite number"),

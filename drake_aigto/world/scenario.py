@@ -344,7 +344,10 @@ class Scenario(ModelFields):
                 )
         missing = [name for name in REQUIRED if name not in data]
         if missing:
-            raise ScenarioError(f"missing {', '.join(missing)}", remedy="These have no default.")
+            raise ScenarioError(
+                f"missing {', '.join(missing)}",
+                remedy="It has no default." if len(missing) == 1 else "These have no default.",
+            )
         return cls(**data)
 
     @classmethod
