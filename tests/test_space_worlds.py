@@ -40,11 +40,17 @@ from drake_aigto.show import (
     publish,
     task_items,
 )
-from drake_aigto.simulation import replay_drake, replay_event_driven, tangent_scales
+from drake_aigto.simulation import (
+    find_touch_error,
+    replay_drake,
+    replay_event_driven,
+    tangent_scales,
+)
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
 from drake_aigto.world import SpaceWorld, TaskCost
 
+_RODS = (0.03, 0.031), (0.04, 0.18)  # Radius and length [m].
 BOX = "<box><size>0.1 0.1 0.1</size></box>"
 
 
@@ -79,6 +85,24 @@ def test_a_push_leads_to_the_same_end_here_and_in_drake(tmp_path: Path) -> None:
     np.testing.assert_allclose(ours.positions[-1], drake.positions[-1], rtol=0, atol=1e-6)
     assert ours.cost == pytest.approx(drake.cost, rel=1e-5)
     assert ours.compliance_error < 1e-5
+
+
+def test_touches_of_capsules_in_drake_are_compared_with_the_exact_ones(tmp_path: Path) -> None:
+    rods = [
+        f"<capsule><radius>{r}</radius><length>{length}</length></capsule>" for r, length in _RODS
+    ]
+    text = ball_and_finger(collision("ball", rods[1]))
+    exact, _ = build(make_scenario(tmp_path))
+    text = text.replace(collision("tip", SPHERE), collision("tip", rods[0]))
+    up = {"thing": {"xyz": [0, 0, 0.5]}, "x": -0.5, "z": 0.5}
+    off, scenario = build(make_scenario(tmp_path, text, initial_position=up))
+    rng, q = np.random.default_rng(0), scenario.initial_position
+    turns = np.zeros((300, 9))
+    turns[:, 4] = rng.uniform(-3.0, 3.0, 300)  # In the plane, where bodies of a plane meet.
+    near = np.array([off.tree.add(q, turn) for turn in turns])
+    near[:, off.plant.GetJointByName("x").position_start()] = rng.uniform(-0.06, 0.06, 300)
+    assert find_touch_error(off, near) > 1e-4
+    assert find_touch_error(exact, near) == 0.0  # It has no capsules.
 
 
 def test_goals_by_a_shift_are_so_far_from_the_start_and_keep_its_attitude(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from .compliant import CompliantMotion as CompliantMotion
 from .drake_judge import ContactTrace as ContactTrace
 from .drake_judge import StepEnd as StepEnd
 from .drake_judge import StepTrace as StepTrace
+from .drake_judge import find_touch_error as find_touch_error
 from .event_driven import Parabolas as Parabolas
 from .recording import Controller as Controller
 from .recording import Held as Held

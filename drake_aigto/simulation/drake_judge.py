@@ -18,11 +18,12 @@ from drake_aigto.contact import (
     calc_time_to_wall,
     read_clearances,
 )
+from drake_aigto.geometry import CAPSULE
 from drake_aigto.simulation.compliant import find_depth, measure_steps, read_touches
 from drake_aigto.simulation.recording import Controller, Held, Impact, Recording, Rest, sample_steps
 from drake_aigto.simulation.simulator import SETTLED, calc_acceleration, start_plant
 from drake_aigto.simulation.verdict import calc_compliance_error, calc_lateness
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, SpaceWorld, World, hide_half_space_warning
 
 
 class DrakeJudge:
@@ -301,3 +302,28 @@ class ContactTrace(StepTrace):
             if depth > deepest and self._is_on_face(solid, index + 1):
                 deepest = depth
         return deepest
+
+
+def find_touch_error(world: SpaceWorld, positions: Floats) -> float:
+    """Returns how far Drake's touches of capsules are off the exact ones, at most [m].
+
+    Drake finds where and how deep capsules overlap by an iteration that may end elsewhere.
+
+    Args:
+        world: whose shapes overlap.
+        positions: shape (K, nq).
+    """
+    are_capsules = np.all(world.geometry.shapes.kinds[world.geometry.pairs] == CAPSULE, axis=1)
+    pairs = {frozenset(world.pairs[i].shapes): int(i) for i in np.flatnonzero(are_capsules)}
+    with hide_half_space_warning():
+        root, worst = world.diagram.CreateDefaultContext(), 0.0
+    plant = world.plant.GetMyMutableContextFromRoot(root)
+    output, scene = world.scene_graph.get_query_output_port(), world.scene_graph
+    for q in positions if pairs else ():
+        world.plant.SetPositions(plant, q)
+        query = output.Eval(scene.GetMyContextFromRoot(root))
+        for found in query.ComputePointPairPenetration():
+            if (i := pairs.get(frozenset([found.id_A, found.id_B]), -1)) >= 0:
+                middle = (found.p_WCa + found.p_WCb) / 2
+                worst = max(worst, float(np.linalg.norm(middle - world.find_touch(i, q)[0])))
+    return worst

@@ -33,7 +33,8 @@ _HINGES = {
 
 def check_friction_acts(plant: MultibodyPlant, diagram: Diagram) -> None:
     """Refuses a diagram in which nothing makes dry friction act on its plant."""
-    context = plant.GetMyContextFromRoot(diagram.CreateDefaultContext())
+    with hide_half_space_warning():
+        context = plant.GetMyContextFromRoot(diagram.CreateDefaultContext())
     if not plant.get_applied_generalized_force_input_port().HasValue(context):
         raise ModelError(
             "dry_friction",
