@@ -151,8 +151,7 @@ class Solve:
                     self._answers.polish_as_given()
         except KeyboardInterrupt:
             status = AigoStatus.INTERRUPTED
-            if self._certifier is not None:
-                self._certificate = self._certifier.certificate()
+            self._certificate = self._certifier.certificate() if self._certifier else None
         except ContradictionError:  # Found by presolve, after ladders were gone up in vain.
             status = AigoStatus.CONTRADICTORY_BOUNDS
         best = self._answers.best

@@ -76,8 +76,7 @@ _TRUE = 1e-7
 _STEADY = 1.0
 # A polish may lower costs by up to this factor.
 _UNPOLISHED = 1.2
-# A polish that raised the cost by more than the first factor ended at another optimum, and by more
-# than the second it diverged.
+# A polish that raised the cost by more than these factors ended at another optimum, or diverged.
 _OTHER, _FAR = 1.01, 1.05
 # Costs fall by up to this factor while walls are cleared, and met to rounding.
 _UNSETTLED = 1.01
