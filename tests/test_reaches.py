@@ -66,6 +66,32 @@ def fingers(tmp_path_factory: pytest.TempPathFactory) -> Fingers:
     return Fingers(world, np.array(scenario.initial_position), np.array(sliders), reaches)
 
 
+def test_a_hand_reaches_where_it_pushes_the_object_along_and_sticks_to_it(tmp_path: Path) -> None:
+    world = World.from_scenario(scenario := make_scenario(tmp_path))
+    assert isinstance(world, SpaceWorld)
+    scenario = world.place(scenario)
+    cost, start = TaskCost.of(world, scenario), scenario.initial_position
+    law = contact_law(world, scenario)
+    assert isinstance(law, CompliantLaw)
+    limits = limit_states(world, world.bounds(scenario))[:, :9]
+    reaches = Reaches(world, law, cost, np.full(9, 0.3), limits, 1.0)
+    assert [world.contacts[i].name for i in reaches.contacts] == ["m::ball with m::tip"]
+    times = np.linspace(0.0, 1.0, 51)
+    path, contacts, end = reaches.find_stroke(start, 50, 0.4, np.random.default_rng(0))
+    pushed = np.array([bool(each) for each in contacts] + [False])
+    assert 25 <= end <= 50 and 0.55 * end <= np.count_nonzero(pushed) <= 0.65 * end + 1
+    assert np.all(np.abs(world.calc_signed_distance(path)[pushed, reaches.contacts]) < 2e-3)
+    (ball,) = (world.plant.GetJointByName("thing").position_start() + 4,)
+    between = path[:, ball : ball + 3] - path[:, :3]
+    assert np.all(np.ptp(between[pushed], axis=0) < 2e-3)  # It sticks,
+    assert np.mean(between[pushed, 0]) > 0.95 * 0.1  # behind the ball, whose way is along x.
+    np.testing.assert_allclose(world.subtract(path[-1], scenario.goal_position)[6:], 0, atol=1e-9)
+    bounds, state = np.array([[-10.0] * 3, [10.0] * 3]), (start, scenario.initial_velocity)
+    controls = reaches.push(times, state, 0.4, bounds, np.random.default_rng(0))
+    replay = replay_event_driven(world, scenario, times, controls)
+    assert replay.positions[-1, ball] > 0.1  # Contact does the rest.
+
+
 def test_two_hands_turn_an_object_without_moving_it_and_one_can_not(fingers: Fingers) -> None:
     first = fingers.world.plant.GetJointByName("thing").velocity_start()
     wanted = np.zeros(12)

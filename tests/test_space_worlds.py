@@ -25,11 +25,9 @@ from drake_aigto import (
     World,
 )
 from drake_aigto.cli import FINE, main
-from drake_aigto.contact import CompliantLaw, contact_law
 from drake_aigto.control import Disturbance, run_in_loop
 from drake_aigto.errors import ModelError, ProgramError, ScenarioError
-from drake_aigto.planning import Feedback, FeedbackPhase, Reaches
-from drake_aigto.shooting import limit_states
+from drake_aigto.planning import Feedback, FeedbackPhase
 from drake_aigto.show import (
     ROOT,
     Motion,
@@ -40,17 +38,11 @@ from drake_aigto.show import (
     publish,
     task_items,
 )
-from drake_aigto.simulation import (
-    find_touch_error,
-    replay_drake,
-    replay_event_driven,
-    tangent_scales,
-)
+from drake_aigto.simulation import replay_drake, replay_event_driven, tangent_scales
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
 from drake_aigto.world import SpaceWorld, TaskCost
 
-_RODS = (0.03, 0.031), (0.04, 0.18)  # Radius and length [m].
 BOX = "<box><size>0.1 0.1 0.1</size></box>"
 
 
@@ -85,24 +77,6 @@ def test_a_push_leads_to_the_same_end_here_and_in_drake(tmp_path: Path) -> None:
     np.testing.assert_allclose(ours.positions[-1], drake.positions[-1], rtol=0, atol=1e-6)
     assert ours.cost == pytest.approx(drake.cost, rel=1e-5)
     assert ours.compliance_error < 1e-5
-
-
-def test_touches_of_capsules_in_drake_are_compared_with_the_exact_ones(tmp_path: Path) -> None:
-    rods = [
-        f"<capsule><radius>{r}</radius><length>{length}</length></capsule>" for r, length in _RODS
-    ]
-    text = ball_and_finger(collision("ball", rods[1]))
-    exact, _ = build(make_scenario(tmp_path))
-    text = text.replace(collision("tip", SPHERE), collision("tip", rods[0]))
-    up = {"thing": {"xyz": [0, 0, 0.5]}, "x": -0.5, "z": 0.5}
-    off, scenario = build(make_scenario(tmp_path, text, initial_position=up))
-    rng, q = np.random.default_rng(0), scenario.initial_position
-    turns = np.zeros((300, 9))
-    turns[:, 4] = rng.uniform(-3.0, 3.0, 300)  # In the plane, where bodies of a plane meet.
-    near = np.array([off.tree.add(q, turn) for turn in turns])
-    near[:, off.plant.GetJointByName("x").position_start()] = rng.uniform(-0.06, 0.06, 300)
-    assert find_touch_error(off, near) > 1e-4
-    assert find_touch_error(exact, near) == 0.0  # It has no capsules.
 
 
 def test_goals_by_a_shift_are_so_far_from_the_start_and_keep_its_attitude(tmp_path: Path) -> None:
@@ -311,30 +285,6 @@ _LOOP = "".join(
 def test_what_is_no_driven_tree_is_refused_by_name(tmp_path: Path, text: str, match: str) -> None:
     with pytest.raises(ModelError, match=match):
         World.from_scenario(make_scenario(tmp_path, text))
-
-
-def test_a_hand_reaches_where_it_pushes_the_object_along_and_sticks_to_it(tmp_path: Path) -> None:
-    world, scenario = build(make_scenario(tmp_path))
-    cost, start = TaskCost.of(world, scenario), scenario.initial_position
-    law = contact_law(world, scenario)
-    assert isinstance(law, CompliantLaw)
-    limits = limit_states(world, world.bounds(scenario))[:, :9]
-    reaches = Reaches(world, law, cost, np.full(9, 0.3), limits, 1.0)
-    assert [world.contacts[i].name for i in reaches.contacts] == ["m::ball with m::tip"]
-    times = np.linspace(0.0, 1.0, 51)
-    path, contacts, end = reaches.find_stroke(start, 50, 0.4, np.random.default_rng(0))
-    pushed = np.array([bool(each) for each in contacts] + [False])
-    assert 25 <= end <= 50 and 0.55 * end <= np.count_nonzero(pushed) <= 0.65 * end + 1
-    assert np.all(np.abs(world.calc_signed_distance(path)[pushed, reaches.contacts]) < 2e-3)
-    (ball,) = (world.plant.GetJointByName("thing").position_start() + 4,)
-    between = path[:, ball : ball + 3] - path[:, :3]
-    assert np.all(np.ptp(between[pushed], axis=0) < 2e-3)  # It sticks,
-    assert np.mean(between[pushed, 0]) > 0.95 * 0.1  # behind the ball, whose way is along x.
-    np.testing.assert_allclose(world.subtract(path[-1], scenario.goal_position)[6:], 0, atol=1e-9)
-    bounds, state = np.array([[-10.0] * 3, [10.0] * 3]), (start, scenario.initial_velocity)
-    controls = reaches.push(times, state, 0.4, bounds, np.random.default_rng(0))
-    replay = replay_event_driven(world, scenario, times, controls)
-    assert replay.positions[-1, ball] > 0.1  # Contact does the rest.
 
 
 def test_numbers_of_a_quaternion_have_no_unit(tmp_path: Path) -> None:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
 from pydrake.multibody.tree import ModelInstanceIndex
+from space_models import SPHERE, ball_and_finger, collision, make_scenario
 from touching_bodies import Bodies
 
+from drake_aigto import World
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import SLOWING
+from drake_aigto.simulation import find_touch_error
+from drake_aigto.world import SpaceWorld
 
 # Drake finds how deep these are in each other in closed form; of two capsules by an iteration that
 # misses it by up to their own size.
@@ -19,6 +24,7 @@ PAIRS = [
     *((each, "ground") for each in ("capsule", "box", "cylinder")),
 ]
 DEEPEST = 0.05  # [m]
+_RODS = (0.03, 0.031), (0.04, 0.18)  # Radius and length [m].
 
 
 def touching(bodies: Bodies, count: int) -> list[tuple[Floats, Floats]]:
@@ -79,6 +85,25 @@ def test_two_capsules_are_as_far_apart_as_the_nearest_balls_on_their_axes() -> N
         distance = bodies.room.closest.distance[0] + 0.12
         assert distance <= nearest + 1e-12
         assert nearest <= np.hypot(distance, 2 * half_step) + 1e-12
+
+
+def test_touches_of_capsules_in_drake_are_compared_with_the_exact_ones(tmp_path: Path) -> None:
+    rods = [
+        f"<capsule><radius>{r}</radius><length>{length}</length></capsule>" for r, length in _RODS
+    ]
+    text = ball_and_finger(collision("ball", rods[1]))
+    exact = World.from_scenario(make_scenario(tmp_path))
+    text = text.replace(collision("tip", SPHERE), collision("tip", rods[0]))
+    up = {"thing": {"xyz": [0, 0, 0.5]}, "x": -0.5, "z": 0.5}
+    off = World.from_scenario(scenario := make_scenario(tmp_path, text, initial_position=up))
+    assert isinstance(off, SpaceWorld) and isinstance(exact, SpaceWorld)
+    rng, q = np.random.default_rng(0), off.place(scenario).initial_position
+    turns = np.zeros((300, 9))
+    turns[:, 4] = rng.uniform(-3.0, 3.0, 300)  # In the plane, where bodies of a plane meet.
+    near = np.array([off.tree.add(q, turn) for turn in turns])
+    near[:, off.plant.GetJointByName("x").position_start()] = rng.uniform(-0.06, 0.06, 300)
+    assert find_touch_error(off, near) > 1e-4
+    assert find_touch_error(exact, near) == 0.0  # It has no capsules.
 
 
 def test_smoothed_contact_pushes_from_afar_and_ends_at_the_law() -> None:

@@ -21,7 +21,7 @@ from drake_aigto.contact.tables import (
     copy_writable,
     make_mechanics_memory,
 )
-from drake_aigto.dynamics import EquationsOfMotion, read_damping
+from drake_aigto.dynamics import EquationsOfMotion
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.kernels import borrow, kernel
 from drake_aigto.terms import Factor, FunctionKind, Term, expression_terms
@@ -215,8 +215,7 @@ class Mechanism:
         is_other = world.are_of_one_solid & ~np.eye(world.num_contacts, dtype=bool)
         radii = [contact.radius for contact in world.contacts]
         edges = np.where(is_other, np.negative(radii), np.inf)
-        damping = read_damping(world.plant, world.plant.CreateDefaultContext())
-        return cls(copy_writable(tables), edges, damping)
+        return cls(copy_writable(tables), edges, world.damping)
 
     @property
     def num_positions(self) -> int:

@@ -14,7 +14,7 @@ from drake_aigto.certify import PlanBound
 from drake_aigto.errors import AigtoError, DamagedDataError, ModelError, PlanFileError
 from drake_aigto.output import write_text
 from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
-from drake_aigto.planning.candidate import Candidate, Replays, Veto
+from drake_aigto.planning.candidate import HARDLY, Candidate, Replays, Veto
 from drake_aigto.planning.feedback import Feedback
 from drake_aigto.planning.options import SearchOptions
 from drake_aigto.planning.tracked import confirm_in_drake, perturb, replay_own
@@ -29,9 +29,9 @@ _LOG = logging.getLogger(__name__)
 FORMAT = "drake_aigto plan"
 FORMAT_VERSION = 4
 
-# A plan that saves at most this part of what the uncontrolled motion costs is idle, unless that
-# costs at most the second, of the task's scale: what its replay adds by rounding.
-_HARDLY, _NOTHING = 1e-2, 1e-6
+# A plan is not idle where the uncontrolled motion costs at most this part of the task's scale: what
+# its replay adds by rounding.
+_NOTHING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ class Plan:
         if self.best.is_idle:
             return "does nothing"
         saved = self.idle.replay.cost - self.replay.event_driven.cost
-        is_little = saved <= _HARDLY * abs(self.idle.replay.cost)
+        is_little = saved <= HARDLY * abs(self.idle.replay.cost)
         return "hardly better than doing nothing" if is_little and self.holds else ""
 
     @property

@@ -52,7 +52,7 @@ _MOST_CANDIDATES, _MOST_VETOES = 8, 3
 _OF_SCALES = "of the task's scales"
 _FROM_OFF = "from a start 1e-3 of the scales off, "
 _AT_END = 1e-6  # of a duration: as near as rounding to an end of its range
-_MOST_LOOKS, _NEAR = 500, 1e-4  # At how many states of a simulation; in lengths of the task.
+_NEAR = 1e-4  # Lengths of the task: touches that are as near are in one place.
 _FAR = 4.0  # Lengths of the task: a motion that ends farther off has left it.
 
 
@@ -255,8 +255,8 @@ def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
     if replay.broken:
         return f"{text}, and breaks {', '.join(map(repr, replay.broken))}"
     if replay.simulator == "drake" and isinstance(world, SpaceWorld):
-        rows = replay.positions[:: max(1, len(replay.positions) // _MOST_LOOKS)]
-        if (off := find_touch_error(world, rows)) > _NEAR * candidate.scales.length:
+        off = find_touch_error(world, replay.positions)
+        if off > _NEAR * candidate.scales.length:
             return f"{text}, where Drake finds touches of capsules up to {length_text(off)} off"
     planned, simulated = veto.first_difference
     if planned == simulated:

@@ -23,7 +23,7 @@ from drake_aigto.simulation.compliant import find_depth, measure_steps, read_tou
 from drake_aigto.simulation.recording import Controller, Held, Impact, Recording, Rest, sample_steps
 from drake_aigto.simulation.simulator import SETTLED, calc_acceleration, start_plant
 from drake_aigto.simulation.verdict import calc_compliance_error, calc_lateness
-from drake_aigto.world import Scenario, SpaceWorld, World, hide_half_space_warning
+from drake_aigto.world import Scenario, SpaceWorld, World
 
 
 class DrakeJudge:
@@ -315,13 +315,14 @@ def find_touch_error(world: SpaceWorld, positions: Floats) -> float:
     """
     are_capsules = np.all(world.geometry.shapes.kinds[world.geometry.pairs] == CAPSULE, axis=1)
     pairs = {frozenset(world.pairs[i].shapes): int(i) for i in np.flatnonzero(are_capsules)}
-    with hide_half_space_warning():
-        root, worst = world.diagram.CreateDefaultContext(), 0.0
+    if not pairs:
+        return 0.0
+    root, worst = world.create_context(), 0.0
     plant = world.plant.GetMyMutableContextFromRoot(root)
-    output, scene = world.scene_graph.get_query_output_port(), world.scene_graph
-    for q in positions if pairs else ():
+    scene = world.scene_graph.GetMyContextFromRoot(root)
+    for q in positions:
         world.plant.SetPositions(plant, q)
-        query = output.Eval(scene.GetMyContextFromRoot(root))
+        query = world.scene_graph.get_query_output_port().Eval(scene)
         for found in query.ComputePointPairPenetration():
             if (i := pairs.get(frozenset([found.id_A, found.id_B]), -1)) >= 0:
                 middle = (found.p_WCa + found.p_WCb) / 2

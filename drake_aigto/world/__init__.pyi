@@ -1,5 +1,4 @@
 from .diagram import find_anywhere as find_anywhere
-from .diagram import hide_half_space_warning as hide_half_space_warning
 from .files import find_model as find_model
 from .files import models_directory as models_directory
 from .files import package_map as package_map

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from pydrake.geometry import SceneGraph
@@ -10,7 +11,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Floats
-from drake_aigto.dynamics import EquationsOfMotion
+from drake_aigto.dynamics import EquationsOfMotion, read_damping
 from drake_aigto.world.diagram import exclude_shapes, hide_half_space_warning, scale_masses
 from drake_aigto.world.limits import Limits
 from drake_aigto.world.model_fields import ModelFields
@@ -74,6 +75,11 @@ class PlantWorld(EquationsOfMotion):
         bounds = self.limits.narrowed(scenario)
         bounds.check_task(scenario, self.is_hinge)
         return bounds
+
+    @cached_property
+    def damping(self) -> Floats:
+        """The dampers d of joints, whose force is −d v, shape (nv,) [N s/m, N m s/rad]."""
+        return read_damping(self.plant, self.plant.CreateDefaultContext())
 
     def create_context(self) -> Context:
         """Returns a new root context, at defaults, with masses as here and shapes ignored."""

@@ -117,13 +117,13 @@ class Aim(NamedTuple):
             wide ones tell; between rigid walls, those that cost more (`RigidMechanismTask.bounce`).
         is_patient: whether motions worse than no control are closed again, with more care.
         substeps: steps of the last pass, at least.
-        order: of these.
+        order: of these; None: that of the passes before.
     """
 
     most: float = np.inf
     is_patient: bool = True
     substeps: int = 1
-    order: int = COARSE.order
+    order: int | None = None
 
     def limit(self, options: ShootingOptions, is_telling: bool) -> ShootingOptions:
         """Returns options with this limit, unless their costs are of other walls or prices.
@@ -280,12 +280,11 @@ def close_gaps(
     ways, most = [(states, options)], scaled(_HARDLY, motion.cost)
     if states is not None:
         alone, wary = (None, options), (states, dataclasses.replace(options, is_wary=True))
-        in_space, is_known = (
-            isinstance(problem.mechanism, TreeMechanism),
-            options.order == motion.order,
-        )
-        ways = [alone, wary, *ways] if in_space and is_known else [*ways, wary, alone]
-        most = motion.cost if in_space and not is_known else most
+        in_space = isinstance(problem.mechanism, TreeMechanism)
+        if in_space and options.order == motion.order:
+            ways = [alone, wary, *ways]
+        else:
+            ways, most = [*ways, wary, alone], motion.cost if in_space else most
     tried = []
     for way in ways:
         found = problem.solve(controls, *way, prices)

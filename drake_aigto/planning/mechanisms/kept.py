@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
-from drake_aigto.planning.candidate import Origin
+from drake_aigto.planning.candidate import HARDLY, Origin
 from drake_aigto.planning.search import scaled
 from drake_aigto.shooting import ShootingResult
 
@@ -17,8 +17,8 @@ MOST_KEPT, _SAME = 8, 1e-3
 # Motions whose positions differ by no more than this, relative to their scales, have one optimum.
 _NEAR = 0.05
 # Motions that cost at most this times the best are near it, as far as a chance of better ones goes,
-# unless they save no more than this part of what the uncontrolled motion costs.
-_NEARLY, _HARDLY = 1.1, 1e-2
+# unless they are hardly better than no control.
+_NEARLY = 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ def calc_chance(motions: Sequence[KeptMotion], searches: int, idle: float) -> fl
         idle: the cost of the uncontrolled motion.
     """
     misses, cost = motions[0].rank
-    limit = misses, min(scaled(_NEARLY, cost), idle - _HARDLY * abs(idle))
+    limit = misses, min(scaled(_NEARLY, cost), idle - HARDLY * abs(idle))
     near = [motion.found for motion in motions if motion.rank <= limit]
     return (near.count(1) + 0.5) / (searches * (sum(near) + 1)) if near else 1.0
 

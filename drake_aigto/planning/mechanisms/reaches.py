@@ -214,9 +214,7 @@ class Reaches:
 
     def _calc_inertia(self, q: Floats) -> Floats:
         """Returns M + T D, of dampers D and the task's duration T: what a lasting push works on."""
-        D = np.zeros(len(self._unit))
-        D[self.world.tree.velocities] = self.world.tree.damping
-        return self.world.calc_mass_matrix(q) + self._duration * np.diag(D)
+        return self.world.calc_mass_matrix(q) + self._duration * np.diag(self.world.damping)
 
     def _go_round(self, q: Floats, touch: Floats) -> Floats:
         """Returns positions from some to others, moved out of what hands would run into."""

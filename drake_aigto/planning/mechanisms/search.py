@@ -101,7 +101,7 @@ class MechanismSearch(Search):
         self._tight: list[KeptMotion] = []  # The best motions, in shorter steps.
         self._known: list[KeptMotion] = []  # Motions before and after their polish.
         self._left_out: list[KeptMotion] = []  # As another one that holds costs less.
-        self._aim = Aim(order=task.closing_order)
+        self._aim = Aim()
         self._num_closed = self._num_of_use = self._num_broken = 0
         self._scales = task.state_scales[: task.world.num_positions]
         self._rigid = task if isinstance(task, RigidMechanismTask) else None

@@ -135,16 +135,16 @@ class MechanismTask(PosedMechanism):
         options = begin_at(self._closing, guess.width)
         is_telling = self.mechanism.has_friction and not isinstance(self.world, SpaceWorld)
         options = aim.limit(options, is_telling)
-        *wide, last = options.rungs
-        if not wide or (aim.substeps <= options.substeps and aim.order == options.order):
+        (*wide, last), order = options.rungs, aim.order or options.order
+        if not wide or (aim.substeps <= options.substeps and order == options.order):
             substeps = max(options.substeps, aim.substeps)
-            options = dataclasses.replace(options, substeps=substeps, order=aim.order)
+            options = dataclasses.replace(options, substeps=substeps, order=order)
             return self._close_on_springs(guess, options, aim.is_patient)
         coarse = dataclasses.replace(options, rungs=tuple(wide), most_promised=wide[-1].most)
         found = self._close_on_springs(guess, coarse, aim.is_patient)
         if found.is_left or not np.isfinite(found.cost):
             return found
-        fine = dataclasses.replace(options, rungs=(last,), substeps=aim.substeps, order=aim.order)
+        fine = dataclasses.replace(options, rungs=(last,), substeps=aim.substeps, order=order)
         return self.pose_again(found).solve(found.controls, None, fine, found.prices)
 
     def is_coarse(self, motion: ShootingResult) -> bool:
@@ -183,11 +183,6 @@ class MechanismTask(PosedMechanism):
         q, is_aimed = self.scenario.initial_position, self.scenario.hard_goal
         time_step = self.scenario.duration / self.search_steps
         return self._resolve(find_closing(self.world, self.law, q, time_step, is_aimed))
-
-    @property
-    def closing_order(self) -> int:
-        """The order of the steps in which guesses are closed."""
-        return self._closing.order
 
     @cached_property
     def _tightening(self) -> ShootingOptions:
