@@ -15,24 +15,11 @@ from benchmarks.ablations.ablations import (
     format_ablations,
 )
 from benchmarks.baselines import BASELINES
-from benchmarks.robustness.page import format_robustness
-from benchmarks.robustness.question import RobustnessQuestion
-from benchmarks.robustness.study import RobustnessStudy
-from benchmarks.study.flags import add_numbers, add_question, add_running, read_question, run_asked
+from benchmarks.study.flags import add_question, add_running, read_question, run_asked
 from benchmarks.study.scenario_question import PLANNER, ScenarioQuestion
 from benchmarks.study.scenario_study import ScenarioStudy
 from benchmarks.study.scenario_tables import format_study
-from drake_aigto.cli import (
-    FINE,
-    INTERRUPTED,
-    Parser,
-    add_command,
-    add_common,
-    add_confirm,
-    run,
-    show_progress,
-)
-from drake_aigto.paper import ROWS
+from drake_aigto.cli import FINE, INTERRUPTED, Parser, add_command, add_common, run, show_progress
 from drake_aigto.show import WIDTH
 
 _ALL = "all"
@@ -55,11 +42,6 @@ _ABLATIONS = """\
 python -m benchmarks ablations --count 20                         # a first impression
 python -m benchmarks ablations --restitution 1 0.5 --json ablations.json
 python -m benchmarks ablations --restitution 1 0.5 --json ablations.json --resume
-"""
-_ROBUSTNESS = """\
-python -m benchmarks robustness --rows 1 --restitutions 1 0.8 --scenarios 0   # minutes
-python -m benchmarks robustness --percent 2 --json robustness.json
-python -m benchmarks robustness --percent 2 --json robustness.json --resume   # go on after Ctrl-C
 """
 _PAGE = """\
 python -m benchmarks page planner.json rivals.json --out results.md
@@ -89,7 +71,6 @@ def make_parser(_: Sequence[str] = ()) -> Parser:
     commands = parser.add_commands("COMMAND")
     _add_scenarios(commands)
     _add_ablations(commands)
-    _add_robustness(commands)
     _add_page(commands)
     return parser
 
@@ -142,41 +123,6 @@ def _ablations(options: argparse.Namespace) -> int:
     return FINE
 
 
-def _add_robustness(commands: Any) -> None:
-    text = "how much plans suffer under perturbations, open loop and with feedback"
-    command = add_command(commands, "robustness", _robustness, text, _ROBUSTNESS)
-    usual = RobustnessQuestion()
-    look: dict[str, Any] = {"type": int, "nargs": "*", "choices": ROWS, "default": ROWS}
-    command.add_argument("--rows", help="of Table I (default: all)", **look)
-    look = {"type": float, "nargs": "+", "metavar": "E", "default": usual.restitutions}
-    text = "of the wall, each with every row (default: 1 0.8 0.5)"
-    command.add_argument("--restitutions", help=text, **look)
-    add_numbers(
-        command,
-        usual,
-        scenarios="random scenarios besides",
-        percent="how much start, velocity, wall, mass and restitution are other at most",
-        samples="perturbations of everything at once",
-        seed="of all that is random",
-    )
-    add_confirm(command)
-    add_running(command)
-
-
-def _robustness(options: argparse.Namespace) -> int:
-    question = RobustnessQuestion(
-        rows=tuple(options.rows),
-        restitutions=tuple(options.restitutions),
-        scenarios=options.scenarios,
-        percent=options.percent,
-        samples=options.samples,
-        seed=options.seed,
-        confirm=options.confirm,
-    )
-    print(format_robustness(run_asked(options, RobustnessStudy(question))), flush=True)
-    return FINE
-
-
 def _add_page(commands: Any) -> None:
     text = "make the results page of saved results"
     command = add_command(commands, "page", _page, text, _PAGE)
@@ -189,15 +135,10 @@ def _add_page(commands: Any) -> None:
 def _page(options: argparse.Namespace) -> int:
     # Matplotlib takes its time.
     from benchmarks.ablations.page import ABLATIONS
-    from benchmarks.robustness.page import ROBUSTNESS
     from benchmarks.study.page import write_results_page
     from benchmarks.study.scenario_page import SCENARIOS
 
-    sections = {
-        ScenarioQuestion.kind: SCENARIOS,
-        AblationQuestion.kind: ABLATIONS,
-        RobustnessQuestion.kind: ROBUSTNESS,
-    }
+    sections = {ScenarioQuestion.kind: SCENARIOS, AblationQuestion.kind: ABLATIONS}
     with show_progress(options, "drawing"):
         write_results_page(options.results, options.out, sections)
     print(f"wrote {options.out}")

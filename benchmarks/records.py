@@ -37,9 +37,7 @@ FOLDER = CHECKOUT / "docs" / "results"
 _WORLDS = "python -m benchmarks.worlds"
 _SPEED = "--out docs/results/speed"
 _SOLVER = "--out docs/results/solver"
-_STUDIES = " ".join(
-    f"docs/results/{name}.json" for name in ("planner", "rivals", "ablations", "robustness")
-)
+_STUDIES = " ".join(f"docs/results/{name}.json" for name in ("planner", "rivals", "ablations"))
 
 # Record → its command. The page of results is made of what those before it saved, and of
 # `rivals.json`, whose command that page tells.
@@ -48,8 +46,6 @@ RECORDS: Mapping[str, str] = {
     " --json docs/results/planner.json",
     "ablations": "python -m benchmarks ablations --count 60 --seed 2026 --workers 2"
     " --json docs/results/ablations.json",
-    "robustness": "python -m benchmarks robustness --scenarios 20 --percent 1 --seed 0 --workers 2"
-    " --json docs/results/robustness.json",
     "page": f"python -m benchmarks page {_STUDIES} --out docs/results.md",
     "corridor": f"{_WORLDS} corridor --count 200 --peer coasting --workers 1",
     "floor": f"{_WORLDS} floor --count 200 --peer coasting --workers 2",

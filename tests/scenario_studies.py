@@ -1,7 +1,4 @@
-"""For tests of studies: quick baselines, an executor in this process, and made-up results.
-
-A study of robustness with made-up results: nothing is planned or replayed.
-"""
+"""For tests of studies: quick baselines, an executor in this process, and made-up results."""
 
 from __future__ import annotations
 
@@ -14,20 +11,8 @@ import numpy as np
 
 from benchmarks.ablations.ablations import AblationQuestion, AblationStudy
 from benchmarks.baselines import Baseline, Recorder
-from benchmarks.robustness.question import QUANTITIES, RANDOM, RobustnessQuestion
-from benchmarks.robustness.study import (
-    DRAKE,
-    FEEDBACK,
-    GRADIENT,
-    OPEN_LOOP,
-    OURS,
-    Outcome,
-    PlanResult,
-    TaskResult,
-)
 from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion
 from benchmarks.study.scenario_study import ScenarioResult, ScenarioStudy
-from drake_aigto import Scenario
 
 
 class Inline(Executor):
@@ -87,16 +72,3 @@ def made_up_study(
     )
     kind = AblationStudy if isinstance(question, AblationQuestion) else ScenarioStudy
     return kind(question, tuple(results))
-
-
-QUESTION = RobustnessQuestion(rows=(1, 2), restitutions=(1.0,), samples=2)
-
-
-def make_result(name: str, kinds: tuple[str, ...] = (*QUANTITIES, RANDOM, RANDOM)) -> TaskResult:
-    outcomes = tuple(Outcome(1e-3 * (i + 1), 1e-3, i != 1) for i in range(len(kinds)))
-    ways = {OPEN_LOOP: outcomes, FEEDBACK: outcomes, DRAKE: outcomes}
-    plans = (PlanResult(OURS, 1e-3, 1e-3, (0.5,), ways), PlanResult(GRADIENT, 2e-3, 0, (), ways))
-    scenario = Scenario.named("table1/1")
-    return TaskResult(
-        name, scenario, 9e-4, kinds, tuple(outcome.cost for outcome in outcomes), plans
-    )

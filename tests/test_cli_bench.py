@@ -1,7 +1,6 @@
 """`python -m benchmarks scenarios`: what it prints, keeps, and refuses.
 
-`python -m benchmarks robustness`: what it prints, keeps, and refuses. The results page says what
-the files of results say, and shows what it draws.
+The results page says what the files of results say, and shows what it draws.
 """
 
 from __future__ import annotations
@@ -9,22 +8,17 @@ from __future__ import annotations
 import re
 import shlex
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from refusals import check_refused
-from scenario_studies import TOYS, Inline, made_up_study, make_result
+from scenario_studies import TOYS, Inline, made_up_study
 
 from benchmarks import __main__ as command
 from benchmarks.__main__ import main
 from benchmarks.baselines import registry
-from benchmarks.robustness import study as robustness
-from benchmarks.robustness.page import format_robustness
-from benchmarks.robustness.question import RobustnessQuestion
-from benchmarks.robustness.study import RobustnessStudy
 from benchmarks.study import scenario_question
 from benchmarks.study.scenario_page import (
     COST_CLASSES,
@@ -135,9 +129,6 @@ def test_all_stands_for_every_method(tmp_path: Path, monkeypatch: pytest.MonkeyP
         ("ablations --count 0", "count: got 0, expected a whole number, 1 or more"),
         ("ablations --variants luck", "variants: got 'luck', expected some of 'default'"),
         ("ablations --goal -1:1", "goal -1.0:1.0: goal_position is inside"),
-        ("robustness --percent 0", "drake-aigto: percent: got 0.0, expected a number above 0."),
-        ("robustness --percent 60", "percent, for table1/1, e = 1: got 60, by which initial_pos"),
-        ("robustness --json no/such/f", "no/such/f can't be written: got no folder no/such."),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(
@@ -145,36 +136,6 @@ def test_bad_input_is_one_line_and_status_2(
 ) -> None:
     monkeypatch.setattr(scenario_question, "run_job", None)  # Before any work.
     check_refused(words.split(), message, capsys, main)
-
-
-def test_the_command_prints_the_table_and_writes_the_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    seen: list[RobustnessQuestion] = []
-
-    def run(study: RobustnessStudy, *args: Any, **named: Any) -> Any:
-        seen.append(study.question)
-        return well(study, *args, **named)
-
-    def open_inline(count: int, scheduler: None) -> Inline:
-        assert count == 1
-        return Inline()
-
-    well = RobustnessStudy.run
-    monkeypatch.setattr(RobustnessStudy, "run", run)
-    monkeypatch.setattr(jobs, "open_workers", open_inline)
-    monkeypatch.setattr(robustness, "run_task", lambda task, _: make_result(task.name))
-    path = tmp_path / "results.json"
-    flags = "--rows 1 --restitutions 1 0.5 --percent 2 --samples 3 --seed 4 --no-confirm"
-    command = ["robustness", *flags.split(), "--workers", "1", "--json", str(path)]
-    assert main(command) == FINE
-    assert seen == [
-        RobustnessQuestion(
-            rows=(1,), restitutions=(1.0, 0.5), percent=2.0, samples=3, seed=4, confirm=False
-        )
-    ]
-    study = RobustnessStudy.load(path)
-    assert capsys.readouterr().out == f"{format_robustness(study)}\n"
 
 
 PNG = b"\x89PNG\r\n"

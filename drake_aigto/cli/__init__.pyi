@@ -10,7 +10,6 @@ from .flags import UNREAD as UNREAD
 from .flags import Parser as Parser
 from .flags import add_command as add_command
 from .flags import add_common as add_common
-from .flags import add_confirm as add_confirm
 from .flags import add_json as add_json
 from .flags import add_workers as add_workers
 from .flags import load_scenario as load_scenario

@@ -1,1 +1,0 @@
-"""What is left of plans where the world is other than they think."""
