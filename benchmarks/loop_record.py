@@ -28,11 +28,20 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydrake.systems.framework import Context, EventStatus, State
 
 from benchmarks.in_the_loop import make_open_loop
-from benchmarks.loop_speed import Clocked
 from benchmarks.script import machine, read_flags, run_all, run_as
-from drake_aigto import AigtoError, Plan, Planner, PlanOptions, Scenario, TrackingController, World
+from drake_aigto import (
+    AigtoError,
+    ModelPredictiveController,
+    Plan,
+    Planner,
+    PlanOptions,
+    Scenario,
+    TrackingController,
+    World,
+)
 from drake_aigto.arrays import Floats
 from drake_aigto.control import ClosedLoopRun, Disturbance, PlannedMotion, Safety, run_in_loop
 from drake_aigto.planning import make_mechanism_task
@@ -91,6 +100,20 @@ def prepare(name: str) -> Prepared:
         options |= {"surprise": np.inf, "iterations": 15 if world.frictions else 5}
     period = scenario.time_step if world.frictions else 0.02
     return Prepared(world, planner.plan(), planner, period, options)
+
+
+class Clocked(ModelPredictiveController):
+    """One that also keeps what CPU time each tick took, in `cpu` [s]."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.cpu: list[float] = []
+
+    def _tick(self, context: Context, state: State) -> EventStatus:
+        begin = time.process_time()
+        status = super()._tick(context, state)
+        self.cpu.append(time.process_time() - begin)
+        return status
 
 
 class ByTheClock:

@@ -8,7 +8,7 @@ Each model is read as a new user would: as it is; then, if it is refused, once m
 that the error names. MJCFs are compared with MuJoCo's own M, h, limits and friction at random
 states. What can be read is asked to go to a goal at which it can rest, by one rule for all (`aim`),
 and what the plan does is simulated by MuJoCo as well. With `--rows` it may be ended by Ctrl-C and
-gone on with. Plans with contact: `benchmarks.model_contacts`.
+gone on with.
 """
 
 from __future__ import annotations

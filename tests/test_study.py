@@ -20,7 +20,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenario_studies import TOYS, Inline
 
-from benchmarks import growth
 from benchmarks.baselines import registry
 from benchmarks.script import plan_all, read_flags, run_all, run_as, run_jobs
 from benchmarks.study.scenario_question import ScenarioQuestion, Spread
@@ -200,11 +199,6 @@ def test_a_script_without_its_scheduler_ends_with_one_clear_error(
     assert ended.value.code == BAD_INPUT
     told = "benchmarks.random_programs: scheduler tcp://a:1: got no module 'distributed', expected"
     assert capsys.readouterr().err.startswith(told)
-
-
-@pytest.mark.slow
-def test_a_benchmark_that_measures_in_a_process_of_its_own_gets_an_answer() -> None:
-    assert growth.start(50, turn=3).turn == 3
 
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)

@@ -38,7 +38,6 @@ from .tree_kernels import differentiate as differentiate
 from .tree_kernels import move_tree as move_tree
 from .tree_kernels import prepare_slopes as prepare_slopes
 from .tree_kernels import push_tree as push_tree
-from .tree_kernels import repeat_accelerations as repeat_accelerations
 from .tree_kernels import turn_positions as turn_positions
 from .tree_reader import Thrust as Thrust
 from .tree_reader import check_constraints as check_constraints

@@ -325,26 +325,6 @@ def calc_slopes(tree: TreeTables, q: Floats, v: Floats, u: Floats, memory: TreeM
 
 
 @kernel
-def repeat_accelerations(
-    count: int,
-    tree: TreeTables,
-    q: Floats,
-    v: Floats,
-    u: Floats,
-    has_slopes: bool,
-    memory: TreeMemory,
-) -> float:
-    """Computes v̇ this often, at velocities that change a little, and returns a sum of them."""
-    tree, q, v, u, memory = borrow(tree), borrow(q), borrow(v), borrow(u), borrow(memory)
-    total = 0.0
-    for _ in range(count):
-        v[0] += 1e-9
-        accelerate(tree, q, v, u, 0.0, has_slopes, memory)
-        total += memory.force[0]
-    return total
-
-
-@kernel
 def calc_poses(tree: TreeTables, q: Floats, memory: TreeMemory) -> tuple[Floats, Floats]:
     """Returns rotations, by rows, and positions of bodies, shape (B, 9) and (B, 3)."""
     tree, memory = borrow(tree), borrow(memory)
