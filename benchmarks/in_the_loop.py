@@ -259,10 +259,9 @@ def _describe(method: str, outcomes: Sequence[Outcome], known: Floats) -> str:
 
 
 @cache
-def prepare(name: str, num_steps: int | None = None) -> Task:
-    """Returns a scenario's task, in so many time steps; None: in its own."""
+def prepare(name: str) -> Task:
+    """Returns a scenario's task."""
     scenario = Scenario.named(name)
-    scenario = scenario if num_steps is None else scenario.in_steps(num_steps)
     world = World.from_scenario(scenario)
     options = MECHANISMS if needs_shooting(world, scenario) else BALLS
     planner = Planner(scenario, options, world)
