@@ -25,23 +25,20 @@ from drake_aigto.show import WIDTH
 _ALL = "all"
 _SCENARIOS = """\
 python -m benchmarks scenarios --count 20                        # a first impression
-python -m benchmarks scenarios --count 500 --restitution 1 0.8 0.5 --json planner.json
-python -m benchmarks scenarios --count 500 --restitution 1 0.8 0.5 --json planner.json --resume
-python -m benchmarks scenarios --count 60 --restitution 0.5:1 --mass 0.5:2 --velocity -3:0 \\
+python -m benchmarks scenarios --count 500 --json planner.json
+python -m benchmarks scenarios --count 500 --json planner.json --resume
+python -m benchmarks scenarios --count 60 \\
     --methods aigto snopt cma-es --budgets 1 10 100 --workers 8 --json rivals.json
 """
 _NOTES = """\
-A spread X is a number, several numbers, which scenarios take in turn (in all combinations, if there
-are several such lists), or one range low:high, which they are drawn from evenly.
-
 The first scenarios of a seed are the same for any count. The results file is written every few
 seconds, so that Ctrl-C or a crash loses little: --resume goes on from it, also with a larger count
 or more methods. Exit status: 0 fine, 2 bad input.
 """
 _ABLATIONS = """\
 python -m benchmarks ablations --count 20                         # a first impression
-python -m benchmarks ablations --restitution 1 0.5 --json ablations.json
-python -m benchmarks ablations --restitution 1 0.5 --json ablations.json --resume
+python -m benchmarks ablations --json ablations.json
+python -m benchmarks ablations --json ablations.json --resume
 """
 _PAGE = """\
 python -m benchmarks page planner.json rivals.json --out results.md

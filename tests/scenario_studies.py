@@ -11,8 +11,9 @@ import numpy as np
 
 from benchmarks.ablations.ablations import AblationQuestion, AblationStudy
 from benchmarks.baselines import Baseline, Recorder
-from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion
+from benchmarks.study.scenario_question import RESTITUTIONS, MethodRun, ScenarioQuestion
 from benchmarks.study.scenario_study import ScenarioResult, ScenarioStudy
+from drake_aigto import Scenario
 
 
 class Inline(Executor):
@@ -60,6 +61,17 @@ class Absent(Coast):
 
 
 TOYS: dict[str, Baseline] = {each.name: each for each in (Coast(), Crash(), Absent())}
+
+
+def coast_or_turn(question: ScenarioQuestion, number: int) -> Scenario:
+    """Returns a scenario where coasting is optimal, and one where it is not, in turn."""
+    return Scenario(
+        initial_position=1.0,
+        initial_velocity=0.2,
+        goal_position=(1.2, 0.5)[number % 2],
+        restitution=RESTITUTIONS[number % 3],
+        time_step=1.0 / question.num_steps,
+    )
 
 
 def made_up_study(

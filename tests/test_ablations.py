@@ -26,7 +26,7 @@ from benchmarks.ablations.ablations import (
     run_variant,
 )
 from benchmarks.ablations.page import plot_variants
-from benchmarks.study.scenario_question import Job, MethodRun, ScenarioQuestion, Spread
+from benchmarks.study.scenario_question import Job, MethodRun, ScenarioQuestion
 from benchmarks.study.scenario_study import ScenarioStudy, calc_good_enough
 from drake_aigto import PlanOptions, Scenario, jobs
 from drake_aigto.cli import FINE
@@ -220,14 +220,10 @@ def test_the_command_runs_what_it_is_asked_for(
     monkeypatch.setattr(jobs, "open_workers", Inline)
     path = tmp_path / "study.json"
     words = ["ablations", "--quiet", "--count", "1", "--seed", "3", "--steps", "20"]
-    words += ["--restitution", "0.5:1", "--variants", "no neighbours", "bare, no boxes"]
+    words += ["--variants", "no neighbours", "bare, no boxes"]
     assert main([*words, "--json", str(path)]) == FINE
     assert "no neighbours" in capsys.readouterr().out
     question = AblationStudy.load(path).question
     assert question == AblationQuestion(
-        count=1,
-        seed=3,
-        num_steps=20,
-        restitution=Spread((0.5, 1.0), is_range=True),
-        methods=("no neighbours", "bare, no boxes"),
+        count=1, seed=3, num_steps=20, methods=("no neighbours", "bare, no boxes")
     )

@@ -14,7 +14,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from refusals import check_refused
-from scenario_studies import TOYS, Inline, made_up_study
+from scenario_studies import TOYS, Inline, coast_or_turn, made_up_study
 
 from benchmarks import __main__ as command
 from benchmarks.__main__ import main
@@ -26,7 +26,7 @@ from benchmarks.study.scenario_page import (
     plot_map,
     plot_success_over_time,
 )
-from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion, Spread
+from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion
 from benchmarks.study.scenario_study import ScenarioStudy
 from benchmarks.study.study import command_of
 from drake_aigto import jobs
@@ -36,7 +36,6 @@ from drake_aigto.planning import Planner
 from drake_aigto.show import WIDTH
 
 SCENARIOS = ["scenarios", "--quiet", "--steps", "20"]
-COASTING = ["--start", "1", "--velocity", "0.2", "--goal", "1.2", "0.5", "--count", "4"]
 TOY_METHODS = ["--methods", "coast", "crash", "--seconds-per-unit", "0.5"]
 
 
@@ -47,30 +46,35 @@ def toys(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario_question._warm_up.cache_clear()
 
 
+@pytest.fixture
+def coasting(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ScenarioQuestion, "scenario", coast_or_turn)
+
+
 def test_every_methods_success_is_printed_for_each_restitution(
-    capsys: pytest.CaptureFixture[str],
+    capsys: pytest.CaptureFixture[str], coasting: None
 ) -> None:
-    arguments = [*SCENARIOS, *COASTING, *TOY_METHODS, "--restitution", "1", "0.5"]
+    arguments = [*SCENARIOS, "--count", "6", *TOY_METHODS]
     assert main(arguments) == FINE
     printed = capsys.readouterr().out
     assert max(map(len, printed.splitlines())) <= WIDTH
     assert "e = 1: 2 scenarios" in printed
     assert "e = 0.5: 2 scenarios" in printed
     rows = [line.split() for line in printed.splitlines()]
-    # Restitutions and goals in all combinations: half of each coast to their goals.
-    assert [row[1:4] for row in rows if row[:1] == ["coast"]] == [["50.0", "%", "50.0"]] * 2
-    assert [row[7:9] for row in rows if row[:2] == ["crash", "0.0"]] == [["none", "none"]] * 2
+    # Half of each coast to their goals.
+    assert [row[1:4] for row in rows if row[:1] == ["coast"]] == [["50.0", "%", "50.0"]] * 3
+    assert [row[7:9] for row in rows if row[:2] == ["crash", "0.0"]] == [["none", "none"]] * 3
     assert "crash failed: ZeroDivisionError: no way at all\n" in printed
     assert "× is one unit of time: 0.5 s\n" in printed
 
 
 def test_a_plan_that_misses_is_named(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str], coasting: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(planner: Planner) -> None:
         raise PlanFileError("no plan today")
 
-    arguments = [*SCENARIOS, *COASTING, "--count", "2", "--restitution", "0.8"]
+    arguments = [*SCENARIOS, "--count", "2"]
     monkeypatch.setattr(Planner, "plan", fail)
     assert main(arguments) == FINE
     printed = capsys.readouterr().out
@@ -80,7 +84,7 @@ def test_a_plan_that_misses_is_named(
 
 
 def test_what_boxes_say_is_printed_if_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = [*SCENARIOS, *COASTING, "--count", "1", "--read-boxes"]
+    arguments = [*SCENARIOS, "--count", "1", "--read-boxes"]
     assert main(arguments) == FINE
     printed = capsys.readouterr().out
     assert "have the optimum's number of contacts in 1 of 1:\nby rung " in printed
@@ -95,20 +99,8 @@ def test_ctrl_c_says_how_to_go_on(
     monkeypatch.setattr(scenario_question, "run_job", interrupt)
     path = tmp_path / "study.json"
     told = f"drake-aigto: --resume goes on from {path}\nbenchmarks: interrupted\n"
-    assert main([*SCENARIOS, *COASTING, *TOY_METHODS, "--json", str(path)]) == INTERRUPTED
+    assert main([*SCENARIOS, "--count", "4", *TOY_METHODS, "--json", str(path)]) == INTERRUPTED
     assert capsys.readouterr().err == told
-
-
-def test_spreads_are_read_as_help_says(tmp_path: Path) -> None:
-    path = tmp_path / "study.json"
-    spreads = ["--velocity", "-3:0", "--mass", "0.5:2", "--restitution", "1", "0.8", "--goal", "1"]
-    assert main([*SCENARIOS, *TOY_METHODS, *spreads, "--count", "2", "--json", str(path)]) == FINE
-    question = ScenarioStudy.load(path).question
-    assert question.velocity == Spread((-3.0, 0.0), is_range=True)
-    assert question.mass == Spread((0.5, 2.0), is_range=True)
-    assert question.restitution == Spread((1.0, 0.8))
-    assert question.goal == Spread((1.0,))
-    assert main([*SCENARIOS, *TOY_METHODS, "--velocity", "-1", "-0.5", "--count", "1"]) == FINE
 
 
 def test_all_stands_for_every_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,13 +114,10 @@ def test_all_stands_for_every_method(tmp_path: Path, monkeypatch: pytest.MonkeyP
     ("words", "message"),
     [
         ("scenarios --count 0", "count: got 0, expected a whole number, 1 or more"),
-        ("scenarios --velocity -3:x", "--velocity: got -3:x, expected a number, several (1 0.8"),
-        ("scenarios --velocity 0:-3", "--velocity: got 0.0:-3.0, expected low:high"),
         ("scenarios --methods aigto cost", "unknown baseline 'cost': expected aigto, the planner,"),
         ("scenarios --json no/folder/x.json", "no/folder/x.json can't be written"),
         ("ablations --count 0", "count: got 0, expected a whole number, 1 or more"),
         ("ablations --variants luck", "variants: got 'luck', expected some of 'default'"),
-        ("ablations --goal -1:1", "goal -1.0:1.0: goal_position is inside"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(
@@ -143,9 +132,7 @@ PNG = b"\x89PNG\r\n"
 
 def make_study() -> ScenarioStudy:
     """Returns a study of four scenarios: all are planned; one is found by the rival, late."""
-    question = ScenarioQuestion(
-        count=4, methods=("aigto", "coast"), budgets=(1.0, 10.0), restitution=Spread((1.0, 0.5))
-    )
+    question = ScenarioQuestion(count=4, methods=("aigto", "coast"), budgets=(1.0, 10.0))
     rivals = (
         MethodRun(((0.2, 5.0), (1.5, 1.0)), 1.5),  # optimal after 3 units
         MethodRun(((0.2, 5.0), (4.0, 1.5)), 5.0),
@@ -188,9 +175,9 @@ def test_the_table_says_what_the_study_says(page: Path) -> None:
     assert cells[0][:5] == ["e", "method", "scenarios", "optimal at 1×", "optimal at 10×"]
     table = {(row[0], row[1]): row[2:] for row in cells[2:]}
     assert table["1", "aigto"] == ["2", "100.0 %", "", "1.001000", "1.001000", "0.50", ""]
-    assert table["1", "coast"] == ["2", "0.0 %", "50.0 %", "1.000000", "1.050000", "3.25", ""]
-    assert table["0.5", "coast"] == ["2", "0.0 %", "0.0 %", "1.50", "none", "5.00", "1"]
-    assert "v₀ ∈ [−3, 0.5] m/s, p_f ∈ [0.2, 1.5] m, e ∈ {1, 0.5}, mass = 1 kg" in text
+    assert table["1", "coast"] == ["2", "0.0 %", "50.0 %", "1.000000", "none", "3.25", "1"]
+    assert table["0.8", "coast"] == ["1", "0.0 %", "0.0 %", "1.50", "1.50", "5.00", ""]
+    assert "v₀ ∈ [−3, 0.5] m/s, p_f ∈ [0.2, 1.5] m, e ∈ {1, 0.8, 0.5}, mass = 1 kg" in text
     assert "Not all of these" not in text
 
 
@@ -209,8 +196,6 @@ def test_the_page_is_the_same_again(page: Path, tmp_path: Path) -> None:
         ScenarioQuestion(
             count=7,
             seed=3,
-            velocity=Spread((-2.5, -1.0), is_range=True),
-            mass=Spread((0.5, 2.0)),
             num_steps=50,
             methods=("aigto", "coast", "two words"),
             budgets=(1.0, 30.0),

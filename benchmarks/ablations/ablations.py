@@ -180,7 +180,8 @@ class AblationQuestion(ScenarioQuestion):
         """What runs a variant."""
         return run_variant
 
-    def _check_methods(self) -> None:
+    def check(self) -> None:
+        """Refuses what is no variant."""
         unknown = [name for name in self.methods if name not in VARIANTS]
         if unknown:
             raise OptionsError(

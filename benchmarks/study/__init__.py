@@ -1,6 +1,6 @@
 """Studies: questions × methods, run as jobs, judged, recorded, shown; random scenarios first."""
 
-from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion, Spread
+from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion
 from benchmarks.study.scenario_study import ScenarioResult, ScenarioStudy
 from benchmarks.study.study import Call, Study, StudyQuestion
 
@@ -10,7 +10,6 @@ __all__ = [
     "ScenarioQuestion",
     "ScenarioResult",
     "ScenarioStudy",
-    "Spread",
     "Study",
     "StudyQuestion",
 ]

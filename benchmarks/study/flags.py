@@ -7,20 +7,11 @@ import math
 import sys
 from typing import Any, TypeVar
 
-from benchmarks.study.scenario_question import ScenarioQuestion, Spread
+from benchmarks.study.scenario_question import ScenarioQuestion
 from benchmarks.study.study import Study
 from drake_aigto.cli import add_json, add_workers, read_workers, show_progress
-from drake_aigto.errors import OptionsError
 
 _Study = TypeVar("_Study", bound=Study[Any, Any])
-_SPREADS = {
-    "start": "distance from the wall at first [m]",
-    "velocity": "at first, negative towards the wall [m/s]",
-    "goal": "where to end [m]",
-    "restitution": "speed after / before a bounce",
-    "mass": "[kg]",
-    "duration": "[s]",
-}
 
 
 def add_running(command: Any) -> None:
@@ -63,29 +54,12 @@ def add_numbers(command: Any, defaults: object, **meanings: str) -> None:
 
 
 def add_question(command: Any, usual: ScenarioQuestion) -> None:
-    """Adds how many scenarios, which ones, and their spreads; `usual` has the defaults."""
+    """Adds how many scenarios, and which ones; `usual` has the defaults."""
     add_numbers(command, usual, count="of scenarios", seed="of all chance")
     text = f"time steps of a scenario (default: {usual.num_steps})"
     command.add_argument("--steps", type=int, metavar="N", default=usual.num_steps, help=text)
-    spreads = command.add_argument_group("spreads of the scenarios")
-    for name, meaning in _SPREADS.items():
-        usual_spread = str(getattr(usual, name))
-        text, words = f"{meaning} (default: {usual_spread})", usual_spread.split()
-        spreads.add_argument(f"--{name}", nargs="+", metavar="X", default=words, help=text)
 
 
 def read_question(options: argparse.Namespace) -> dict[str, Any]:
-    """Returns the fields of a question that `add_question` has flags for.
-
-    Raises:
-        OptionsError: a spread that is none.
-    """
-    fields = {"count": options.count, "seed": options.seed, "num_steps": options.steps}
-    return fields | {name: _parse_spread(name, getattr(options, name)) for name in _SPREADS}
-
-
-def _parse_spread(name: str, words: list[str]) -> Spread:
-    try:
-        return Spread.parse(words)
-    except OptionsError as error:
-        raise OptionsError(f"--{name}", *error.args[1:]) from error
+    """Returns the fields of a question that `add_question` has flags for."""
+    return {"count": options.count, "seed": options.seed, "num_steps": options.steps}

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
 
 from benchmarks.study.page import Images, Section
-from benchmarks.study.scenario_question import PLANNER, ScenarioQuestion
+from benchmarks.study.scenario_question import PLANNER, RANGES, RESTITUTIONS
 from benchmarks.study.scenario_study import ScenarioResult, ScenarioStudy
 from benchmarks.study.scenario_tables import describe_unit, markdown_study
 from benchmarks.study.study import command_of
@@ -166,11 +166,11 @@ def _describe(path: Path, images: Images) -> Iterator[str]:
     title = "The planner against others" if has_rivals else "The planner"
     yield f"### {title}: {question.count:,} scenarios, seed {question.seed}\n"
     yield f"    {command_of(question)}\n"
+    (start, velocity, goal), e = RANGES.values(), ", ".join(f"{each:g}" for each in RESTITUTIONS)
     yield (
-        f"p₀ {_span(question, 'start')} m, v₀ {_span(question, 'velocity')} m/s, "
-        f"p_f {_span(question, 'goal')} m, e {_span(question, 'restitution')}, "
-        f"mass {_span(question, 'mass')} kg, T {_span(question, 'duration')} s, "
-        f"N = {question.num_steps}. The unit of time, 1×, is {describe_unit(study)}.\n"
+        f"p₀ ∈ {_span(start)} m, v₀ ∈ {_span(velocity)} m/s, p_f ∈ {_span(goal)} m, e ∈ {{{e}}}, "
+        f"mass = 1 kg, T = 1 s, N = {question.num_steps}. "
+        f"The unit of time, 1×, is {describe_unit(study)}.\n"
     )
     yield f"{markdown_study(study)}\n"
     if not study.is_complete:
@@ -258,10 +258,5 @@ _FIGURES: dict[str, tuple[Callable[[ScenarioStudy], Figure], str]] = {
 }
 
 
-def _span(question: ScenarioQuestion, name: str) -> str:
-    """Returns a spread in words: of one value, of several, or of a range."""
-    spread = getattr(question, name)
-    values = [f"{value:g}".replace("-", "−") for value in spread.values]
-    if spread.is_range:
-        return f"∈ [{', '.join(values)}]"
-    return f"= {values[0]}" if len(values) == 1 else f"∈ {{{', '.join(values)}}}"
+def _span(ends: tuple[float, float]) -> str:
+    return f"[{ends[0]:g}, {ends[1]:g}]".replace("-", "−")

@@ -1,6 +1,4 @@
-"""How a quantity of random scenarios varies: listed values in turn, or evenly over a range.
-
-One method on one scenario: what it is asked, and what it did.
+"""One method on one scenario: what it is asked, and what it did.
 
 What a study of random scenarios asks: which scenarios, which methods, how much time for each.
 """
@@ -20,76 +18,10 @@ import numpy as np
 
 from benchmarks.baselines import check_baselines, run_baseline
 from benchmarks.study.study import StudyQuestion, round_to
-from drake_aigto.errors import OptionsError, ScenarioError
+from drake_aigto.errors import OptionsError
 from drake_aigto.paper import RigidOptimum, rigid_optimum
 from drake_aigto.planning import Plan, Planner, PlanOptions
 from drake_aigto.world import Scenario, World
-
-_SYNTAX = "a number, several (1 0.8 0.5), or one range low:high (0.5:1)"
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Values that are taken in turn, or a range that is drawn from evenly.
-
-    Attributes:
-        values: all of them, or the two ends of the range.
-        is_range: which of both.
-
-    Raises:
-        OptionsError: none, one that is not finite, or ends in the wrong order.
-    """
-
-    values: tuple[float, ...]
-    is_range: bool = False
-
-    def __post_init__(self) -> None:
-        """Checks."""
-        if not self.values or not all(map(math.isfinite, self.values)):
-            raise OptionsError("values", got=self.values or "none", expected="finite numbers")
-        if self.is_range and not (len(self.values) == 2 and self.values[0] < self.values[1]):
-            raise OptionsError("range", got=self, expected="low:high, the lower end first")
-
-    @classmethod
-    def parse(cls, texts: str | Iterable[str]) -> Spread:
-        """Returns what ``str`` gave, or its words.
-
-        Raises:
-            OptionsError: no numbers, or more than one range.
-        """
-        words = texts.split() if isinstance(texts, str) else list(texts)
-        is_range = len(words) == 1 and words[0].count(":") == 1
-        try:
-            values = tuple(map(float, words[0].split(":") if is_range else words))
-        except ValueError:
-            raise OptionsError("values", got=" ".join(words), expected=_SYNTAX) from None
-        return cls(values, is_range)
-
-    @classmethod
-    def from_plain(cls, text: str) -> Spread:
-        """Returns what `to_plain` gave."""
-        return cls.parse(text)
-
-    def to_plain(self) -> str:
-        """Returns the text that files have."""
-        return str(self)
-
-    @property
-    def num_turns(self) -> int:
-        """After so many scenarios the values come again."""
-        return 1 if self.is_range else len(self.values)
-
-    def pick(self, turn: int, share: float) -> float:
-        """Returns the value of a turn, or so much of the way from low to high, share ∈ [0, 1)."""
-        if not self.is_range:
-            return self.values[turn]
-        low, high = self.values
-        return low + share * (high - low)
-
-    def __str__(self) -> str:
-        """Returns what `parse` reads: the same bits."""
-        return (":" if self.is_range else " ").join(f"{value!r}" for value in self.values)
-
 
 PLANNER = "aigto"
 OPTIONS = PlanOptions(confirm=False, threads=1)
@@ -232,36 +164,26 @@ def _warm_up(method: str) -> None:
         run_baseline(method, world, scenario, _WARM_UP)
 
 
-# Field of the question → that of a scenario. In the order in which random numbers are used.
-FIELDS = {
-    "start": "initial_position",
-    "velocity": "initial_velocity",
-    "goal": "goal_position",
-    "restitution": "restitution",
-    "mass": "mass",
-    "duration": "duration",
+# What is drawn evenly, in this order: a scenario's field, from, to [m, m/s].
+RANGES = {
+    "initial_position": (0.2, 1.5),
+    "initial_velocity": (-3.0, 0.5),
+    "goal_position": (0.2, 1.5),
 }
-# To try the ends of one spread with.
-_USUAL = {**dict.fromkeys(FIELDS, 1.0), "velocity": 0.0}
+RESTITUTIONS = (1.0, 0.8, 0.5)  # in turn
+_DRAWS = 6  # of chance for each scenario, as there once were more ranges
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScenarioQuestion(StudyQuestion):
     """Random scenarios of the point mass before a wall, and the methods that are to solve them.
 
-    Scenario i depends on the seed, on i, and on the spreads: not on the count, the methods, or who
-    works on it. Where several spreads are lists, all combinations come in turn.
+    Scenario i depends on the seed and on i: not on the count, the methods, or who works on it.
 
     Attributes:
         count: of scenarios.
         seed: of all chance, the methods' too.
-        start: p₀, the ball's distance from the wall at first [m].
-        velocity: v₀, negative towards the wall [m/s].
-        goal: p_f [m].
-        restitution: e.
-        mass: [kg].
-        duration: T [s].
-        num_steps: N; the time step is T / N.
+        num_steps: N; the time step is 1 s / N.
         methods: "aigto" for the planner, the others are of `BASELINES`.
         budgets: multiples of a scenario's unit of time, increasing. Methods other than the planner
             are judged at each, and run for the last.
@@ -275,12 +197,6 @@ class ScenarioQuestion(StudyQuestion):
 
     count: int = 500
     seed: int = 0
-    start: Spread = Spread((0.2, 1.5), is_range=True)
-    velocity: Spread = Spread((-3.0, 0.5), is_range=True)
-    goal: Spread = Spread((0.2, 1.5), is_range=True)
-    restitution: Spread = Spread((1.0, 0.8, 0.5))
-    mass: Spread = Spread((1.0,))
-    duration: Spread = Spread((1.0,))
     num_steps: int = 200
     methods: tuple[str, ...] = (PLANNER,)
     budgets: tuple[float, ...] = (1.0, 10.0, 100.0)
@@ -315,13 +231,7 @@ class ScenarioQuestion(StudyQuestion):
         Raises:
             OptionsError: an unknown method, or nothing to take the unit of time from.
             MissingExtraError: a method needs a library that is not installed.
-            ScenarioError: a start or goal in the wall, or another value that no scenario can have.
         """
-        self._check_methods()
-        self._check_spreads()
-
-    def _check_methods(self) -> None:
-        """Refuses what is no method, or can't be run."""
         try:
             check_baselines(name for name in self.methods if name != PLANNER)
         except OptionsError as error:
@@ -346,39 +256,20 @@ class ScenarioQuestion(StudyQuestion):
                 "seconds_per_unit", got=self.seconds_per_unit, expected="a number above 0"
             )
 
-    def _check_spreads(self) -> None:
-        """Refuses ends of spreads that no scenario can have."""
-        world = World.from_scenario(usual := self._make(_USUAL))
-        world.rubbing.check_none(usual.friction)
-        for name in FIELDS:
-            spread: Spread = getattr(self, name)
-            for value in spread.values:
-                try:
-                    scenario = self._make({**_USUAL, name: value})
-                    if name in ("start", "goal"):
-                        world.check(scenario)
-                except ScenarioError as error:
-                    what = f"{name} {spread}: {error.what}"
-                    raise ScenarioError(what, *error.args[1:]) from error
-
     def scenarios(self) -> Iterator[Scenario]:
         """Yields the scenarios; the first ones do not depend on the count."""
         return map(self.scenario, range(self.count))
 
     def scenario(self, number: int) -> Scenario:
         """Returns the scenario of a number, 0 or more."""
-        shares = np.random.default_rng((self.seed, number)).random(len(FIELDS))
-        turn, values = number, {}
-        for name, share in zip(FIELDS, shares.tolist(), strict=True):
-            spread: Spread = getattr(self, name)
-            turn, at = divmod(turn, spread.num_turns)
-            values[name] = spread.pick(at, share)
-        return self._make(values)
+        shares = np.random.default_rng((self.seed, number)).random(_DRAWS).tolist()
+        drawn: dict[str, Any] = {
+            name: low + share * (high - low)
+            for (name, (low, high)), share in zip(RANGES.items(), shares, strict=False)
+        }
+        e = RESTITUTIONS[number % len(RESTITUTIONS)]
+        return Scenario(time_step=1.0 / self.num_steps, restitution=e, mass=1.0, **drawn)
 
     def method_seed(self, number: int) -> int:
         """Returns the seed of the methods on a scenario, which its own numbers do not share."""
         return int(np.random.SeedSequence((self.seed, number, 1)).generate_state(1)[0])
-
-    def _make(self, values: Mapping[str, float]) -> Scenario:
-        fields: dict[str, Any] = {field: values[name] for name, field in FIELDS.items()}
-        return Scenario(time_step=values["duration"] / self.num_steps, **fields)

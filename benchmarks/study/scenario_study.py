@@ -14,8 +14,8 @@ import numpy as np
 from benchmarks.study import scenario_question
 from benchmarks.study.scenario_question import (
     COST_DIGITS,
-    FIELDS,
     PLANNER,
+    RESTITUTIONS,
     Job,
     MethodRun,
     ScenarioQuestion,
@@ -44,7 +44,7 @@ class ScenarioResult:
 
     Attributes:
         number: of the scenario in its study.
-        start, velocity, goal, restitution, mass, duration: of the scenario, to the digits of files.
+        start, velocity, goal, restitution: of the scenario, to the digits of files.
         optimum: J*, by `rigid_optimum`, which no method knows.
         contacts: of the optimum: 0 for a flight, 1 for a bounce.
         runs: by method; those that are done.
@@ -55,8 +55,6 @@ class ScenarioResult:
     velocity: float
     goal: float
     restitution: float
-    mass: float
-    duration: float
     optimum: float
     contacts: int
     runs: Mapping[str, MethodRun] = field(default_factory=dict)
@@ -67,9 +65,9 @@ class ScenarioResult:
     ) -> ScenarioResult:
         """Returns the result of a question's scenario before any run."""
         scenario = question.scenario(number)
-        values = {name: np.ravel(getattr(scenario, field))[0] for name, field in FIELDS.items()}
-        task: dict[str, Any] = {name: round_to(each, COST_DIGITS) for name, each in values.items()}
-        return cls(number=number, optimum=optimum, contacts=contacts, **task)
+        ends = scenario.initial_position, scenario.initial_velocity, scenario.goal_position
+        start, velocity, goal = (round_to(float(each[0]), COST_DIGITS) for each in ends)
+        return cls(number, start, velocity, goal, scenario.restitution, optimum, contacts)
 
     @property
     def good_enough(self) -> float:
@@ -223,15 +221,10 @@ class ScenarioStudy(Study[ScenarioQuestion, ScenarioResult]):
         return (result for result in self.results if method in result.runs)
 
     def groups(self) -> dict[str, tuple[ScenarioResult, ...]]:
-        """Returns the results by restitution, if that is listed; else all in one group."""
-        spread = self.question.restitution
-        if spread.is_range:
-            return {f"e = {spread}": self.results}
+        """Returns the results by restitution."""
         return {
-            f"e = {value:g}": tuple(
-                each for each in self.results if each.restitution == round_to(value, COST_DIGITS)
-            )
-            for value in dict.fromkeys(spread.values)
+            f"e = {value:g}": tuple(each for each in self.results if each.restitution == value)
+            for value in RESTITUTIONS
         }
 
 
