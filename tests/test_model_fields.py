@@ -14,7 +14,7 @@ from other_models import ARM, GANTRY, GRAVITY, TRANSMISSION, make, write
 from drake_aigto import PlanningError, Scenario, World, plan
 from drake_aigto.cli import main
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world import build_diagram, find_model
+from drake_aigto.world import find_model, read_model
 
 
 def test_friction_of_a_scenario_stands_in_place_of_the_models(gantry: Any) -> None:
@@ -179,7 +179,7 @@ def test_look_tells_what_is_understood(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_materials_replace_those_of_a_diagram_in_a_copy_of_it() -> None:
-    diagram = build_diagram("package://drake_aigto_models/pushed_block.sdf")
+    diagram = read_model("package://drake_aigto_models/pushed_block.sdf").diagram
     own = World.from_diagram(diagram)
     world = World.from_diagram(diagram, stiction_speed=0.01, material={"*": {"stiffness": 3e5}})
     np.testing.assert_allclose(world.stiffness, 1.5e5)

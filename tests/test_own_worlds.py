@@ -36,7 +36,7 @@ from world_models import (
 from drake_aigto import Scenario, World
 from drake_aigto.dynamics import Contact
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world import build_diagram
+from drake_aigto.world import read_model
 
 
 def build_half_space_diagram(time_step: float = 0.0, gravity_axis: int = 2) -> Diagram:
@@ -160,7 +160,7 @@ def test_a_mesh_is_left_out_by_name_here_and_in_drake_and_drawn_all_the_same(
     write_model: ModelWriter,
 ) -> None:
     (write_model.path.parent / "tetrahedron.obj").write_text(TETRAHEDRON, encoding="utf-8")
-    diagram = build_diagram(write_model({BALL_COLLISION: MESHED}))
+    diagram = read_model(write_model({BALL_COLLISION: MESHED})).diagram
     with pytest.raises(ModelError, match=r"got Mesh against Box.* Leave shapes out by the scen"):
         World.from_diagram(diagram)
     for name in ("mesh", "point_mass_and_wall::mesh"):
@@ -203,7 +203,7 @@ def test_a_scenario_names_the_shapes_that_its_world_leaves_out(write_model: Mode
 def test_robots_among_drakes_examples_are_read(
     model: str, ignored: list[str], coordinates: int
 ) -> None:
-    diagram = build_diagram(f"package://drake/examples/{model}")
+    diagram = read_model(f"package://drake/examples/{model}").diagram
     world = World.from_diagram(diagram, ignored_shapes=ignored)
     assert (world.num_positions, world.num_actuators, world.num_contacts) == (coordinates, 1, 0)
 

@@ -27,7 +27,7 @@ from benchmarks.baselines import Recorder
 from drake_aigto import Planner, Scenario, World
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.paper import rigid_optimum
-from drake_aigto.world import build_diagram
+from drake_aigto.world import read_model
 
 SLIDER_AXIS = """<axis>
         <xyz>1 0 0</xyz>
@@ -122,7 +122,7 @@ def test_a_bad_model_is_refused_by_name(write_model: ModelWriter, name: str) -> 
     replacements, message = BAD_MODELS[name]
     (write_model.path.parent / "tetrahedron.obj").write_text(TETRAHEDRON, encoding="utf-8")
     with pytest.raises(ModelError, match=message):
-        World.from_diagram(build_diagram(write_model(replacements)))
+        World.from_diagram(read_model(write_model(replacements)).diagram)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from .model_facts import calc_servo_forces as calc_servo_forces
 from .model_fields import Material as Material
 from .model_fields import ModelFields as ModelFields
 from .model_reader import add_dry_friction as add_dry_friction
-from .model_reader import build_diagram as build_diagram
+from .model_reader import read_model as read_model
 from .places import FrameGoal as FrameGoal
 from .places import Pose as Pose
 from .places import PoseWeight as PoseWeight

@@ -6,14 +6,13 @@ import logging
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
@@ -35,11 +34,11 @@ from pydrake.systems.primitives import SymbolicVectorSystem
 from drake_aigto.arrays import Floats, read_only
 from drake_aigto.dynamics import STICTION_SPEED, refuse_loop, smooth_sign
 from drake_aigto.errors import ModelError
-from drake_aigto.world.diagram import check_friction_acts, check_plant, copy_diagram, find_plant
+from drake_aigto.world.diagram import check_plant
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
 from drake_aigto.world.model_facts import MESHES, FixableError, ModelFacts, Spring, fits, pick
-from drake_aigto.world.model_fields import Limited, ModelFields
+from drake_aigto.world.model_fields import ModelFields
 from drake_aigto.world.model_shapes import (
     add_ends,
     choose_ends,
@@ -51,7 +50,7 @@ from drake_aigto.world.model_shapes import (
 from drake_aigto.world.model_text import read_model_text
 from drake_aigto.world.pairs import order_pair
 from drake_aigto.world.space_pairs import order_shapes
-from drake_aigto.world.thrusters import add_actuation, find_propeller
+from drake_aigto.world.thrusters import add_actuation
 
 _TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 # What Drake says of joints that form a loop.
@@ -90,16 +89,6 @@ class ReadModel(NamedTuple):
     ignored: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     is_bare: bool = False
-
-
-def build_diagram(
-    model: str,
-    dry_friction: Floats | None = None,
-    stiction_speed: float = STICTION_SPEED,
-    fields: ModelFields | None = None,
-) -> Diagram:
-    """Returns the diagram alone of a model (`read_model`)."""
-    return read_model(model, dry_friction, stiction_speed, fields).diagram
 
 
 def read_model(
@@ -370,31 +359,3 @@ def hear_drake() -> Iterator[list[str]]:
         yield heard
     finally:
         logger.removeFilter(hear)
-
-
-def open_diagram(
-    diagram: Diagram,
-    limits: Limited,
-    material: Mapping[str, Any],
-    dry_friction: Floats | None,
-    in_space: bool = False,
-) -> tuple[ModelFields, Diagram, MultibodyPlant, SceneGraph]:
-    """Returns how a diagram is read, it or a copy with other materials, its plant and scene graph.
-
-    Raises:
-        ModelError: the plant is not one that is planned for (`check_plant`), or no system of the
-            diagram makes friction act.
-    """
-    given: Any = material
-    fields = ModelFields(limits=limits, material=given)
-    diagram = copy_diagram(diagram) if fields.material else diagram
-    plant, scene_graph = find_plant(diagram)
-    set_materials(plant, scene_graph, fields.material)
-    has_thrusters = find_propeller(diagram) is not None
-    if has_thrusters and not in_space:
-        remedy = "Read it by SpaceWorld.from_diagram."
-        raise ModelError("Propeller", "thrusters, in a plane", "a world in space", remedy)
-    check_plant(plant, in_space, has_thrusters)
-    if dry_friction is not None:
-        check_friction_acts(plant, diagram)
-    return fields, diagram, plant, scene_graph

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+from abc import abstractmethod
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from pydrake.geometry import SceneGraph
@@ -11,13 +16,23 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Floats
-from drake_aigto.dynamics import EquationsOfMotion, read_damping
-from drake_aigto.world.diagram import exclude_shapes, hide_half_space_warning, scale_masses
+from drake_aigto.dynamics import STICTION_SPEED, EquationsOfMotion, read_damping
+from drake_aigto.errors import ModelError
+from drake_aigto.world.diagram import (
+    check_friction_acts,
+    check_plant,
+    copy_diagram,
+    exclude_shapes,
+    find_plant,
+    hide_half_space_warning,
+    scale_masses,
+)
 from drake_aigto.world.limits import Limits
-from drake_aigto.world.model_fields import ModelFields
-from drake_aigto.world.model_shapes import name_shapes, pick_shapes
+from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
+from drake_aigto.world.model_shapes import name_shapes, pick_shapes, set_materials
 from drake_aigto.world.placing import place_scenario
 from drake_aigto.world.scenario import Scenario
+from drake_aigto.world.thrusters import find_propeller
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,6 +46,7 @@ class PlantWorld(EquationsOfMotion):
         mass: replaces the model's mass of the only body with spheres that touch [kg], or None. The
             plant is not edited: it acts in all that is read here and in `create_context`.
         mass_factor: of masses and inertias of all links that move, the `mass` too; acts likewise.
+        in_space: whether it is read as a tree, which joints of any kind make.
         limits: how far the model's joints and actuators go.
         ignored_shapes: names of the collision shapes that touch nothing, neither here nor in
             contexts that are made by `create_context`.
@@ -39,6 +55,8 @@ class PlantWorld(EquationsOfMotion):
         ignored: what the model says and is left out, as the scenario allowed it.
         notes: what else differs from the model's file.
     """
+
+    in_space: ClassVar[bool] = False
 
     diagram: Diagram
     plant: MultibodyPlant
@@ -51,6 +69,98 @@ class PlantWorld(EquationsOfMotion):
     ignored: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     mass_factor: float = 1.0
+
+    @classmethod
+    def from_diagram(
+        cls,
+        diagram: Diagram,
+        mass: float | None = None,
+        ignored_shapes: Iterable[str] | str = (),
+        dry_friction: Floats | None = None,
+        stiction_speed: float = STICTION_SPEED,
+        limits: Limited = "model",
+        material: Mapping[str, Any] = MappingProxyType({}),
+        mass_factor: float = 1.0,
+    ) -> Self:
+        """Reads a diagram of your own, which holds one continuous plant and its scene graph.
+
+        By `World` it is read as sums of products, for few joints in a plane; by `SpaceWorld` with
+        bodies that float, arms of many joints, and friction along faces.
+
+        In a plane, of a box that the sphere can only move along one line to, that face counts which
+        the sphere faces at the plant's default positions; of another box, every face that it can
+        reach.
+
+        Args:
+            diagram: of one continuous MultibodyPlant and its SceneGraph, at any depth.
+            mass: replaces that of the only body with spheres that touch [kg]; None: the model's. In
+                a plane.
+            ignored_shapes: collision shapes that touch nothing, such as meshes, which can't be
+                planned for: "shape", "link::shape", globs, or all.
+            dry_friction: of each coordinate, shape (nv,) [N, N m], which a system of the diagram
+                makes act on its plant (`add_dry_friction`); None: no joint has any.
+            stiction_speed: v_s of friction in the plant, Drake's stiction tolerance, which can't be
+                read off it [m/s, rad/s].
+            limits: "model", or "ignore": limits of positions and velocities count for nothing.
+            material: of collision shapes, glob → `Material`, in place of the diagram's, which stays
+                as it is: the world has a copy. All else that a scenario says of how a model is
+                read is for the parser that made the diagram.
+            mass_factor: of masses and inertias of all links that move, and of the `mass`.
+
+        Raises:
+            ModelError: the plant is discrete, lacks a joint or an actuator, has shapes or joints
+                that are not supported, none of which can meet, or feels forces that are; or the
+                mass is that of several bodies, or of one that does not move. In space: the plant is
+                no tree, or has pairs of shapes whose distance is not known. Says which.
+            ScenarioError: the mass is not above zero, or one is given in space.
+        """
+        given: Any = material
+        fields = ModelFields(limits=limits, material=given)
+        diagram = copy_diagram(diagram) if fields.material else diagram
+        plant, scene_graph = find_plant(diagram)
+        set_materials(plant, scene_graph, fields.material)
+        has_thrusters = find_propeller(diagram) is not None
+        if has_thrusters and not cls.in_space:
+            remedy = "Read it by SpaceWorld.from_diagram."
+            raise ModelError("Propeller", "thrusters, in a plane", "a world in space", remedy)
+        check_plant(plant, cls.in_space, has_thrusters)
+        if dry_friction is not None:
+            check_friction_acts(plant, diagram)
+        return cls._of_plant(
+            diagram=diagram,
+            plant=plant,
+            scene_graph=scene_graph,
+            mass=mass,
+            ignored_shapes=as_globs("ignored_shapes", ignored_shapes),
+            dry_friction=dry_friction,
+            stiction_speed=stiction_speed,
+            model_fields=fields,
+            mass_factor=mass_factor,
+        )
+
+    @classmethod
+    @abstractmethod
+    def _of_plant(cls, **given: Any) -> Self:
+        """Reads the equations and the contacts of a plant; given are fields of the world."""
+
+    def of_diagram(self, diagram: Diagram, mass_factor: float | None = None) -> Self:
+        """Returns the world of another diagram with a copy of its plant, all else as it is here.
+
+        Args:
+            diagram: the other one, or its own.
+            mass_factor: in place of its own.
+
+        Raises:
+            ModelError: the plant there can't be planned for.
+        """
+        friction = self.dry_friction, self.stiction_speed
+        given = self.mass, self.ignored_shapes, *friction, self.model_fields.limits
+        factor = self.mass_factor if mass_factor is None else mass_factor
+        other = type(self).from_diagram(diagram, *given, mass_factor=factor)
+        mine = {
+            name: getattr(self, name) for name in ("limits", "model_fields", "ignored", "notes")
+        }
+        return dataclasses.replace(other, **mine)
 
     def __repr__(self) -> str:
         """Returns a line without arrays: the model, and the sizes of q, v, u and contact."""

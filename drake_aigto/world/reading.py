@@ -18,8 +18,7 @@ from drake_aigto.world.placing import place_scenario
 from drake_aigto.world.plant_world import PlantWorld
 from drake_aigto.world.scenario import Scenario
 
-# The kinds of worlds; their modules import this one.
-_IN_PLANE = "drake_aigto.world.world:World"
+# Its module imports this one.
 _IN_SPACE = "drake_aigto.world.space:SpaceWorld"
 # Coordinates of compliant mechanisms that are read as sums; recursions are faster for more.
 _MOST_SUMMED = 5
@@ -37,7 +36,7 @@ def read_world(kind: type[Any], scenario: Scenario, start: Floats | None) -> Any
         ModelError: the model can't be found, parsed, or planned for.
         ScenarioError: a field of the scenario does not fit the model.
     """
-    may_leave_plane = kind is resolve_name(_IN_PLANE) and scenario.contact == "compliant"
+    may_leave_plane = not kind.in_space and scenario.contact == "compliant"
     try:
         world = _read(kind, scenario, start)
         if may_leave_plane:
@@ -59,17 +58,16 @@ def _read(kind: type[Any], scenario: Scenario, start: Floats | None) -> Any:
     """Reads a model, and stops at the first thing that is wrong with it."""
     friction = scenario.dry_friction, scenario.stiction_speed
     asked = scenario.model, *friction, scenario.model_fields
-    in_space = kind is resolve_name(_IN_SPACE)
     of_space = [name for name in ("thrusters", "frame_goals") if getattr(scenario, name)]
-    if of_space and not in_space:
+    if of_space and not kind.in_space:
         remedy = "Ask for contact: compliant (--contact compliant)."
         expected = "none, but of models that are read in space"
         raise ModelError(of_space[0], "them, in a plane", expected, remedy)
-    found = read_model(*asked, is_bare=True, in_space=in_space)
+    found = read_model(*asked, is_bare=True, in_space=kind.in_space)
     if found.is_bare:
         if errors := kind.find_plant_errors(scenario, found.diagram):
             raise errors[0]
-        found = read_model(*asked, in_space=in_space)
+        found = read_model(*asked, in_space=kind.in_space)
     plant, _ = find_plant(found.diagram)
     if start is not None:
         scenario = place_scenario(plant, scenario)
@@ -91,11 +89,11 @@ def _read(kind: type[Any], scenario: Scenario, start: Floats | None) -> Any:
 
 def _find_errors(kind: type[Any], scenario: Scenario) -> list[ModelError]:
     """Returns what is refused of a model at once, whatever its start is."""
-    in_space, found = kind is resolve_name(_IN_SPACE), list[ModelError]()
+    found = list[ModelError]()
 
     def check() -> None:
         fields = scenario.model_fields
-        model = read_model(scenario.model, fields=fields, is_bare=True, in_space=in_space)
+        model = read_model(scenario.model, fields=fields, is_bare=True, in_space=kind.in_space)
         found.extend(kind.find_plant_errors(scenario, model.diagram))
 
     return [*find_errors(check), *found]

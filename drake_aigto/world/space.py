@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from pydrake.geometry import GeometryId, SceneGraph
@@ -15,20 +13,18 @@ from pydrake.symbolic import Expression, MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Bools, Floats, read_only
-from drake_aigto.dynamics import STICTION_SPEED, Contact, Tree, TreeMemory, make_tree_memory
+from drake_aigto.dynamics import Contact, Tree, TreeMemory, make_tree_memory
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.geometry import make_closest
 from drake_aigto.world.diagram import find_plant, scale_masses
 from drake_aigto.world.frames import FrameGoals
-from drake_aigto.world.limits import Limits, check_clearance, check_sizes
+from drake_aigto.world.limits import Limits
 from drake_aigto.world.material import SpringMaterial, combine_springs
 from drake_aigto.world.model_facts import find_errors
-from drake_aigto.world.model_fields import Limited, Named, as_globs
-from drake_aigto.world.model_reader import open_diagram
+from drake_aigto.world.model_fields import Named
 from drake_aigto.world.model_shapes import choose_pairs
 from drake_aigto.world.pair_errors import explain_no_contact
 from drake_aigto.world.places import FrameGoal
-from drake_aigto.world.reading import check_made_for
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.space_coordinates import (
     SpaceCoordinates,
@@ -44,7 +40,6 @@ from drake_aigto.world.space_pairs import (
     order_shapes,
     read_shapes,
 )
-from drake_aigto.world.task_cost import TaskCost
 from drake_aigto.world.thrusters import find_propeller, read_thrusts
 from drake_aigto.world.world import World
 
@@ -65,71 +60,45 @@ class SpaceWorld(SpaceCoordinates, World):
             default positions; None: there are none.
     """
 
+    in_space: ClassVar[bool] = True
+
     pairs: tuple[ShapePair, ...] = field(kw_only=True)
     geometry: SpaceShapes = field(kw_only=True)
     propeller: Propeller | None = field(kw_only=True, default=None)
 
     @classmethod
-    def from_diagram(
-        cls,
-        diagram: Diagram,
-        mass: float | None = None,
-        ignored_shapes: Iterable[str] | str = (),
-        dry_friction: Floats | None = None,
-        stiction_speed: float = STICTION_SPEED,
-        limits: Limited = "model",
-        material: Mapping[str, Any] = MappingProxyType({}),
-        mass_factor: float = 1.0,
-    ) -> SpaceWorld:
-        """Reads a diagram of your own; arguments are those of `World.from_diagram`.
-
-        Raises:
-            ModelError: the plant is discrete, lacks an actuator, is no tree, feels forces that are
-                not planned for, or has pairs of shapes whose distance is not known.
-            ScenarioError: a mass is given.
-        """
-        fields, diagram, plant, scene_graph = open_diagram(
-            diagram, limits, material, dry_friction, in_space=True
-        )
-        if mass is not None:
-            remedy = "Edit the masses in the model instead."
-            raise ScenarioError("mass", f"{mass:g} kg, in space", "None, the model's", remedy)
-        globs = as_globs("ignored_shapes", ignored_shapes)
-        pairs = _choose_pairs(plant, scene_graph, globs)
+    def _of_plant(cls, **given: Any) -> Self:
+        diagram, plant, scene_graph = (given[key] for key in ("diagram", "plant", "scene_graph"))
+        if given["mass"] is not None:
+            got, remedy = f"{given['mass']:g} kg, in space", "Edit the masses in the model instead."
+            raise ScenarioError("mass", got, "None, the model's", remedy)
+        ignored_shapes = given["ignored_shapes"]
+        pairs = _choose_pairs(plant, scene_graph, ignored_shapes)
         context = plant.CreateDefaultContext()
-        scale_masses(plant, context, mass_factor)
+        scale_masses(plant, context, given["mass_factor"])
         propeller = find_propeller(diagram)
         thrusts = () if propeller is None else read_thrusts(plant, diagram, propeller)
-        tree = Tree.of(plant, context, dry_friction, thrusts)
-        nu = tree.actuation.shape[1]
+        tree = Tree.of(plant, context, given["dry_friction"], thrusts)
         n, notes = plant.num_velocities(), []
-        if not pairs and (why := explain_no_contact(scene_graph, bool(globs))):
+        if not pairs and (why := explain_no_contact(scene_graph, bool(ignored_shapes))):
             notes.append(why)
         angles, turns = find_angles(tree)
         nothing = read_only(np.zeros((0, 0)), object)
         contacts = [Contact(p.name, Expression(), np.zeros(n), i) for i, p in enumerate(pairs)]
         return cls(
-            diagram=diagram,
-            plant=plant,
-            scene_graph=scene_graph,
-            mass=None,
+            **given,
             is_hinge=angles,
             positions=read_only(MakeVectorVariable(plant.num_positions(), "q"), object),
             velocities=read_only(MakeVectorVariable(n, "v"), object),
-            controls=read_only(MakeVectorVariable(nu, "u"), object),
+            controls=read_only(MakeVectorVariable(tree.actuation.shape[1], "u"), object),
             mass_matrix=nothing,
             bias=nothing,
             actuation=read_only(tree.calc_actuation(plant.GetDefaultPositions())),
             contacts=tuple(contacts),
-            limits=Limits.of(plant, {}, limits, len(thrusts)),
+            limits=Limits.of(plant, {}, given["model_fields"].limits, len(thrusts)),
             _reachable=(),
             _stuck=(),
-            ignored_shapes=globs,
-            dry_friction=dry_friction,
-            stiction_speed=stiction_speed,
-            model_fields=fields,
             notes=tuple(notes),
-            mass_factor=mass_factor,
             tree=tree,
             pairs=pairs,
             geometry=read_shapes(plant, scene_graph, tree, pairs),
@@ -172,18 +141,7 @@ class SpaceWorld(SpaceCoordinates, World):
         """Returns True for each contact, shape (m,): distances are those of whole shapes."""
         return np.ones(self.num_contacts, dtype=bool)
 
-    def check(self, scenario: Scenario) -> None:
-        """Checks that a scenario can be asked of this world.
-
-        Raises:
-            ScenarioError: as `World.check`; or bodies overlap at the start, or contact is rigid.
-            ModelError: a shape lacks stiffness or dissipation.
-        """
-        check_sizes(self.plant, scenario)
-        TaskCost.of(self, scenario)
-        self.bounds(scenario)
-        check_made_for(self, scenario)
-        check_clearance(self, self.least_distances(scenario), scenario.initial_position)
+    def _check_contacts(self, scenario: Scenario) -> None:
         if not self.pairs:
             return
         if scenario.contact != "compliant":

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property, partial
-from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from pydrake.geometry import GeometryId
@@ -15,7 +14,7 @@ from pydrake.symbolic import MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Bools, Floats, read_only
-from drake_aigto.dynamics import STICTION_SPEED, SumMap
+from drake_aigto.dynamics import SumMap
 from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import find_hinges, find_plant, move_shape
 from drake_aigto.world.fields import as_number
@@ -23,8 +22,6 @@ from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.limits import Limits, check_clearance, check_sizes, find_least_distances
 from drake_aigto.world.material import SpringMaterial, read_materials, read_springs, read_stiffness
 from drake_aigto.world.model_facts import find_errors
-from drake_aigto.world.model_fields import Limited, as_globs
-from drake_aigto.world.model_reader import open_diagram
 from drake_aigto.world.model_shapes import choose_pairs
 from drake_aigto.world.pair_errors import check_work, explain_no_contact
 from drake_aigto.world.pairs import (
@@ -95,62 +92,20 @@ class World(PlantWorld):
         )
 
     @classmethod
-    def from_diagram(
-        cls,
-        diagram: Diagram,
-        mass: float | None = None,
-        ignored_shapes: Iterable[str] | str = (),
-        dry_friction: Floats | None = None,
-        stiction_speed: float = STICTION_SPEED,
-        limits: Limited = "model",
-        material: Mapping[str, Any] = MappingProxyType({}),
-        mass_factor: float = 1.0,
-    ) -> World:
-        """Reads a diagram of your own, which holds one continuous plant and its scene graph.
-
-        It is read as sums of products, for few joints in a plane; `SpaceWorld.from_diagram` reads
-        bodies that float, arms of many joints, and friction along faces.
-
-        Of a box that the sphere can only move along one line to, that face counts which the sphere
-        faces at the plant's default positions; of another box, every face that it can reach.
-
-        Args:
-            diagram: of one continuous MultibodyPlant and its SceneGraph, at any depth.
-            mass: replaces that of the only body with spheres that touch [kg]; None: the model's.
-            ignored_shapes: collision shapes that touch nothing, such as meshes, which can't be
-                planned for: "shape", "link::shape", globs, or all.
-            dry_friction: of each coordinate, shape (nv,) [N, N m], which a system of the diagram
-                makes act on its plant (`add_dry_friction`); None: no joint has any.
-            stiction_speed: v_s of friction in the plant, Drake's stiction tolerance, which can't be
-                read off it [m/s, rad/s].
-            limits: "model", or "ignore": limits of positions and velocities count for nothing.
-            material: of collision shapes, glob → `Material`, in place of the diagram's, which stays
-                as it is: the world has a copy. All else that a scenario says of how a model is
-                read is for the parser that made the diagram.
-            mass_factor: of masses and inertias of all links that move, and of the `mass`.
-
-        Raises:
-            ModelError: the plant is discrete, lacks a joint or an actuator, has shapes or joints
-                that are not supported, none of which can meet, or feels forces that are; or the
-                mass is that of several bodies, or of one that does not move. Says which.
-            ScenarioError: the mass is not above zero.
-        """
-        fields, diagram, plant, scene_graph = open_diagram(diagram, limits, material, dry_friction)
-        reader = PlantReader(plant, mass_factor)
-        ignored_shapes = as_globs("ignored_shapes", ignored_shapes)
+    def _of_plant(cls, **given: Any) -> Self:
+        plant, mass, factor = given["plant"], given["mass"], given["mass_factor"]
+        reader = PlantReader(plant, factor)
         # What refuses at once comes first.
+        scene_graph, ignored_shapes = given["scene_graph"], given["ignored_shapes"]
         pairs = choose_pairs(plant, scene_graph, ignored_shapes, order_pair)
         mass_matrix = reader.calc_mass_matrix()
         reachable, stuck = find_reach(plant, scene_graph, reader, pairs)
         if mass is not None:
-            mass = as_number("mass", mass, above=0.0, unit="kg")
-            reader.set_mass(find_sphere_body(plant, reachable), mass_factor * mass)
+            given["mass"] = mass = as_number("mass", mass, above=0.0, unit="kg")
+            reader.set_mass(find_sphere_body(plant, reachable), factor * mass)
             mass_matrix = reader.calc_mass_matrix()
         return cls(
-            diagram=diagram,
-            plant=plant,
-            scene_graph=scene_graph,
-            mass=mass,
+            **given,
             is_hinge=read_only(find_hinges(plant), bool),
             positions=read_only(reader.q, object),
             velocities=read_only(reader.v, object),
@@ -159,34 +114,10 @@ class World(PlantWorld):
             bias=reader.calc_bias(mass_matrix),
             actuation=read_only(plant.MakeActuationMatrix()),
             contacts=tuple(each.contact for each in reachable),
-            limits=Limits.of(plant, {}, limits),
+            limits=Limits.of(plant, {}, given["model_fields"].limits),
             _reachable=reachable,
             _stuck=stuck,
-            ignored_shapes=ignored_shapes,
-            dry_friction=dry_friction,
-            stiction_speed=stiction_speed,
-            model_fields=fields,
-            mass_factor=mass_factor,
         )._within_reach()
-
-    def of_diagram(self, diagram: Diagram, mass_factor: float | None = None) -> World:
-        """Returns the world of another diagram with a copy of its plant, all else as it is here.
-
-        Args:
-            diagram: the other one, or its own.
-            mass_factor: in place of its own.
-
-        Raises:
-            ModelError: the plant there can't be planned for.
-        """
-        friction = self.dry_friction, self.stiction_speed
-        given = self.mass, self.ignored_shapes, *friction, self.model_fields.limits
-        factor = self.mass_factor if mass_factor is None else mass_factor
-        other = type(self).from_diagram(diagram, *given, mass_factor=factor)
-        mine = {
-            name: getattr(self, name) for name in ("limits", "model_fields", "ignored", "notes")
-        }
-        return dataclasses.replace(other, **mine)
 
     @property
     def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
@@ -285,7 +216,7 @@ class World(PlantWorld):
         body = find_sphere_body(self.plant, self._reachable)
         return body.default_mass() if self.mass is None else self.mass
 
-    def with_wall_moved(self, contact: int, distance: float) -> World:
+    def with_wall_moved(self, contact: int, distance: float) -> Self:
         """Returns a copy of this world with the shape of contact i, all of its faces, elsewhere.
 
         Its diagram is a copy, too, so that Drake simulates what is read here. What is only drawn
@@ -334,21 +265,26 @@ class World(PlantWorld):
                 inside or behind it, or beside its face, or is beyond joint limits; or the start
                 lacks its clearance.
             ModelError: friction acts where a sphere can slide in two directions, or is stuck in a
-                shape; or the model lacks what compliant contact takes (`springs`).
+                shape; or the model lacks what compliant contact takes (`springs`). In space contact
+                is compliant, and bodies may not overlap at the start.
         """
         check_sizes(self.plant, scenario)
         TaskCost.of(self, scenario)
         self.bounds(scenario)
         check_made_for(self, scenario)
+        self._check_contacts(scenario)
+        check_clearance(self, self.least_distances(scenario), scenario.initial_position)
+
+    def _check_contacts(self, scenario: Scenario) -> None:
+        """Refuses a law of contact that shapes lack, and places against or inside of these."""
         if scenario.contact == "compliant":
             _ = self.springs
         self.friction_coefficients(scenario)
         self.rubbing.check(scenario.friction)
         for name in ("initial_position", "goal_position"):
             self._check_place(name, getattr(scenario, name), scenario)
-        check_clearance(self, self.least_distances(scenario), scenario.initial_position)
 
-    def _within_reach(self) -> World:
+    def _within_reach(self) -> Self:
         """Returns this world without walls that are farther off than its joints go, with notes.
 
         Of a box before one face of which a sphere always stays, the other faces are left out. All
