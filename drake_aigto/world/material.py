@@ -7,10 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.geometry import GeometryId, ProximityProperties, RoleAssign, SceneGraph, SourceId
-from pydrake.systems.framework import Context
+from pydrake.multibody.plant import CalcContactFrictionFromSurfaceProperties, CoulombFriction
+from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Floats, read_only
 from drake_aigto.errors import ModelError
+from drake_aigto.world.diagram import hide_half_space_warning
 from drake_aigto.world.pairs import ReachableFace
 
 FRICTION = ("material", "coulomb_friction")
@@ -147,6 +149,46 @@ def set_material(
     properties.UpdateProperty(*name, value)
     context = scene_graph.GetMyMutableContextFromRoot(root)
     scene_graph.AssignRole(context, source, shape, properties, RoleAssign.kReplace)
+
+
+def read_frictions(
+    scene_graph: SceneGraph, diagram: Diagram, pairs: Iterable[tuple[GeometryId, GeometryId]]
+) -> list[float]:
+    """Returns the dynamic μ of pairs of shapes, 2 μ₁ μ₂ / (μ₁ + μ₂), with defaults of Drake."""
+    with hide_half_space_warning():
+        root = diagram.CreateDefaultContext()  # Drake's defaults are in contexts only.
+    found = []
+    for pair in pairs:
+        materials = [read_material(scene_graph, root, shape) for shape in pair]
+        # What `GetProperty` returns lives no longer than the properties.
+        surfaces = [material.GetProperty(*FRICTION) for material in materials]
+        found.append(CalcContactFrictionFromSurfaceProperties(*surfaces).dynamic_friction())
+    return found
+
+
+def impose_friction(
+    scene_graph: SceneGraph,
+    source: SourceId,
+    root: Context,
+    shapes: Iterable[GeometryId],
+    friction: float | None,
+) -> None:
+    """Gives shapes one coefficient for sticking and sliding, in this context only.
+
+    Args:
+        scene_graph: of the shapes.
+        source: of the shapes, the plant's.
+        root: of the whole diagram.
+        shapes: that rub.
+        friction: μ; None: static coefficients become the dynamic ones.
+    """
+    for shape in dict.fromkeys(shapes):
+        properties = read_material(scene_graph, root, shape)
+        own = properties.GetProperty(*FRICTION)  # It lives no longer than the properties.
+        value = own.dynamic_friction() if friction is None else friction
+        if (own.static_friction(), own.dynamic_friction()) != (value, value):
+            material = CoulombFriction(value, value)
+            set_material(scene_graph, source, root, shape, FRICTION, material)
 
 
 def _check_simulated(scene_graph: SceneGraph, reachable: ReachableFace) -> None:

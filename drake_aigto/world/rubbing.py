@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import GeometryId
-from pydrake.multibody.plant import (
-    CalcContactFrictionFromSurfaceProperties,
-    CoulombFriction,
-    MultibodyPlant,
-)
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import Context, Diagram
@@ -21,13 +16,8 @@ from pydrake.systems.framework import Context, Diagram
 from drake_aigto.arrays import Floats, read_only
 from drake_aigto.dynamics import EquationsOfMotion, SumMap, calc_turning, tidy
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world.diagram import (
-    find_anywhere,
-    find_hinges,
-    find_plant,
-    hide_half_space_warning,
-)
-from drake_aigto.world.material import FRICTION, read_material, set_material
+from drake_aigto.world.diagram import find_anywhere, find_hinges, find_plant
+from drake_aigto.world.material import impose_friction, read_frictions
 from drake_aigto.world.pairs import SphereAndFace
 from drake_aigto.world.plant_reader import TooManySamples, interpolate
 
@@ -102,8 +92,9 @@ class Rubbing:
         That of the sphere's material where it touches, as the face sees it, along the one direction
         in which it can slide (`_read_tangent`). Zero where it can't, or can in two.
         """
-        rows = [None if each is None else each[0] for each in self._tangents]
-        return self._stack(rows)
+        nothing = np.full(self._v.size, Expression(0.0))
+        rows = [nothing if each is None else each[0] for each in self._tangents]
+        return np.array(rows, dtype=object).reshape(-1, nothing.size)
 
     @cached_property
     def spins(self) -> Floats:
@@ -142,14 +133,8 @@ class Rubbing:
             root: of the whole diagram.
             friction: μ; None: static coefficients become the dynamic ones.
         """
-        scene_graph, source = self._scene_graph, self._plant.get_source_id()
-        for shape in self._find_unlike(friction):
-            value = friction
-            if value is None:
-                own = read_material(scene_graph, root, shape)
-                value = own.GetProperty(*FRICTION).dynamic_friction()
-            material = CoulombFriction(value, value)
-            set_material(scene_graph, source, root, shape, FRICTION, material)
+        shapes = [shape for face in self._faces for shape in face.shapes]
+        impose_friction(self._scene_graph, self._plant.get_source_id(), root, shapes, friction)
 
     def check(self, friction: float | None) -> None:
         """Checks that friction can act as it is asked for (`calc_coefficients`).
@@ -192,23 +177,10 @@ class Rubbing:
         return self.model_coefficients if friction is None else friction * self._slides
 
     @cached_property
-    def _friction(self) -> tuple[CoulombFriction, ...]:
-        """Friction that acts on a sphere at each face: 0 where it can't move along it."""
-        with hide_half_space_warning():
-            root = self._diagram.CreateDefaultContext()  # Drake's defaults are in contexts only.
-        found = []
-        for face, slides in zip(self._faces, self._slides, strict=True):
-            materials = [read_material(self._scene_graph, root, shape) for shape in face.shapes]
-            # What `GetProperty` returns lives no longer than the properties.
-            surfaces = [material.GetProperty(*FRICTION) for material in materials]
-            friction = CalcContactFrictionFromSurfaceProperties(*surfaces)
-            found.append(friction if slides else CoulombFriction(0.0, 0.0))
-        return tuple(found)
-
-    @cached_property
     def model_coefficients(self) -> Floats:
         """The model's μ of each contact, and of each face that a sphere is stuck in, (m + s,)."""
-        return read_only([each.dynamic_friction() for each in self._friction])
+        pairs = [face.shapes for face in self._faces]
+        return read_only(read_frictions(self._scene_graph, self._diagram, pairs) * self._slides)
 
     @cached_property
     def _none(self) -> Floats:
@@ -225,22 +197,6 @@ class Rubbing:
     def _tangents(self) -> list[_Tangent | None]:
         faces = self._faces[: self._num_contacts]
         return [_read_tangent(self._plant, face, self._q) for face in faces]
-
-    def _stack(self, rows: Sequence[NDArray[Any] | None]) -> NDArray[Any]:
-        """Returns rows as an array, zero where there is none."""
-        nothing = np.full(self._v.size, Expression(0.0))
-        stacked = [nothing if row is None else row for row in rows]
-        return np.array(stacked, dtype=object).reshape(-1, nothing.size)
-
-    def _find_unlike(self, friction: float | None) -> set[GeometryId]:
-        """Returns the shapes that slide with other friction than they should."""
-        if friction:
-            return {shape for face in self._faces for shape in face.shapes}
-        pairs = list(zip(self._faces, self._friction, strict=True))
-        if friction is None:
-            unlike = (f for f, mu in pairs if mu.static_friction() != mu.dynamic_friction())
-            return {shape for face in unlike for shape in face.shapes}
-        return {face.shapes[0] for face, mu in pairs if mu.static_friction() > 0}
 
 
 def _read_tangent(plant: MultibodyPlant, face: SphereAndFace, q: NDArray[Any]) -> _Tangent | None:

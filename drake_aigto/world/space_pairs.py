@@ -17,18 +17,13 @@ from pydrake.geometry import (
     Sphere,
 )
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import (
-    CalcContactFrictionFromSurfaceProperties,
-    CoulombFriction,
-    MultibodyPlant,
-)
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Floats, Ints, read_only
 from drake_aigto.dynamics import Tree
 from drake_aigto.geometry import BALL, BOX, CAPSULE, CYLINDER, HALF_SPACE, Shapes, can_meet
-from drake_aigto.world.diagram import hide_half_space_warning
-from drake_aigto.world.material import FRICTION, read_material, set_material
+from drake_aigto.world.material import impose_friction, read_frictions
 
 _KINDS: dict[type[Shape], int] = {
     Sphere: BALL,
@@ -126,15 +121,10 @@ class SpaceFriction:
         pairs: Sequence[ShapePair],
     ) -> None:  # fmt: skip
         """Reads the coefficients, with Drake's defaults where a shape gives none."""
-        self._plant, self._scene_graph, self._pairs = plant, scene_graph, pairs
+        self._plant, self._scene_graph = plant, scene_graph
+        self._shapes = [shape for pair in pairs for shape in pair.shapes]
         self.names = tuple(pair.name for pair in pairs)
-        with hide_half_space_warning():
-            root = diagram.CreateDefaultContext()  # Drake's defaults are in contexts only.
-        found = []
-        for pair in pairs:
-            materials = [read_material(scene_graph, root, shape) for shape in pair.shapes]
-            surfaces = [material.GetProperty(*FRICTION) for material in materials]
-            found.append(CalcContactFrictionFromSurfaceProperties(*surfaces).dynamic_friction())
+        found = read_frictions(scene_graph, diagram, [pair.shapes for pair in pairs])
         self.model_coefficients = read_only(found)
 
     @property
@@ -152,10 +142,4 @@ class SpaceFriction:
     def impose(self, root: Context, friction: float | None) -> None:
         """Gives shapes one coefficient for sticking and sliding, in this context only."""
         source = self._plant.get_source_id()
-        for shape in dict.fromkeys(s for pair in self._pairs for s in pair.shapes):
-            properties = read_material(self._scene_graph, root, shape)
-            own = properties.GetProperty(*FRICTION)  # It lives no longer than the properties.
-            value = own.dynamic_friction() if friction is None else friction
-            if (own.static_friction(), own.dynamic_friction()) != (value, value):
-                material = CoulombFriction(value, value)
-                set_material(self._scene_graph, source, root, shape, FRICTION, material)
+        impose_friction(self._scene_graph, source, root, self._shapes, friction)
