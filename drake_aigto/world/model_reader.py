@@ -34,7 +34,7 @@ from pydrake.systems.primitives import SymbolicVectorSystem
 from drake_aigto.arrays import Floats, read_only
 from drake_aigto.dynamics import STICTION_SPEED, refuse_loop, smooth_sign
 from drake_aigto.errors import ModelError
-from drake_aigto.world.diagram import check_plant
+from drake_aigto.world.diagram import add_actuation, check_plant
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
 from drake_aigto.world.model_facts import MESHES, FixableError, ModelFacts, Spring, fits, pick
@@ -50,7 +50,6 @@ from drake_aigto.world.model_shapes import (
 from drake_aigto.world.model_text import read_model_text
 from drake_aigto.world.pairs import order_pair
 from drake_aigto.world.space_pairs import order_shapes
-from drake_aigto.world.thrusters import add_actuation
 
 _TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 # What Drake says of joints that form a loop.

@@ -29,8 +29,7 @@ from drake_aigto.world.fields import (
 )
 from drake_aigto.world.files import read_scenario, scenario_files, suggest
 from drake_aigto.world.model_fields import ModelFields, Named, as_globs
-from drake_aigto.world.places import FrameGoal
-from drake_aigto.world.scenario_fields import (
+from drake_aigto.world.places import (
     BOUNDS,
     CHOICES,
     EXTRAS,
@@ -41,6 +40,7 @@ from drake_aigto.world.scenario_fields import (
     Angles,
     Bound,
     ContactKind,
+    FrameGoal,
     Vector,
     Weight,
     as_clearance,

@@ -16,7 +16,7 @@ from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.dynamics import Contact, Tree, TreeMemory, make_tree_memory
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.geometry import make_closest
-from drake_aigto.world.diagram import find_plant, scale_masses
+from drake_aigto.world.diagram import find_plant, find_propeller, read_thrusts, scale_masses
 from drake_aigto.world.frames import FrameGoals
 from drake_aigto.world.limits import Limits
 from drake_aigto.world.material import SpringMaterial, combine_springs
@@ -40,7 +40,6 @@ from drake_aigto.world.space_pairs import (
     order_shapes,
     read_shapes,
 )
-from drake_aigto.world.thrusters import find_propeller, read_thrusts
 from drake_aigto.world.world import World
 
 # Bodies that are deeper in each other than this part of the smaller one overlap at the start.

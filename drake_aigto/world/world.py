@@ -35,8 +35,7 @@ from drake_aigto.world.pairs import (
     refuse_inside,
 )
 from drake_aigto.world.plant_reader import PlantReader
-from drake_aigto.world.plant_world import PlantWorld
-from drake_aigto.world.reading import check_made_for, read_world
+from drake_aigto.world.plant_world import PlantWorld, check_made_for, read_world
 from drake_aigto.world.rubbing import Rubbing
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.task_cost import TaskCost
