@@ -179,7 +179,7 @@ def impose_friction(
         scene_graph: of the shapes.
         source: of the shapes, the plant's.
         root: of the whole diagram.
-        shapes: that rub.
+        shapes: that slide.
         friction: μ; None: static coefficients become the dynamic ones.
     """
     for shape in dict.fromkeys(shapes):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
@@ -138,11 +139,6 @@ def as_text(name: str, value: object) -> str:
     return value
 
 
-def as_effort(name: str, value: object) -> float:
-    """Returns the largest effort of an actuator [N, N m]."""
-    return as_number(name, value, above=0.0, unit="N or N m")
-
-
 def as_material(name: str, value: object) -> Material:
     """Returns the material of shapes, from a mapping of some of its fields."""
     given = value._asdict() if isinstance(value, Material) else value
@@ -238,7 +234,7 @@ class ModelFields(ArrayRecord):
     fixed_joints: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ())
     actuators: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ())
     effort_limits: ArrayField[Named[float]] = ArrayField(
-        as_mapping(as_effort, "{shoulder: 20}"), Named()
+        as_mapping(partial(as_number, above=0.0, unit="N or N m"), "{shoulder: 20}"), Named()
     )
     servos: ArrayField[Named[Servo]] = ArrayField(
         as_mapping(as_servo, "{shoulder: [100, 5]}"), Named()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
 
@@ -192,23 +191,24 @@ def _fix(root: Element, joint: Element, name: str) -> None:
 def _prune_shapes(root: Element, path: Path, packages: PackageMap, facts: ModelFacts) -> bool:
     """Removes shapes that touch nothing, and pictures that can't be read."""
     is_changed = False
-    for link, shape in _list_shapes(root):
-        of_link = link.get("name", "")
-        name = shape.get("name", of_link)
-        mesh = _find_mesh(shape, path, packages)
-        is_read = mesh is None or (mesh.suffix.lower() in MESHES and mesh.is_file())
-        is_kept = shape.tag == "visual" or facts.keeps(name, of_link, f"{of_link}::{name}")
-        if is_kept and not is_read and shape.tag == "collision" and mesh is not None:
-            facts.unread.append(f"{name} ({mesh.name})")
-        elif not (is_kept and is_read):
-            link.remove(shape)
-            is_changed = True
-        elif mesh is not None and facts.stub is not None:
-            if shape.tag == "visual":
+    for link in root.iter("link"):
+        for shape in [*link.findall("collision"), *link.findall("visual")]:
+            of_link = link.get("name", "")
+            name = shape.get("name", of_link)
+            mesh = _find_mesh(shape, path, packages)
+            is_read = mesh is None or (mesh.suffix.lower() in MESHES and mesh.is_file())
+            is_kept = shape.tag == "visual" or facts.keeps(name, of_link, f"{of_link}::{name}")
+            if is_kept and not is_read and shape.tag == "collision" and mesh is not None:
+                facts.unread.append(f"{name} ({mesh.name})")
+            elif not (is_kept and is_read):
                 link.remove(shape)
-            else:
-                _set_file(shape, facts.stub)
-            is_changed = facts.is_bare = True
+                is_changed = True
+            elif mesh is not None and facts.stub is not None:
+                if shape.tag == "visual":
+                    link.remove(shape)
+                else:
+                    _set_file(shape, facts.stub)
+                is_changed = facts.is_bare = True
     return is_changed
 
 
@@ -268,13 +268,6 @@ def _check_inertia(
         cost = "no body has such; a ball of its mass, of water, takes its place"
         facts.refuse("inertias", text, cost)
     return False
-
-
-def _list_shapes(root: Element) -> Iterator[tuple[Element, Element]]:
-    """Yields links with their collision shapes and pictures."""
-    for link in root.iter("link"):
-        for shape in [*link.findall("collision"), *link.findall("visual")]:
-            yield link, shape
 
 
 def _find_mesh(shape: Element, path: Path, packages: PackageMap) -> Path | None:

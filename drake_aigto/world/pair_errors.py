@@ -143,16 +143,13 @@ def _cover(inspector: Any, pairs: list[Pair]) -> list[GeometryId]:
     for one, other in pairs:
         partners.setdefault(one, set()).add(other)
         partners.setdefault(other, set()).add(one)
-    is_wall, out = {shape: _is_wall(inspector, shape) for shape in partners}, list[GeometryId]()
+    walls = {each for each in partners if isinstance(inspector.GetShape(each), Box | HalfSpace)}
+    out = list[GeometryId]()
     while any(partners.values()):
-        out.append(max(partners, key=lambda each: (len(partners[each]), not is_wall[each])))
+        out.append(max(partners, key=lambda each: (len(partners[each]), each not in walls)))
         for other in partners.pop(out[-1]):
             partners[other].discard(out[-1])
     return out
-
-
-def _is_wall(inspector: Any, shape: GeometryId) -> bool:
-    return isinstance(inspector.GetShape(shape), Box | HalfSpace)
 
 
 def name_pair(inspector: Any, pair: Pair) -> str:

@@ -238,7 +238,7 @@ def _read_tangent(plant: MultibodyPlant, face: SphereAndFace, q: NDArray[Any]) -
             remedy="Fix joints by the scenario's fixed_joints, or leave friction out.",
         ) from None
     compiled, probes = SumMap(tangent, q), motion.probes
-    spins = np.array([motion.calc_spin(probe, axis) for probe in probes])
+    spins = np.array([axis @ motion.calc_rates(probe)[0] for probe in probes])
     errors = [np.max(np.abs(compiled(probe) - rates(probe))) for probe in probes]
     errors.append(np.max(np.abs(spins - spins[0])))
     size = max(np.max(np.abs(rates(probe))) for probe in probes)
@@ -276,21 +276,17 @@ class _SphereMotion:
         arms = np.array([self._calc_center(q) - middle for q in self.probes])
         _, sizes, axes = np.linalg.svd(arms)
         e = _point(axes[2])
-        turns = np.hstack([self._calc_rates(q)[0] for q in self.probes])
+        turns = np.hstack([self.calc_rates(q)[0] for q in self.probes])
         is_planar = sizes[2] <= _ROUNDING * sizes[0]
         if not is_planar or np.any(np.abs(turns - np.outer(e, e @ turns)) > _ROUNDING):
             return None
 
         def calc_slip(q: Floats) -> Floats:
-            turning, moving = self._calc_rates(q)
+            turning, moving = self.calc_rates(q)
             d = np.cross(e, self._calc_center(q) - middle) / R
             return np.asarray(d @ moving - face.radius * (e @ turning))
 
         return calc_slip, e
-
-    def calc_spin(self, q: Floats, axis: Floats) -> Floats:
-        """Returns W, by which the sphere turns about an axis e in the face's frame, shape (nv,)."""
-        return np.asarray(axis @ self._calc_rates(q)[0])
 
     def can_slide(self) -> bool:
         """Returns whether the sphere's point of contact can move along the face."""
@@ -299,7 +295,7 @@ class _SphereMotion:
 
     def _calc_point(self, q: Floats) -> Floats:
         """Returns the Jacobian of the point below the center, in the face's frame, (3, nv)."""
-        turning, moving = self._calc_rates(q)
+        turning, moving = self.calc_rates(q)
         lever = self._face.radius
         return moving - lever * np.stack([turning[1], -turning[0], 0.0 * turning[2]])
 
@@ -308,7 +304,7 @@ class _SphereMotion:
         self._plant.SetPositions(self._context, q)
         return self._face.calc_center(self._plant, self._context)
 
-    def _calc_rates(self, q: Floats) -> tuple[Floats, Floats]:
+    def calc_rates(self, q: Floats) -> tuple[Floats, Floats]:
         """Returns Jacobians of ω and v_C in the face's frame, shape (3, nv) each."""
         face = self._face
         self._plant.SetPositions(self._context, q)
