@@ -81,7 +81,6 @@ RECORDS: Mapping[str, str] = {
     "robots_soft": "python -m benchmarks.robots compare cart_pole/soft_06 cart_pole/soft_10"
     " --methods plan --workers 1",
     "table1": "python -m benchmarks.table1_figures",
-    "rigid": "python -m benchmarks.rigid_figures",
     "planner_speed": f"python -m benchmarks.planner_speed {_SPEED}",
     "newton_speed": f"python -m benchmarks.newton_speed {_SPEED}",
     "first_plans": "python -m benchmarks.first_plans",
@@ -277,7 +276,6 @@ FIGURES: Mapping[str, Figure] = {
     "loops_tables": Figure("loops", r"(?s)\A(.*\S)"),
     "random_tried": Figure("random_programs", rf"^{_NUMBER} of \d+ programs, "),
     "random_wrong": Figure("random_programs", rf"^crashed or lied: {_NUMBER}"),
-    "plan_confirmed": Figure("rigid", rf"confirmed in Drake: median {_NUMBER} s"),
     "table1_seconds": Figure("table1", rf"^table in {_NUMBER} s"),
     "newton_iteration": Figure("newton_speed", rf"^iteration .* {_NUMBER} × dpbtrf"),
     "newton_hessian": Figure("newton_speed", rf"^Hessian  .* {_NUMBER} × dpbtrf"),
