@@ -1,4 +1,4 @@
-"""Motions between walls to hold against the exact optimum: by chance, by SNOPT, and its own.
+"""Motions between walls to hold against the exact optimum: by chance, and its own.
 
 They share no formula with it: forces are lines, or held, and what they do is integrated here.
 Random scenarios of the shipped worlds, and their optima.
@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from hypothesis import strategies as st
-from pydrake.solvers import MathematicalProgram, SnoptSolver, SolverOptions
 
 from benchmarks.optima import ContactOptimum
 from benchmarks.optima.line_optimum import Line, LineBounce
@@ -84,98 +83,6 @@ def bounces_by_chance(line: Line, count: int, rng: np.random.Generator) -> list[
     speeds = rng.uniform(0.0, 1.5, count) * max(abs(line.velocity), 1.0, abs(line.gravity) / 4)
     walls = rng.integers(0, len(line.walls), count)
     return [LineBounce(*bounce) for bounce in zip(times, walls.tolist(), speeds, strict=True)]
-
-
-def transcribe(line: Line, guess: Sequence[LineBounce], K: int = 20) -> float:
-    """Returns the cost that SNOPT ends with, infinite if it does not meet the constraints.
-
-    Forces are held over K intervals a phase, phases last as long as they like, and walls count at
-    all knots. In phase time, from 0 to 1, positions are linear in accelerations and start velocity.
-
-    Args:
-        line: the problem.
-        guess: the bounces.
-        K: the number of intervals a phase.
-    """
-    prog = MathematicalProgram()
-    phases = len(guess) + 1
-    A = prog.NewContinuousVariables(phases, K, "a")
-    V = prog.NewContinuousVariables(phases, "v")
-    h = prog.NewContinuousVariables(phases, "h")
-    prog.AddBoundingBoxConstraint(1e-3, 1.0, h)
-    prog.AddLinearEqualityConstraint(np.ones((1, phases)), [1.0], h)
-    prog.AddLinearEqualityConstraint(np.array([[1.0, -line.velocity]]), [0.0], [V[0], h[0]])
-    with np.errstate(invalid="ignore"):  # NumPy takes Drake's boxed constants for that.
-        prog.AddCost(add_phases(prog, line, guess, (A, V, h)))
-    set_guess(prog, line, guess, (A, V, h))
-    return run_snopt(prog)
-
-
-def add_phases(
-    prog: MathematicalProgram,
-    line: Line,
-    guess: Sequence[LineBounce],
-    variables: tuple[Any, Any, Any],
-) -> Any:
-    """Adds the rows of each phase and of the touches between them; returns the cost."""
-    A, V, h = variables
-    phases, K = A.shape
-    k, j = np.arange(1, K + 1)[:, None], np.arange(K)[None, :]
-    displacement = np.hstack([np.where(j < k, k - j - 0.5, 0.0) / K**2, k / K])
-    end_velocity = np.append(np.full(K, 1 / K), 1.0)
-    g, cost, start = line.gravity, 0.0, line.position
-    lower = max((wall.place for wall in line.walls if wall.side > 0), default=-math.inf)
-    upper = min((wall.place for wall in line.walls if wall.side < 0), default=math.inf)
-    for i in range(phases):
-        x = np.append(A[i], V[i])
-        bounds = np.full(K, lower - start), np.full(K, upper - start)
-        prog.AddLinearConstraint(displacement, *bounds, x)
-        cost += A[i] @ A[i] / K / h[i] ** 3 + 2 * g * sum(A[i]) / K / h[i] + g**2 * h[i]
-        if i < phases - 1:
-            wall = line.walls[guess[i].wall]
-            prog.AddLinearEqualityConstraint(displacement[-1:], [wall.place - start], x)
-            sides = (-np.inf, 0.0) if wall.side > 0 else (0.0, np.inf)
-            prog.AddLinearConstraint(end_velocity[None], [sides[0]], [sides[1]], x)
-            prog.AddConstraint(
-                V[i + 1] * h[i] + wall.restitution * (end_velocity @ x) * h[i + 1] == 0
-            )
-            start = wall.place
-    miss = start + displacement[-1] @ x - line.goal
-    return cost + line.weight * miss**2
-
-
-def set_guess(
-    prog: MathematicalProgram,
-    line: Line,
-    guess: Sequence[LineBounce],
-    variables: tuple[Any, Any, Any],
-) -> None:
-    """Guesses held forces that lead from each touch to the next, but for their restitution."""
-    A, V, h = variables
-    time, x, v = 0.0, line.position, line.velocity
-    stops = [(b.time, line.walls[b.wall].place, line.walls[b.wall], b.speed) for b in guess]
-    for i, (end, place, wall, speed) in enumerate([*stops, (1.0, line.goal, None, 0.0)]):
-        duration = end - time
-        prog.SetInitialGuess(h[i], duration)
-        prog.SetInitialGuess(V[i], v * duration)
-        prog.SetInitialGuess(A[i], np.full(A.shape[1], 2 * (place - x - v * duration)))
-        time, x = end, place
-        v = 0.0 if wall is None else wall.side * wall.restitution * speed
-
-
-def run_snopt(prog: MathematicalProgram) -> float:
-    """Returns the cost at the end, infinite if a constraint is not met."""
-    options = SolverOptions()
-    for name, value in (
-        ("Major feasibility tolerance", 1e-9),
-        ("Major optimality tolerance", 1e-7),
-        ("Major iterations limit", 150),
-    ):
-        options.SetOption(SnoptSolver.id(), name, value)
-    result = SnoptSolver().Solve(prog, None, options)
-    x = result.get_x_val()
-    feasible = prog.CheckSatisfied(prog.GetAllConstraints(), x, 1e-8)
-    return float(result.get_optimal_cost()) if feasible else math.inf
 
 
 @cache

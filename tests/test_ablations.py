@@ -7,10 +7,7 @@ import re
 import shlex
 from pathlib import Path
 
-import numpy as np
 import pytest
-from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from replay_worlds import shipped_world
 from scenario_studies import Inline, made_up_study
 
@@ -25,7 +22,6 @@ from benchmarks.ablations.ablations import (
     format_ablations,
     run_variant,
 )
-from benchmarks.ablations.page import plot_variants
 from benchmarks.study.scenario_question import Job, MethodRun, ScenarioQuestion
 from benchmarks.study.scenario_study import ScenarioStudy, calc_good_enough
 from drake_aigto import PlanOptions, Scenario, jobs
@@ -185,20 +181,6 @@ def test_names_and_numbers_of_all_variants_fit() -> None:
     assert max(map(len, text.splitlines())) <= WIDTH
     assert all(re.search(rf"^{re.escape(name)}  ", text, re.MULTILINE) for name in VARIANTS)
     assert f"Not done: {4 * (len(VARIANTS) - 3)} runs." in text
-
-
-def test_bars_are_as_long_as_the_shares_they_stand_for() -> None:
-    axes = Figure().subplots()
-    plot_variants(axes, make_study())
-    bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
-    assert [bar.get_width() for bar in bars] == [1.0, 0.5, 0.0]
-    assert [label.get_text() for label in axes.get_yticklabels()] == [
-        "default",
-        "no boxes",
-        "no polish",
-    ]
-    (marks,) = axes.collections
-    np.testing.assert_array_equal(np.asarray(marks.get_offsets())[:, 0], [1.0, 0.5])
 
 
 def test_the_page_has_the_table_the_figure_and_what_to_make_of_it(tmp_path: Path) -> None:

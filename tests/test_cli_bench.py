@@ -9,10 +9,7 @@ import re
 import shlex
 from pathlib import Path
 
-import numpy as np
 import pytest
-from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from refusals import check_refused
 from scenario_studies import TOYS, Inline, coast_or_turn, made_up_study
 
@@ -20,12 +17,6 @@ from benchmarks import __main__ as command
 from benchmarks.__main__ import main
 from benchmarks.baselines import registry
 from benchmarks.study import scenario_question
-from benchmarks.study.scenario_page import (
-    COST_CLASSES,
-    plot_costs,
-    plot_map,
-    plot_success_over_time,
-)
 from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion
 from benchmarks.study.scenario_study import ScenarioStudy
 from benchmarks.study.study import command_of
@@ -226,6 +217,8 @@ def test_the_command_on_the_page_asks_the_studys_question(
         ('{"kind": "scenarios"}', "is damaged: got no 'question'"),
         ('{"kind": "scenarios", "question": []}', "is damaged: got ScenarioQuestion: got 'list'"),
         ("[]", 'expected an object with a field "kind"'),
+        ('{"kind": 3}', "got kind 3, expected an object"),
+        ('{"kind": "fru', "is cut short or no JSON: got Unterminated string"),
     ],
 )
 def test_what_is_no_result_is_one_line_and_status_2(
@@ -236,51 +229,3 @@ def test_what_is_no_result_is_one_line_and_status_2(
     page = tmp_path / "results.md"
     check_refused(["page", str(path), "--out", str(page)], message, capsys, main)
     assert not page.exists()
-
-
-def test_success_over_time_steps_up_when_a_method_has_the_optimum() -> None:
-    study = make_study()
-    axes = Figure().subplots()
-    plot_success_over_time(axes, study, study.results)
-    ours, rival = axes.get_lines()[:2]
-    xs, ys = (np.ravel(np.asarray(data)) for data in (ours.get_xdata(), ours.get_ydata()))
-    np.testing.assert_allclose(xs, [0.1, 1, 1, 1, 1, 10])
-    np.testing.assert_allclose(ys, [0, 0.25, 0.5, 0.75, 1, 1])
-    xs, ys = (np.ravel(np.asarray(data)) for data in (rival.get_xdata(), rival.get_ydata()))
-    np.testing.assert_allclose(xs, [0.1, 3, 10])
-    np.testing.assert_allclose(ys, [0, 0.25, 0.25])
-    assert ours.get_linewidth() > rival.get_linewidth()
-
-
-@pytest.mark.parametrize(
-    ("budget", "shares"),
-    [(1.0, [0, 0.25, 0, 0.5, 0, 0.25]), (10.0, [0.25, 0.25, 0.25, 0, 0, 0.25])],
-)
-def test_bars_are_shares_of_costs_after_a_budget(budget: float, shares: list[float]) -> None:
-    study = make_study()
-    axes = Figure().subplots()
-    plot_costs(axes, study, study.results, budget)
-    _, labels = axes.get_legend_handles_labels()
-    assert tuple(labels) == COST_CLASSES
-    bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
-    widths = np.reshape([bar.get_width() for bar in bars], (len(COST_CLASSES), 2))
-    np.testing.assert_allclose(widths[:, 0], [1, 0, 0, 0, 0, 0])
-    np.testing.assert_allclose(widths[:, 1], shares)
-
-
-def test_the_map_marks_what_is_missed_where_it_is() -> None:
-    study = make_study()
-    axes = Figure().subplots()
-    plot_map(axes, study, study.results, "coast")
-    places = {each.get_label(): each.get_offsets() for each in axes.collections}
-    expected = {
-        "flight is optimal": (0, 2),
-        "flight is missed": (2,),
-        "bounce is optimal": (1, 3),
-        "bounce is missed": (1, 3),
-    }
-    assert set(places) == set(expected)
-    for label, numbers in expected.items():
-        results = [study.results[number] for number in numbers]
-        np.testing.assert_array_equal(places[label], [(r.velocity, r.goal) for r in results])
-    assert axes.get_title() == "coast: 1 of 4"

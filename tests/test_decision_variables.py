@@ -85,15 +85,6 @@ def test_vector_undoes_trajectory(transcription: Transcription) -> None:
         np.testing.assert_array_equal(x[places], np.concatenate([q[k], v[k]]))
 
 
-def test_vector_of_undoes_split(transcription: Transcription) -> None:
-    planned = make_trajectory(transcription, seed=1)
-    parts = planned.positions, planned.velocities, planned.controls
-    for found, part in zip(
-        transcription.split(transcription.vector_of(*parts)), parts, strict=True
-    ):
-        np.testing.assert_array_equal(found, part)
-
-
 def test_clearances_are_the_signed_distances(transcription: Transcription) -> None:
     x = transcription.vector(make_trajectory(transcription))
     rows = [

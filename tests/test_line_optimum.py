@@ -1,4 +1,4 @@
-"""The optimum on a line: mirrors, stationarity, rivals, a solver that does not know it.
+"""The optimum on a line: mirrors, stationarity, and motions by chance.
 
 Optima of two masses between walls: ghosts, mirrors, and what their contacts ask for.
 """
@@ -8,26 +8,15 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from optimum_worlds import (
-    bounces_by_chance,
-    cost_of,
-    draw,
-    ends,
-    legs_of,
-    seeds,
-    solve,
-    transcribe,
-    world_of,
-)
+from optimum_worlds import bounces_by_chance, cost_of, draw, ends, legs_of, seeds, solve, world_of
 
 from benchmarks.optima import masses_optimum
-from benchmarks.optima.line_optimum import Line, LineBounce, LineMotion, LineSequence, Wall
+from benchmarks.optima.line_optimum import Line, LineBounce, LineMotion, Wall
 from benchmarks.optima.masses_optimum import _list_sequences, _make_pair, _Sequence
 from benchmarks.worlds import load_unequal
 from drake_aigto.world import Scenario
@@ -169,57 +158,6 @@ def test_a_ball_settles_for_nothing() -> None:
     y = math.sqrt(2 * 0.3 * g)
     assert first.speed == pytest.approx(y, rel=1e-6)
     assert motion.rest.start == pytest.approx(first.time + 2 * y / g * e / (1 - e), rel=1e-6)
-
-
-def starts_by_chance(sequence: LineSequence, count: int, rng: np.random.Generator) -> np.ndarray:
-    line, n = sequence.line, len(sequence.walls)
-    times = rng.dirichlet(np.ones(n + 1), count)[:, :n]
-    speed = max(abs(line.velocity), 1.0)
-    speeds = line.gravity * times / 2 + speed * np.exp(rng.normal(size=(count, n)))
-    return np.hstack([times, speeds])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("e", [0.2, 0.5, 0.8])
-def test_no_other_start_and_no_wall_twice_in_a_row_is_better(e: float) -> None:
-    rng = np.random.default_rng(int(10 * e))
-    for _ in range(12):
-        p, goal = rng.uniform(0.1, 0.9, 2)
-        line = make_corridor(p, rng.uniform(-6, 6), goal, e)
-        cost = solve_line(line).cost
-        for number in (1, 2, 3, 4):
-            for walls in itertools.product((0, 1), repeat=number):
-                sequence = LineSequence(line, walls, None, slack=False)
-                starts = starts_by_chance(sequence, 20, rng)
-                for other, z in sequence.flights.minimize(starts):
-                    if other < cost * (1 - 1e-7) - 1e-12:
-                        assert not sequence.is_admissible(z), (line, walls)
-
-
-def transcribed_cost(line: Line, motion: LineMotion, rng: np.random.Generator) -> float:
-    """Returns the best cost over several sequences: the optimum's, shorter and longer ones."""
-    costs = [transcribe(line, motion.bounces), transcribe(line, ())]
-    costs.append(transcribe(line, motion.bounces[:-1]))
-    for count in (1, 2, 3):
-        guess = bounces_by_chance(line, count, rng)
-        costs.append(transcribe(line, guess))
-    return min(costs)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("quiet_drake")
-@pytest.mark.parametrize("make", [make_corridor, make_floor, make_wall])
-def test_snopt_finds_the_optimum_and_nothing_below(make: Callable[..., Line]) -> None:
-    rng = np.random.default_rng(1)
-    for number in range(6):
-        p, goal = rng.uniform(0.2, 0.9, 2)
-        line = make(p, rng.uniform(-3, 3), goal, e=(1.0, 0.8, 0.5)[number % 3])
-        motion = solve_line(line)
-        if motion.rest is not None:
-            continue
-        cost = transcribed_cost(line, motion, rng)
-        # Forces that are held over 1/K of a phase are dearer by up to 1/K² than linear ones.
-        assert motion.cost * (1 - 1e-5) - 1e-9 < cost < motion.cost * (1 + 4 / 20**2) + 1e-6
 
 
 @settings(max_examples=8)

@@ -6,7 +6,6 @@ Files of results are of one kind and of one question, and nobody's are written o
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Future
@@ -21,14 +20,8 @@ from scenario_studies import TOYS, Inline, coast_or_turn
 from benchmarks.baselines import registry
 from benchmarks.study import scenario_question
 from benchmarks.study.scenario_question import Job, MethodRun, ScenarioQuestion, run_job
-from benchmarks.study.scenario_study import (
-    DIED,
-    ScenarioStudy,
-    calc_good_enough,
-    count_right_boxes,
-    summarize,
-)
-from benchmarks.study.study import read_results, round_to
+from benchmarks.study.scenario_study import DIED, ScenarioStudy, calc_good_enough
+from benchmarks.study.study import round_to
 from drake_aigto.errors import ResultsFileError, StudyError
 
 QUICK = ScenarioQuestion(count=4, methods=("coast", "crash"), seconds_per_unit=0.5, num_steps=20)
@@ -90,17 +83,6 @@ def test_the_planner_goes_first_and_its_time_is_the_unit(monkeypatch: pytest.Mon
     for result in study.results:
         assert study.succeeds(result, "aigto", 1.0)
         assert study.unit(result) == result.runs["aigto"].seconds > 0.0
-
-
-def test_boxes_alone_are_read_if_asked_for() -> None:
-    question = dataclasses.replace(PLANNED, count=1, methods=("aigto",), reads_boxes=True)
-    study = ScenarioStudy(question).run(executor=Inline())
-    (result,) = study.results
-    each, either, count = count_right_boxes(study.results)
-    assert count == 1
-    ladder = scenario_question.OPTIONS.ball_ladder
-    assert len(each) == len(result.runs["aigto"].boxes) == len(ladder)
-    assert either == (0 in result.runs["aigto"].boxes)  # The optimum is a flight.
 
 
 @given(
@@ -231,49 +213,6 @@ def test_a_job_that_kills_its_processes_is_kept_as_that_and_tried_again_by_resum
     again = ScenarioStudy(question).run(path, resume=True, executor=executor)
     assert executor.num_jobs == 1
     assert again.results[2].runs["coast"].error is None
-
-
-def test_a_summary_counts_what_the_results_say() -> None:
-    study = ScenarioStudy(QUICK).run(executor=Inline())
-    coast, crash = (summarize(study, study.results, name) for name in QUICK.methods)
-    assert coast.num_optimal == (2, 2, 2)
-    assert coast.num_scenarios == crash.num_scenarios == 4
-    hard = study.results[1]
-    # Ratios are of those whose optimum is above rounding.
-    assert coast.ratios == (hard.runs["coast"].cost / hard.optimum,) * 2
-    assert coast.median_ratio == coast.worst_ratio > 1.0
-    assert crash.worst_ratio == math.inf
-    assert crash.num_errors == 4
-    assert len(crash.errors) == 1
-    assert study.groups()["e = 1"] == (study.results[0], study.results[3])
-
-
-@pytest.fixture
-def file(tmp_path: Path) -> Path:
-    path = tmp_path / "results.json"
-    path.write_text(json.dumps({"kind": "fruit", "apples": 3}), encoding="utf-8")
-    return path
-
-
-def test_other_kinds_and_missing_files_are_refused(file: Path, tmp_path: Path) -> None:
-    with pytest.raises(ResultsFileError, match=r"json: got kind 'fruit', expected kind 'nuts'"):
-        read_results(file, "nuts")
-    with pytest.raises(ResultsFileError, match=r"none\.json can't be read: got .*No such file"):
-        read_results(tmp_path / "none.json")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ('{"kind": "fru', r"results file .*json is cut short or no JSON: got Unterminated string"),
-        ("[1, 2]", r'got kind None, expected an object with a field "kind"'),
-        ('{"kind": 3}', r"got kind 3, expected an object"),
-    ],
-)
-def test_what_is_no_results_file_is_refused(file: Path, text: str, message: str) -> None:
-    file.write_text(text, encoding="utf-8")
-    with pytest.raises(ResultsFileError, match=message):
-        read_results(file)
 
 
 @pytest.mark.parametrize(

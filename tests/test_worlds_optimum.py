@@ -75,19 +75,6 @@ def test_a_room_costs_what_its_two_corridors_cost(seed: int, e: float) -> None:
         assert [touch.start for touch in mine] == [touch.start for touch in corridor.touches]
 
 
-@pytest.mark.slow
-@settings(max_examples=8)
-@given(seeds)
-def test_touches_are_in_the_order_of_time_and_within_it(seed: int) -> None:
-    for name in WORLDS:
-        scenario = draw(name, seed)
-        optimum = solve(name, scenario)
-        times = [touch.start for touch in optimum.touches]
-        assert times == sorted(times)
-        assert all(0 < t < scenario.duration for t in times)
-        assert all(touch.impact_speed > 0 for touch in optimum.touches if not touch.lasts)
-
-
 @pytest.mark.parametrize("seed", range(2))
 def test_a_room_with_a_block_costs_no_more_than_the_empty_one_if_that_is_clear(seed: int) -> None:
     scenario = draw("room_with_block", seed)

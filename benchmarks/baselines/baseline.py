@@ -33,8 +33,6 @@ class BaselineRun:
     Attributes:
         method: the baseline's name.
         improvements: by event-driven replay, each cheaper than the one before.
-        claims: costs that the method's own model promised, each less than the one before. Empty
-            where that model is the rigid wall itself.
         seconds: of one core that the run took. The last step of a run may end late: what it found
             then is among the improvements, with its time.
         evaluations: how many controls were offered.
@@ -44,7 +42,6 @@ class BaselineRun:
 
     method: str
     improvements: tuple[Improvement, ...]
-    claims: tuple[Improvement, ...]
     seconds: float
     evaluations: int
     times: Floats | None
@@ -54,11 +51,6 @@ class BaselineRun:
     def cost(self) -> float:
         """The least cost of an event-driven replay; infinity if nothing was offered."""
         return self.improvements[-1].cost if self.improvements else math.inf
-
-    def cost_within(self, seconds: float) -> float:
-        """Returns the least cost that was found in so many seconds; infinity if there was none."""
-        found = [each.cost for each in self.improvements if each.seconds <= seconds]
-        return found[-1] if found else math.inf
 
 
 class Recorder:
@@ -93,7 +85,7 @@ class Recorder:
         world.check(scenario)
         world.check_plain(scenario)
         self.world, self.scenario = world, scenario
-        self.run = BaselineRun("", (), (), 0.0, 0, None, None)
+        self.run = BaselineRun("", (), 0.0, 0, None, None)
         self._seconds, self._good_enough = seconds, good_enough
         self._clock, self._began = clock, clock()
 
@@ -112,13 +104,12 @@ class Recorder:
         """Whether time is up, or the best so far is good enough."""
         return self.cost <= self._good_enough or self.seconds >= self._seconds
 
-    def offer(self, times: ArrayLike, controls: ArrayLike, claim: float = math.inf) -> float:
+    def offer(self, times: ArrayLike, controls: ArrayLike) -> float:
         """Replays a held control, keeps it if none was cheaper, and returns its cost.
 
         Args:
             times: of the knots, shape (N+1,) [s].
             controls: held over each interval, shape (N, nu) [N].
-            claim: the cost that the method's own model promises, if that is not the rigid wall.
 
         Raises:
             TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
@@ -129,8 +120,6 @@ class Recorder:
         if cost < run.cost:
             changes |= {"times": read_only(times), "controls": read_only(controls)}
             changes["improvements"] = (*run.improvements, Improvement(seconds, cost))
-        if claim < (run.claims[-1].cost if run.claims else math.inf):
-            changes["claims"] = (*run.claims, Improvement(seconds, claim))
         self.run = dataclasses.replace(run, **changes)
         return cost
 

@@ -8,7 +8,6 @@ Randomized smoothing of the very cost that AIGO's boxes integrate in closed form
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -21,8 +20,8 @@ from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import AigtoError
 from drake_aigto.paper import LiteralOptions, make_literal_task, random_guess
-from drake_aigto.planning import LARGEST_DEFECT, BallTask, PlanOptions, ProgramTask, make_ball_task
-from drake_aigto.transcription import Touch, TouchSequence, largest_defect
+from drake_aigto.planning import BallTask, PlanOptions, ProgramTask, make_ball_task
+from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import World
 
 
@@ -31,7 +30,7 @@ class GradientBaseline(Baseline):
 
     A guess is uniform over AIGO's first box. In little time that is the solver from a single random
     guess, in much time multistart. Each result's control is offered, whether the solver converged
-    or not; the literal program's cost is a claim if the result meets its rows.
+    or not.
 
     The rigid program is the planner's, but for its relaxed contact, which no motion meets under a
     restitution: with relaxation 1e-4 neither solver ended near an optimum once. It has the
@@ -53,9 +52,7 @@ class GradientBaseline(Baseline):
         transcription = problem.transcription
         while not recorder.is_over:
             x = problem.solve_locally(random_guess(transcription, generator))
-            is_met = largest_defect(transcription.defects(x), problem.scales) <= LARGEST_DEFECT
-            claim = transcription.scenario_cost(x) if self._is_literal and is_met else math.inf
-            recorder.offer(transcription.GetSampleTimes(), transcription.split(x)[2], claim)
+            recorder.offer(transcription.GetSampleTimes(), transcription.split(x)[2])
 
     def _make_problem(self, recorder: Recorder) -> ProgramTask:
         question = recorder.world, recorder.scenario
