@@ -251,7 +251,8 @@ def test_no_neighbor_is_tried_whose_contacts_a_plan_has_that_holds(
     scenario = Scenario.named("corridor/three_bounces")
     problem = make_ball_task(World.from_scenario(scenario), scenario, QUICK)
     search = BallSearch(problem)
-    search.close([search.propose_boxes(rung) for rung in QUICK.ball_ladder])
+    for wave in search.propose():
+        search.close(wave)
     held = [kinds(each) for each, it in search.by_sequence.items() if it.is_confirmed]
     tried: list[list[tuple[int, bool]]] = []
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, Ints, read_only
 from drake_aigto.contact.acceleration import accelerate, evaluate_tape
-from drake_aigto.contact.friction import Row, fit_to_steps, list_friction
 from drake_aigto.contact.laws import ContactLaw, RigidLaw
 from drake_aigto.contact.tables import (
     COEFFICIENT,
@@ -18,7 +17,10 @@ from drake_aigto.contact.tables import (
     SPIN,
     Mechanics,
     MechanicsMemory,
+    Row,
     copy_writable,
+    fit_to_steps,
+    list_friction,
     make_mechanics_memory,
 )
 from drake_aigto.dynamics import EquationsOfMotion

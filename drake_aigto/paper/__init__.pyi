@@ -1,5 +1,7 @@
 from .literal import LiteralTranscription as LiteralTranscription
+from .literal import LiteralWithForces as LiteralWithForces
 from .literal import PolynomialLaw as PolynomialLaw
+from .literal import RigidWithForces as RigidWithForces
 from .planner import LITERAL_LADDER as LITERAL_LADDER
 from .planner import AlgorithmName as AlgorithmName
 from .planner import LiteralOptions as LiteralOptions
@@ -27,5 +29,3 @@ from .table1 import TableMethod as TableMethod
 from .table1 import run_cell as run_cell
 from .table1 import run_rigid_cell as run_rigid_cell
 from .table1 import run_table1 as run_table1
-from .with_forces import LiteralWithForces as LiteralWithForces
-from .with_forces import RigidWithForces as RigidWithForces

@@ -56,14 +56,14 @@ from drake_aigto.planning.options import (
     SearchOptions,
     needs_shooting,
 )
-from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
+from drake_aigto.planning.plan import VIEWS, Plan, PlanningError, PlanStats
 from drake_aigto.planning.planner import Planner, plan, run_search
 from drake_aigto.planning.program_task import ProgramTask
 from drake_aigto.planning.programs import ProgramSolution
 from drake_aigto.planning.riccati import FeedbackPhase, Sweep
 from drake_aigto.planning.search import Progress, Proposal, Search, Stopwatch
-from drake_aigto.planning.sequence_search import SequenceSearch
-from drake_aigto.planning.sequences import (
+from drake_aigto.planning.sequence_search import (
+    SequenceSearch,
     is_same,
     kinds,
     neighbors,
@@ -73,7 +73,6 @@ from drake_aigto.planning.sequences import (
 )
 from drake_aigto.planning.stretches import Cut, is_at_rest_on
 from drake_aigto.planning.tracked import needs_feedback
-from drake_aigto.planning.views import VIEWS
 
 __all__ = [
     "BALL_LADDER",

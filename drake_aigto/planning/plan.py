@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import json
 import logging
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,7 +19,6 @@ from drake_aigto.planning.candidate import HARDLY, Candidate, Replays, Veto
 from drake_aigto.planning.feedback import Feedback
 from drake_aigto.planning.options import SearchOptions
 from drake_aigto.planning.tracked import confirm_in_drake, perturb, replay_own
-from drake_aigto.planning.views import view
 from drake_aigto.simulation import BOUNDS, CLEARANCE, HARD_GOAL, Arrival, Replay, confirms
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import largest_defect
@@ -369,3 +369,14 @@ def _read(data: dict[str, Any]) -> Plan:
         _LOG.warning("options of another version of drake_aigto are left out: %s", names)
     known = {name: options[name] for name in options.keys() - unknown}
     return dataclasses.replace(plan, options=from_plain(kind, known, "plan.options"))
+
+
+# What shows a plan, by the name of its method; `show` fills it on first use.
+VIEWS: dict[str, Callable[..., Any]] = {}
+
+
+def view(name: str, *arguments: Any, **look: Any) -> Any:
+    """Returns what a view makes of a plan."""
+    if not VIEWS:
+        importlib.import_module("drake_aigto.show").fill_views()
+    return VIEWS[name](*arguments, **look)

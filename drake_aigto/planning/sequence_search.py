@@ -1,4 +1,4 @@
-"""Searches whose candidates have a contact sequence each: boxes of AIGO propose it."""
+"""Searches whose candidates have a contact sequence each: boxes of AIGO propose it; sequences."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import logging
 import math
 import threading
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from itertools import count
-from typing import Any
+from itertools import count, pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from drake_aigto.aigo import AigoResult, Iterate, Status
 from drake_aigto.arrays import Floats
@@ -18,6 +20,197 @@ from drake_aigto.planning.candidate import Candidate, Origin
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.program_task import ContactSequence, ProgramTask
 from drake_aigto.planning.search import Proposal, Search, Stopwatch, wait_for
+from drake_aigto.simulation import find_contacts
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import Touch, TouchSequence, Transcription
+from drake_aigto.world import World
+
+# An impulse in a box belongs to a contact if it changes the velocity by this part of the largest
+# one: with ε > 0 the wall pushes a little at every knot.
+_SHARE = 0.05
+# Impulses closer than this part of the duration are one contact: boxes smear a bounce over several
+# knots.
+_GAP = 0.1
+# Bounces off two walls at one knot are put this part of the duration apart; the polish decides
+# their order, and whether they are simultaneous.
+_APART = 1e-3
+# A bounce that is moved to its neighbor's time keeps this part of the distance.
+_SOON = 0.125
+# This many successive knots with impulses may be a sustained contact.
+_LASTING = 4
+
+
+class _Pushes(NamedTuple):
+    """The impulses of one contact that count."""
+
+    contact: int
+    times: Floats  # [s]
+    sizes: Floats  # [N s]
+
+    def bounce(self) -> Touch:
+        """Returns a bounce at the mean time of the impulses."""
+        return Touch.bounce(np.average(self.times, weights=self.sizes), self.contact)
+
+    def split(self, gap: float) -> Iterator[_Pushes]:
+        """Yields runs of impulses that are closer than a gap [s]."""
+        ends = np.flatnonzero(np.diff(self.times) >= gap) + 1
+        for times, sizes in zip(
+            np.split(self.times, ends), np.split(self.sizes, ends), strict=True
+        ):
+            yield _Pushes(self.contact, times, sizes)
+
+
+def read_sequences(transcription: Transcription, x: Floats) -> list[TouchSequence]:
+    """Returns the contact sequences of a box center, the most literal first.
+
+    A contact is a cluster of one wall's impulses. Boxes may split one contact into several,
+    and do not distinguish bounces from sustained contacts. So these are returned: each cluster as a
+    bounce; all clusters of a wall as one bounce, at the mean time of their impulses; and if a wall
+    pushes at successive knots, one sustained contact instead of that wall's bounces.
+
+    Args:
+        transcription: of these decision variables.
+        x: the box center, shape (n,); the rows need not hold.
+    """
+    pushes = _read_impulses(transcription, x)
+    if not pushes:
+        return [()]
+    T, dt = transcription.scenario.duration, transcription.time_step()
+    bounces = [run.bounce() for one in pushes for run in one.split(_GAP * T)]
+    sequences = [bounces, [one.bounce() for one in pushes]]
+    runs = [run for one in pushes for run in one.split(1.5 * dt)]
+    longest = max(runs, key=lambda run: run.times.size)
+    if longest.times.size >= _LASTING:
+        first, last = map(float, longest.times[[0, -1]])
+        others = [touch for touch in bounces if touch.contact != longest.contact]
+        sequences.append([*others, Touch(first, last, longest.contact)])
+    return [_in_order(sequence, _APART * T) for sequence in sequences]
+
+
+def read_touches_of(world: World, trajectory: Trajectory) -> TouchSequence:
+    """Returns the touches of a trajectory with impulses and forces, by time."""
+    contacts = find_contacts(world, trajectory)
+    return tuple(Touch(each.time, each.last_time, each.index) for each in contacts)
+
+
+def neighbors(sequence: TouchSequence, grazes: Iterable[Touch]) -> list[TouchSequence]:
+    """Returns the sequences that boxes may have mistaken for this one.
+
+    They lack the last touch of a wall, for each wall, as boxes are widest at the end, where they do
+    not distinguish n bounces from n + 1; or they have one more bounce where a wall is grazed.
+
+    Args:
+        sequence: as polished.
+        grazes: bounces to try.
+    """
+    last = {touch.contact: place for place, touch in enumerate(sequence)}
+    found = [
+        (*sequence[:place], *sequence[place + 1 :]) for place in sorted(last.values(), reverse=True)
+    ]
+    return found + [
+        tuple(sorted((*sequence, graze), key=lambda touch: touch.start)) for graze in grazes
+    ]
+
+
+def swapped(sequence: TouchSequence, near: float) -> list[TouchSequence]:
+    """Returns the sequences with simultaneous bounces off two walls in the other order.
+
+    The polish can't change their order, and stops where they meet if the other one is better. In a
+    corner of two walls, where a motion bounces off them in turn, a run of such bounces may begin
+    with the other wall as well.
+
+    Args:
+        sequence: as polished.
+        near: bounces no farther apart are simultaneous [s].
+    """
+    found = []
+    for first in range(len(sequence)):
+        for end in range(first + 2, len(sequence) + 1):
+            run = sequence[first:end]
+            contacts = [touch.contact for touch in run]
+            at_once = all(later.start - each.start <= near for each, later in pairwise(run))
+            is_in_turn = contacts == (contacts[:2] * len(run))[: len(run)] and len({*contacts}) == 2
+            if not (at_once and is_in_turn) or any(touch.lasts for touch in run):
+                break
+            others = (contacts[1 - place % 2] for place in range(len(run)))
+            moved = (Touch.bounce(t.start, i) for t, i in zip(run, others, strict=True))
+            found.append((*sequence[:first], *moved, *sequence[end:]))
+    return found
+
+
+def retimed(
+    sequence: TouchSequence, contacts: Container[int], duration: float
+) -> list[TouchSequence]:
+    """Returns the sequences with a bounce soon after the touch before it, or soon before the next.
+
+    Under gravity, high late bounces and low early ones are two optima of the same contacts.
+
+    Args:
+        sequence: as polished.
+        contacts: those whose bounces are moved.
+        duration: when the motion ends [s].
+    """
+    found = []
+    for place, touch in enumerate(sequence):
+        if touch.lasts or touch.contact not in contacts:
+            continue
+        before = sequence[place - 1].end if place else 0.0
+        after = sequence[place + 1].start if place + 1 < len(sequence) else duration
+        for near in (before, after):
+            moved = Touch.bounce(near + _SOON * (touch.start - near), touch.contact)
+            found.append((*sequence[:place], moved, *sequence[place + 1 :]))
+    return found
+
+
+def kinds(sequence: TouchSequence) -> list[tuple[int, bool]]:
+    """Returns the contact of each touch, and whether it is sustained."""
+    return [(touch.contact, touch.lasts) for touch in sequence]
+
+
+def are_neighbors(one: TouchSequence, other: TouchSequence) -> bool:
+    """Returns whether both have the same contacts, or one of them has a touch more."""
+    shorter, longer = sorted((kinds(one), kinds(other)), key=len)
+    rest = (longer[:place] + longer[place + 1 :] for place in range(len(longer)))
+    return shorter == longer or shorter in rest
+
+
+def is_same(one: TouchSequence, other: TouchSequence, near: float) -> bool:
+    """Returns whether both have the same contacts, at times that `are_near` [s]."""
+    return kinds(one) == kinds(other) and all(
+        are_near(mine.start, yours.start, near) and are_near(mine.end, yours.end, near)
+        for mine, yours in zip(one, other, strict=True)
+    )
+
+
+def are_near(one: float, other: float, near: float) -> bool:
+    """Returns whether times differ by at most `near`, and soon after the start by a quarter [s]."""
+    return abs(one - other) <= min(near, max(one, other) / 4)
+
+
+def _in_order(touches: list[Touch], least: float) -> TouchSequence:
+    """Returns touches by their starts, with bounces moved at least this far apart [s]."""
+    found: list[Touch] = []
+    for touch in sorted(touches, key=lambda touch: touch.start):
+        earliest = found[-1].start + least if found else 0.0
+        if touch.start < earliest and not touch.lasts:
+            touch = Touch.bounce(earliest, touch.contact)
+        found.append(touch)
+    return tuple(found)
+
+
+def _read_impulses(transcription: Transcription, x: Floats) -> list[_Pushes]:
+    """Returns the impulses of contacts after the start, of every wall that has any."""
+    world, q0 = transcription.world, transcription.scenario.initial_position
+    motion = transcription.trajectory(x)
+    kicks = np.linalg.norm(world.calc_velocity_change(q0, np.eye(world.num_contacts)), axis=1)
+    least = _SHARE * np.max(np.linalg.norm(motion.velocities, axis=1)) / kicks
+    times, found = motion.times, []
+    for contact, sizes in enumerate(motion.impulses.T):
+        pushed = np.flatnonzero(sizes[1:] > least[contact]) + 1
+        if pushed.size:
+            found.append(_Pushes(contact, times[pushed], sizes[pushed]))
+    return found
+
 
 _LOG = logging.getLogger(__name__)
 
@@ -58,21 +251,18 @@ class SequenceSearch(Search):
         return min(costs, default=math.inf)
 
     def propose(self) -> Iterator[Sequence[Proposal]]:
-        """Yields boxes of the ladder's rungs, grouped if they may run in parallel."""
-        numbers, total = count(1), len(self.task.ladder)
-        for rungs in self.rungs():
-            yield [
-                self.propose_boxes(
-                    rung,
-                    f"AIGO {next(numbers)} of {total}: {rung.describe(self.task.algorithm_name)}",
-                )
-                for rung in rungs
-            ]
+        """Yields boxes of the ladder's rungs, grouped if they may run in parallel.
 
-    def propose_boxes(self, rung: Rung, text: str = "") -> Proposal:
-        """Returns the proposal of a rung's boxes: after Ctrl-C, AIGO's best so far."""
-        run = partial(self.task.run_aigo, rung, None, self._stop_if_asked)
-        return Proposal(Origin(self.task.algorithm_name, rung), run, text)
+        After Ctrl-C, each returns AIGO's best so far.
+        """
+        numbers, total, name = count(1), len(self.task.ladder), self.task.algorithm_name
+        for rungs in self.rungs():
+            wave = []
+            for rung in rungs:
+                run = partial(self.task.run_aigo, rung, None, self._stop_if_asked)
+                text = f"AIGO {next(numbers)} of {total}: {rung.describe(name)}"
+                wave.append(Proposal(Origin(name, rung), run, text))
+            yield wave
 
     def vary(self) -> Iterator[Sequence[Proposal]]:
         """Yields nothing: the best are improved as they are judged."""

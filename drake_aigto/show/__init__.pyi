@@ -25,6 +25,7 @@ from .motion import color_of as color_of
 from .motion import motions_of_plan as motions_of_plan
 from .motion import simulation_label as simulation_label
 from .page import Page as Page
+from .page import Playback as Playback
 from .page import embed_scenes as embed_scenes
 from .page import pack as pack
 from .plan_figures import gradient_motions as gradient_motions
@@ -33,7 +34,6 @@ from .plan_figures import plot_cost_history as plot_cost_history
 from .plan_figures import plot_cost_landscape as plot_cost_landscape
 from .plan_figures import plot_friction as plot_friction
 from .plan_figures import plot_strobe as plot_strobe
-from .playback import Playback as Playback
 from .report import add_answer as add_answer
 from .report import add_question as add_question
 from .report import add_verdict as add_verdict

@@ -18,7 +18,7 @@ from drake_aigto.paper import LiteralOptions, make_literal_task
 from drake_aigto.planning import Plan, PlanOptions, ProgramTask, Rung, make_ball_task
 from drake_aigto.show.film import ROOT, Film, look_at, make_mesh
 from drake_aigto.show.motion import PALETTE, PLAN_LABEL
-from drake_aigto.show.playback import Playback
+from drake_aigto.show.page import Playback
 from drake_aigto.show.shapes import coordinate_names, wall_places
 from drake_aigto.transcription import Transcription
 from drake_aigto.world import World

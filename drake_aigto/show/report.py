@@ -21,8 +21,7 @@ from drake_aigto.show.box_playback import play_boxes, run_boxes
 from drake_aigto.show.facts import answer_facts, candidate_texts, count_candidates, verdict_facts
 from drake_aigto.show.film import open_meshcat
 from drake_aigto.show.motion import motions_of_plan, simulation_label
-from drake_aigto.show.page import Page
-from drake_aigto.show.playback import Playback
+from drake_aigto.show.page import Page, Playback
 from drake_aigto.show.report_figures import (
     draw_portraits,
     figures_of_plan,

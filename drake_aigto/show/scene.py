@@ -36,7 +36,7 @@ from drake_aigto.show.motion import (
     motions_of_plan,
     time_span,
 )
-from drake_aigto.show.playback import Playback, list_events, list_numbers, stand_side_by_side
+from drake_aigto.show.page import Playback, list_events, list_numbers, stand_side_by_side
 from drake_aigto.show.shapes import Actor, find_goal, has_goal, moving_joints
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.text import plan_name

@@ -19,8 +19,7 @@ from drake_aigto.planning.balls.phases import Path, PhaseMotion
 from drake_aigto.planning.balls.task import BallTask
 from drake_aigto.planning.candidate import LARGEST_DEFECT, ChangeName, Origin
 from drake_aigto.planning.search import Proposal, Stopwatch, scaled
-from drake_aigto.planning.sequence_search import SequenceSearch
-from drake_aigto.planning.sequences import is_same, kinds, neighbors, retimed
+from drake_aigto.planning.sequence_search import SequenceSearch, is_same, kinds, neighbors, retimed
 from drake_aigto.transcription import Touch, TouchSequence, largest_defect
 from drake_aigto.world import World
 

@@ -25,7 +25,13 @@ from drake_aigto.planning.balls.task import BallTask
 from drake_aigto.planning.candidate import COASTING, GIVEN, Candidate, Origin
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.search import Proposal, Stopwatch, scaled
-from drake_aigto.planning.sequences import are_near, are_neighbors, kinds, read_touches_of, swapped
+from drake_aigto.planning.sequence_search import (
+    are_near,
+    are_neighbors,
+    kinds,
+    read_touches_of,
+    swapped,
+)
 from drake_aigto.transcription import Touch, TouchSequence, joint_times
 
 _LOG = logging.getLogger(__name__)

@@ -37,7 +37,7 @@ from drake_aigto.planning.candidate import (
 from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.program_task import ProgramTask
 from drake_aigto.planning.programs import CompiledPrograms, Solution
-from drake_aigto.planning.sequences import read_sequences
+from drake_aigto.planning.sequence_search import read_sequences
 from drake_aigto.simulation import find_contacts, max_penetration
 from drake_aigto.transcription import (
     Facing,

@@ -12,7 +12,7 @@ from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.contact import CompliantLaw, calc_levers, calc_pushes
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.planning.mechanisms.reaches import Reaches
-from drake_aigto.planning.sequences import read_touches_of
+from drake_aigto.planning.sequence_search import read_touches_of
 from drake_aigto.shooting import ShootingProblem, ShootingResult
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import TouchSequence

@@ -18,7 +18,7 @@ from drake_aigto.planning.mechanisms.phases import (
     is_closed,
     split_hold,
 )
-from drake_aigto.planning.sequences import swapped
+from drake_aigto.planning.sequence_search import swapped
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.simulation import Replay, find_impacts
 from drake_aigto.transcription import Touch, TouchSequence
