@@ -50,7 +50,7 @@ def close_loop(
     if has_camera:
         camera = plant.AddRigidBody("camera", SpatialInertia.SolidSphereWithMass(1.0, 0.1))
         plant.WeldFrames(plant.world_frame(), camera.body_frame())
-    parser.AddModels(find_model(model))
+    parser.AddModelsFromString(find_model(model).read_text(encoding="utf-8"), "sdf")
     plant.Finalize()
     builder.AddSystem(controller)
     state = plant.get_state_output_port()

@@ -62,20 +62,6 @@ def test_a_variant_changes_one_thing(name: str) -> None:
     assert variant.options.confirm is False
 
 
-def test_no_two_variants_are_the_same() -> None:
-    variants = [dataclasses.replace(variant, group="") for variant in VARIANTS.values()]
-    assert all(one not in variants[:i] for i, one in enumerate(variants))
-
-
-def test_bare_variants_start_in_no_simulation_and_try_no_neighbours() -> None:
-    for name, variant in VARIANTS.items():
-        if name.startswith("bare"):
-            assert {rung.start for rung in variant.options.ball_ladder} == {"line"}
-            assert variant.options.branches == 0
-    starts = [rung.start for name in ("line only", "coast only") for rung in _rungs(name)]
-    assert sorted(starts) == sorted(rung.start for rung in BALL_LADDER)
-
-
 def _rungs(name: str) -> tuple[Rung, ...]:
     return VARIANTS[name].options.ball_ladder
 
@@ -173,14 +159,6 @@ def test_a_table_has_a_line_for_each_variant() -> None:
     assert rows["no polish"] == ["0", "%", "none", "0.10", "-", "-", "-"]
     assert "no polish failed: ValueError: no" in text
     assert "4 scenarios, of which 2 have a bounce in the optimum" in text
-
-
-def test_names_and_numbers_of_all_variants_fit() -> None:
-    study = dataclasses.replace(make_study(), question=AblationQuestion(count=4))
-    text = format_ablations(study)
-    assert max(map(len, text.splitlines())) <= WIDTH
-    assert all(re.search(rf"^{re.escape(name)}  ", text, re.MULTILINE) for name in VARIANTS)
-    assert f"Not done: {4 * (len(VARIANTS) - 3)} runs." in text
 
 
 def test_the_page_has_the_table_the_figure_and_what_to_make_of_it(tmp_path: Path) -> None:

@@ -55,25 +55,6 @@ def test_plan_writes_what_it_prints_and_replay_its_own_verdict(
     assert "verdict     holds" in printed
 
 
-def test_a_bounce_is_told_with_all_that_it_rests_on(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["plan", "table1/1", "--time-step", "0.02", "--relaxation", "2e-4", "--quiet"]
-    assert main([*arguments, "--aigo-steps", "40", "--finalists", "1"]) == FINE
-    printed = capsys.readouterr().out
-    assert printed.startswith("verdict     holds: ")
-    assert max(map(len, printed.splitlines())) <= 100
-    for told in (
-        r"cost        2\.18.e-04, on a rigid wall 2\.18.e-04, on Drake's plant 2\.1..e-04\n",
-        r"plan        rigid transcription, cost 2\.18.e-04, ends 0\.8 mm off the goal, ",
-        r"defects     flight .* m/s, contact 0 m, restitution 0 m/s, nonpenetration 0 m\n",
-        r"contacts    0\.55. s \(Δv 3\.36 m/s\), kinetic energy after / before 1\n",
-        r"bounces at 0\.5\d+ s, each 0\.10 ms late \(π √\(m / k\)\)\n",
-        r"found by    boxes of 40 steps, relaxation 0\.0002\n",
-        r"contacts\n +2\.18e-04 .* 2\.18e-04    0\.8 mm  0\.55. s\n",
-    ):
-        assert re.search(told, printed), f"{told} in\n{printed}"
-    assert not re.search("[εδ]", printed), "these are the literal transcription's"
-
-
 def test_a_literal_plan_that_fails_on_a_rigid_wall_exits_with_1(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -19,10 +19,8 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
 from pydrake.multibody.tree import PrismaticJoint, RevoluteJoint, SpatialInertia, UnitInertia
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from refusals import refuse_work
-from shooting_problems import differ
 
 from drake_aigto import Planner, PlanOptions, Scenario, World, plan
-from drake_aigto.contact import Mechanism, contact_law
 from drake_aigto.dynamics import calc_friction_share
 from drake_aigto.errors import ModelError, OptionsError, ScenarioError
 from drake_aigto.show import format_plan
@@ -219,19 +217,6 @@ def test_both_replays_agree_on_what_rubs() -> None:
     smooth = dataclasses.replace(ask(), dry_friction=None)
     without = replay_drake(World.from_scenario(smooth), smooth, times, controls)
     assert np.abs(without.positions[-1] - drake.positions[-1]).max() > 0.1
-
-
-def test_shooting_has_the_law_and_its_derivatives() -> None:
-    scenario = ask(dry_friction=[2.0, 0.3])
-    world, rng = World.from_scenario(scenario), np.random.default_rng(1)
-    mechanism = Mechanism.of(world, contact_law(world, scenario))
-    for speed in (1.0, 0.3 * scenario.stiction_speed):
-        q, v, u = rng.normal(size=2), speed * rng.normal(size=2), rng.normal(size=1)
-        z = np.concatenate([q, v, u])
-        got, slopes = mechanism.calc_acceleration(z[:4], z[4:])
-        np.testing.assert_allclose(got, world.calc_acceleration(q, v, u), rtol=1e-10)
-        differences = differ(lambda y: mechanism.calc_acceleration(y[:4], y[4:])[0], z, 1e-7)
-        np.testing.assert_allclose(slopes, differences, rtol=1e-5, atol=1e-5)
 
 
 def test_a_plan_on_a_dry_rail_holds_in_both_simulations_and_pays_for_the_friction() -> None:

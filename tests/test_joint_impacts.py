@@ -32,7 +32,8 @@ G = 9.81
 def load(model: str, gravity: tuple[float, float, float] = (0.0, 0.0, -G)) -> World:
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-    Parser(plant).AddModels(str(models_directory() / f"{model}.sdf"))
+    text = (models_directory() / f"{model}.sdf").read_text(encoding="utf-8")
+    Parser(plant).AddModelsFromString(text, "sdf")
     plant.mutable_gravity_field().set_gravity_vector(gravity)
     plant.Finalize()
     plant.SetDefaultPositions(np.linspace(0.3, 0.6, plant.num_positions()))

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from optimum_worlds import bounces_by_chance, cost_of, draw, ends, legs_of, seeds, solve, world_of
+from optimum_worlds import bounces_by_chance, cost_of, draw, legs_of, seeds, solve, world_of
 
 from benchmarks.optima import masses_optimum
 from benchmarks.optima.line_optimum import Line, LineBounce, LineMotion, Wall
-from benchmarks.optima.masses_optimum import _list_sequences, _make_pair, _Sequence
+from benchmarks.optima.masses_optimum import _make_pair
 from benchmarks.worlds import load_unequal
 from drake_aigto.world import Scenario
 
@@ -240,41 +240,3 @@ def cost_of_times(
     gram = np.einsum("aijk,bijk->ab", np.array(kernels), h * np.array(kernels))
     gram += np.diag(can_miss) * scenario.control_weight / scenario.goal_weight
     return float(scenario.control_weight * np.dot(misses, np.linalg.solve(gram, misses)))
-
-
-@pytest.mark.slow
-def test_masses_that_stay_apart_are_two_corridors() -> None:
-    scenario = draw(
-        "two_masses",
-        0,
-        initial_position=[0.2, 0.8],
-        initial_velocity=[-0.5, 0.5],
-        goal_position=[0.3, 0.7],
-        restitution=0.5,
-    )
-    corridors = [draw("corridor", 0, restitution=0.5, **ends(scenario, axis)) for axis in range(2)]
-    cost = sum(solve("corridor", each).cost for each in corridors)
-    assert solve("two_masses", scenario).cost == pytest.approx(cost, rel=1e-9)
-
-
-def test_a_meeting_keeps_momentum_and_loses_energy_by_restitution() -> None:
-    scenario = draw("two_masses", 1, restitution=0.5)
-    pair, _, _ = _make_pair(world_of("two_masses"), scenario)
-    pair = dataclasses.replace(pair, masses=np.array([1.0, 3.0]), efforts=np.array([1.0, 9.0]))
-    sequence = _Sequence(pair, (1,))
-    z = np.array([0.4, 0.5, 1.2, -0.3])  # time, place, velocities
-    before = sequence.flights.values(z)[:2, 2]
-    after = sequence.flights.values(z)[2:, 1]
-    assert pair.masses @ after == pytest.approx(pair.masses @ before)
-    assert after[1] - after[0] == pytest.approx(0.5 * (before[0] - before[1]))
-
-
-def test_listed_sequences_are_all_different_and_repeat_no_contact() -> None:
-    sequences = list(_list_sequences(2))
-    assert len(set(sequences)) == len(sequences) == 4 + 16 + 48
-    for sequence in sequences:
-        # Something that the contact feels comes between.
-        for feels in ((0, 1, 2), (0, 1), (1, 2)):
-            mine = [kind for kind in sequence if kind in feels]
-            repeated = [one for one, other in itertools.pairwise(mine) if one == other]
-            assert all(kind == 1 and len(feels) == 2 for kind in repeated)

@@ -15,8 +15,7 @@ from unfolded_flights import MODELS, Flight, are_apart, fold, image_of, scenario
 
 from benchmarks.optima import walls_optimum
 from drake_aigto import Scenario, World
-from drake_aigto.local import as_program, solve_with_drake
-from drake_aigto.planning import Arcs, PhaseMotion, PhaseProblem
+from drake_aigto.planning import Arcs, PhaseProblem
 from drake_aigto.transcription import Touch, TouchSequence
 
 T = 1.5
@@ -68,26 +67,6 @@ def check_replays(found: Solved) -> None:
     assert sorted(replay.bounce_contacts) == sorted(touch.contact for touch in found.sequence)
 
 
-@pytest.mark.parametrize("bounces", [-6, -3, -2, -1, 0, 1, 4, 5])
-def test_a_corridor_unfolds(bounces: int) -> None:
-    flight = fly(0.4, 0.7, bounces, push=0.4 if bounces > 0 else -0.3)
-    sequence = touches_of(flight)
-    assert len(sequence) == abs(bounces)
-    errors = []
-    for steps in (40, 80):
-        found = optimise(
-            load("corridor"), scenario_of("corridor", flight, steps=steps), *evenly(sequence)
-        )
-        errors.append(found.cost / flight.cost - 1)
-        for touch, exact in zip(found.sequence, sequence, strict=True):
-            assert touch.contact == exact.contact
-            assert touch.start == pytest.approx(exact.start, abs=2e-3)
-        check_unfolds(found, axes=1)
-    # Controls are held, so the continuous optimum is approached, from above, to second order.
-    assert 0 < errors[1] < errors[0] < 5e-3
-    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.25)
-
-
 @given(q=place, goal=place, bounces=st.integers(-6, 6), push=st.floats(-1, 1))
 def test_corridors_cost_what_they_should(q: float, goal: float, bounces: int, push: float) -> None:
     flight = fly(q, goal, bounces, push)
@@ -97,18 +76,6 @@ def test_corridors_cost_what_they_should(q: float, goal: float, bounces: int, pu
     assert found.cost == pytest.approx(flight.cost, rel=5e-3)
     check_unfolds(found, axes=1)
     check_replays(found)
-
-
-@pytest.mark.parametrize(("bounces", "e"), [(1, 0.8), (3, 1.0), (6, 0.8)])
-def test_drakes_solver_finds_the_same(bounces: int, e: float) -> None:
-    flight = fly(0.4, 0.7, bounces, push=0.5)
-    scenario = scenario_of("corridor", flight, e=e)
-    found = optimise(load("corridor"), scenario, *evenly(touches_of(flight)))
-    check_replays(found)
-    arcs = Arcs(found.phases, range(found.phases.num_steps))
-    start = arcs.vector(found.phases.guess())
-    other = arcs.trajectory(solve_with_drake(as_program(arcs.nlp), start, "snopt"))
-    assert PhaseMotion(found.phases, other).cost == pytest.approx(found.cost, rel=1e-4)
 
 
 @pytest.mark.parametrize("model", ["corridor", "floor", "room"])

@@ -91,20 +91,6 @@ def test_table_1_has_its_known_optima(key: tuple[int, float]) -> None:
     assert optimum.flight_cost == pytest.approx(flight_cost, rel=1e-6)
 
 
-def images_cost(scenario: Scenario) -> float:
-    """Returns the optimum of e = 1: a flight through the wall to the goal or its mirror image."""
-    T, w_u, w_f = scenario.duration, scenario.control_weight, scenario.goal_weight
-    ballistic = scenario.initial_position[0] + scenario.initial_velocity[0] * T
-    miss = abs(ballistic) - scenario.goal_position[0]
-    return w_f * miss**2 / (1 + w_f * T**3 / (3 * w_u))
-
-
-@given(scenarios, lengths)
-def test_an_elastic_wall_is_a_mirror(scenario: Scenario, goal: float) -> None:
-    scenario = dataclasses.replace(set_goal(scenario, goal), restitution=1.0)
-    assert solve(scenario).cost == pytest.approx(images_cost(scenario), rel=1e-8, abs=1e-18)
-
-
 @pytest.mark.parametrize("position", np.linspace(0.05, 1.7, 12))
 def test_a_ball_that_comes_to_the_wall_at_the_very_end_has_an_optimum(position: float) -> None:
     optimum = solve(make_scenario(position, -position, goal_weight=0.0))

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from concurrent.futures import Future
-from typing import Any
 
 import numpy as np
 import pytest
-from scenario_studies import Inline
 from scipy.integrate import solve_ivp
 
 from benchmarks.local_peers import casadi
@@ -288,13 +285,3 @@ def test_bad_comparisons_are_refused_by_name() -> None:
         Comparison(methods=("guessing",))
     with pytest.raises(OptionsError, match="seconds: got none"):
         Comparison(methods=("shooting",))
-
-
-class Idle(Inline):
-    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
-        return Future()
-
-
-def test_a_comparison_ends_when_time_is_up() -> None:
-    asked = Comparison((NEAR,), 2, ("plan",))
-    assert RobotStudy(asked).run(executor=Idle(), minutes=1e-3).results == ()

@@ -138,6 +138,13 @@ def test_a_plan_begins_with_its_verdict_and_the_costs_that_it_rests_on(
         f"cost        {plan.cost:.3e}, on a rigid wall {rigid.cost:.3e}, "
         f"on Drake's plant {drake.cost:.3e}"
     )
+    for told in (
+        r"\nplan +rigid transcription, cost 2\.18.e-04, ends 0\.8 mm off the goal, ",
+        r"\ndefects +flight .* m/s, contact \S+ m, restitution \S+ m/s, nonpenetration 0 m\n",
+        r"\nfound by +boxes of \d+ steps, relaxation \S+\n",
+    ):
+        assert re.search(told, text), f"{told} in\n{text}"
+    assert not re.search("[εδ]", text), "these are the literal transcription's"
 
 
 @pytest.mark.parametrize(
