@@ -66,6 +66,16 @@ class ArrayRecord:
         return partial(type(self), **self._fields()), ()
 
 
+class LockedArrays:
+    """Base of frozen dataclasses whose arrays become read-only copies."""
+
+    def __post_init__(self) -> None:
+        """Makes the arrays read-only."""
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                object.__setattr__(self, name, read_only(value, value.dtype))
+
+
 def _hashable(value: object) -> object:
     if isinstance(value, np.ndarray):
         return value.shape, *value.ravel().tolist()

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
-from drake_aigto.contact import Closed, Mechanism
-from drake_aigto.shooting import ShootingProblem
+from drake_aigto.arrays import Bools, Floats
+from drake_aigto.contact import Closed, Mechanics, MechanicsMemory, Mechanism, accelerate
+from drake_aigto.kernels import borrow, kernel
+from drake_aigto.shooting import ShootingProblem, hold
 from drake_aigto.world import TaskCost
 
 
@@ -80,3 +81,19 @@ def differ(calc: Callable[[Floats], Floats], x: Floats, step: float = 1e-6) -> F
     """Returns central differences of a function ℝⁿ → ℝᵐ, shape (m, n)."""
     nudges = step * np.eye(len(x))
     return np.array([(calc(x + e) - calc(x - e)) / (2 * step) for e in nudges]).T
+
+
+@kernel
+def evaluate_hold(
+    closed: Bools,
+    leans: Floats,
+    x: Floats,
+    u: Floats,
+    mechanics: Mechanics,
+    memory: MechanicsMemory,
+) -> None:
+    """Computes v̇ with held contacts, and all derivatives."""
+    mechanics, memory = borrow(mechanics), borrow(memory)
+    accelerate(mechanics, x, u, 0.0, True, memory)
+    if closed.any():
+        hold(closed, leans, x, True, mechanics, memory)

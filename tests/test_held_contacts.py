@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mechanisms import build
-from shooting_problems import check_held
+from shooting_problems import check_held, evaluate_hold
 from shooting_problems import pose as pose_shooting
 
 from drake_aigto import Scenario, World
@@ -17,14 +17,7 @@ from drake_aigto.arrays import Bools, Floats
 from drake_aigto.contact import Closed, Mechanism, Mode, RigidLaw, make_mechanics_memory
 from drake_aigto.errors import ProgramError
 from drake_aigto.planning import add_impulses, replay_at_knots, trace
-from drake_aigto.shooting import (
-    Phases,
-    ShootingOptions,
-    ShootingProblem,
-    ShootingResult,
-    Smoothing,
-    evaluate_hold,
-)
+from drake_aigto.shooting import Phases, ShootingOptions, ShootingProblem, ShootingResult, Smoothing
 from drake_aigto.simulation import confirms, replay_drake, replay_event_driven, set_stiffness
 from drake_aigto.world import STIFFNESS, Scales, TaskCost, read_material
 

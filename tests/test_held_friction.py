@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from rubbing_worlds import RADIUS, make_discs
-from shooting_problems import check_held, weigh
+from shooting_problems import check_held, evaluate_hold, weigh
 from shooting_problems import pose as pose_shooting
 
 from drake_aigto import PlanOptions, Scenario, World, plan
@@ -26,14 +26,7 @@ from drake_aigto.planning import (
     list_mode_changes,
     make_mechanism_task,
 )
-from drake_aigto.shooting import (
-    Phases,
-    ShootingOptions,
-    ShootingProblem,
-    ShootingResult,
-    Smoothing,
-    evaluate_hold,
-)
+from drake_aigto.shooting import Phases, ShootingOptions, ShootingProblem, ShootingResult, Smoothing
 from drake_aigto.simulation import replay_event_driven
 from drake_aigto.transcription import Touch
 

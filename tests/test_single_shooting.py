@@ -185,14 +185,16 @@ def test_a_law_meets_the_papers_in_as_many_places_as_it_has_coefficients() -> No
         law = PolynomialLaw.fit(SOFT, degree, reach=1.0)
         off = law(grid) - SOFT.epsilon / (grid + SOFT.delta)
         assert np.count_nonzero(np.diff(np.sign(off))) == degree + 1
-        assert law.largest_error(SOFT, 1.0) == pytest.approx(np.max(np.abs(off)), rel=1e-2)
     assert PolynomialLaw((3.0,))(0.5) == 3.0
 
 
 def test_laws_come_nearer_by_the_factor_that_delta_allows() -> None:
     r = SOFT.delta
     factor = 1 + 2 * r + 2 * np.sqrt(r**2 + r)
-    errors = [PolynomialLaw.fit(SOFT, degree, 1.0).largest_error(SOFT, 1.0) for degree in (4, 10)]
+    grid = np.linspace(0.0, 1.0, 40001)
+    paper = SOFT.epsilon / (grid + SOFT.delta)
+    laws = (PolynomialLaw.fit(SOFT, degree, 1.0) for degree in (4, 10))
+    errors = [np.max(np.abs(law(grid) - paper)) for law in laws]
     assert (errors[0] / errors[1]) ** (1 / 6) == pytest.approx(factor, rel=0.05)
 
 

@@ -25,7 +25,8 @@ from pydrake.trajectories import PiecewisePolynomial
 from drake_aigto import Scenario, World
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.paper import LiteralTranscription, LiteralWithForces
-from drake_aigto.transcription import Transcription, cut_to_bounds, penalize
+from drake_aigto.terms import read_bounds
+from drake_aigto.transcription import Transcription, cut_to, penalize
 from drake_aigto.world import models_directory
 
 SHIPPED = models_directory() / "point_mass_and_wall.sdf"
@@ -286,7 +287,7 @@ def test_fixed_variables_keep_their_bounds_instead_of_a_penalty() -> None:
     prog.AddBoundingBoxConstraint(3.0, 3.0, x[1])
     penalized = penalize(prog)
     assert not penalized.GetAllCosts()
-    center, half_width = cut_to_bounds(penalized, np.zeros(2), np.ones(2))
+    center, half_width = cut_to(read_bounds(penalized), np.zeros(2), np.ones(2))
     np.testing.assert_array_equal(center, [0.0, 3.0])
     np.testing.assert_array_equal(half_width, [1.0, 0.0])
 

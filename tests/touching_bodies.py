@@ -21,8 +21,9 @@ from pydrake.multibody.tree import BodyIndex, JacobianWrtVariable, SpatialInerti
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import TouchRoom, TouchTable, evaluate_push, make_touch_room
+from drake_aigto.contact import TouchRoom, TouchTable, make_touch_room, push
 from drake_aigto.geometry import BALL, BOX, CAPSULE, CYLINDER, HALF_SPACE, Shapes
+from drake_aigto.kernels import borrow, kernel
 
 SHAPES: dict[str, tuple[int, Shape, list[float], float]] = {
     "ball": (BALL, Sphere(0.1), [0.1, 0, 0], 0.1),
@@ -96,7 +97,7 @@ class Bodies(NamedTuple):
         """Returns the generalized force of contact, and its derivatives."""
         n = len(v)
         force, slopes = np.zeros(n), np.zeros((n, 2 * n))
-        evaluate_push(self.table, *self.place(q), v, eps, 1.0, True, self.room, force, slopes)
+        _push(self.table, *self.place(q), v, eps, self.room, force, slopes)
         return force, slopes
 
     def draw(self, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -140,3 +141,13 @@ def _make_table(of_shapes: list[Any], num_velocities: int) -> TouchTable:
         signs=np.repeat([1.0, -1.0][: len(moving)], 6),
         carries=carries,
     )
+
+
+@kernel
+def _push(
+    table: TouchTable, poses: Floats, S: Floats, v: Floats,
+    eps: float, room: TouchRoom, force: Floats, slopes: Floats,
+) -> None:  # fmt: skip
+    """Does what `push` does, with derivatives."""
+    table, poses, S, v, room = borrow(table), borrow(poses), borrow(S), borrow(v), borrow(room)
+    push(table, poses, S, v, eps, 1.0, True, room, borrow(force), borrow(slopes))

@@ -67,7 +67,6 @@ from .tables import only_of as only_of
 from .touching import SLOWING as SLOWING
 from .touching import TouchRoom as TouchRoom
 from .touching import TouchTable as TouchTable
-from .touching import evaluate_push as evaluate_push
 from .touching import make_touch_room as make_touch_room
 from .touching import measure_distance as measure_distance
 from .touching import push as push

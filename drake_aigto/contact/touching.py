@@ -39,7 +39,7 @@ from drake_aigto.geometry import (
     make_closest,
     place_shapes,
 )
-from drake_aigto.kernels import borrow, borrowing, kernel
+from drake_aigto.kernels import borrowing
 
 # Columns of `TouchTable.law`.
 STIFFNESS, DISSIPATION, FRICTION, STICTION, SHARE, GIVE, SLOWING = range(7)
@@ -348,13 +348,3 @@ def _spread(
                 total -= power(S[i], along)
             slopes[i, j] += side * total
             slopes[i, n + j] += side * power(S[i], by_speed)
-
-
-@kernel
-def evaluate_push(
-    table: TouchTable, poses: Floats, S: Floats, v: Floats,
-    eps: float, pace: float, has_slopes: bool, room: TouchRoom, force: Floats, slopes: Floats,
-) -> None:  # fmt: skip
-    """Does what `push` does, for Python."""
-    table, poses, S, v, room = borrow(table), borrow(poses), borrow(S), borrow(v), borrow(room)
-    push(table, poses, S, v, eps, pace, has_slopes, room, borrow(force), borrow(slopes))

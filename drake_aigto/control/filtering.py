@@ -126,10 +126,6 @@ class StateFilter(LeafSystem):
         last: _Estimate = context.get_abstract_state(int(self._last)).get_value()
         return last
 
-    def _read_measured(self, context: Context) -> Floats:
-        q, v = self._world.split(np.array(self._measured.Eval(context)))
-        return np.concatenate([self._world.normalized(q), v])
-
     def _read_held(self, context: Context) -> HeldControl:
         """Returns the control that has acted since the last estimate."""
         times = np.array([self._read(context).time, context.get_time()])
@@ -167,7 +163,8 @@ class StateFilter(LeafSystem):
         last, now, z = self._read(context), context.get_time(), self._measured.Eval(context)
         if not np.all(np.isfinite(z)):
             return last._replace(x=np.array(z))
-        z = self._read_measured(context)
+        q, v = self._world.split(z)
+        z = np.concatenate([self._world.normalized(q), v])
         R = self._spread(z)
         led: _Estimate | None = last if now == last.time else None
         if now > last.time > -np.inf:

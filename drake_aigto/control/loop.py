@@ -205,7 +205,10 @@ def run_in_loop(
     """
     world = world or World.from_scenario(scenario)
     scenario, disturbance = world.place(scenario), disturbance or Disturbance()
-    end = _check_duration(duration, scenario, disturbance)
+    end = scenario.duration if duration is None else duration
+    if not 0 < end < np.inf:
+        raise ControlError("duration", got=end, expected="seconds above zero")
+    disturbance.check_times(end)
     true_world, true = disturbance.apply(world, scenario)
     quiet = _make_filter(world, scenario, disturbance, controller) if filters else None
     diagram = _connect(true_world, controller, disturbance, end, meshcat, quiet)
@@ -219,14 +222,6 @@ def run_in_loop(
     is_interrupted = _advance(simulator, recorder, disturbance, end)
     run = recorder.read(world, scenario, true, disturbance, is_interrupted)
     return dataclasses.replace(run, is_filtered=filters)
-
-
-def _check_duration(duration: float | None, scenario: Scenario, disturbance: Disturbance) -> float:
-    end = scenario.duration if duration is None else duration
-    if not 0 < end < np.inf:
-        raise ControlError("duration", got=end, expected="seconds above zero")
-    disturbance.check_times(end)
-    return float(end)
 
 
 def _connect(
@@ -259,7 +254,12 @@ def _connect(
     builder.Connect(state, controller.get_input_port_estimated_state())
     control = controller.get_output_port_control()
     if disturbance.delay:
-        control = _add_delay(builder, control, disturbance.delay)
+        count = int(np.ceil(disturbance.delay / _SAMPLED))
+        # What changes as it is sampled is seen at the next sample, or at once.
+        step = disturbance.delay / (count + 0.5)
+        late = builder.AddSystem(DiscreteTimeDelay(step, count, control.size()))
+        builder.Connect(control, late.get_input_port())
+        control = late.get_output_port()
     if (most := disturbance.saturation).any():
         cut = builder.AddSystem(Saturation(-most, most))
         builder.Connect(control, cut.get_input_port())
@@ -285,15 +285,6 @@ def _make_filter(
         raise ControlError("filters", got="a disturbance without noise", expected=expected)
     often = min(controller.period, scenario.time_step / OFTEN)
     return StateFilter(world, scenario, disturbance.noise, controller.period, often)
-
-
-def _add_delay(builder: DiagramBuilder, control: OutputPort, delay: float) -> OutputPort:
-    """Returns the port of a control that acts later."""
-    count = int(np.ceil(delay / _SAMPLED))
-    # What changes as it is sampled is seen at the next sample, or at once.
-    late = builder.AddSystem(DiscreteTimeDelay(delay / (count + 0.5), count, control.size()))
-    builder.Connect(control, late.get_input_port())
-    return late.get_output_port()
 
 
 def _add_noise(

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from pydrake.systems.framework import Context
 
-from drake_aigto.arrays import ArrayRecord, Floats, read_only
+from drake_aigto.arrays import ArrayRecord, Floats, LockedArrays, locked
 from drake_aigto.control.ports import TickStatus
 from drake_aigto.errors import AigtoError, ControlError, ResultsFileError
 from drake_aigto.output import write_text
@@ -24,14 +24,6 @@ FORMAT, FORMAT_VERSION = "drake_aigto closed loop", 2
 HEAD = {"format": FORMAT, "version": FORMAT_VERSION, "simulation": True}
 
 Method = Literal["tracking", "replanning"]
-
-
-def _as_row(name: str, value: object) -> Floats:
-    """Returns a read-only array (n,) of finite floats, n ≥ 0."""
-    row = np.atleast_1d(np.array(value, dtype=float))
-    if row.ndim != 1 or not np.all(np.isfinite(row)):
-        raise ControlError(name, got=row.tolist(), expected="a row of finite numbers")
-    return read_only(row)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +69,10 @@ class Disturbance(ArrayRecord):
             ControlError: numbers that are not finite, or out of their range.
         """
         for name in ("start_offset", "kick", "noise", "saturation"):
-            object.__setattr__(self, name, _as_row(name, getattr(self, name)))
+            row = np.atleast_1d(np.array(getattr(self, name), dtype=float))
+            if row.ndim != 1 or not np.all(np.isfinite(row)):
+                raise ControlError(name, got=row.tolist(), expected="a row of finite numbers")
+            object.__setattr__(self, name, locked(row))
         positive = ("mass_factor", "stiffness_factor")
         for name in (*positive, "restitution_factor", "friction_factor", "kick_time", "delay"):
             value = getattr(self, name)
@@ -203,7 +198,7 @@ class Disturbance(ArrayRecord):
 
 
 @dataclass(frozen=True, eq=False)
-class PlannedPath(ArrayRecord):
+class PlannedPath(LockedArrays, ArrayRecord):
     """A plan as a controller had it: no simulation.
 
     Attributes:
@@ -213,11 +208,6 @@ class PlannedPath(ArrayRecord):
 
     times: Floats
     states: Floats
-
-    def __post_init__(self) -> None:
-        """Makes the arrays read-only."""
-        for name in ("times", "states"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
 @dataclass(frozen=True)
@@ -236,7 +226,7 @@ class PlanSwitch:
 
 
 @dataclass(frozen=True)
-class ClosedLoopRun:
+class ClosedLoopRun(LockedArrays):
     """Motion of a plant under a controller, in Drake's Simulator.
 
     Attributes:
@@ -269,11 +259,6 @@ class ClosedLoopRun:
     is_interrupted: bool
     is_filtered: bool = False
     known_world: World | None = field(default=None, compare=False, repr=False, metadata=LEFT_OUT)
-
-    def __post_init__(self) -> None:
-        """Makes the arrays read-only."""
-        for name in ("control_times", "controls"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def __repr__(self) -> str:
         """Returns a line without arrays: the cost, and what no cost is shown without."""

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_aigto.arrays import ArrayRecord, Floats, read_only
+from drake_aigto.arrays import ArrayRecord, Floats, LockedArrays
 from drake_aigto.contact import calc_saltation, calc_velocity_after
 from drake_aigto.planning.stretches import Cut, Stretch, read_stretches
 from drake_aigto.trajectory import Trajectory
@@ -33,7 +33,7 @@ _SLOWLY = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class FeedbackPhase(ArrayRecord):
+class FeedbackPhase(LockedArrays, ArrayRecord):
     """A stretch of a plan, with what comes before and after it if contacts go on as they do in it.
 
     Attributes:
@@ -47,11 +47,6 @@ class FeedbackPhase(ArrayRecord):
     states: Floats
     controls: Floats
     gains: Floats
-
-    def __post_init__(self) -> None:
-        """Makes the arrays read-only."""
-        for name in ("times", "states", "controls", "gains"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @cached_property
     def state(self) -> PiecewisePolynomial:

@@ -7,7 +7,7 @@ all other bounds. NumPy and Numba only.
 
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.descent import expand_motion
-from drake_aigto.shooting.hold import evaluate_hold
+from drake_aigto.shooting.hold import hold
 from drake_aigto.shooting.optimal_control import Phases
 from drake_aigto.shooting.problem import ShootingProblem, limit_states
 from drake_aigto.shooting.program import IMPLICIT
@@ -23,8 +23,8 @@ __all__ = [
     "ShootingProblem",
     "ShootingResult",
     "Smoothing",
-    "evaluate_hold",
     "expand_motion",
+    "hold",
     "limit_states",
     "make_memory",
 ]

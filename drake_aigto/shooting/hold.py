@@ -12,7 +12,6 @@ from drake_aigto.arrays import Bools, Floats
 from drake_aigto.contact import (
     Mechanics,
     MechanicsMemory,
-    accelerate,
     divide_by_mass,
     factor_mass,
     find_friction,
@@ -21,7 +20,7 @@ from drake_aigto.contact import (
     only_of,
     run_tape,
 )
-from drake_aigto.kernels import borrow, borrowing, kernel
+from drake_aigto.kernels import borrowing
 from drake_aigto.linear import factor_in_place, solve_factors
 from drake_aigto.shooting.tables import Program
 
@@ -129,22 +128,6 @@ def hold(
     if has_slopes:
         _turn(closed, leans, n, mechanics, memory)
         _differentiate_hold(closed, m, x, memory)
-
-
-@kernel
-def evaluate_hold(
-    closed: Bools,
-    leans: Floats,
-    x: Floats,
-    u: Floats,
-    mechanics: Mechanics,
-    memory: MechanicsMemory,
-) -> None:
-    """Computes v̇ with held contacts, and all derivatives, for Python."""
-    mechanics, memory = borrow(mechanics), borrow(memory)
-    accelerate(mechanics, x, u, 0.0, True, memory)
-    if closed.any():
-        hold(closed, leans, x, True, mechanics, memory)
 
 
 @borrowing

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import ArrayRecord, Floats, Ints, read_only
+from drake_aigto.arrays import ArrayRecord, Floats, Ints, LockedArrays
 from drake_aigto.contact import TreeMechanics
 from drake_aigto.errors import OptionsError, ProgramError, check_counts, check_positive
 from drake_aigto.shooting.descent import descend
@@ -123,7 +123,7 @@ class MotionExpansion(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class ShootingResult(ArrayRecord):
+class ShootingResult(LockedArrays, ArrayRecord):
     """The motion of given controls, to the accuracy of its steps.
 
     Attributes:
@@ -160,11 +160,6 @@ class ShootingResult(ArrayRecord):
     prices: Floats
     is_left: bool = field(default=False, kw_only=True)
     replay: Replay | None = field(default=None, kw_only=True)
-
-    def __post_init__(self) -> None:
-        """Makes the arrays read-only."""
-        for name in ("times", "states", "controls", "prices"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
     def hits(self) -> Ints:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Bools, Floats, Ints, interpolate, read_only
+from drake_aigto.arrays import Bools, Floats, Ints, LockedArrays, interpolate
 from drake_aigto.contact import (
     CompliantLaw,
     RigidLaw,
@@ -43,7 +43,7 @@ _SAME_TIME = 1e-9  # rounding [s]
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(LockedArrays):
     """One motion of a world, in rows so close that straight lines join them.
 
     Letters: K rows; N intervals of the control; m contacts. Arrays are read-only.
@@ -70,12 +70,6 @@ class Motion:
     forces: Floats | None = None
     touches: tuple[Touch, ...] = ()
     impacts: tuple[Touch, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Locks the arrays."""
-        for name in ("times", "positions", "velocities", "control_times", "controls", "forces"):
-            if (values := getattr(self, name)) is not None:
-                object.__setattr__(self, name, read_only(values))
 
     @classmethod
     def from_trajectory(

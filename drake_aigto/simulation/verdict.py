@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import ArrayRecord, Floats, read_only
+from drake_aigto.arrays import ArrayRecord, Floats, LockedArrays
 from drake_aigto.contact import LEAST_RESTITUTION, ContactMotion, calc_delays, contact_delays
 from drake_aigto.simulation.event_driven import EventDriven
 from drake_aigto.simulation.recording import (
@@ -78,7 +78,7 @@ def narrow_bounds(bounds: Limits, states: Floats, excess: Floats) -> Limits:
 
 
 @dataclass(frozen=True, eq=False)
-class Growth(ArrayRecord):
+class Growth(LockedArrays, ArrayRecord):
     """Growth of errors along a motion.
 
     Attributes:
@@ -88,11 +88,6 @@ class Growth(ArrayRecord):
 
     factor: float
     worst: Floats
-
-    def __post_init__(self) -> None:
-        """Makes the array read-only."""
-        object.__setattr__(self, "factor", float(self.factor))
-        object.__setattr__(self, "worst", read_only(self.worst))
 
 
 def calc_growth(transitions: Floats, scales: Floats) -> Growth:

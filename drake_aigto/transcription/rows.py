@@ -235,7 +235,7 @@ def penalize(
 
     Each penalty carries its constraint's description, so that `BoxPolynomial.with_weights` can
     weight it; constraints that share an evaluator share its penalty. A variable with equal bounds
-    keeps them: `cut_to_bounds` holds it.
+    keeps them: `cut_to` holds it.
 
     Args:
         prog: the program; it is not changed.
@@ -274,19 +274,12 @@ def penalize(
     return penalized
 
 
-def cut_to_bounds(
-    prog: MathematicalProgram, center: ArrayLike, half_width: ArrayLike
-) -> tuple[Floats, Floats]:
-    """Returns center and half width of the part of a box that is within the program's bounds.
+def cut_to(bounds: Bounds, center: ArrayLike, half_width: ArrayLike) -> tuple[Floats, Floats]:
+    """Returns center and half width of the part of a box that is within lower and upper bounds.
 
     Where bounds fix a variable its half width is 0. A box outside of the bounds in some variable
     shrinks to the nearest bound there.
     """
-    return cut_to(read_bounds(prog), center, half_width)
-
-
-def cut_to(bounds: Bounds, center: ArrayLike, half_width: ArrayLike) -> tuple[Floats, Floats]:
-    """Returns the same for the lower and upper bounds of the variables."""
     lower, upper = bounds
     center, half_width = np.asarray(center, dtype=float), np.asarray(half_width, dtype=float)
     low = np.clip(center - half_width, lower, upper)

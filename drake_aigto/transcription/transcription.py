@@ -95,13 +95,11 @@ class Transcription(OpenProgram):
     def _add_rows(self) -> None:
         """Adds the dynamics and contact rows to the program."""
 
-    def _bound_distances(
-        self, where: Bools, name: str = NONPENETRATION, lower: float = 0.0, upper: float = np.inf
-    ) -> None:
-        """Adds lower ≤ φ_i(q_k) ≤ upper where the mask, shape (N+1, m), is True, k ≥ 1."""
+    def _bound_distances(self, where: Bools) -> None:
+        """Adds φ_i(q_k) ≥ 0 where the mask, shape (N+1, m), is True, k ≥ 1."""
         for i, knots in enumerate(where[1:].T):
             if np.any(knots):
-                row = shared_constraint(self._distance(i), name, lower, upper)
+                row = shared_constraint(self._distance(i), NONPENETRATION, 0.0, np.inf)
                 self._bind_each(row, (np.flatnonzero(knots) + 1).tolist())
 
     def _distance(self, contact: int) -> Expression:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_aigto.arrays import ArrayRecord, Bools, Floats, interpolate, read_only
+from drake_aigto.arrays import ArrayRecord, Bools, Floats, LockedArrays, interpolate
 from drake_aigto.dynamics import EquationsOfMotion
 from drake_aigto.errors import ScenarioError
 from drake_aigto.world.fields import check_size
@@ -22,7 +22,7 @@ _LOOKS = 21
 
 
 @dataclass(frozen=True, eq=False)
-class TaskCost(ArrayRecord):
+class TaskCost(LockedArrays, ArrayRecord):
     """The cost of a scenario in its world, with every weight an array.
 
         J = ∫₀ᵀ [ uᵀ R u + e_qᵀ Q e_q + e_vᵀ Qv e_v ] dt + e_q(T)ᵀ QT e_q(T) + e_v(T)ᵀ QTv e_v(T)
@@ -112,12 +112,6 @@ class TaskCost(ArrayRecord):
             measure=world.measure if world.num_positions != n else np.subtract,
             frames=world.find_frames(scenario.frame_goals),
         )
-
-    def __post_init__(self) -> None:
-        """Makes every array read-only."""
-        for field in fields(self)[:-3]:
-            values = getattr(self, field.name)
-            object.__setattr__(self, field.name, read_only(values, np.asarray(values).dtype))
 
     def running(self, t: ArrayLike, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Floats:
         """Returns what is integrated, of times (…), states (…, n) each, and controls (…, nu)."""

@@ -75,8 +75,9 @@ class BallSearch(BranchingSearch):
         if self.task.options.exhaustive or not self.task.unfolds:
             yield ladder
             return
+        coast = [(contact, False) for contact in self.task.coast.bounce_contacts]
         for start in dict.fromkeys(rung.start for rung in ladder):
-            if start == "line" or not self._has_uncontrolled_contacts():
+            if start == "line" or not any(kinds(each) == coast for each in self.by_sequence):
                 rungs = tuple(rung for rung in ladder if rung.start == start)
                 first, last = rungs[:1], rungs[1:][-1:]
                 if rungs[-1].temperature < rungs[0].temperature:
@@ -114,10 +115,6 @@ class BallSearch(BranchingSearch):
         """Returns the contact sequence of a rung's box, () if none fits."""
         sequences = next(sequences for each, sequences in self.shown if each is rung)
         return sequences[0] if sequences else ()
-
-    def _has_uncontrolled_contacts(self) -> bool:
-        coast = [(contact, False) for contact in self.task.coast.bounce_contacts]
-        return any(kinds(sequence) == coast for sequence in self.by_sequence)
 
     def add(
         self,

@@ -305,7 +305,10 @@ class Reaches:
             way = self._find_way(pushed[-1])
             left = self._measure(way)
             if not is_straight:
-                way = self._find_pushed(pushed[-1], way, contacts)
+                # The way nearest to it that contacts can push the object.
+                inertia = self._calc_inertia(pushed[-1])
+                push = self.calc_push(pushed[-1], inertia @ way, contacts)[0]
+                way = np.where(self._root > 0, np.linalg.solve(inertia, push), 0.0)
             size = self._measure(way)
             if size < max(part / 2, _LEAST * left):
                 break
@@ -314,12 +317,6 @@ class Reaches:
                 break
             pushed.append(then)
         return pushed
-
-    def _find_pushed(self, q: Floats, way: Floats, contacts: tuple[int, ...]) -> Floats:
-        """Returns the way nearest to an object's that contacts can push it."""
-        inertia = self._calc_inertia(q)
-        push = self.calc_push(q, inertia @ way, contacts)[0]
-        return np.where(self._root > 0, np.linalg.solve(inertia, push), 0.0)
 
     def _touch(self, q: Floats, contacts: tuple[int, ...]) -> Floats:
         """Returns positions in which hands touch, by Newton steps from others, one by one."""

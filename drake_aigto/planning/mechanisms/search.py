@@ -186,17 +186,15 @@ class MechanismSearch(Search):
         while self.motions and self.task.is_coarse(best := self.motions[0].result):
             self._aim = self.task.refine(best)
             self.tell(f"shooting in {self._aim.substeps} steps of order {self._aim.order}")
-            wave = [Proposal(each.origin, self._again(each.result)) for each in self.motions]
+            wave = []
+            for origin, motion in ((each.origin, each.result) for each in self.motions):
+                guess = Guess(motion.times, motion.controls, width=0.0)
+                wave.append(Proposal(origin, partial(self.task.close, guess, self._aim)))
             closed = zip(self.motions, self._close_at_once(wave), strict=True)
             again = [replace(old, result=new, rank=self.task.rank(new)) for old, new in closed]
             if not (finite := [each for each in again if np.isfinite(each.cost)]):
                 return
             self.motions = best_of(finite)
-
-    def _again(self, motion: ShootingResult) -> Callable[[], ShootingResult]:
-        """Returns what closes a motion in such steps as others from now on."""
-        guess = Guess(motion.times, motion.controls, width=0.0)
-        return partial(self.task.close, guess, self._aim)
 
     @property
     def chance(self) -> float:
