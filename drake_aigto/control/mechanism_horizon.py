@@ -212,10 +212,8 @@ class CompliantHorizon(_ShootingHorizon):
         """Returns a result as a motion; None if it leads nowhere."""
         if not (np.isfinite(found.cost) and np.all(np.isfinite(found.states))):
             return None
-        q, v = self.world.split(found.states)
-        none = np.zeros((len(q), self.world.num_contacts))
-        motion = Trajectory(found.times, q, v, found.controls, none, none[1:])
-        inside = self.world.calc_signed_distance(q) <= 0
+        motion = self._task.make_trajectory(found)
+        inside = self.world.calc_signed_distance(motion.positions) <= 0
         comes = inside & ~np.vstack([np.zeros_like(inside[:1]), inside[:-1]])
         touches = (Touch.bounce(found.times[k], int(i)) for k, i in np.argwhere(comes))
         return PlannedMotion(motion, found.cost, tuple(touches))

@@ -6,10 +6,10 @@ from .equations import Contact as Contact
 from .equations import EquationsOfMotion as EquationsOfMotion
 from .equations import calc_friction_share as calc_friction_share
 from .equations import smooth_sign as smooth_sign
-from .frame_kernels import add_frame_costs as add_frame_costs
-from .frame_kernels import measure_frames as measure_frames
+from .recursions import add_frame_costs as add_frame_costs
 from .recursions import factor as factor
 from .recursions import gather as gather
+from .recursions import measure_frames as measure_frames
 from .recursions import place as place
 from .recursions import push_joints as push_joints
 from .recursions import solve as solve

@@ -1,10 +1,10 @@
 from .direct import factor_in_place as factor_in_place
 from .direct import factorize_band as factorize_band
+from .direct import factorize_indefinite as factorize_indefinite
 from .direct import solve_band as solve_band
 from .direct import solve_factored as solve_factored
 from .direct import solve_factors as solve_factors
-from .multifrontal import factorize_indefinite as factorize_indefinite
-from .multifrontal import solve_indefinite as solve_indefinite
+from .direct import solve_indefinite as solve_indefinite
 from .storage import Factorization as Factorization
 from .storage import Pattern as Pattern
 from .storage import SparseFactors as SparseFactors

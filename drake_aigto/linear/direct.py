@@ -1,9 +1,20 @@
-"""Small dense systems, and LDLᵀ of positive definite bands, for kernels to call."""
+"""Small dense systems, and LDLᵀ of bands, positive definite or indefinite, for kernels to call.
+
+LAPACK has no factorization of symmetric indefinite bands that keeps the band and has the inertia:
+its symmetric indefinite routines fill it, and its banded LU does not count negative eigenvalues.
+`factorize_indefinite` eliminates unknowns in order from a small dense front, like a multifrontal
+method on a chain (Duff & Reid 1983, "The multifrontal solution of indefinite sparse symmetric
+linear equations", ACM TOMS 9:302-325): an unknown may be eliminated once every unknown it is
+coupled to has entered the front; 1×1 and 2×2 pivots must pass a threshold test against the whole
+front, and wait until one does.
+
+Shape letters there: size unknowns, half bandwidth b, front capacity F.
+"""
 
 from __future__ import annotations
 
-from drake_aigto.arrays import Floats
-from drake_aigto.kernels import borrowing, njit
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.kernels import borrowing, kernel, njit
 
 
 @borrowing
@@ -92,3 +103,219 @@ def solve_band(factors: Floats, x: Floats) -> None:
         for a in range(1, min(width, size - j)):
             value -= factors[j, a] * x[j + a]
         x[j] = value
+
+
+# Relative size that a pivot must have. Small, since the matrices of an interior point method are
+# badly scaled on purpose; refinement makes up for it.
+_THRESHOLD = 1e-8
+
+
+@kernel
+def _swap(front: Floats, active: Ints, i: int, j: int, count: int) -> None:
+    """Exchanges two unknowns of the front."""
+    if i == j:
+        return
+    active[i], active[j] = active[j], active[i]
+    for k in range(count):
+        front[i, k], front[j, k] = front[j, k], front[i, k]
+    for k in range(count):
+        front[k, i], front[k, j] = front[k, j], front[k, i]
+
+
+@kernel
+def _largest(front: Floats, i: int, without: int, count: int) -> float:
+    """Returns the largest entry of row i in absolute value, but for columns i and `without`."""
+    largest = 0.0
+    for k in range(count):
+        if k not in (i, without):
+            largest = max(largest, abs(front[i, k]))
+    return largest
+
+
+@kernel
+def _is_pair_stable(front: Floats, i: int, j: int, count: int) -> bool:
+    """Tests a 2×2 pivot: whether |P⁻¹| times its rows' largest entries is at most 1/u."""
+    a, b, c = abs(front[i, i]), abs(front[i, j]), abs(front[j, j])
+    determinant = abs(front[i, i] * front[j, j] - front[i, j] * front[i, j])
+    if not determinant > 1e-14 * b * b:
+        return False
+    rest_i, rest_j = _largest(front, i, j, count), _largest(front, j, i, count)
+    growth = max(c * rest_i + b * rest_j, a * rest_j + b * rest_i)
+    return _THRESHOLD * growth <= determinant
+
+
+@kernel
+def _choose_pivot(front: Floats, active: Ints, count: int, summed: int) -> tuple[int, int]:
+    """Returns the first pivot that passes, of those `summed`: (i, −1), (i, j) or (−1, −1)."""
+    for i in range(count):
+        if active[i] >= summed:
+            continue
+        partner, nearest, largest = -1, 0.0, 0.0
+        for k in range(count):
+            entry = abs(front[i, k])
+            if k == i:
+                continue
+            largest = max(largest, entry)
+            if active[k] < summed and entry > nearest:
+                partner, nearest = k, entry
+        if front[i, i] != 0.0 and abs(front[i, i]) >= _THRESHOLD * largest:
+            return i, -1
+        if partner >= 0 and _is_pair_stable(front, i, partner, count):
+            return i, partner
+    return -1, -1
+
+
+@kernel
+def _force_pivot(front: Floats, active: Ints, count: int, summed: int) -> int:
+    """Returns the largest diagonal entry among unknowns below `summed`, −1 if all are 0."""
+    chosen, largest = -1, 0.0
+    for i in range(count):
+        if active[i] < summed and abs(front[i, i]) > largest:
+            chosen, largest = i, abs(front[i, i])
+    return chosen
+
+
+@kernel
+def _enter(band: Floats, front: Floats, active: Ints, count: int, unknown: int) -> None:
+    """Puts an unknown's row into the front, as its last."""
+    bandwidth = band.shape[0] - 1
+    for k in range(count):
+        distance = unknown - active[k]
+        entry = band[distance, active[k]] if distance <= bandwidth else 0.0
+        front[count, k] = front[k, count] = entry
+    front[count, count] = band[0, unknown]
+    active[count] = unknown
+
+
+@kernel
+def _eliminate_one(
+    front: Floats, active: Ints, count: int, indices: Ints, entries: Floats, fill: int
+) -> int:
+    """Takes unknown `count` out, appends its column of L, and returns the new fill."""
+    pivot = front[count, count]
+    for k in range(count):
+        factor = front[count, k] / pivot
+        if factor == 0.0:
+            continue
+        indices[fill], entries[fill] = active[k], factor
+        fill += 1
+        for j in range(count):
+            front[k, j] -= factor * front[count, j]
+    return fill
+
+
+@kernel
+def _eliminate_pair(
+    front: Floats, active: Ints, count: int, indices: Ints, entries: Floats, fill: int
+) -> int:
+    """Takes unknowns `count` and `count` + 1 out together, as `_eliminate_one` does with one."""
+    a, b, c = front[count, count], front[count, count + 1], front[count + 1, count + 1]
+    determinant = a * c - b * b
+    for k in range(count):
+        first, second = front[count, k], front[count + 1, k]
+        if first == 0.0 and second == 0.0:
+            continue
+        factor_1 = (c * first - b * second) / determinant
+        factor_2 = (a * second - b * first) / determinant
+        indices[fill], entries[fill], entries[fill + 1] = active[k], factor_1, factor_2
+        fill += 2
+        for j in range(count):
+            front[k, j] -= factor_1 * front[count, j] + factor_2 * front[count + 1, j]
+    return fill
+
+
+@kernel
+def factorize_indefinite(
+    band: Floats,
+    front: Floats,
+    active: Ints,
+    pivots: Ints,
+    inverses: Floats,
+    starts: Ints,
+    indices: Ints,
+    entries: Floats,
+) -> int:
+    """Factorizes; returns the number of negative eigenvalues, −1 if singular.
+
+    Args:
+        band: Lower band storage (b + 1, size).
+        front: Work space (F, F).
+        active: Work space (F,): the unknowns in the front.
+        pivots: Filled with the unknowns in order of elimination (size,); the first of a 2×2 pivot
+            is stored as −1 − unknown.
+        inverses: Filled with the pivots' inverses (size, 2): (1/d, ·), or the two rows of 2×2.
+        starts: Filled so that pivot k's column of L is starts[k]:starts[k + 1] (size + 1,).
+        indices: Filled with that column's unknowns.
+        entries: Filled with its entries, pairs of them for the first of a 2×2 pivot.
+    """
+    bandwidth, size = band.shape[0] - 1, band.shape[1]
+    count = entered = done = fill = negative = 0
+    while done < size:
+        summed = size if entered == size else entered - bandwidth
+        p, q = _choose_pivot(front, active, count, summed)
+        if p < 0 and entered < size and count < active.size:
+            _enter(band, front, active, count, entered)
+            count, entered = count + 1, entered + 1
+            continue
+        if p < 0:
+            p = _force_pivot(front, active, count, summed)
+            if p < 0:
+                return -1
+        starts[done] = fill
+        if q < 0:
+            count -= 1
+            _swap(front, active, p, count, count + 1)
+            pivots[done], inverses[done, 0] = active[count], 1.0 / front[count, count]
+            negative += front[count, count] < 0.0
+            fill = _eliminate_one(front, active, count, indices, entries, fill)
+            done += 1
+            continue
+        count -= 2
+        _swap(front, active, max(p, q), count + 1, count + 2)
+        _swap(front, active, min(p, q), count, count + 2)
+        a, b, c = front[count, count], front[count, count + 1], front[count + 1, count + 1]
+        determinant = a * c - b * b
+        pivots[done], pivots[done + 1] = -1 - active[count], active[count + 1]
+        inverses[done, 0], inverses[done, 1] = c / determinant, -b / determinant
+        inverses[done + 1, 0], inverses[done + 1, 1] = -b / determinant, a / determinant
+        negative += 1 if determinant < 0.0 else (2 if a < 0.0 else 0)
+        fill = _eliminate_pair(front, active, count, indices, entries, fill)
+        starts[done + 1] = fill
+        done += 2
+    starts[size] = fill
+    return negative
+
+
+@kernel
+def solve_indefinite(
+    pivots: Ints, inverses: Floats, starts: Ints, indices: Ints, entries: Floats, x: Floats
+) -> None:
+    """Overwrites a right-hand side (size,) with the solution; see `factorize_indefinite`."""
+    size, k = pivots.size, 0
+    while k < size:
+        if pivots[k] >= 0:
+            value = x[pivots[k]]
+            for e in range(starts[k], starts[k + 1]):
+                x[indices[e]] -= entries[e] * value
+            x[pivots[k]] = inverses[k, 0] * value
+            k += 1
+        else:
+            i, j = -1 - pivots[k], pivots[k + 1]
+            first, second = x[i], x[j]
+            for e in range(starts[k], starts[k + 1], 2):
+                x[indices[e]] -= entries[e] * first + entries[e + 1] * second
+            x[i] = inverses[k, 0] * first + inverses[k, 1] * second
+            x[j] = inverses[k + 1, 0] * first + inverses[k + 1, 1] * second
+            k += 2
+    k = size - 1
+    while k >= 0:
+        if k == 0 or pivots[k - 1] >= 0:
+            for e in range(starts[k], starts[k + 1]):
+                x[pivots[k]] -= entries[e] * x[indices[e]]
+            k -= 1
+        else:
+            k -= 1
+            for e in range(starts[k], starts[k + 1], 2):
+                x[-1 - pivots[k]] -= entries[e] * x[indices[e]]
+                x[pivots[k + 1]] -= entries[e + 1] * x[indices[e]]
+            k -= 1

@@ -1,6 +1,20 @@
 """The paper's transcription: explicit Euler, with the contact force ε/(φ + δ) or a polynomial.
 
-Or with forces and impulses as variables, of this one and of the rigid one.
+And contact impulses as decision variables: the collocation that AIGTO Sec. III-B rejects.
+
+With λ a variable, the mean of (φ λ)² over a box is (φ² + w_φ²/3)(λ² + w_λ²/3), least at zero
+(AIGTO Fig. 1): "the optimizer converges to the trivial solution". Measured, that is half of it.
+
+- With rigid rows under the weights that find the bounce without forces, p goes to zero and nearly
+  every plan from the straight line is the free flight, at every temperature and for every first
+  width of p. The half widths of p are its own and shrink to nothing, where the same impulse written
+  as M Δv − dt (B u − h) stays as uncertain as v.
+- But not always: with the row that ties p to the motion ten times lighter and a light restitution
+  row, hot boxes find the bounce nearly as often as without forces. A box that starts in the bounce,
+  around the uncontrolled motion, keeps it.
+- With literal rows and a heavy contact row φ goes to −δ instead, and p is arbitrary.
+
+`python -m benchmarks ablations` counts this beside the transcriptions without forces.
 """
 
 from __future__ import annotations

@@ -371,7 +371,8 @@ def _read(data: dict[str, Any]) -> Plan:
     return dataclasses.replace(plan, options=from_plain(kind, known, "plan.options"))
 
 
-# What shows a plan, by the name of its method; `show` fills it on first use.
+# What shows a plan, by the name of its method, the one road from it to pictures: `show`, which this
+# can't import, fills it on first use.
 VIEWS: dict[str, Callable[..., Any]] = {}
 
 

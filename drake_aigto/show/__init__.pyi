@@ -1,8 +1,6 @@
 from .box_playback import BoxRun as BoxRun
 from .box_playback import play_boxes as play_boxes
 from .box_playback import run_boxes as run_boxes
-from .columns import to_csv as to_csv
-from .columns import to_dataframe as to_dataframe
 from .facts import INTERRUPTED as INTERRUPTED
 from .facts import format_plan as format_plan
 from .facts import format_replays as format_replays
@@ -24,6 +22,8 @@ from .motion import Motion as Motion
 from .motion import color_of as color_of
 from .motion import motions_of_plan as motions_of_plan
 from .motion import simulation_label as simulation_label
+from .motion import to_csv as to_csv
+from .motion import to_dataframe as to_dataframe
 from .page import Page as Page
 from .page import Playback as Playback
 from .page import embed_scenes as embed_scenes
@@ -36,7 +36,6 @@ from .plan_figures import plot_friction as plot_friction
 from .plan_figures import plot_strobe as plot_strobe
 from .report import add_answer as add_answer
 from .report import add_question as add_question
-from .report import add_verdict as add_verdict
 from .report import report_plan as report_plan
 from .report import report_run as report_run
 from .report import show_run as show_run
@@ -65,6 +64,7 @@ from .text import length_text as length_text
 from .text import miss_text as miss_text
 from .text import run_texts as run_texts
 from .text import task_items as task_items
+from .views import add_verdict as add_verdict
 from .views import animate as animate
 from .views import compare as compare
 from .views import fill_views as fill_views

@@ -1,11 +1,13 @@
-"""Motions: what figures and playback draw, whether planned or simulated."""
+"""Motions, planned or simulated, for figures and playback; and trajectories of plans as tables."""
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,11 +21,12 @@ from drake_aigto.contact import (
     stack_rows,
 )
 from drake_aigto.dynamics import calc_friction_share
+from drake_aigto.errors import OptionsError
 from drake_aigto.planning import Plan
 from drake_aigto.simulation import Replay, find_contacts
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, World, name_controls
 
 # Okabe and Ito's colors, which the color-blind can tell apart; the darkest first.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -296,3 +299,50 @@ def _calc_impulses(motion: Motion, world: World) -> Floats:
             kicks = np.linalg.solve(world.calc_mass_matrix(q), stack_rows(world, q, contacts).T)
             found[:, rows[-1], contacts] = np.linalg.lstsq(kicks, change)[0].reshape(2, -1)
     return found
+
+
+def read_columns(plan: Plan, world: World | None = None) -> dict[str, Floats]:
+    """Returns a plan's knots, name with unit → numbers, shape (N+1,) each.
+
+    Controls and forces are held from a knot to the next; at the last one they are NaN.
+    """
+    world, path = plan.find_world(world), plan.trajectory
+    t, m = path.times, range(world.num_contacts)
+    names = world.plant.GetPositionNames(add_model_instance_prefix=False)
+    rates = world.plant.GetVelocityNames(add_model_instance_prefix=False)
+    driven = name_controls(world.plant, world.num_actuators, has_prefix=False)
+    last = np.full((1, 1), np.nan)
+    columns = {"time": t}
+    for kind, labels, rows in (
+        ("position", names, path.positions),
+        ("velocity", rates, path.velocities),
+        ("control", driven, path.controls),
+        ("force", [world.contacts[i].name for i in m], path.forces),
+        ("impulse", [world.contacts[i].name for i in m], path.impulses),
+    ):
+        filled = rows if len(rows) == len(t) else np.vstack([rows, last.repeat(rows.shape[1], 1)])
+        columns |= {f"{kind} {n}": c for n, c in zip(labels, filled.T, strict=True)}
+    return columns
+
+
+def to_dataframe(plan: Plan, world: World | None = None) -> Any:
+    """Returns the same as a DataFrame, whose index is the time.
+
+    Raises:
+        OptionsError: there is no pandas.
+    """
+    try:
+        import pandas
+    except ImportError:
+        remedy = "pip install 'drake_aigto[tables]', or write `drake-aigto plan … --csv FILE`."
+        raise OptionsError("a DataFrame", "no pandas", "the extra `tables`", remedy) from None
+    return pandas.DataFrame(read_columns(plan, world)).set_index("time")
+
+
+def to_csv(plan: Plan, world: World | None = None) -> str:
+    """Returns the same as lines of comma-separated values."""
+    columns, written = read_columns(plan, world), io.StringIO()
+    table = csv.writer(written, lineterminator="\n")
+    table.writerow(columns)
+    table.writerows(zip(*(map(repr, column.tolist()) for column in columns.values()), strict=True))
+    return written.getvalue()

@@ -18,7 +18,7 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.plain import to_plain
 from drake_aigto.planning import BALL_LADDER, Candidate, Plan, SearchOptions
 from drake_aigto.show.box_playback import play_boxes, run_boxes
-from drake_aigto.show.facts import answer_facts, candidate_texts, count_candidates, verdict_facts
+from drake_aigto.show.facts import answer_facts, candidate_texts, count_candidates
 from drake_aigto.show.film import open_meshcat
 from drake_aigto.show.motion import motions_of_plan, simulation_label
 from drake_aigto.show.page import Page, Playback
@@ -43,6 +43,7 @@ from drake_aigto.show.text import (
     touch_names,
     weight_text,
 )
+from drake_aigto.show.views import add_verdict
 from drake_aigto.simulation import Replay
 from drake_aigto.world import Scenario, World
 
@@ -122,14 +123,6 @@ def report_plan(
     _add_candidates(page, plan, world)
     _add_reproduction(page, plan)
     return page.to_html()
-
-
-def add_verdict(page: Page, plan: Plan, world: World) -> None:
-    """Adds whether simulations confirm a plan, and what a reader has to know beside that."""
-    (_, verdict), (_, goal), *others = verdict_facts(plan, world)
-    page.verdict(verdict, plan.holds)
-    page.verdict(f"goal {goal}", plan.find_arrival(world).is_reached)
-    page.facts(others)
 
 
 def add_question(

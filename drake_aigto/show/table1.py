@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -168,14 +168,12 @@ def _count(entries: Sequence[Entry]) -> str:
     return f"{sum(entry.holds for entry in entries)} of {len(entries)} plans hold"
 
 
-def report_table1(table: Table1, progress: Callable[[str], None] | None = None) -> str:
+def report_table1(table: Table1) -> str:
     """Returns a page about Table I: self-contained, with a recording for each row.
 
     A recording shows the rigid transcription's plan beside a gradient solver's from zero, each with
-    a rigid simulation of its control. Before each part that takes time, `progress` is called with a
-    line of text.
+    a rigid simulation of its control.
     """
-    say = progress or (lambda line: None)
     page = Page("Table I of AIGTO, and what its plans do on a rigid wall")
     for name, cells in (("rigid", table.rigid), ("literal", table.literal)):
         if entries := entries_of(cells):
@@ -190,11 +188,9 @@ def report_table1(table: Table1, progress: Callable[[str], None] | None = None) 
     tasks = f"{len(rows)} tasks" if len(rows) > 1 else "one task"
     page.paragraph(f"A point mass before a wall: {tasks} of the paper's four.")
     page.code(PROBLEM)
-    say("recording the plans")
     page.heading("In motion")
     page.scenes({f"Row {row}": _record(table, row) for row in rows})
     for row in rows:
-        say(f"drawing row {row}")
         _add_row(page, table, row)
     page.heading("All numbers")
     page.code(format_table1(table).strip())

@@ -16,11 +16,10 @@ from matplotlib.figure import Figure
 from drake_aigto.errors import ModelError, OptionsError
 from drake_aigto.output import check_writable
 from drake_aigto.planning import VIEWS, Plan
-from drake_aigto.show.columns import to_dataframe
 from drake_aigto.show.facts import verdict_facts
 from drake_aigto.show.figures import plot_plan, plot_positions
 from drake_aigto.show.film import open_meshcat
-from drake_aigto.show.motion import Motion, color_of, motions_of_plan, positions_at
+from drake_aigto.show.motion import Motion, color_of, motions_of_plan, positions_at, to_dataframe
 from drake_aigto.show.page import Page
 from drake_aigto.show.plan_figures import draw_goal, draw_moving, draw_still, plot_strobe
 from drake_aigto.show.scene import publish
@@ -157,15 +156,20 @@ def to_html(plan: Plan, world: World | None = None) -> str:
     """Returns both verdicts, the numbers behind them, and a picture, for a notebook."""
     world = plan.find_world(world)
     page = Page("")
-    (_, verdict), (_, goal), *others = verdict_facts(plan, world)
-    page.verdict(verdict, plan.holds)
-    page.verdict(f"goal {goal}", plan.find_arrival(world).is_reached)
-    page.facts(others)
+    add_verdict(page, plan, world)
     figure = Figure(figsize=(_INCH, 4), layout="constrained")
     motion = motions_of_plan(plan, world)[0]
     plot_strobe(figure.subplots(), motion, world, plan.scenario)
     page.figure(figure, "Links at evenly spaced times, the early ones pale; the goal is dashed.")
     return page.to_fragment()
+
+
+def add_verdict(page: Page, plan: Plan, world: World) -> None:
+    """Adds whether simulations confirm a plan, and what a reader has to know beside that."""
+    (_, verdict), (_, goal), *others = verdict_facts(plan, world)
+    page.verdict(verdict, plan.holds)
+    page.verdict(f"goal {goal}", plan.find_arrival(world).is_reached)
+    page.facts(others)
 
 
 def compare(plans: Mapping[str, Plan], world: World | None = None) -> Page:

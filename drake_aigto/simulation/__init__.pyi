@@ -1,4 +1,3 @@
-from .arrival import Arrival as Arrival
 from .compliant import FINE as FINE
 from .compliant import Compliant as Compliant
 from .compliant import CompliantMotion as CompliantMotion
@@ -7,6 +6,7 @@ from .drake_judge import StepEnd as StepEnd
 from .drake_judge import StepTrace as StepTrace
 from .drake_judge import find_touch_error as find_touch_error
 from .event_driven import Parabolas as Parabolas
+from .recording import Arrival as Arrival
 from .recording import Controller as Controller
 from .recording import Held as Held
 from .recording import HeldControl as HeldControl

@@ -350,12 +350,6 @@ class RigidMechanismTask(MechanismTask):
             slowest=_SLOW * self.measures.speed,
         )
 
-    @property
-    def _total(self) -> tuple[float, float]:
-        """The least and the most that a motion may last [s]."""
-        duration = self.scenario.duration
-        return self.scenario.duration_range or (duration, duration)
-
     def judge(self, origin: Origin, start: ShootingResult, found: ShootingResult) -> Candidate:
         """Returns the candidate of a motion (`MechanismTask.judge`)."""
         judged = super().judge(origin, start, found)

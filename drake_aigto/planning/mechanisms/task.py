@@ -111,10 +111,14 @@ class MechanismTask(PosedMechanism):
     @cached_property
     def guesses(self) -> Guesses:
         """Guesses of motions."""
-        T = self.scenario.duration
-        total = self.scenario.duration_range or (T, T)
-        problem = self.shooting(self.search_steps)
-        return Guesses(self.world, self._springs, problem, self.measures, self.coast, total)
+        problem, measures = self.shooting(self.search_steps), self.measures
+        return Guesses(self.world, self._springs, problem, measures, self.coast, self._total)
+
+    @property
+    def _total(self) -> tuple[float, float]:
+        """The least and the most that a motion may last [s]."""
+        duration = self.scenario.duration
+        return self.scenario.duration_range or (duration, duration)
 
     def shortened(self) -> MechanismTask | None:
         """Returns the task in half of the time, if the mechanism may rest in the other half.
