@@ -28,7 +28,7 @@ from world_models import (
 )
 
 from drake_aigto import Scenario, World, scenario_names
-from drake_aigto.dynamics import tidy
+from drake_aigto.dynamics import SumMap, tidy
 from drake_aigto.errors import ModelError
 from drake_aigto.world import models_directory
 
@@ -111,6 +111,20 @@ def test_tidying_drops_rounding_and_what_cancels_and_keeps_physics() -> None:
     one, double = tidy(np.array([sin(x) ** 2 + cos(x) ** 2, 2.0 * sin(x) * cos(x) - sin(2.0 * x)]))
     assert one.EqualTo(Expression(1.0))
     assert double.EqualTo(Expression(0.0))
+
+
+def test_compiled_sums_agree_with_drakes_expressions() -> None:
+    x, y = Variable("x"), Variable("y")
+    wave = x * sin(x) ** 2 * cos(x - 2.0 * y) + x * y**2
+    cubic = 3.0 * x**3 * y - y + 2.0
+    expressions = np.array([wave, cubic, x + y, Expression(0.0), Expression(4.0)])
+    for first in range(4):  # With waves, cubic, affine, constant.
+        some = expressions[first:]
+        compiled = SumMap(some, np.array([x, y]))
+        for point in np.random.default_rng(4).uniform(-2.0, 2.0, (5, 2)):
+            np.testing.assert_allclose(
+                compiled(point), evaluate(some, (x, y), point), rtol=RELATIVE, atol=RELATIVE
+            )
 
 
 @pytest.mark.parametrize("place", ["drake_aigto/models", "models"])
