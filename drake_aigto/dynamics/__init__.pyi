@@ -1,5 +1,3 @@
-from .constant import ConstantDynamics as ConstantDynamics
-from .constant import ConstantInertia as ConstantInertia
 from .coordinates import Coordinates as Coordinates
 from .equations import STICTION_SPEED as STICTION_SPEED
 from .equations import Contact as Contact
@@ -28,6 +26,8 @@ from .spatial import rotate as rotate
 from .spatial import subtract_positions as subtract_positions
 from .sum_kernels import divide_by_masses as divide_by_masses
 from .sum_kernels import evaluate_sums as evaluate_sums
+from .sums import ConstantDynamics as ConstantDynamics
+from .sums import ConstantInertia as ConstantInertia
 from .sums import SumMap as SumMap
 from .sums import calc_turning as calc_turning
 from .sums import evaluate as evaluate

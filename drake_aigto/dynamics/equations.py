@@ -14,9 +14,16 @@ from pydrake.multibody.plant import MultibodyPlantConfig
 from pydrake.symbolic import Expression
 
 from drake_aigto.arrays import Bools, Floats, read_only
-from drake_aigto.dynamics.constant import ConstantDynamics, ConstantInertia, read_constant
 from drake_aigto.dynamics.coordinates import Coordinates
-from drake_aigto.dynamics.sums import SumMap, calc_turning, is_constant, load_kernels
+from drake_aigto.dynamics.sums import (
+    ConstantDynamics,
+    ConstantInertia,
+    SumMap,
+    calc_turning,
+    is_constant,
+    load_kernels,
+    read_constant,
+)
 from drake_aigto.errors import ModelError
 
 _INERTIA_REMEDY = "Use the literal transcription."
