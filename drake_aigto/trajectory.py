@@ -62,6 +62,11 @@ class Trajectory(ArrayRecord):
                 expected=f"that of positions, {self.positions.shape}",
             )
 
+    @property
+    def states(self) -> Floats:
+        """Q and v at the knots, shape (N+1, nq + nv)."""
+        return np.hstack([self.positions, self.velocities])
+
     def later(self, by: float) -> Trajectory:
         """Returns the same motion, later by a duration [s].
 
@@ -85,8 +90,7 @@ class Trajectory(ArrayRecord):
         held = np.vstack([self.controls, self.controls[-1:]])
         control = PiecewisePolynomial.ZeroOrderHold(self.times, held.T)
         if self.velocities.shape != self.positions.shape:
-            states = np.hstack([self.positions, self.velocities])
-            return PiecewisePolynomial.FirstOrderHold(self.times, states.T), control
+            return PiecewisePolynomial.FirstOrderHold(self.times, self.states.T), control
         h = np.diff(self.times)[:, np.newaxis]
         mean = np.diff(self.positions, axis=0) / h
         end = self.velocities[1:]

@@ -12,7 +12,7 @@ from drake_aigto.contact.laws import CompliantLaw, ContactLaw
 from drake_aigto.contact.mechanism import Mechanism
 from drake_aigto.contact.tables import TreeMechanics, TreeMechanicsMemory
 from drake_aigto.contact.touching import SLOWING, TouchTable, push
-from drake_aigto.dynamics import QUATERNION, Tree, move_tree, place, push_tree
+from drake_aigto.dynamics import Tree, move_tree, place, push_tree
 from drake_aigto.geometry import Shapes, place_shapes
 from drake_aigto.kernels import borrowing
 from drake_aigto.world import SpaceWorld, World
@@ -185,16 +185,11 @@ class TreeMechanism:
         masses = tree.calc_mass_matrix(self.tree.unturned)
         mobility = np.diag(np.linalg.inv(masses))[tree.velocities]
         slow = np.maximum(tree.stiction, tree.friction * mobility * step)
-        places = np.full(self.num_velocities, -1)
-        for i, kind in enumerate(tree.kinds):
-            if kind < QUATERNION:
-                of_link = tree.velocities[tree.dofs[i] : tree.dofs[i + 1]]
-                places[of_link] = tree.positions[i] + np.arange(len(of_link))
         fitted = tree._replace(stiction=slow, pace=np.full(len(slow), 1 / duration))
         law = self.touch.law.copy()
         law[:, SLOWING] *= step
         touch = self.touch._replace(law=law)
-        return TreeMechanics(fitted, touch, 1 / duration, places, self.num_positions)
+        return TreeMechanics(fitted, touch, 1 / duration, tree.places, self.num_positions)
 
     def calc_inertia(self, q: Floats) -> tuple[Floats, Floats]:
         """Returns M(q), shape (n, n), and h(q, 0), shape (n,)."""

@@ -225,6 +225,5 @@ def keep_within(plan: Plan, world: World, scenario: Scenario, period: float) -> 
     u, (low, high) = motion.trajectory.controls, world.bounds(scenario).control
     if scenario is plan.scenario or np.all((u >= low) & (u <= high)):
         return motion
-    start = np.concatenate([asked.initial_position, asked.initial_velocity])
     horizon = make_horizon(Planner(asked, world=world), False, _ITERATIONS, period)
-    return horizon.advance(motion, 0.0, start) or motion
+    return horizon.advance(motion, 0.0, asked.initial_state) or motion

@@ -151,8 +151,7 @@ class StateFilter(LeafSystem):
         found: _Estimate = self._now.Eval(context)
         if not np.all(np.isfinite(found.x)):
             return EventStatus.DidNothing()
-        asked = self._scenario
-        start = np.concatenate([asked.initial_position, asked.initial_velocity])
+        start = self._scenario.initial_state
         if np.isinf(self._read(context).time) and may_be_unsampled(found.x, start):
             return EventStatus.DidNothing()
         state.get_mutable_abstract_state(int(self._last)).set_value(found)

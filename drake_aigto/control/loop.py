@@ -31,7 +31,6 @@ from drake_aigto.simulation import (
     start_plant,
     summarize,
 )
-from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World
 
 # Commands that act later are sampled so often [s].
@@ -77,7 +76,8 @@ class LoopRecorder:
         if isinstance(self._controller, ModelPredictiveController):
             self._look(self._controller, self._controller.GetMyContextFromRoot(root))
         elif not self._plans:
-            self._plans.append(_read_path(self._controller.plan.trajectory))
+            plan = self._controller.plan.trajectory
+            self._plans.append(PlannedPath(plan.times, plan.states))
         if self._contacts is not None:
             self._contacts(root)
         return EventStatus.DidNothing()
@@ -104,7 +104,8 @@ class LoopRecorder:
         status: TickStatus = controller.GetOutputPort("status").Eval(context)
         if self._ticks and status.time == self._ticks[-1].time:
             return
-        planned = _read_path(controller.read_plan(context))
+        plan = controller.read_plan(context)
+        planned = PlannedPath(plan.times, plan.states)
         if self._ticks and status.has_switched:
             self._switches.append(PlanSwitch(status.time, self._plans[-1], planned))
         self._ticks.append(status)
@@ -161,11 +162,6 @@ class LoopRecorder:
         recording = trace.read(self._rows[-1].time)
         recording.matched_speeds = self._contacts.speeds if self._contacts else []
         return recording
-
-
-def _read_path(trajectory: Trajectory) -> PlannedPath:
-    """Returns a plan's knots."""
-    return PlannedPath(trajectory.times, np.hstack([trajectory.positions, trajectory.velocities]))
 
 
 def run_in_loop(

@@ -164,8 +164,7 @@ class CompliantHorizon(_ShootingHorizon):
         """Returns the one phase, with the gains of the descent about it."""
         if self.regulator:
             return super()._find_phases(motion)
-        plan = motion.trajectory
-        states = np.hstack([plan.positions, plan.velocities])
+        plan, states = motion.trajectory, motion.trajectory.states
         problem = dataclasses.replace(self._problem, times=plan.times, start=states[0])
         substeps, smoothing = self._options.substeps, self._options.rungs[0].smoothing
         about = problem.linearize(plan.controls, substeps, smoothing, states)
@@ -177,8 +176,7 @@ class CompliantHorizon(_ShootingHorizon):
 
     def _lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
         """Returns what a few iterations make of what is left of a motion."""
-        states = np.hstack([left.positions, left.velocities])
-        return self._descend(left.times, states, left.controls, self._options, last.cost)
+        return self._descend(left.times, left.states, left.controls, self._options, last.cost)
 
     def search(self, now: float, x: Floats) -> PlannedMotion | None:
         """Returns the best motion that boxes and renewals find from a state; None if none."""

@@ -261,8 +261,7 @@ class ModelPredictiveController(LoopController):
     def _begin(self, context: Context, state: State, before: TickMemory, x: Floats) -> EventStatus:
         """Makes the first plan, or waits for the first sample or the start."""
         begin, question = time.perf_counter(), self._ask(context, x, before, SeenBounces())
-        asked = self._horizon.scenario
-        start = np.concatenate([asked.initial_position, asked.initial_velocity])
+        start = self._horizon.scenario.initial_state
         if question.now < -_SAME * self.period:
             reason = "waits for its start"
         elif before.tick < 0 and may_be_unsampled(x, start):

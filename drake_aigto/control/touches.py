@@ -75,8 +75,7 @@ class PlannedMotion:
     @cached_property
     def reach(self) -> Floats:
         """The largest |q| and |v| at knots, shape (nq + n,)."""
-        states = np.hstack([self.trajectory.positions, self.trajectory.velocities])
-        return np.asarray(np.max(np.abs(states), axis=0))
+        return np.asarray(np.max(np.abs(self.trajectory.states), axis=0))
 
     def calc_state(self, time: float) -> Floats:
         """Returns q and v at a time, shape (nq + n,); beyond the horizon its first and last."""

@@ -12,7 +12,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import MultibodyForces
 from pydrake.systems.framework import Context
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.dynamics.tree_reader import Thrust, check_force, read_tables
 from drake_aigto.dynamics.tree_tables import NUM_POSITIONS, QUATERNION, TreeTables, make_tree_memory
 
@@ -73,6 +73,15 @@ class Tree(TreeTables):
         q = np.zeros(self.num_positions)
         q[self.positions[self.kinds == QUATERNION]] = 1.0
         return q
+
+    @property
+    def places(self) -> Ints:
+        """Which position has each velocity as its rate, −1 of turns in space, shape (nv,)."""
+        found = np.full(self.num_velocities, -1)
+        for i in np.flatnonzero(self.kinds < QUATERNION):
+            dofs = self.velocities[self.dofs[i] : self.dofs[i + 1]]
+            found[dofs] = self.positions[i] + np.arange(len(dofs))
+        return found
 
     def calc_mass_matrix(self, q: Floats) -> Floats:
         """Returns M(q), shape (…, nv, nv), at q of shape (…, nq)."""

@@ -173,8 +173,7 @@ def _states(
 ) -> Iterator[list[Polynomial]]:
     """Yields x_0, x_1, … as polynomials of the controls, shape (nq + nv,) each."""
     names, step = _names(world), _euler_step(world, scenario.time_step, law)
-    start = np.concatenate([scenario.initial_position, scenario.initial_velocity])
-    state = [Polynomial(Expression(value)) for value in start]
+    state = [Polynomial(Expression(value)) for value in scenario.initial_state]
     yield state
     for k, u_k in enumerate(controls, 1):
         inputs = [Polynomial(Expression(u)) for u in u_k]

@@ -172,7 +172,7 @@ class Sweep:
     def _take(self, stretch: Stretch) -> tuple[Floats, Floats, Floats]:
         """Returns knots, states and controls of a phase."""
         plan, first, last = self._plan, stretch.first, stretch.last
-        states = np.hstack([plan.positions, plan.velocities])[first : last + 1]
+        states = plan.states[first : last + 1]
         if plan.impulses[first].any():
             states[0] = self._hit(int(np.argmax(plan.impulses[first])), stretch, states[0])
         return plan.times[first : last + 1], states, plan.controls[first:last]

@@ -60,7 +60,7 @@ class ShootingProblem(OptimalControlProblem):
             mechanism=mechanism,
             cost=cost,
             times=times,
-            start=np.concatenate([scenario.initial_position, scenario.initial_velocity]),
+            start=scenario.initial_state,
             scales=tangent_scales(world, scenario),
             state_bounds=limit_states(world, bounds),
             control_bounds=bounds.control,

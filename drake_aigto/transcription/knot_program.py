@@ -147,8 +147,7 @@ class KnotProgram(ABC):
             return read_bounds(self._prog)
         lower, upper = (bound.copy() for bound in self._bounds)
         first = np.concatenate([self._q[0], self._v[0]])
-        start = np.concatenate([self.scenario.initial_position, self.scenario.initial_velocity])
-        lower[first], upper[first] = start, start
+        lower[first] = upper[first] = self.scenario.initial_state
         return lower, upper
 
     def take_bounds(self, bounds: Bounds) -> None:

@@ -333,7 +333,7 @@ class MotionProgram(OpenProgram):
         return np.zeros(self.world.num_contacts, dtype=bool)
 
     def _add_scenario(self) -> None:
-        start = np.concatenate([self.scenario.initial_position, self.scenario.initial_velocity])
+        start = self.scenario.initial_state
         self._bound(self.state(0), start, start, _START)
 
     def _stage(self, k: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:

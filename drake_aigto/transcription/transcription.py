@@ -75,7 +75,7 @@ class Transcription(OpenProgram):
     def _add_scenario(self) -> None:
         """Adds the initial state, the scenario's costs, then the subclass's rows."""
         world, scenario, given = self.world, self.scenario, self._given
-        start = np.concatenate([scenario.initial_position, scenario.initial_velocity])
+        start = scenario.initial_state
         self._bound(self.state(0), start, start, _START)
         # NumPy takes Drake's boxed constants for invalid numbers, and warns.
         with np.errstate(invalid="ignore"):

@@ -48,18 +48,23 @@ def check_friction_acts(plant: MultibodyPlant, diagram: Diagram) -> None:
         )
 
 
+def _find_systems(diagram: Diagram, kind: type[Any]) -> list[Any]:
+    """Returns the systems of a kind in a diagram, at any depth."""
+    systems: list[Any] = [diagram]
+    for system in systems:  # It grows meanwhile.
+        systems += system.GetSystems() if isinstance(system, Diagram) else ()
+    return [system for system in systems if isinstance(system, kind)]
+
+
 def find_plant(diagram: Diagram) -> tuple[MultibodyPlant, SceneGraph]:
     """Returns the plant and the scene graph of a diagram, at any depth.
 
     Raises:
         ModelError: not exactly one of each.
     """
-    systems: list[Any] = [diagram]
-    for system in systems:  # It grows meanwhile.
-        systems += system.GetSystems() if isinstance(system, Diagram) else ()
     found = []
     for kind in (MultibodyPlant, SceneGraph):
-        matches = [system for system in systems if isinstance(system, kind)]
+        matches = _find_systems(diagram, kind)
         if len(matches) != 1:
             raise ModelError(
                 "diagram",
@@ -300,10 +305,7 @@ def find_propeller(diagram: Diagram) -> Propeller | None:
     Raises:
         ModelError: there are several systems of them.
     """
-    systems: list[Any] = [diagram]
-    for system in systems:  # It grows meanwhile.
-        systems += system.GetSystems() if isinstance(system, Diagram) else ()
-    found = [system for system in systems if isinstance(system, Propeller)]
+    found = _find_systems(diagram, Propeller)
     if len(found) > 1:
         remedy = "Give all PropellerInfo to one."
         raise ModelError("diagram", f"{len(found)} of type Propeller", "one", remedy)

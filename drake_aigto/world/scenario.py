@@ -270,6 +270,11 @@ class Scenario(ModelFields):
         return round(self.duration / self.time_step)
 
     @property
+    def initial_state(self) -> Floats:
+        """q(0) and v(0) as numbers, shape (nq + nv,)."""
+        return np.concatenate([self.initial_position, self.initial_velocity])
+
+    @property
     def is_plain(self) -> bool:
         """Whether the task is AIGTO's: weights on ‖u‖² and on ‖q(T) − goal_position‖² alone."""
         return not self.extras

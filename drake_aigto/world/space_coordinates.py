@@ -75,10 +75,7 @@ class SpaceCoordinates(Coordinates):
 
         The latter has the shape (…, 1).
         """
-        tree, places = self.tree, np.full(self.num_velocities, -1)
-        for i in np.flatnonzero(tree.kinds < QUATERNION):
-            dofs = tree.velocities[tree.dofs[i] : tree.dofs[i + 1]]
-            places[dofs] = tree.positions[i] + np.arange(len(dofs))
+        places = self.tree.places
         return np.where(places >= 0, positions[..., places], turn)
 
     @cached_property

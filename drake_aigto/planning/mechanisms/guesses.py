@@ -294,9 +294,8 @@ class Guesses:
 
     def follow(self, trajectory: Trajectory) -> Guess:
         """Returns the guess of a trajectory, with its touches."""
-        states = np.hstack([trajectory.positions, trajectory.velocities])
-        touches = read_touches_of(self._world, trajectory)
-        return Guess(trajectory.times, trajectory.controls, states, 0.0, touches)
+        touches, given = read_touches_of(self._world, trajectory), trajectory
+        return Guess(given.times, given.controls, given.states, 0.0, touches)
 
     def extend(self, motion: ShootingResult, late: float, width: float = 0.0) -> Guess:
         """Returns a motion that begins late, or sooner; before it waits, and rests in the end.
