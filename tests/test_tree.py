@@ -14,7 +14,7 @@ from pydrake.multibody.tree import (
     UnitInertia,
     default_model_instance,
 )
-from trees import JOINTS, add_body, attach, difference_slopes, make_zoo, sample_state
+from trees import JOINTS, add_body, attach, calc_poses, difference_slopes, make_zoo, sample_state
 
 from drake_aigto.dynamics import Tree
 from drake_aigto.errors import ModelError
@@ -47,7 +47,7 @@ def test_numbers_are_drakes(plant: MultibodyPlant) -> None:
         assert relative(tree.calc_bias(q, v), h) < 1e-10
         assert relative(tree.calc_acceleration(q, v, u), acceleration) < 1e-10
         assert relative(tree.calc_position_rate(q, v), plant.MapVelocityToQDot(context, v)) < 1e-12
-        for b, pose in enumerate(zip(*tree.calc_poses(q), strict=True)):
+        for b, pose in enumerate(zip(*calc_poses(tree, q), strict=True)):
             expected = plant.EvalBodyPoseInWorld(context, plant.get_body(BodyIndex(b)))
             assert relative(np.column_stack(pose), expected.GetAsMatrix34()) < 1e-12
 
@@ -133,7 +133,7 @@ def test_a_symmetric_top_precesses() -> None:
     rate, time, count = np.linalg.norm(momentum) / moment, 1.0, 2000
     q = np.array([1.0, 0, 0, 0, 0, 0, 0])
     after, _ = integrate(tree, q, np.array([tilt, 0, spin, 0, 0, 0]), time / count, count)
-    R, _ = tree.calc_poses(after)
+    R, _ = calc_poses(tree, after)
     L = momentum / np.linalg.norm(momentum)
     z, angle = np.array([0.0, 0.0, 1.0]), rate * time
     expected = (
@@ -152,7 +152,7 @@ def test_a_joint_may_lead_towards_the_world(name: str) -> None:
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, q)
     tree = Tree.of(plant)
-    R, p = tree.calc_poses(q)
+    R, p = calc_poses(tree, q)
     pose = plant.EvalBodyPoseInWorld(context, body).GetAsMatrix34()
     assert np.allclose(np.column_stack([R[1], p[1]]), pose, atol=1e-12)
     assert np.allclose(tree.calc_mass_matrix(q), plant.CalcMassMatrix(context), atol=1e-12)

@@ -22,7 +22,9 @@ from pydrake.multibody.tree import (
     WeldJoint,
 )
 
-from drake_aigto.dynamics import Tree
+from drake_aigto.arrays import Floats
+from drake_aigto.dynamics import Tree, TreeMemory, make_tree_memory, place
+from drake_aigto.kernels import borrow, kernel
 
 AXIS = np.array([0.36, 0.48, 0.8])
 
@@ -120,3 +122,22 @@ def difference_slopes(tree: Tree, q: np.ndarray, v: np.ndarray, u: np.ndarray) -
     columns += [calc(q, v + each, u) - calc(q, v - each, u) for each in step * np.eye(n)]
     columns += [calc(q, v, u + each) - calc(q, v, u - each) for each in step * np.eye(nu)]
     return np.array(columns).T / (2 * step)
+
+
+def calc_poses(tree: Tree, q: Floats) -> tuple[Floats, Floats]:
+    """Returns rotations (B, 3, 3) and positions (B, 3) [m] of bodies in the world, at one q."""
+    memory = make_tree_memory(tree)
+    _place_links(tree, np.array(q, dtype=float), memory)
+    R, p = tree.body_rotations.reshape(-1, 3, 3).copy(), tree.body_offsets.copy()
+    for b in np.flatnonzero(tree.body_links >= 0):
+        turn, origin = np.split(memory.poses[tree.body_links[b]], [9])
+        turn = turn.reshape(3, 3)
+        R[b], p[b] = turn @ R[b], origin + turn @ p[b]
+    return R, p
+
+
+@kernel
+def _place_links(tree: Tree, q: Floats, memory: TreeMemory) -> None:
+    tree, memory = borrow(tree), borrow(memory)
+    for i in range(tree.parents.size):
+        place(tree, i, q, memory)

@@ -124,11 +124,6 @@ class Tree(TreeTables):
         state = self._rows(q)[0], self._rows(v)[0], self._rows(u)[0]
         return np.asarray(load_kernels().calc_slopes(self, *state, make_tree_memory(self)))
 
-    def calc_poses(self, q: Floats) -> tuple[Floats, Floats]:
-        """Returns rotations (B, 3, 3) and positions (B, 3) [m] of bodies in the world, at one q."""
-        R, p = load_kernels().calc_poses(self, self._rows(q)[0], make_tree_memory(self))
-        return R.reshape(-1, 3, 3), p
-
     def calc_position_rate(self, q: Floats, v: Floats) -> Floats:
         """Returns q̇ = N(q) v, shape (nq,), at one state."""
         rate = np.empty(self.num_positions)

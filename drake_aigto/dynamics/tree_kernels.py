@@ -23,7 +23,6 @@ from drake_aigto.dynamics.recursions import (
     factor,
     find_stiction,
     gather,
-    place,
     push_joints,
     share_friction,
     solve,
@@ -36,7 +35,6 @@ from drake_aigto.dynamics.spatial import (
     apply_inertia,
     cross_motion,
     dot,
-    multiply,
     multiply_quaternions,
     rotate,
     subtract_positions,
@@ -322,23 +320,6 @@ def calc_slopes(tree: TreeTables, q: Floats, v: Floats, u: Floats, memory: TreeM
         for c in range(2 * n, memory.slopes.shape[1]):
             found[row, c] = memory.slopes[s, c]
     return found
-
-
-@kernel
-def calc_poses(tree: TreeTables, q: Floats, memory: TreeMemory) -> tuple[Floats, Floats]:
-    """Returns rotations, by rows, and positions of bodies, shape (B, 9) and (B, 3)."""
-    tree, memory = borrow(tree), borrow(memory)
-    for i in range(tree.parents.size):
-        place(tree, i, q, memory)
-    R, p = tree.body_rotations.copy(), tree.body_offsets.copy()
-    for b in range(p.shape[0]):
-        i = tree.body_links[b]
-        if i >= 0:
-            pose, offset = memory.poses[i], tree.body_offsets[b]
-            multiply(pose, tree.body_rotations[b], R[b])
-            x, y, z = rotate(pose, offset[0], offset[1], offset[2])
-            p[b, 0], p[b, 1], p[b, 2] = pose[9] + x, pose[10] + y, pose[11] + z
-    return R, p
 
 
 @kernel
