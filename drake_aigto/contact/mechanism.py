@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from drake_aigto.contact.tables import (
     COEFFICIENT,
     SOURCE,
     SPIN,
+    FrictionTerm,
     Mechanics,
     MechanicsMemory,
     Row,
@@ -206,7 +208,7 @@ class Mechanism:
             contacts[:, 0], contacts[:, 1] = law.stiffness, law.dissipation
             contacts[:, 3] = law.reaches
         tables = Mechanics(
-            *_compile(world, isinstance(law, RigidLaw), [term.row for term in frictions]),
+            *_read_tape(world, isinstance(law, RigidLaw), frictions),
             actuation=world.actuation,
             contacts=contacts,
             solids=np.cumsum([0, *map(len, world.solids)], dtype=np.int64),
@@ -333,6 +335,19 @@ class Mechanism:
         rest = np.concatenate([q, np.zeros(len(q))])
         evaluate_tape(of.code, of.numbers, rest, memory.values, memory.sums)
         return memory.sums
+
+
+# Reading a world takes longer than simulating it for a period, as filters and controllers do.
+_tapes: WeakKeyDictionary[World, dict[tuple[float, ...], SumTape]] = WeakKeyDictionary()
+
+
+def _read_tape(world: World, is_rigid: bool, frictions: Sequence[FrictionTerm]) -> SumTape:
+    """Returns the tape of a world, compiled once for the contacts with friction."""
+    known = _tapes.setdefault(world, {})
+    key = is_rigid, *(term.numbers[SOURCE] for term in frictions)
+    if key not in known:
+        known[key] = _compile(world, is_rigid, [term.row for term in frictions])
+    return known[key]
 
 
 def _compile(world: EquationsOfMotion, is_rigid: bool, rows: Sequence[Row]) -> SumTape:
