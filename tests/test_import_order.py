@@ -167,7 +167,7 @@ def test_a_circle_is_found_behind_a_door_and_for_type_checkers(tmp_path: Path) -
 PROGRAMS = {
     "from the top": [
         ("import drake_aigto", "pydrake numpy scipy numba matplotlib"),
-        ("import drake_aigto.cli.progress", "pydrake numpy"),
+        ("import drake_aigto.cli.command_line", "pydrake numpy"),
         ("import drake_aigto.cli.command_line", "pydrake"),
         ("from drake_aigto import Scenario, World", "pydrake.all numba matplotlib"),
         ("from drake_aigto import Planner", "pydrake.all matplotlib scipy.optimize"),

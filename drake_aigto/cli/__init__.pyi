@@ -1,6 +1,7 @@
 from .command_line import main as main
 from .command_line import make_parser as make_parser
 from .command_line import run as run
+from .command_line import show_progress as show_progress
 from .flags import BAD_INPUT as BAD_INPUT
 from .flags import FAULT as FAULT
 from .flags import FINE as FINE
@@ -16,6 +17,5 @@ from .flags import load_scenario as load_scenario
 from .flags import positive as positive
 from .flags import read_workers as read_workers
 from .flags import share as share
-from .progress import show_progress as show_progress
 
 __all__: list[str]

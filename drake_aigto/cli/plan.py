@@ -9,6 +9,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from drake_aigto.cli.command_line import KEEPING, hear_ctrl_c, paint, show_progress
 from drake_aigto.cli.flags import (
     FINE,
     INTERRUPTED,
@@ -30,7 +31,6 @@ from drake_aigto.cli.flags import (
     read_scenario,
     read_workers,
 )
-from drake_aigto.cli.progress import KEEPING, hear_ctrl_c, paint, show_progress
 from drake_aigto.errors import OptionsError
 from drake_aigto.output import check_writable, write_text
 from drake_aigto.paper import ROWS, LiteralOptions, plan_literal, run_table1

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drake_aigto import show
+from drake_aigto.cli.command_line import KEEPING, hear_ctrl_c, paint, show_progress
 from drake_aigto.cli.flags import (
     FINE,
     INTERRUPTED,
@@ -27,7 +28,6 @@ from drake_aigto.cli.flags import (
     read_fields,
     seconds,
 )
-from drake_aigto.cli.progress import KEEPING, hear_ctrl_c, paint, show_progress
 from drake_aigto.control import (
     ClosedLoopRun,
     Disturbance,

@@ -49,7 +49,7 @@ from drake_aigto.world.model_shapes import (
 )
 from drake_aigto.world.model_text import read_model_text
 from drake_aigto.world.pairs import order_pair
-from drake_aigto.world.space_pairs import order_shapes
+from drake_aigto.world.space_parts import order_shapes
 
 _TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 # What Drake says of joints that form a loop.

@@ -26,17 +26,15 @@ from drake_aigto.world.model_shapes import choose_pairs
 from drake_aigto.world.pair_errors import explain_no_contact
 from drake_aigto.world.places import FrameGoal
 from drake_aigto.world.scenario import Scenario
-from drake_aigto.world.space_coordinates import (
+from drake_aigto.world.space_parts import (
+    EXPECTED,
+    ShapePair,
     SpaceCoordinates,
+    SpaceFriction,
+    SpaceShapes,
     broadcast_rows,
     find_angles,
     list_rows,
-)
-from drake_aigto.world.space_pairs import (
-    EXPECTED,
-    ShapePair,
-    SpaceFriction,
-    SpaceShapes,
     order_shapes,
     read_shapes,
 )
