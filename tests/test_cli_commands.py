@@ -33,7 +33,8 @@ def commands(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParse
                 yield from commands(command)
 
 
-COMMANDS = {command.prog: command for command in commands(make_parser())}
+PARSER = make_parser()
+COMMANDS = {command.prog: command for command in commands(PARSER)}
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -53,7 +54,7 @@ def test_help_fits_and_its_examples_are_understood(
         words = shlex.split(example.split(">")[0], comments=True)
         assert words[0] == "drake-aigto"
         if "--help" not in words:
-            make_parser().parse_args(words[1:])
+            PARSER.parse_args(words[1:])
 
 
 @pytest.mark.parametrize("name", [[], ["--quiet"]])
@@ -70,7 +71,7 @@ def test_every_flag_says_what_it_is_and_small_negative_numbers_are_none() -> Non
     for name, command in COMMANDS.items():
         for action in command._actions:
             assert action.help or isinstance(action, argparse._SubParsersAction), (name, action)
-    options = make_parser().parse_args(["plan", "table1/1", "--initial-velocity", "-1e-3", "-.5"])
+    options = PARSER.parse_args(["plan", "table1/1", "--initial-velocity", "-1e-3", "-.5"])
     assert options.initial_velocity == [-1e-3, -0.5]
 
 
@@ -79,7 +80,7 @@ def test_every_flag_says_what_it_is_and_small_negative_numbers_are_none() -> Non
 )
 def test_what_all_commands_take_stands_before_or_after_them(words: list[str]) -> None:
     unset = argparse.Namespace(quiet=False, verbose=False)
-    options = make_parser().parse_args(words, unset)
+    options = PARSER.parse_args(words, unset)
     assert options.verbose
     assert options.quiet == any("q" in word for word in words)
 

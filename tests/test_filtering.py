@@ -102,7 +102,7 @@ def test_estimates_are_as_near_as_they_are_said_to_be(scenario: Scenario) -> Non
     u = np.max(np.abs(np.clip(world.bounds(scenario).control, -5, 5)), axis=0)
     true = simulate(world, scenario, u, count)
     ratios, shares = [], []
-    for _ in range(4):
+    for _ in range(2):
         measured = true + noise * rng.normal(size=true.shape)
         found, P = run(world, scenario, noise, measured, u)
         error = world.calc_error(found[-1], true[-1])
