@@ -22,7 +22,8 @@ from other_models import ARM, GANTRY, make, write
 from pydrake.geometry import Meshcat
 from world_models import ModelWriter
 
-from drake_aigto import Planner, PlanOptions, Scenario, World
+from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
+from drake_aigto.show import report_plan
 
 # No deadlines: Numba compiles in whichever example comes first, and machines stall. The same
 # examples every time: a test that fails fails again.
@@ -65,12 +66,24 @@ def meshcat() -> Meshcat:
 
 
 @pytest.fixture(scope="session")
-def plan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A quick plan, in a file."""
-    path = tmp_path_factory.mktemp("plans") / "plan.json"
+def plan() -> Plan:
+    """A quick one."""
     scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.05)
-    Planner(scenario, PlanOptions(aigo_steps=20, confirm=False)).plan().save(path)
+    return Planner(scenario, PlanOptions(aigo_steps=20, finalists=1)).plan()
+
+
+@pytest.fixture(scope="session")
+def plan_file(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("plans") / "plan.json"
+    plan.save(path)
     return path
+
+
+@pytest.fixture(scope="session")
+def report(plan: Plan) -> tuple[str, list[str]]:
+    """The page of the quick plan, and what is told meanwhile."""
+    lines: list[str] = []
+    return report_plan(plan, progress=lines.append), lines
 
 
 @pytest.fixture

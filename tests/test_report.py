@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,8 +12,7 @@ import pytest
 from browser import Page, find_chromium, start_browser
 from numpy.typing import NDArray
 
-from drake_aigto import Plan, Planner, PlanOptions, Scenario
-from drake_aigto.show import report_plan
+from drake_aigto import Plan
 
 pytestmark = pytest.mark.skipif(
     find_chromium() is None,
@@ -28,28 +26,22 @@ ASIDE = "document.querySelector('#player-aside')"
 
 
 @pytest.fixture(scope="module")
-def plan() -> Plan:
-    scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.05)
-    return Planner(scenario, PlanOptions(aigo_steps=20, finalists=1)).plan()
-
-
-@pytest.fixture(scope="module")
-def report(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def path(report: tuple[str, list[str]], tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("report") / "report.html"
-    path.write_text(report_plan(plan), encoding="utf-8")
+    path.write_text(report[0], encoding="utf-8")
     return path
 
 
 @pytest.fixture(scope="module")
-def page(report: Path) -> Iterator[Page]:
-    with start_browser(report.parent / "profile") as page:
-        open_report(page, report)
+def page(path: Path) -> Iterator[Page]:
+    with start_browser(path.parent / "profile") as page:
+        open_report(page, path)
         yield page
 
 
-def open_report(page: Page, report: Path) -> None:
+def open_report(page: Page, path: Path) -> None:
     """Shows a report, and waits until its scene is there."""
-    page.open(report)
+    page.open(path)
     page.wait_for(f"!document.querySelector('{SLIDER}').disabled")
 
 
@@ -187,15 +179,15 @@ def test_a_cursor_in_figures_and_numbers_follow_the_slider_and_a_figure_leads_it
     assert shown_time(page) == pytest.approx(0.5, abs=0.01)
 
 
-def test_the_scene_fills_its_frame_at_any_width(page: Page, report: Path) -> None:
+def test_the_scene_fills_its_frame_at_any_width(page: Page, path: Path) -> None:
     for width in (390, 1280):
-        page.open(report, width, 800)
+        page.open(path, width, 800)
         page.wait_for(f"!document.querySelector('{SLIDER}').disabled")
         picture = show(page, 0.3)
         columns = np.flatnonzero((picture.min(axis=2) < 0.9).any(axis=0))
         assert np.ptp(columns) > 0.6 * picture.shape[1]
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-    open_report(page, report)
+    open_report(page, path)
 
 
 def test_nothing_that_moves_is_ever_cut_off(page: Page) -> None:
@@ -209,10 +201,10 @@ def test_nothing_that_moves_is_ever_cut_off(page: Page) -> None:
 
 
 @pytest.mark.slow
-def test_a_slow_browser_shows_the_scene_at_the_same_size(page: Page, report: Path) -> None:
-    with start_browser(report.parent / "slow") as slow:
+def test_a_slow_browser_shows_the_scene_at_the_same_size(page: Page, path: Path) -> None:
+    with start_browser(path.parent / "slow") as slow:
         slow.call("Emulation.setCPUThrottlingRate", rate=4)
-        open_report(slow, report)
+        open_report(slow, path)
         np.testing.assert_allclose(slow.evaluate(FIT), page.evaluate(FIT), rtol=1e-9)
 
 

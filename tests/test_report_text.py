@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from drake_aigto import Plan, Planner, PlanOptions, Scenario, World, __version__
+from drake_aigto import Plan, Scenario, World, __version__
 from drake_aigto.paper import Entry, RigidCell, RigidOptimum, Table1, TableMethod
 from drake_aigto.planning import Replays
 from drake_aigto.show import (
@@ -58,21 +58,16 @@ def test_what_pages_share_is_there_once() -> None:
     assert two < one + 400
 
 
-@pytest.fixture(scope="module")
-def plan() -> Plan:
-    scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.05)
-    return Planner(scenario, PlanOptions(aigo_steps=20, finalists=1)).plan()
-
-
 def words(page: str) -> str:
     """Returns a page's text."""
     body = re.sub(r"<(script|style).*?</\1>", "", page, flags=re.DOTALL)
     return html.unescape(re.sub(r"<[^>]+>", " ", body))
 
 
-def test_a_report_has_question_answer_verdict_and_how_to_reproduce_it(plan: Plan) -> None:
-    lines: list[str] = []
-    page = report_plan(plan, progress=lines.append)
+def test_a_report_has_question_answer_verdict_and_how_to_reproduce_it(
+    plan: Plan, report: tuple[str, list[str]]
+) -> None:
+    page, lines = report
     text = words(page)
     name = "table1/1, time step 0.05"  # As the shipped scenario is called, and what differs.
     assert f"<title>Plan for {name}</title>" in page and f"<h1>Plan for {name}</h1>" in page
