@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 from refusals import check_refused, refuse_work
+from scenario_fields import ALL_FIELDS
 
 from drake_aigto import Scenario
 from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, load_scenario, main, make_parser
@@ -86,60 +87,10 @@ def test_what_all_commands_take_stands_before_or_after_them(words: list[str]) ->
 
 
 def test_every_field_of_a_scenario_has_a_flag_that_changes_it() -> None:
-    given: dict[str, Any] = {
-        "packages": {"robots": "/opt/robots"},
-        "weld": {"base": [0.0, 0.0, 1.0]},
-        "fixed_joints": ["wrist_*"],
-        "actuators": ["elbow"],
-        "effort_limits": {"elbow": 2.0},
-        "servos": {"elbow": [20.0, 0.5]},
-        "thrusters": [{"body": "drone", "drag": 0.5}],
-        "weightless": ["arm"],
-        "limits": "ignore",
-        "collisions": "none",
-        "material": {"*": {"stiffness": 1e6}},
-        "allow_ignored": ["fluid"],
-        "model": "other.sdf",
-        "initial_position": [1.0, 2.0],
-        "initial_velocity": [0.0, -3.0],
-        "goal_position": [0.5, 0.0],
-        "goal_velocity": [0.0, 1.0],
-        "hard_goal": True,
-        "angles": "modulo",
-        "duration": 2.0,
-        "time_step": 0.1,
-        "duration_range": [1.0, 3.0],
-        "control_weight": [0.1, 0.2],
-        "goal_weight": [[2.0, -1.0], [-1.0, 2.0]],
-        "frame_goals": {"hand": {"xyz": [1.0, 0.0, 0.0], "weight": {"xyz": 2.0}}},
-        "goal_velocity_weight": [1.0, 0.0],
-        "position_weight": [3.0, 4.0],
-        "velocity_weight": 5.0,
-        "reference_times": [0.0, 1.0],
-        "reference_positions": [[0.0, 1.0], [1.0, 0.0]],
-        "reference_velocities": [[1.0, 1.0], [2.0, 2.0]],
-        "position_lower": [float("-inf"), -1.0],
-        "position_upper": 9.0,
-        "velocity_lower": -8.0,
-        "velocity_upper": [8.0, float("inf")],
-        "control_lower": [-7.0, -6.0],
-        "control_upper": 7.0,
-        "control_norm": 9.0,
-        "contact": "compliant",
-        "epsilon": 0.2,
-        "delta": 0.3,
-        "restitution": 1.0,
-        "mass": 3.0,
-        "friction": 0.0,
-        "dry_friction": [0.5, 0.6],
-        "stiction_speed": 0.02,
-        "clearance": {"ball against wall": 0.1},
-        "ignored_shapes": ["foot", "3"],
-    }
-    scenario = Scenario(**given)
-    assert list(given) == [field.name for field in dataclasses.fields(Scenario)]
+    scenario = Scenario(**ALL_FIELDS)
+    assert list(ALL_FIELDS) == [field.name for field in dataclasses.fields(Scenario)]
     words = ["plan", "table1/1"]
-    for name, value in given.items():
+    for name, value in ALL_FIELDS.items():
         words += [f"--{name.replace('_', '-')}", *_as_words(value)]
     assert load_scenario(make_parser(words).parse_args(words)) == scenario
 
