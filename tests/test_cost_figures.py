@@ -24,7 +24,7 @@ from benchmarks.paper_figures import (
     plot_methods,
     write_numbers,
 )
-from drake_aigto import Planner, PlanOptions, Scenario, World, replay_event_driven
+from drake_aigto import Scenario, World, replay_event_driven
 from drake_aigto.errors import ModelError
 from drake_aigto.paper import bounce_costs, rigid_optimum
 from drake_aigto.planning import Candidate, Origin
@@ -37,17 +37,10 @@ from drake_aigto.show import (
     run_boxes,
 )
 
-OPTIONS = PlanOptions(aigo_steps=20, confirm=False, finalists=1)
-
 
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
     return dataclasses.replace(Scenario.named("table1/1"), time_step=0.05)
-
-
-@pytest.fixture(scope="module")
-def plan(scenario: Scenario, world: World) -> Any:
-    return Planner(scenario, OPTIONS, world).plan()
 
 
 @pytest.mark.parametrize("half_width", [0.0, 1.0, 2.5])

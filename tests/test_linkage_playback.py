@@ -21,7 +21,7 @@ from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
 from drake_aigto.aigo import FullGradient
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal
-from drake_aigto.planning import Origin
+from drake_aigto.planning import BALL_LADDER, Origin
 from drake_aigto.show import (
     ROOT,
     BoxRun,
@@ -185,15 +185,6 @@ def test_discs_and_links_do_not_move_straight(cart_pole: World) -> None:
     assert not moves_straight(cart_pole) and not moves_straight(build("two discs"))
 
 
-OPTIONS = PlanOptions(aigo_steps=20, confirm=False, finalists=1)
-
-
-@pytest.fixture(scope="module")
-def plan() -> Plan:
-    scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.05)
-    return Planner(scenario, OPTIONS).plan()
-
-
 @pytest.fixture(scope="module")
 def run(plan: Plan) -> BoxRun:
     return run_boxes(plan)
@@ -207,7 +198,7 @@ def shown(plan: Plan, run: BoxRun) -> Meshcat:
 
 
 def test_the_rung_that_the_plan_came_from_is_run_again(plan: Plan, run: BoxRun) -> None:
-    assert plan.best.origin.rung == run.rung in OPTIONS.ball_ladder
+    assert plan.best.origin.rung == run.rung in BALL_LADDER
     last = run.problem.run_aigo(run.rung).box
     # Newton step by Newton step it comes to the same.
     np.testing.assert_allclose(run.result.box.center, last.center, atol=1e-6)
