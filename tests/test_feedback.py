@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from phase_solutions import optimise
 from replay_worlds import make_diagram, make_scenario, make_task, shipped, shipped_world
 
-import drake_aigto.control
 from drake_aigto import Scenario, World
 from drake_aigto.control import Bridge, Catch
 from drake_aigto.errors import TrajectoryError
@@ -51,24 +50,12 @@ def make_controller(row: int, e: float) -> Feedback:
     return Feedback(shipped_world(), *make_bounce(row, e))
 
 
-@cache
-def make_flight() -> tuple[Scenario, Trajectory]:
-    """Returns a row of Table I, and the plan that brakes and turns."""
-    scenario = Scenario.named("table1/1")
-    return scenario, optimise(shipped_world(), scenario).trajectory
-
-
 def moved(scenario: Scenario, position: float = 0.0, velocity: float = 0.0) -> Scenario:
     return dataclasses.replace(
         scenario,
         initial_position=scenario.initial_position + position,
         initial_velocity=scenario.initial_velocity + velocity,
     )
-
-
-def end_of(scenario: Scenario, controller: Feedback) -> Any:
-    replay = replay_with(EVENT_DRIVEN, shipped_world(), scenario, controller)
-    return np.array([replay.positions[-1, 0], replay.velocities[-1, 0]])
 
 
 @pytest.mark.parametrize(("row", "e"), BOUNCES)
@@ -232,32 +219,6 @@ def test_feedback_is_nearly_as_good_as_hindsight(
     assert least * (1 - 1e-9) <= tracked.cost <= least * 1.01
 
 
-@given(st.floats(-1, 1), st.floats(-1, 1))
-@settings(max_examples=5)
-def test_without_a_bounce_errors_are_linear(position: float, velocity: float) -> None:
-    scenario, plan = make_flight()
-    controller = Feedback(shipped_world(), scenario, plan)
-    nominal = end_of(scenario, controller)
-    large, small = (
-        end_of(moved(scenario, size * position, size * velocity), controller) - nominal
-        for size in (1e-2, 1e-4)
-    )
-    assert large == pytest.approx(100 * small, abs=1e-8)
-
-
-@pytest.mark.parametrize(("row", "e"), BOUNCES)
-def test_through_a_bounce_errors_are_linear_but_for_the_second_order(row: int, e: float) -> None:
-    scenario, _ = make_bounce(row, e)
-    controller = make_controller(row, e)
-    nominal = end_of(scenario, controller)
-    sizes = [4e-3, 2e-3, 1e-3]
-    ends = [end_of(moved(scenario, size, size), controller) - nominal for size in sizes]
-    ratios = [end / size for end, size in zip(ends, sizes, strict=True)]
-    change, half = ratios[0] - ratios[1], ratios[1] - ratios[2]
-    assert np.max(np.abs(ratios[-1])) > 1e-3  # Velocity at the end costs nothing.
-    assert half == pytest.approx(change / 2, abs=0.3 * np.max(np.abs(change)) + 1e-4)
-
-
 @pytest.mark.parametrize(("row", "e"), BOUNCES)
 def test_the_control_that_feedback_applied_does_the_same_again(row: int, e: float) -> None:
     scenario, controller = moved(make_bounce(row, e)[0], 0.01, -0.01), make_controller(row, e)
@@ -310,18 +271,6 @@ def test_plans_that_no_feedback_follows_are_refused() -> None:
     ):
         with pytest.raises(TrajectoryError, match=message):
             Feedback(world, scenario, other)
-
-
-@pytest.mark.parametrize(
-    ("name", "stands"),
-    [
-        ("FlightFeedback", r"planning\.Feedback, one law"),
-        ("track_drake", r"simulation\.replay_with\(DRAKE, "),
-    ],
-)
-def test_a_name_of_the_past_says_what_stands_for_it(name: str, stands: str) -> None:
-    with pytest.raises(ImportError, match=rf"{name} is gone: use {stands}"):
-        getattr(drake_aigto.control, name)
 
 
 @pytest.mark.parametrize(("name", "off"), [("acrobot/swing_up", 0.02), ("cart_pole/soft_10", 0.05)])

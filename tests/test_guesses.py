@@ -12,7 +12,7 @@ import pytest
 from mechanisms import LEFT, MECHANISMS, build_world, drop_ball, joint, link, plane, sphere, wall
 from space_models import ball_and_finger, make_scenario
 
-from drake_aigto import Scenario, World, planning
+from drake_aigto import Scenario, World
 from drake_aigto.contact import RigidLaw
 from drake_aigto.planning import (
     Aim,
@@ -191,8 +191,3 @@ def test_a_wall_below_a_rod_that_hangs_has_a_finite_spring_in_its_place() -> Non
     assert not np.any(world.calc_contact_jacobian(np.zeros(1)))
     law = soften(world, RigidLaw(np.ones(1)), 0.02, 1.5)
     assert np.all(np.isfinite(law.stiffness)) and np.all(law.stiffness > 0)
-
-
-def test_names_of_boxes_say_what_takes_their_place() -> None:
-    with pytest.raises(ImportError, match=r"MechanismRung is gone: use PlanOptions\(starts=…\)"):
-        getattr(planning, "MechanismRung")  # noqa: B009

@@ -214,3 +214,16 @@ def test_a_name_that_left_the_top_level_says_where_it_is(name: str) -> None:
     *module, there = place.removeprefix("drake_aigto.").split(".")
     room = importlib.import_module(".".join(["drake_aigto", *module]))
     assert there in room.__all__ if hasattr(room, "__all__") else hasattr(room, there)
+
+
+@pytest.mark.parametrize(
+    ("room", "name", "stands"),
+    [
+        ("control", "FlightFeedback", r"planning\.Feedback, one law"),
+        ("control", "track_drake", r"simulation\.replay_with\(DRAKE, "),
+        ("planning", "MechanismRung", r"PlanOptions\(starts=…\)"),
+    ],
+)
+def test_a_name_that_left_a_room_says_what_stands_for_it(room: str, name: str, stands: str) -> None:
+    with pytest.raises(ImportError, match=rf"{name} is gone: use {stands}"):
+        getattr(importlib.import_module(f"drake_aigto.{room}"), name)
