@@ -8,9 +8,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import dataclasses
-import logging
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -84,16 +82,6 @@ def report(plan: Plan) -> tuple[str, list[str]]:
     """The page of the quick plan, and what is told meanwhile."""
     lines: list[str] = []
     return report_plan(plan, progress=lines.append), lines
-
-
-@pytest.fixture
-def quiet_drake() -> Iterator[None]:
-    """Keeps Drake from logging that SNOPT ran out of iterations."""
-    logger = logging.getLogger("drake")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    yield
-    logger.setLevel(level)
 
 
 @pytest.fixture

@@ -33,7 +33,6 @@ SLIDER_AXIS = """<axis>
         <xyz>1 0 0</xyz>
       </axis>"""
 PRISMATIC = '<joint name="slider" type="prismatic">'
-WALL_LINK = '<link name="wall">'
 
 
 def between(start: str, end: str) -> str:
