@@ -110,7 +110,7 @@ def _warm_up(scenario: Scenario) -> None:
     Planner(scenario, PlanOptions(confirm=False), world).plan()
     literal = LiteralTranscription(world, scenario)
     for name in ("ipopt", "snopt"):
-        drake_solver(literal, name)(np.zeros(literal.prog().num_vars()), False)
+        drake_solver(literal, name)(np.zeros(literal.prog().num_vars()))
 
 
 def _make_planner(scenario: Scenario, options: PlanOptions, world: World) -> Planner:
@@ -139,7 +139,7 @@ def run_scenario(name: str, scenario: Scenario, arguments: argparse.Namespace) -
         return Answer(found.cost, found.trajectory.times, found.trajectory.controls)
 
     def solve(solver: Solver, guess: Floats) -> Answer:
-        x, _, _ = solver(guess, False)
+        x = solver(guess)
         return Answer(literal.scenario_cost(x), literal.GetSampleTimes(), literal.split(x)[2])
 
     works: dict[str, tuple[int, Callable[[], Answer]]] = {
