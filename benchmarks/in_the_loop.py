@@ -23,18 +23,12 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import dataclasses
-import re
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.systems.framework import DiagramBuilder
 
 from benchmarks.script import Spread, machine, read_flags, run_all, run_as
 from drake_aigto import (
@@ -58,7 +52,7 @@ from drake_aigto.control import (
     run_in_loop,
 )
 from drake_aigto.planning import needs_shooting
-from drake_aigto.world import Scales, find_model, package_map
+from drake_aigto.world import Scales
 
 SCENARIOS = (
     "table1/1",
@@ -78,7 +72,6 @@ MOST_KICKS, HARDER = 60, 20
 BALLS = PlanOptions(branches=0, finalists=1, threads=1, aigo_steps=30)
 MECHANISMS = PlanOptions(renewals=24, search_steps=30)
 BEST = "knows the truth"
-_CART_POLE = "package://drake_aigto_models/cart_pole.sdf"
 
 
 def make_open_loop(plan: Plan, period: float) -> TrackingController:
@@ -147,33 +140,6 @@ def _draw_one(
     return disturbance, speed
 
 
-def make_true_world(scenario: Scenario, factor: float) -> World:
-    """Returns a shipped model's world with other masses, its walls where they are."""
-    builder = DiagramBuilder()
-    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-    parser = Parser(plant)
-    parser.package_map().AddMap(package_map())
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "cart_pole.sdf"
-        file.write_text(_scale(_read(_CART_POLE), factor), encoding="utf-8")
-        text = _scale(_read(scenario.model), factor).replace(_CART_POLE, file.as_uri())
-        parser.AddModelsFromString(text, "sdf")
-    plant.Finalize()
-    builder.ExportInput(plant.get_actuation_input_port(), "actuation")
-    return World.from_diagram(builder.Build())
-
-
-def _read(model: str) -> str:
-    return Path(find_model(model)).read_text(encoding="utf-8")
-
-
-def _scale(text: str, factor: float) -> str:
-    """Returns a model with other masses; bodies that turn are point masses."""
-    return re.sub(
-        r"<mass>([\d.e+-]+)</mass>", lambda mass: f"<mass>{factor * float(mass[1])!r}</mass>", text
-    )
-
-
 def make_controllers(
     plan: Plan, planner: Planner, disturbance: Disturbance
 ) -> Iterator[tuple[str, Any, Disturbance]]:
@@ -185,14 +151,10 @@ def make_controllers(
     yield "warm", warm, disturbance
     search = ModelPredictiveController(planner, **again, search_every=SEARCH_EVERY)
     yield "warm, search", search, disturbance
-    world = make_true_world(planner.scenario, disturbance.mass_factor)
-    true = Planner(*_swap(disturbance.apply(world, planner.scenario), planner.options))
+    world, scenario = disturbance.apply(planner.world, planner.scenario)
+    true = Planner(scenario, planner.options, world)
     silent = dataclasses.replace(disturbance, noise=np.empty(0))
     yield BEST, ModelPredictiveController(true, **again, search_every=SEARCH_EVERY), silent
-
-
-def _swap(true: tuple[World, Scenario], options: Any) -> tuple[Scenario, Any, World]:
-    return true[1], options, true[0]
 
 
 @dataclass(frozen=True)
