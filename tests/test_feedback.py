@@ -199,6 +199,15 @@ def test_the_next_phase_begins_when_the_ball_bounces(shift: float) -> None:
     assert np.abs(controller.phases[1].calc_state(1.0) - x).max() < 0.05
 
 
+@pytest.mark.parametrize(("row", "e"), BOUNCES)
+def test_no_control_is_held_beyond_the_end_where_a_bounce_is_missing(row: int, e: float) -> None:
+    controller = make_controller(row, e)
+    before = controller.phases[0].times
+    assert before[-1] > controller.end  # It goes on as if there were no wall.
+    for time in before[before < controller.end]:
+        assert controller.sample(time, np.array([0.3, 1.0]), []).until <= controller.end
+
+
 def test_bounces_that_the_plan_lacks_change_nothing() -> None:
     controller = make_controller(1, 1.0)
     x = np.array([0.3, 1.0])

@@ -30,6 +30,7 @@ from drake_aigto.planning import (
     find_grazes,
     make_ball_task,
 )
+from drake_aigto.simulation import replay_event_driven
 from drake_aigto.terms import TermBlock, parse_costs
 from drake_aigto.transcription import OpenProgram, RigidTranscription, Touch
 
@@ -72,6 +73,22 @@ def test_plans_are_optimal(model: str) -> None:
         optimum = walls_optimum(world, scenario)
         assert found.replay.event_driven.cost <= 1.01 * optimum.cost + 1e-7
         assert found.cost >= (1 - 1e-6) * optimum.cost - 1e-9
+
+
+@pytest.mark.parametrize("times", [3, 6])
+def test_a_fast_ball_bounces_as_often_as_by_itself(times: float) -> None:
+    shipped = Scenario.named("corridor/six_bounces")
+    T = shipped.duration * times
+    scenario = dataclasses.replace(shipped, duration=T, time_step=shipped.time_step * times)
+    world = World.from_scenario(scenario)
+    found = plan(scenario, QUICK, world)
+    # Elastic walls reflect what control adds: of a free flight, d short of the goal in the end,
+    # least w d² + 3 R m² (d₀ − d)²/T³.
+    idle = replay_event_driven(world, scenario, [0.0, T], [[0.0]])
+    d, m = idle.goal_error, world.calc_mass_matrix(scenario.initial_position)[0, 0]
+    w, R = scenario.goal_weight, scenario.control_weight
+    assert len(found.best.contacts) == 6 * times
+    assert found.cost == pytest.approx(d**2 / (1 / w + T**3 / (3 * R * m**2)), rel=1e-4)
 
 
 def test_contacts_of_unequal_masses_that_nothing_but_the_motion_without_control_has_are_found() -> (

@@ -296,7 +296,8 @@ class Feedback(Controller):
         until, planned = float(phase.times[k + 1]), phase.controls[k]
         control = self._limit(planned + phase.gains[k] @ error)
         added = float(np.linalg.norm(control - planned))
-        return Held(control, until if until > time else self.end, added)
+        # A phase that should have ended in a bounce goes on beyond the end.
+        return Held(control, min(until, self.end) if until > time else self.end, added)
 
     def _limit(self, u: Floats) -> Floats:
         """Returns a control within its bounds."""

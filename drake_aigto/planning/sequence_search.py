@@ -30,7 +30,7 @@ from drake_aigto.world import World
 _SHARE = 0.05
 # Impulses closer than this part of the duration are one contact: boxes smear a bounce over several
 # knots.
-_GAP = 0.1
+GAP = 0.1
 # Bounces off two walls at one knot are put this part of the duration apart; the polish decides
 # their order, and whether they are simultaneous.
 _APART = 1e-3
@@ -76,7 +76,7 @@ def read_sequences(transcription: Transcription, x: Floats) -> list[TouchSequenc
     if not pushes:
         return [()]
     T, dt = transcription.scenario.duration, transcription.time_step()
-    bounces = [run.bounce() for one in pushes for run in one.split(_GAP * T)]
+    bounces = [run.bounce() for one in pushes for run in one.split(GAP * T)]
     sequences = [bounces, [one.bounce() for one in pushes]]
     runs = [run for one in pushes for run in one.split(1.5 * dt)]
     longest = max(runs, key=lambda run: run.times.size)

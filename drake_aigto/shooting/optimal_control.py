@@ -238,6 +238,15 @@ class OptimalControlProblem:
         return float(running + cost.QT.diagonal() @ q**2 + cost.QTv.diagonal() @ v**2) or 1.0
 
     @cached_property
+    def effort_scale(self) -> float:
+        """Cost of controls at their scales, and `cost_scale` where they cost nothing.
+
+        Heavy goals make `cost_scale` large, which says little of motions that reach them.
+        """
+        effort = float(np.ptp(self.times) * self.cost.R @ self.control_scales**2)
+        return min(effort, self.cost_scale) or self.cost_scale
+
+    @cached_property
     def control_scales(self) -> Floats:
         """The control that moves by the scales in the duration, against what brakes, and gravity.
 

@@ -314,7 +314,7 @@ class ShootingRun:
             penalty=self._penalty,
             iterations=rung.iterations,
             tolerance=float(rung.tolerance),
-            scale=float(1e-3 * self._problem.cost_scale),
+            scale=float(1e-3 * self._problem.effort_scale),
             is_wary=self._options.is_wary,
             most=float(self._options.most_promised if is_last else rung.most),
             updates=updates,

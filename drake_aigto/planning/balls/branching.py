@@ -26,7 +26,7 @@ from drake_aigto.world import World
 # Times of two sequences of the same contacts differ by at most these parts of the duration if their
 # polish is expected to end in one optimum, and if it has.
 SAME_START, SAME_END = 0.05, 1e-3
-# Of a growing sequence.
+# Of a growing sequence; a neighbor may have one more than the uncontrolled motion.
 MOST_TOUCHES = 8
 # Neighbors are tried of candidates that cost at most 3 times the best, with few time steps and
 # iterations of the local solver: most are hopeless or infeasible, and infeasible ones take the
@@ -89,6 +89,11 @@ class BranchingSearch(SequenceSearch):
     ) -> None:
         """Adds the candidate of a sequence (`Shown`)."""
 
+    @cached_property
+    def _most_touches(self) -> int:
+        """Touches that a neighbor may have: a fast ball bounces often by itself."""
+        return max(MOST_TOUCHES, 1 + len(self.task.coast.bounce_times))
+
     def keep(self, origin: Origin, found: AigoResult | Shown) -> None:
         """Adds the candidate of a sequence, or those of the sequences of boxes."""
         if isinstance(found, Shown):
@@ -127,7 +132,7 @@ class BranchingSearch(SequenceSearch):
             held = [kinds(each) for each, it in self.by_sequence.items() if it.is_confirmed]
             is_pulled = any(touch.contact in self._pulling for touch in other)
             is_new = (is_pulled or kinds(other) not in held) and not self.is_known(other)
-            if is_new and len(other) <= MOST_TOUCHES and self.task.fits(other):
+            if is_new and len(other) <= self._most_touches and self.task.fits(other):
                 tried = self._try(other, motion.path)
                 optima = map(self._optimum, self.by_sequence)
                 if tried and not self._is_among(tried.sequence, optima, SAME_END):
@@ -156,7 +161,9 @@ class BranchingSearch(SequenceSearch):
         defects = self.task.defects(found)
         is_feasible = largest_defect(defects, self.task.scales) <= LARGEST_DEFECT
         is_good = self.task.cost(found) <= scaled(GOOD, least)
-        return found if is_feasible and is_good else None
+        # Of many touches, a polish with arcs between all knots takes seconds.
+        is_quick = found.is_of_arcs or len(sequence) <= MOST_TOUCHES
+        return found if is_feasible and is_good and is_quick else None
 
     def is_known(self, sequence: TouchSequence) -> bool:
         """Returns whether nearly this sequence was polished, refused, or the result of a polish."""

@@ -26,6 +26,7 @@ from drake_aigto.planning.candidate import COASTING, GIVEN, Candidate, Origin
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.search import Proposal, Stopwatch, scaled
 from drake_aigto.planning.sequence_search import (
+    GAP,
     are_near,
     are_neighbors,
     kinds,
@@ -235,6 +236,10 @@ class BallSearch(BranchingSearch):
             path = self.guess.times, self.guess.positions
             if self.task.fits(touches):
                 yield [propose(Origin(GIVEN), Shown(self._line, touches, path))]
+        # Boxes tell bounces apart that are `GAP` of the duration apart: of a fast ball, few.
+        is_fast = len(self.task.coast.bounce_times) * GAP >= 1
+        if is_fast:
+            yield from self._propose_uncontrolled()
         yield from super().propose()
         has_plan = any(each.is_feasible and each.is_confirmed for each in self.by_sequence.values())
         patient = self.task.patient
@@ -242,7 +247,8 @@ class BallSearch(BranchingSearch):
             self.task, given_up, self._given_up = patient, self._given_up, []
             for each in given_up:
                 yield [propose(*each)]
-        yield from self._propose_uncontrolled()
+        if not (is_fast or (self.task.ladder and self.task.unfolds)):  # Boxes around it are a rung.
+            yield from self._propose_uncontrolled()
 
     def _propose_uncontrolled(self) -> Iterator[Sequence[Proposal]]:
         """Yields the contacts of the uncontrolled motion, if they may lead to another plan.
@@ -254,14 +260,10 @@ class BallSearch(BranchingSearch):
         all_of_it = tuple(starmap(Touch.bounce, bounces))
         solids = Counter(contact.solid for contact in world.contacts)
         of_walls = (t for t in all_of_it if solids[world.contacts[t.contact].solid] == 1)
-        has_boxes = bool(self.task.ladder)
-        for sequence in (all_of_it, tuple(of_walls), *([] if has_boxes else [()])):
-            is_possible = len(sequence) <= MOST_TOUCHES and self.task.fits(sequence)
-            is_left_out = has_boxes and self.task.unfolds  # Boxes around it are a rung.
-            if is_possible and not is_left_out and not self.is_known(sequence):
+        for sequence in (all_of_it, tuple(of_walls), *([] if self.task.ladder else [()])):
+            if self.task.fits(sequence) and not self.is_known(sequence):
                 path = coast.times, coast.positions
-                shown = Shown(self._line, sequence, path)
-                yield [propose(Origin(COASTING), shown)]
+                yield [propose(Origin(COASTING), Shown(self._line, sequence, path))]
 
     def improve(self, sequence: TouchSequence) -> None:
         """Replaces a candidate by its polish with the steps that all are judged with."""
