@@ -45,7 +45,8 @@ NEAR = dataclasses.replace(COARSE, rungs=(*COARSE.rungs[:-1], Smoothing(1e-3, 23
 # would differ by as much as hard goals allow.
 TIGHT = ShootingOptions(rungs=(Smoothing(1e-3, 40, 1e-3),), substeps=4)
 POLISH = ShootingOptions(rungs=(Smoothing(1e-4, 40, 1e-5), Smoothing(1e-6, 40, 1e-5)), substeps=4)
-WITH_FRICTION = dataclasses.replace(POLISH, rungs=(Smoothing(1e-6, 150, 1e-4),))
+# Steps of order 4 that resolve friction cost twice as much, and are of order 2 where it slips.
+WITH_FRICTION = dataclasses.replace(POLISH, rungs=(Smoothing(1e-6, 150, 1e-4),), order=2)
 
 # In the plane with friction, kinks of the sharp law stop descents early, so most of the way is gone
 # while contact is smooth: in a fourth of the steps of closings, then, of finalists, in an eighth.
