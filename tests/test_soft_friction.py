@@ -176,7 +176,6 @@ def test_replays_agree_on_spheres_that_sink_deep_into_each_other() -> None:
     assert own.cost == pytest.approx(drake.cost, rel=1e-7)
 
 
-@pytest.mark.slow
 def test_finalists_have_steps_of_one_length_however_many_knots_there_are() -> None:
     scenario = Scenario.named("push_circle/round_it")
     world, steps = World.from_scenario(scenario), []
@@ -187,6 +186,7 @@ def test_finalists_have_steps_of_one_length_however_many_knots_there_are() -> No
     assert steps[0] == steps[1]
 
 
+@pytest.mark.slow
 def test_the_ball_spins_against_a_wall_to_go_where_nothing_drives_it() -> None:
     scenario = Scenario.named("spinning_ball/off_the_wall")
     plan = Planner(scenario, PlanOptions(renewals=24)).plan()
