@@ -235,7 +235,7 @@ def test_workers_that_are_not_fit_are_refused_by_name(
 ) -> None:
     if drake is not None:
         here = get_package_info(("drake_aigto",)) | {"drake": drake}
-        monkeypatch.setattr("drake_aigto.jobs.jobs.get_package_info", lambda names: here)
+        monkeypatch.setattr("drake_aigto.jobs.cluster.get_package_info", lambda names: here)
     with scheduler(workers, threads) as local:
         refused = open_workers(scheduler=local.scheduler_address)
         with pytest.raises(StudyError, match=message), refused:
