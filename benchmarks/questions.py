@@ -182,7 +182,7 @@ class Row:
         number: of the question.
         cost: the plan's replay; infinite if there is no plan.
         promised: by the plan.
-        idle: what doing nothing costs.
+        idle: what doing nothing costs, where it keeps bounds and a hard goal; infinite elsewhere.
         rival: the best replay of a rival's control.
         known: the best that was known before.
         is_idle: whether the plan does nothing.
@@ -234,7 +234,9 @@ def answer(name: str, number: int, is_tuning: bool, times: float, known: float) 
     try:
         plan = Planner(scenario, options, world).plan()
         cost, promised, is_idle = plan.best.replay.cost, plan.cost, plan.best.is_idle
-        idle = min((each.replay.cost for each in plan.candidates if each.is_idle), default=np.inf)
+        idles = (each for each in plan.candidates if each.is_idle)
+        holding = (each for each in idles if each.is_feasible and each.is_confirmed)
+        idle = min((each.replay.cost for each in holding), default=np.inf)
         searches, found = plan.stats.searches, plan.stats.found
     except AigtoError as raised:
         error = str(raised)

@@ -168,6 +168,21 @@ def test_nothing_that_holds_is_an_error_that_says_what_was_tried(
     assert caught.value.plan.cost == cost
 
 
+def test_what_speaks_against_a_candidate_is_told_of_each() -> None:
+    best = bounce_plan().best
+    assert best.describe_verdict() == "contact at 0.550 s for 2.18e-04, replayed 2.18e-04"
+    broken = dataclasses.replace(best.replay, violations={"bounds": 1.0})
+    dear = dataclasses.replace(best.replay, cost=2.0)
+    defects = {**best.defects, "flight": 0.5}
+    many = dataclasses.replace(best, contacts=best.contacts * 8, defects=defects)
+    assert "0.550 s and 2 more for" in many.describe_verdict()
+    assert many.describe_verdict().endswith("largest defect 5.0e-01")
+    left = dataclasses.replace(best, replay=broken).describe_verdict()
+    assert left.endswith("; there it breaks 'bounds'")
+    frail = dataclasses.replace(best, perturbed=(best.replay, dear)).describe_verdict()
+    assert frail.endswith(", 2.00e+00 from a start 1e-3 of the scales off")
+
+
 def test_where_no_polish_succeeds_there_is_still_doing_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -53,6 +53,8 @@ HARDLY = 1e-2
 _ROUNDING = 1e-9
 # Touches closer than this part of the duration count as the same.
 _SAME_TIME = 1e-3
+# Contacts of a candidate in words, at most.
+_MOST_TOLD = 6
 
 # Time [s] and index of the world's contact.
 TimedContact = tuple[float, int]
@@ -239,9 +241,23 @@ class Candidate:
         return f"errors grow {self.growth.factor:.1e} times" if self.growth else "growth not known"
 
     def describe_contacts(self) -> str:
-        """Returns its contact sequence in words."""
-        times = ", ".join(f"{contact.time:.3f} s" for contact in self.contacts)
-        return f"contact at {times}" if times else "free flight"
+        """Returns its contact sequence in words, the first few of many."""
+        times = [f"{contact.time:.3f} s" for contact in self.contacts]
+        more = f" and {len(times) - _MOST_TOLD} more" * (len(times) > _MOST_TOLD)
+        return f"contact at {', '.join(times[:_MOST_TOLD])}{more}" if times else "free flight"
+
+    def describe_verdict(self) -> str:
+        """Returns its contacts, its costs, promised and replayed, and what speaks against it."""
+        told = [f"{self.describe_contacts()} for {self.cost:.2e}"]
+        told.append(f"replayed {self.replay.cost:.2e}")
+        if not self.is_feasible:
+            told.append(f"largest defect {self.max_defect:.1e}")
+        if self.is_confirmed_by(self.replay) and not self.is_confirmed:
+            off = max(each.cost for each in self.perturbed)
+            told.append(f"{off:.2e} from a start 1e-3 of the scales off")
+        replays = *self.own_replays, *self.perturbed
+        broken = dict.fromkeys(name for replay in replays for name in replay.broken)
+        return ", ".join(told) + f"; there it breaks {', '.join(map(repr, broken))}" * bool(broken)
 
     def holds(self, replays: Replays) -> bool:
         """Returns whether all replays of this candidate's control confirm it."""

@@ -39,6 +39,8 @@ _CHANGEABLE = (
 _WORTH_SHOWING = 1.01
 # A guess ends with the task, within this part of the duration.
 _LATE = 1e-6
+# Candidates that an error tells of, at most.
+_MOST_TOLD = 4
 
 
 def plan(
@@ -374,22 +376,17 @@ def _choose(search: Search) -> Candidate:
 
 def _nothing_holds(found: Plan, sources: str) -> PlanningError:
     """Returns the error of a search if replays contradict all candidates."""
-    tried = [
-        f"{candidate.describe_contacts()} for {candidate.cost:.2e}, "
-        f"replayed {candidate.replay.cost:.2e}"
-        for candidate in found.candidates
-    ]
+    tried = [candidate.describe_verdict() for candidate in found.candidates[:_MOST_TOLD]]
     drake = found.replay.drake
     if drake is not None and found.best.is_confirmed:
         miss = f"{drake.goal_error:.1e} {found.find_world().position_unit}"
         tried[0] += f", in Drake {drake.cost:.2e} and {miss} off the goal"
+        tried[0] += f", where it breaks {', '.join(map(repr, drake.broken))}" * bool(drake.broken)
+    more = f"; {untold} more" if (untold := len(found.candidates) - len(tried)) else ""
     active = name_active(found.find_world(), found.scenario, found.candidates)
-    broken = dict.fromkeys(name for replay in found.replay for name in replay.broken)
-    if broken:
-        tried[0] += f"; there it breaks {', '.join(map(repr, broken))}"
     error = PlanningError(
         "nothing that was planned holds in simulation",
-        got=f"{len(tried)} candidates from {sources} of AIGO ({'; '.join(tried)})",
+        got=f"{len(found.candidates)} candidates from {sources} of AIGO ({'; '.join(tried)}{more})",
         expected="simulations that come near a plan's cost and goal",
         remedy=f"{active}Allow more time, move the goal closer, or try another ladder.",
     )
