@@ -280,8 +280,8 @@ def _bound_all(
         start = time.process_time()
         bound = bound_plans(place, scenario, least)
         seconds.append(time.process_time() - start)
-        gap = bound.gap(least)
-        near += gap is not None and gap <= enough
+        # Not `PlanBound.gap`: that is of the task's scale where the bound is 0.
+        near += least - (bound.lower_bound or 0.0) <= enough * least + ROUNDING * bound.scale
         # What is above the optimum is cut to the cost that is given: ask again with a dearer plan.
         dear = bound_plans(place, scenario, 1.1 * least + 1e-3 * bound.scale)
         low = dear.lower_bound or 0.0
