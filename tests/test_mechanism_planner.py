@@ -26,6 +26,7 @@ from drake_aigto.planning import (
     MechanismSearch,
     MechanismTask,
     PlanOptions,
+    PlanStats,
     Proposal,
     Replays,
 )
@@ -43,6 +44,18 @@ def cart_pole() -> Planner:
 @pytest.fixture(scope="module")
 def plan(cart_pole: Planner) -> Plan:
     return Planner(cart_pole.scenario, PlanOptions(), cart_pole.world).plan()
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (7, "found 7 times in 60 searches"),
+        (1, "found once in 60 searches: more renewals"),
+        (0, "found in none of 60 other searches: more renewals"),
+    ],
+)
+def test_a_plan_says_how_often_it_was_found(found: int, words: str) -> None:
+    assert str(PlanStats(0, 1, {}, searches=60, found=found)).startswith(words)
 
 
 def test_the_pole_pushes_off_a_wall_to_stand_up(plan: Plan) -> None:

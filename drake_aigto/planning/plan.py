@@ -62,8 +62,10 @@ class PlanStats:
         """Returns the size of the search in words."""
         if not self.searches:
             return f"{self.aigo_steps} iterations of AIGO"
-        times = "once" if self.found == 1 else f"{self.found} times"
-        return f"found {times} in {self.searches} searches"
+        if self.found > 1:
+            return f"found {self.found} times in {self.searches} searches"
+        times = f"once in {self.searches}" if self.found else f"in none of {self.searches} other"
+        return f"found {times} searches: more renewals or another seed may find a better motion"
 
 
 class PlanningError(AigtoError, RuntimeError):
