@@ -209,7 +209,7 @@ def silent() -> Iterator[str]:
 def test_a_scheduler_that_does_not_answer_is_told_within_seconds(
     silent: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drake_aigto.jobs.jobs._PATIENCE", 1.0)
+    monkeypatch.setattr("drake_aigto.jobs.cluster._PATIENCE", 1.0)
     started = time.monotonic()
     for address, why in (
         (silent, r"nothing within 1 s\. Start one \(dask scheduler\)"),
