@@ -192,6 +192,15 @@ def test_a_path_through_the_block_goes_around_the_nearer_side(height: float, sid
     assert turns == pytest.approx([0.0, 2 * (0.47 - 0.1) / 0.8, 2 * (0.53 - 0.1) / 0.8], abs=0.02)
 
 
+@pytest.mark.parametrize(("height", "side"), [(0.9, BACK), (0.1, FRONT)])
+def test_a_path_through_the_middle_of_the_block_leans_to_another(height: float, side: int) -> None:
+    times = np.array([0.0, 0.5, 1.0])
+    through = np.array([[0.1, 0.5], [0.5, 0.5], [0.9, 0.5]])
+    other = np.array([[0.1, 0.5], [0.5, height], [0.9, 0.5]])
+    facings = find_facings(room(), times, through, leaning=other)
+    assert [facing.contact for facing in facings] == [BLOCK_LEFT, side, BLOCK_RIGHT]
+
+
 def test_a_touched_face_is_the_one_in_force() -> None:
     path = [[0.2, 0.2], [0.4, 0.5], [0.2, 0.8]]
     assert faces_along(path, Touch.bounce(0.5, BLOCK_LEFT)) == [BLOCK_LEFT]

@@ -85,6 +85,8 @@ def touches_at_once(world: World, scenario: Scenario) -> TouchSequence:
 
 # Resolution of paths for finding the faces that they pass, in parts of the duration.
 _GRID = 200
+# By which part of its distance a path leans to another one.
+_LEAN = 0.1
 # Times that differ by less than this part of the duration count as equal.
 _ROUNDING = 1e-12
 
@@ -160,13 +162,19 @@ def _check_starts(starts: Sequence[float], duration: float) -> None:
 
 
 def find_facings(
-    world: World, times: Floats, path: Floats, sequence: Sequence[Touch] = ()
+    world: World,
+    times: Floats,
+    path: Floats,
+    sequence: Sequence[Touch] = (),
+    leaning: Floats | None = None,
 ) -> tuple[Facing, ...]:
     """Returns the faces that a path goes along, with the fewest changes.
 
     A face lasts while the path is in front of it, or, if the path cuts a box, nearer to it than to
     the others. Faces change in the middle of the time for which both would do. A face that is
     touched is the one in force. The path is straight between its points (K, nq) [m], at times (K,).
+    One that cuts a box through its middle passes it on no side: it leans a little to another path
+    (K, nq), if that is given.
     """
     boxes = [faces for faces in world.solids if len(faces) > 1]
     if not boxes:
@@ -187,7 +195,12 @@ def find_facings(
             if touch.contact in faces:
                 during = (grid >= touch.start) & (grid <= touch.end)
                 fits[during] = np.array(faces) == touch.contact
-        found += [Facing(float(grid[k] - times[0]), faces[face]) for k, face in _cover(fits)]
+        cover = _cover(fits)
+        normals = world.calc_contact_jacobian(path[0])[[faces[face] for _, face in cover]]
+        is_cut = np.any(np.sum(normals[1:] * normals[:-1], axis=1) < 0)  # From face to opposite.
+        if is_cut and leaning is not None:
+            return find_facings(world, times, path + _LEAN * (leaning - path), sequence)
+        found += [Facing(float(grid[k] - times[0]), faces[face]) for k, face in cover]
     return tuple(sorted(found, key=lambda facing: facing.start))
 
 

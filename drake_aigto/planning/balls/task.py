@@ -309,14 +309,16 @@ class BallTask(ProgramTask):
 
     def _look_along(self, path: Path, sequence: TouchSequence) -> tuple[Floats, tuple[Facing, ...]]:
         """Returns the positions of touches on a path, and the sides on which it passes boxes."""
-        world, (times, positions) = self.transcription.world, path
-        through = interpolate(joint_times(sequence), times, positions)
+        world = self.transcription.world
+        through = interpolate(joint_times(sequence), *path)
         if world.num_solids == world.num_contacts:
             return through, ()
         # Box centers miss the goal, and neighbors the walls: the side on which a block is passed is
         # read off a path that does not.
         stops = straight_path(world, self.transcription.scenario, sequence, through)
-        return through, tuple(find_facings(world, *bend(path, *stops), sequence))
+        times, bent = bend(path, *stops)
+        leaning = interpolate(times, *path)
+        return through, find_facings(world, times, bent, sequence, leaning)
 
     def _solve_in_arcs(
         self, through: Floats, facings: tuple[Facing, ...], sequence: TouchSequence, most: int
