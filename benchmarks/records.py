@@ -56,12 +56,13 @@ RECORDS: Mapping[str, str] = {
     "floors": "python -m benchmarks.floors --count 200 --seed 2026 --workers 2",
     "room_with_block": f"{_WORLDS} room_with_block --count 40 --peer coasting --peer listed"
     " --workers 2",
-    "questions": "python -m benchmarks.questions table1/1 table1/2 table1/3 table1/4 corridor/lossy"
+    "questions": "python -m benchmarks.questions table1/1 table1/2 corridor/lossy"
     " corridor/six_bounces corridor/three_bounces floor/lossy floor/rebound floor/two_rebounds"
     " room/bank_shot room/two_walls two_masses/apart two_masses/handed_on acrobot/swing_up"
-    " cart_pole/soft_06 cart_pole/soft_10 pendulum/off_the_wall paddle/bat cart_pole/rigid_06"
-    " cart_pole/rigid_10 throwing_ball/bounces spinner/two_radians"
-    " --count 1 --times 2 --workers 1 --minutes 15",
+    " acrobot/beside_a_wall cart_pole/soft_06 cart_pole/soft_10 pendulum/off_the_wall paddle/bat"
+    " cart_pole/rigid_06 cart_pole/rigid_10 payload/transport three_carts/apart two_discs/swap"
+    " spinner/two_radians billiard/spin_shot room_with_block/around"
+    " --count 20 --times 4 --workers 1 --minutes 38",
     "robots": "python -m benchmarks.robots compare --count 12 --minutes 10"
     # Its record is older than guesses: the next run leaves "plan, points" out, which is gone.
     " --methods plan 'plan, points' shooting listed bounces SNOPT IPOPT --workers 2",
