@@ -1,6 +1,10 @@
-"""Lines of progress: how much of long work is done, and what to know once."""
+"""Lines of progress: how much of long work is done, and what to know once; lists cut short."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
+
+_MOST_LISTED = 6
 
 
 class Count(str):
@@ -23,3 +27,10 @@ class Count(str):
 
 class Notice(str):
     """A line of progress that stays when the next one comes."""
+
+
+def list_some(texts: Iterable[str], unit: str = "") -> str:
+    """Returns the first of some texts with their unit, and how many more there are."""
+    found = list(texts)
+    more = len(found) - _MOST_LISTED
+    return ", ".join(found[:_MOST_LISTED]) + unit * bool(found) + f" and {more} more" * (more > 0)

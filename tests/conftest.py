@@ -79,7 +79,7 @@ def plan_file(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def report(plan: Plan) -> tuple[str, list[str]]:
-    """The page of the quick plan, and what is told meanwhile."""
+    """The page of the quick plan, and the lines of progress while it was made."""
     lines: list[str] = []
     return report_plan(plan, progress=lines.append), lines
 

@@ -17,6 +17,7 @@ import scipy  # Not scipy.optimize, which takes a tenth of a second and few need
 from drake_aigto.arrays import Floats
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.riccati import FeedbackPhase
+from drake_aigto.progress import list_some
 from drake_aigto.simulation import Growth, PlannedContact, Replay, confirms, max_penetration
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import (
@@ -53,8 +54,6 @@ HARDLY = 1e-2
 _ROUNDING = 1e-9
 # Touches closer than this part of the duration count as the same.
 _SAME_TIME = 1e-3
-# Contacts of a candidate in words, at most.
-_MOST_TOLD = 6
 
 # Time [s] and index of the world's contact.
 TimedContact = tuple[float, int]
@@ -242,9 +241,8 @@ class Candidate:
 
     def describe_contacts(self) -> str:
         """Returns its contact sequence in words, the first few of many."""
-        times = [f"{contact.time:.3f} s" for contact in self.contacts]
-        more = f" and {len(times) - _MOST_TOLD} more" * (len(times) > _MOST_TOLD)
-        return f"contact at {', '.join(times[:_MOST_TOLD])}{more}" if times else "free flight"
+        times = list_some(f"{contact.time:.3f} s" for contact in self.contacts)
+        return f"contact at {times}" if times else "free flight"
 
     def describe_verdict(self) -> str:
         """Returns its contacts, its costs, promised and replayed, and what speaks against it."""

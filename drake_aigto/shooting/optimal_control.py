@@ -243,8 +243,7 @@ class OptimalControlProblem:
 
         Heavy goals make `cost_scale` large, which says little of motions that reach them.
         """
-        effort = float(np.ptp(self.times) * self.cost.R @ self.control_scales**2)
-        return min(effort, self.cost_scale) or self.cost_scale
+        return float(np.ptp(self.times) * self.cost.R @ self.control_scales**2) or self.cost_scale
 
     @cached_property
     def control_scales(self) -> Floats:

@@ -13,6 +13,7 @@ import numpy as np
 from drake_aigto.arrays import interpolate
 from drake_aigto.contact import contact_delay, contact_delays
 from drake_aigto.planning import Candidate, Plan, PlanOptions, Veto, calc_divergence
+from drake_aigto.progress import list_some
 from drake_aigto.show.text import (
     WIDTH,
     contact_names,
@@ -25,7 +26,6 @@ from drake_aigto.show.text import (
     length_text,
     letter,
     list_fact,
-    list_some,
     miss_text,
     miss_texts,
     name_simulator,

@@ -17,6 +17,7 @@ from drake_aigto.control import ClosedLoopRun
 from drake_aigto.errors import OptionsError
 from drake_aigto.plain import to_plain
 from drake_aigto.planning import BALL_LADDER, Candidate, Plan, SearchOptions
+from drake_aigto.progress import list_some
 from drake_aigto.show.box_playback import play_boxes, run_boxes
 from drake_aigto.show.facts import answer_facts, candidate_texts, count_candidates
 from drake_aigto.show.film import open_meshcat
@@ -36,7 +37,6 @@ from drake_aigto.show.text import (
     cost_text,
     energy_text,
     length_text,
-    list_some,
     miss_text,
     plan_name,
     question_facts,

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drake_aigto.progress import list_some
 from drake_aigto.show.facts import Fact, format_facts
 from drake_aigto.show.text import (
     cost_text,
     goal_items,
     join_items,
     length_text,
-    list_some,
     name_touch,
     touch_names,
     weight_text,

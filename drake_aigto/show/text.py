@@ -15,6 +15,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.contact import RigidLaw, contact_law
 from drake_aigto.errors import ScenarioError
 from drake_aigto.planning import Candidate
+from drake_aigto.progress import list_some
 from drake_aigto.simulation import Arrival, PlannedContact, Replay
 from drake_aigto.world import Scenario, World, scenario_names
 
@@ -22,7 +23,7 @@ WIDTH = 100
 # Below it, in the task's scale, a cost is 0 but for rounding; no percentage of it says anything.
 NO_COST = 1e-9
 _SAME_COST = 1e-4  # Costs that differ by this part or less are called the same.
-_MOST_TOUCHES, _MOST_CONTACTS = 6, 12
+_MOST_CONTACTS = 12
 _MOST_CHANGED = 3  # fields in which a question differs from a shipped one
 _AGAINST, _WITH = " against ", " with "
 # Between these, numbers are written without an exponent; what angles are multiples of, in π.
@@ -218,13 +219,6 @@ def name_simulator(replay: Replay, names: Sequence[str]) -> str:
 def join_items(items: Iterable[str]) -> str:
     """Returns items as one text, with no-break spaces where lines are not to break."""
     return ", ".join(item.replace(" ", "\u00a0") for item in items)
-
-
-def list_some(texts: Iterable[str], unit: str = "") -> str:
-    """Returns the first of some texts with their unit, and how many more there are."""
-    found = list(texts)
-    more = len(found) - _MOST_TOUCHES
-    return ", ".join(found[:_MOST_TOUCHES]) + unit * bool(found) + f" and {more} more" * (more > 0)
 
 
 def law_items(scenario: Scenario, world: World) -> list[str]:

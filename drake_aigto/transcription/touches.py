@@ -196,10 +196,10 @@ def find_facings(
                 during = (grid >= touch.start) & (grid <= touch.end)
                 fits[during] = np.array(faces) == touch.contact
         cover = _cover(fits)
-        normals = world.calc_contact_jacobian(path[0])[[faces[face] for _, face in cover]]
-        is_cut = np.any(np.sum(normals[1:] * normals[:-1], axis=1) < 0)  # From face to opposite.
-        if is_cut and leaning is not None:
-            return find_facings(world, times, path + _LEAN * (leaning - path), sequence)
+        if leaning is not None:
+            normals = world.calc_contact_jacobian(path[0])[[faces[face] for _, face in cover]]
+            if np.any(np.sum(normals[1:] * normals[:-1], axis=1) < 0):  # From face to opposite.
+                return find_facings(world, times, path + _LEAN * (leaning - path), sequence)
         found += [Facing(float(grid[k] - times[0]), faces[face]) for k, face in cover]
     return tuple(sorted(found, key=lambda facing: facing.start))
 

@@ -193,24 +193,25 @@ def _fix(root: Element, joint: Element, name: str) -> None:
 def _prune_shapes(root: Element, path: Path, packages: PackageMap, facts: ModelFacts) -> bool:
     """Removes shapes that touch nothing, and pictures that can't be read."""
     is_changed = False
-    for link in root.iter("link"):
-        for shape in [*link.findall("collision"), *link.findall("visual")]:
-            of_link = link.get("name", "")
-            name = shape.get("name", of_link)
-            mesh = _find_mesh(shape, path, packages)
-            is_read = mesh is None or (mesh.suffix.lower() in MESHES and mesh.is_file())
-            is_kept = shape.tag == "visual" or facts.keeps(name, of_link, f"{of_link}::{name}")
-            if is_kept and not is_read and shape.tag == "collision" and mesh is not None:
-                facts.unread.append(f"{name} ({mesh.name})")
-            elif not (is_kept and is_read):
+    tags = "collision", "visual"
+    pairs = [(link, shape) for link in root.iter("link") for t in tags for shape in link.findall(t)]
+    for link, shape in pairs:
+        of_link = link.get("name", "")
+        name = shape.get("name", of_link)
+        mesh = _find_mesh(shape, path, packages)
+        is_read = mesh is None or (mesh.suffix.lower() in MESHES and mesh.is_file())
+        is_kept = shape.tag == "visual" or facts.keeps(name, of_link, f"{of_link}::{name}")
+        if is_kept and not is_read and shape.tag == "collision" and mesh is not None:
+            facts.unread.append(f"{name} ({mesh.name})")
+        elif not (is_kept and is_read):
+            link.remove(shape)
+            is_changed = True
+        elif mesh is not None and facts.stub is not None:
+            if shape.tag == "visual":
                 link.remove(shape)
-                is_changed = True
-            elif mesh is not None and facts.stub is not None:
-                if shape.tag == "visual":
-                    link.remove(shape)
-                else:
-                    _set_file(shape, facts.stub)
-                is_changed = facts.is_bare = True
+            else:
+                _set_file(shape, facts.stub)
+            is_changed = facts.is_bare = True
     return is_changed
 
 

@@ -256,17 +256,12 @@ class BallSearch(BranchingSearch):
         Plans may also pass a block that it bounces off. Without boxes, they may be free flights.
         """
         coast, world = self.task.coast, self.task.transcription.world
-        has_blocks = world.num_solids != world.num_contacts
         bounces = zip(coast.bounce_times, coast.bounce_contacts, strict=True)
         all_of_it = tuple(starmap(Touch.bounce, bounces))
         solids = Counter(contact.solid for contact in world.contacts)
         of_walls = (t for t in all_of_it if solids[world.contacts[t.contact].solid] == 1)
         for sequence in (all_of_it, tuple(of_walls), *([] if self.task.ladder else [()])):
-            # Refused along a path through a block, it may be possible along this one.
-            is_new = sequence not in self.by_sequence and (
-                has_blocks or not self.is_known(sequence)
-            )
-            if self.task.fits(sequence) and is_new:
+            if self.task.fits(sequence) and not self.is_known(sequence):
                 path = coast.times, coast.positions
                 yield [propose(Origin(COASTING), Shown(self._line, sequence, path))]
 
