@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from multiprocessing import active_children
 from pathlib import Path
 
+import dask
 import pytest
 from distributed import LocalCluster
 from distributed.versions import get_package_info
@@ -135,8 +136,12 @@ PLANS = ScenarioQuestion(count=8, seed=1, num_steps=20, methods=("aigto",))
 
 @contextmanager
 def scheduler(workers: int = 1, threads: int = 1) -> Iterator[LocalCluster]:
-    """Yields a scheduler whose workers are threads of this process: they begin in no time."""
-    with LocalCluster(
+    """Yields a scheduler whose workers are threads of this process: they begin in no time.
+
+    Dask's profiler is off: it walks the frames of running threads, which may crash Python 3.11.
+    """
+    profiler = dask.config.set({"distributed.worker.profile.enabled": False})
+    with profiler, LocalCluster(
         n_workers=workers,
         threads_per_worker=threads,
         processes=False,
