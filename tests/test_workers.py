@@ -141,13 +141,16 @@ def scheduler(workers: int = 1, threads: int = 1) -> Iterator[LocalCluster]:
     Dask's profiler is off: it walks the frames of running threads, which may crash Python 3.11.
     """
     profiler = dask.config.set({"distributed.worker.profile.enabled": False})
-    with profiler, LocalCluster(
-        n_workers=workers,
-        threads_per_worker=threads,
-        processes=False,
-        protocol="tcp://",
-        dashboard_address=":0",
-    ) as local:
+    with (
+        profiler,
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=threads,
+            processes=False,
+            protocol="tcp://",
+            dashboard_address=":0",
+        ) as local,
+    ):
         yield local
 
 
