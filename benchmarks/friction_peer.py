@@ -1,7 +1,8 @@
 """The gradient peer where walls are compliant and have friction: CasADi and IPOPT from many starts.
 
-Knots, accelerations, velocities and costs are those of `robots.ipopt`, second order throughout, of
-any world: its equations are written in CasADi's symbols. What is relaxed is contact,
+Knots k = 0, …, N at k Δt and one beyond; accelerations (q_{k+1} − 2 q_k + q_{k−1})/Δt², velocities
+(q_{k+1} − q_{k−1})/2Δt and the equations of any world, in CasADi's symbols, at knots, with q_{−1} =
+q_1 − 2 Δt q̇_0; costs by the trapezoid rule: second order throughout. What is relaxed is contact,
 
     max(0, y) as (y + √(y² + ε²))/2    of depths and of 1 − d φ̇,    friction σ(s / w) with w ≥ v_s
 
@@ -35,8 +36,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from benchmarks.local_peers import casadi
-from benchmarks.robots.ipopt import COLD, FARTHEST, IPOPT_STEPS, WARM, prepare
+from benchmarks.local_peers import COLD, WARM, casadi, prepare
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw, RigidLaw, contact_law
 from drake_aigto.dynamics import SumMap
@@ -53,6 +53,8 @@ _LADDERS = (
 )
 Ladder: TypeAlias = tuple[tuple[float, float], ...]
 _MOST_FORCE = 1e3  # [N], [N m]: a bound that none comes near
+_FARTHEST = 40.0  # [m], [rad]: likewise
+_LEAST_STEPS = 120  # With 60, costs of replays are off by more than 1 % in every third optimum.
 
 
 def write_sums(sums: SumMap, x: Any) -> Any:
@@ -101,7 +103,7 @@ class FrictionProgram:
         if not isinstance(law, CompliantLaw) or is_other or world.dry_friction is not None:
             raise ValueError(f"{scenario.model} asks for more than compliant walls with friction")
         self._world, self._scenario, self._law, self._task = world, scenario, law, task
-        self.num_steps = scenario.num_steps * -(-IPOPT_STEPS // scenario.num_steps)
+        self.num_steps = scenario.num_steps * -(-_LEAST_STEPS // scenario.num_steps)
 
     def prepare(self) -> None:
         """Makes IPOPT for it, before time counts."""
@@ -197,7 +199,7 @@ class FrictionProgram:
         lower, upper = (
             np.concatenate(
                 [
-                    np.tile(np.clip(positions, -FARTHEST, FARTHEST), self.num_steps + 2),
+                    np.tile(np.clip(positions, -_FARTHEST, _FARTHEST), self.num_steps + 2),
                     np.tile(np.clip(forces, -_MOST_FORCE, _MOST_FORCE), self.num_steps + 1),
                 ]
             )

@@ -22,6 +22,29 @@ except ModuleNotFoundError:
 
 Solver = Callable[[Floats], Floats]  # of a start
 
+_OPTIONS: dict[str, Any] = {
+    "print_time": False,
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "ipopt.max_iter": 300,
+    "ipopt.tol": 1e-6,
+}
+# IPOPT's options where a program is solved first, and again with its relaxation tightened.
+COLD = {**_OPTIONS, "ipopt.mu_strategy": "adaptive"}
+WARM = {
+    **_OPTIONS,
+    "ipopt.warm_start_init_point": "yes",
+    "ipopt.warm_start_bound_push": 1e-6,
+    "ipopt.warm_start_mult_bound_push": 1e-6,
+    "ipopt.mu_init": 1e-4,
+}
+
+
+def prepare() -> None:
+    """Has CasADi take NumPy's sin and cos of its symbols, which new versions ask for."""
+    if hasattr(casadi.GlobalOptions, "setNumpyMode"):
+        casadi.GlobalOptions.setNumpyMode(1)
+
 
 def sum_blocks(blocks: Iterable[TermBlock], calc_factor: Callable[[Factor, int], Any]) -> list[Any]:
     """Returns each copy's sum of terms, in CasADi's symbols.

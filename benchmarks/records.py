@@ -2,7 +2,7 @@
 
     python -m benchmarks.records run                  # all of them, into docs/results
     python -m benchmarks.records run corridor room    # only these
-    python -m benchmarks.records run friction --parts build/parts   # in parts: Ctrl-C, then again
+    python -m benchmarks.records run questions --parts build/parts   # in parts: Ctrl-C, then again
     python -m benchmarks.records quote                # put their figures into README and docs
 
 A page quotes a figure of `FIGURES` between marks that readers do not see:
@@ -63,24 +63,7 @@ RECORDS: Mapping[str, str] = {
     " cart_pole/rigid_06 cart_pole/rigid_10 payload/transport three_carts/apart two_discs/swap"
     " spinner/two_radians billiard/spin_shot room_with_block/around"
     " --count 20 --times 4 --workers 1 --minutes 38",
-    "robots": "python -m benchmarks.robots compare --count 12 --minutes 10"
-    # Its record is older than guesses: the next run leaves "plan, points" out, which is gone.
-    " --methods plan 'plan, points' shooting listed bounces SNOPT IPOPT --workers 2",
-    "friction": "python -m benchmarks.friction --shots 100 --workers 1 --minutes 60",
     "friction_worlds": "python -m benchmarks.friction_worlds --workers 1",
-    "robots_pendulum": "python -m benchmarks.robots compare pendulum/off_the_wall"
-    " --methods plan bounces --seconds 1.5 --workers 2",
-    "robots_rigid": "python -m benchmarks.robots compare cart_pole/rigid_06/e=1"
-    " cart_pole/rigid_06/e=0.5 cart_pole/rigid_10/e=1 cart_pole/rigid_10/e=0.5 paddle/bat"
-    " acrobot/swing_up acrobot/beside_a_wall --count 40 --methods plan listed IPOPT"
-    " --minutes 17 --workers 2 --json docs/results/robots_rigid.json",
-    "robots_forty": "python -m benchmarks.robots compare paddle/bat acrobot/swing_up --count 40"
-    " --methods plan listed IPOPT --workers 1",
-    "robots_contacts": "python -m benchmarks.robots compare acrobot/beside_a_wall two_discs/swap"
-    " three_carts/apart --count 40 --methods plan listed IPOPT --seconds 10 --minutes 40"
-    " --workers 1",
-    "robots_soft": "python -m benchmarks.robots compare cart_pole/soft_06 cart_pole/soft_10"
-    " --methods plan --workers 1",
     "table1": "python -m benchmarks.table1_figures",
     "planner_speed": f"python -m benchmarks.planner_speed {_SPEED}",
     "newton_speed": f"python -m benchmarks.newton_speed {_SPEED}",
@@ -157,14 +140,6 @@ def _world(name: str, *peers: str) -> dict[str, Figure]:
     return {f"{name}_{what}": Figure(name, pattern) for what, pattern in patterns.items()}
 
 
-def _soft(wall: str) -> dict[str, Figure]:
-    head = rf"(?s)^cart_pole/soft_{wall}: (?:\d+) questions\n[^\n]*\nplan +"
-    return {
-        f"soft_{wall}_near": Figure("robots_soft", rf"{head}{_NUMBER} %"),
-        f"soft_{wall}_seconds": Figure("robots_soft", rf"{head}(?:[\d.]+ % +){{3}}{_NUMBER}"),
-    }
-
-
 def _planner_speed(name: str, method: str) -> dict[str, Figure]:
     line = rf"^  {re.escape(method)} +"
     return {
@@ -210,24 +185,7 @@ FIGURES: Mapping[str, Figure] = {
     "floors_median": Figure("floors", rf"median {_NUMBER}, at most"),
     "floors_most": Figure("floors", rf"at most {_NUMBER}$"),
     "questions_table": Figure("questions", r"(?s)\A(.*\S)"),
-    "robots_tables": Figure("robots", r"(?s)\A(.*\S)"),
-    "robots_rigid_tables": Figure("robots_rigid", r"(?s)\A(.*\S)"),
-    "robots_forty_tables": Figure("robots_forty", r"(?s)\A(.*\S)"),
-    "robots_contacts_tables": Figure("robots_contacts", r"(?s)\A(.*\S)"),
-    "friction_forms": Figure("friction", r"(?s)\A((?:[^\n]* off by \S+\n)*[^\n]* off by \S+)"),
-    "friction_shots": Figure("friction", r"(?m)^with friction: .* of (\d+),"),
-    "friction_near": Figure("friction", r"(?m)^with friction: within 1 % of the list (\d+) of"),
-    "friction_better": Figure("friction", r"(?m)^with friction: .*by more than 1 % (\d+);"),
-    "friction_worst": Figure("friction", r"(?m)^with friction: .*worst (-?[\d.]+) %"),
-    "smooth_shots": Figure("friction", r"(?m)^without friction: .* of (\d+),"),
-    "smooth_near": Figure("friction", r"(?m)^without friction: within 1 % of the list (\d+) of"),
-    "friction_pays": Figure("friction", r"more than 1 % in (\d+) of \d+$"),
-    "friction_drake": Figure("friction", r"Drake's cost within 1 % of the plan's: (\d+) of"),
-    "friction_seconds": Figure("friction", r"CPU seconds a plan, median: ([\d.]+)"),
-    "robots_pendulum_tables": Figure("robots_pendulum", r"(?s)\A(.*\S)"),
-    "robots_soft_tables": Figure("robots_soft", r"(?s)\A(.*\S)"),
-    **_soft("06"),
-    **_soft("10"),
+    "questions_off": Figure("questions", rf"plans more than 1 % above the best known: {_NUMBER},"),
     **_planner_speed("plan", "plan"),
     **_planner_speed("boxless", "plan without boxes"),
     "boxless_ratio": Figure(
@@ -330,7 +288,7 @@ def run(name: str, parts: Path | None = None) -> int:
 
 def _flags_of_parts(arguments: Sequence[str], kept: Path) -> list[str]:
     """Returns what has a command keep its results in a file, and go on from them."""
-    if arguments[1] in ("benchmarks", "benchmarks.robots") and arguments[2] != "page":
+    if arguments[1] == "benchmarks" and arguments[2] != "page":
         return ["--json", str(kept), "--resume"]
     return ["--keep", str(kept)] if "--workers" in arguments else []
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import TypeAlias
 
 import numpy as np
@@ -18,11 +18,10 @@ import numpy as np
 from benchmarks.baselines import run_baseline
 from benchmarks.local_peers import casadi
 from benchmarks.robots.judge import Control
-from benchmarks.robots.shooting import list_phases, shoot
 from benchmarks.shooting_ipopt import ShootingProgram
 from drake_aigto import AigtoError, PlanOptions, Scenario, World
 from drake_aigto.planning import make_mechanism_task, needs_shooting
-from drake_aigto.shooting import ShootingProblem
+from drake_aigto.shooting import Phases, ShootingOptions, ShootingProblem, ShootingResult, Smoothing
 from drake_aigto.simulation import replay_event_driven
 
 _Found: TypeAlias = Iterator[tuple[float, Control]]
@@ -35,6 +34,19 @@ _MOST_TOUCHES = 2
 _KNOTS, _SAMPLES, _ELITE, _KEPT, _GENERATIONS = 8, 60, 10, 0.3, 20
 # Of bounds that a sample leaves by their scale, in the task's.
 _PRICE = 10.0
+# They soon tell whether a start is any good.
+_COARSE = ShootingOptions(
+    rungs=tuple(Smoothing(smoothing, 15, 1e-2) for smoothing in (0.1, 0.01, 0.001)),
+    order=2,
+    multiplier_updates=0,
+)
+# What was closed roughly is made exact where it is so near the best: most isn't.
+_NEARLY_BEST = 1.03
+_EXACT = ShootingOptions(rungs=ShootingOptions().rungs[-1:], substeps=2)
+# How far bounds may be missed, in parts of the scales, and touches that are listed.
+_NEARLY, _HARDLY = 1e-2, 1e-3
+# Of J and of the final state, for the steps of an exact motion; and how many steps at most.
+_TOLERANCE, _MOST_SUBSTEPS = 1e-4, 32
 
 
 def ask_rivals(world: World, scenario: Scenario, seconds: float, best: float) -> float:
@@ -138,3 +150,45 @@ def _roll_out(problem: ShootingProblem, control: Control) -> float:
     motion = problem.simulate(control.values, substeps=4)
     cost = motion.exact_cost + _PRICE * problem.cost_scale * motion.violation
     return cost if np.isfinite(cost) else np.inf
+
+
+def shoot(
+    problems: Iterable[ShootingProblem], guesses: Iterable[np.ndarray]
+) -> Iterator[tuple[float, Control]]:
+    """Yields J and the control that shooting makes of others (N, nu); infinite if not promising.
+
+    Closed roughly first, as the planner closes its guesses.
+    """
+    best = np.inf
+    for problem, guess in zip(problems, guesses, strict=False):
+        found = problem.solve(guess, None, _COARSE)
+        is_rough = found.violation > _NEARLY or found.exact_cost > _NEARLY_BEST * best
+        if problem.phases is not None or not is_rough:
+            found = _finish(problem, found)
+            is_rough = found.violation > (_NEARLY if problem.phases is None else _HARDLY)
+        if not is_rough:
+            best = min(best, found.exact_cost)
+        yield np.inf if is_rough else found.exact_cost, Control(found.times, found.controls)
+
+
+def _finish(problem: ShootingProblem, found: ShootingResult) -> ShootingResult:
+    """Returns the local optimum near a rough one, with as many substeps as its accuracy takes."""
+    found = problem.starting_from(found).solve(found.controls, found.states, _EXACT)
+    while found.substeps < _MOST_SUBSTEPS and problem.estimate_error(found) > _TOLERANCE:
+        finer = dataclasses.replace(_EXACT, substeps=2 * found.substeps)
+        found = problem.starting_from(found).solve(found.controls, None, finer, found.prices)
+    return found
+
+
+def list_phases(scenario: Scenario, walls: int, most: int, rng: np.random.Generator) -> Phases:
+    """Returns a sequence of at most `most` touches, drawn evenly, at random times."""
+    N, T = scenario.num_steps, scenario.duration
+    listed = [
+        sequence
+        for touches in range(most + 1)
+        for sequence in itertools.product(range(walls), repeat=touches)
+    ]
+    sequence = listed[rng.integers(len(listed))]
+    shares = rng.dirichlet(np.full(len(sequence) + 1, 2.0))
+    knots = np.linspace(0, N, len(sequence) + 2).astype(int)[1:-1]
+    return Phases(np.array(sequence), knots, T * (0.9 * shares + 0.1 / len(shares)), (T, T))

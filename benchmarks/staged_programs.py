@@ -22,9 +22,8 @@ import numpy as np
 from pydrake.solvers import SnoptSolver
 
 from benchmarks.collections.staged_programs import StagedProblem, staged_problems
-from benchmarks.local_peers import casadi, sum_blocks
+from benchmarks.local_peers import COLD, WARM, casadi, prepare, sum_blocks
 from benchmarks.peers import time_solve
-from benchmarks.robots.ipopt import COLD, WARM, prepare
 from benchmarks.script import machine, read_flags, run_all, run_as
 from drake_aigto.arrays import Floats
 from drake_aigto.solver import AigoOptions, AigoProgram, AigoSolver, StagedProgram, read_program

@@ -1,1 +1,1 @@
-"""How good are plans for robots? Peers on the same questions, and judges apart from the planner."""
+"""Judge of controls for shipped robots: it shares only the scenario with the planner."""

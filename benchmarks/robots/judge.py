@@ -16,8 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.robots.mechanics import Tables, make_tables, write_tables
-from benchmarks.robots.worlds import Question, Setting, Weights, setting_of
+from benchmarks.robots.setting import Setting, Weights, setting_of
 from drake_aigto.kernels import inner, kernel
+from drake_aigto.world import Scenario
 
 # How far out of a range, or off a hard goal, what counts as a solution may be: 1 % of the range, as
 # costs count as the same within 1 %.
@@ -87,17 +88,9 @@ class Law(NamedTuple):
     weights: Weights
 
 
-def judge(question: Question, control: Control) -> Judgment:
+def judge(scenario: Scenario, control: Control) -> Judgment:
     """Returns what becomes of a control, which is clipped to its bounds and to the duration."""
-    setting = setting_of(question)
-    motion = roll_out(question, control, _SOFT_STEP if setting.stiffness else _STEP)
-    cost = motion.cost if np.isfinite(motion.cost) else np.inf
-    return Judgment(cost, motion.find_excess(setting), motion.touches)
-
-
-def roll_out(question: Question, control: Control, longest: float) -> Motion:
-    """Returns the motion of a control in steps of this length at most [s]."""
-    setting = setting_of(question)
+    setting = setting_of(scenario)
     mechanism, values = setting.mechanism, np.asarray(control.values, dtype=float)
     values = np.clip(values, -mechanism.force, mechanism.force)
     norms = np.linalg.norm(values, axis=1, keepdims=True)
@@ -107,7 +100,11 @@ def roll_out(question: Question, control: Control, longest: float) -> Motion:
     )
     times = np.minimum(control.times, setting.duration)
     times[-1] = setting.duration
-    return Motion(*simulate(law, make_tables(mechanism), setting.start, times, values, longest))
+    longest = _SOFT_STEP if setting.stiffness else _STEP
+    tables = make_tables(mechanism)
+    motion = Motion(*simulate(law, tables, setting.start, times, values, longest))
+    cost = motion.cost if np.isfinite(motion.cost) else np.inf
+    return Judgment(cost, motion.find_excess(setting), motion.touches)
 
 
 @inner

@@ -2,8 +2,7 @@
 
     M(q) v̇ = f(q, v, u) + J(q)ᵀ λ,    φ(q) ≥ 0 in front of each wall,    φ̈ = J v̇ + c(q, v)
 
-Each mechanism writes M, f, φ, J and c into tables that are zero. Their entries may be numbers or
-symbols of CasADi: a peer takes the same equations.
+Each mechanism writes M, f, φ, J and c into tables that are zero.
 """
 
 from __future__ import annotations
@@ -188,10 +187,3 @@ def make_tables(mechanism: Mechanism) -> Tables:
     """Returns room for tables: of one wall at least, which is far where there is none."""
     n, m = mechanism.coordinates, max(1, mechanism.walls)
     return Tables(np.zeros((n, n)), np.zeros(n), np.ones(m), np.zeros((m, n)), np.zeros(m))
-
-
-def find_gaps(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """Returns φ (m,) of a position."""
-    out, rest = make_tables(mechanism), np.zeros(mechanism.coordinates)
-    mechanism.write.py_func(q, rest, np.zeros(mechanism.controls), mechanism.wall, out)
-    return out.gap[: mechanism.walls]
