@@ -12,7 +12,6 @@ from replay_worlds import shipped_world
 from scenario_studies import Inline, made_up_study
 
 from benchmarks.__main__ import main
-from benchmarks.ablations import ablations
 from benchmarks.ablations.ablations import (
     VARIANTS,
     AblationQuestion,
@@ -51,11 +50,9 @@ def test_a_variant_changes_one_thing(name: str) -> None:
     variant = VARIANTS[name]
     base = Variant("", BARE) if name.startswith("bare,") else Variant("")
     # What is not a change of its own, but what makes another change fair.
-    beside = {
-        "bare": {"branches"},
-        "bare, forces, light rows": {"ladder"},
-        "no polish, continued": {"pull"},
-    }.get(name, {"pull"} if name.endswith("no boxes, continued") else set())
+    beside = {"bare": {"branches"}, "no polish, continued": {"pull"}}.get(
+        name, {"pull"} if name.endswith("no boxes, continued") else set()
+    )
     changed = differences(variant, base)
     assert beside <= changed
     assert len(changed - beside) == (name != "default")
@@ -82,9 +79,8 @@ def test_the_bounce_is_found_by_boxes_by_simulation_and_by_listing(name: str) ->
     assert found.seconds > 0
 
 
-@pytest.mark.parametrize("name", ["bare, no boxes", "bare, forces"])
-def test_the_bounce_is_lost_without_boxes_and_with_forces(name: str) -> None:
-    is_found, found = run(name)
+def test_the_bounce_is_lost_without_boxes() -> None:
+    is_found, found = run("bare, no boxes")
     assert not is_found
     assert found.boxes == (0, 0, 0)
     assert found.cost > rigid_optimum(shipped_world(), BOUNCE).cost
@@ -95,19 +91,6 @@ def test_boxes_that_are_not_polished_have_the_contact_but_not_the_cost() -> None
     assert 1 in found.boxes
     assert not is_found
     assert found.boxes == run("default")[1].boxes
-
-
-def test_time_steps_are_those_of_the_variant(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[int] = []
-
-    def plan(world: object, scenario: Scenario, variant: Variant) -> tuple[float, tuple[int]]:
-        seen.append(scenario.num_steps)
-        return 1.0, (0,)
-
-    monkeypatch.setattr(ablations, "_WAYS", {"plan": plan})
-    for name in ("25 time steps", "default", "400 time steps"):
-        run_variant(shipped_world(), Job(0, BOUNCE, name))
-    assert seen == [25, BOUNCE.num_steps, 400]
 
 
 def make_study() -> ScenarioStudy:

@@ -1,7 +1,4 @@
-"""Decision variables of all transcriptions: nothing gets lost or mixed up between forms.
-
-Impulses as decision variables: the same motions, the closed form of Fig. 1, the collapse.
-"""
+"""Decision variables of all transcriptions: nothing gets lost or mixed up between forms."""
 
 from __future__ import annotations
 
@@ -11,27 +8,14 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
-from box_programs import compile_program, mean_by_block
-from replay_worlds import make_diagram, make_scenario, make_task, shipped, shipped_world
+from replay_worlds import make_diagram, make_scenario, shipped_world
 from rigid_worlds import indices
 
-from benchmarks.ablations.ablations import Variant, VariantProblem
 from drake_aigto import Scenario, World
-from drake_aigto.aigo import Annealing
-from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
-from drake_aigto.paper import (
-    LiteralOptions,
-    LiteralSearch,
-    LiteralTask,
-    LiteralTranscription,
-    LiteralWithForces,
-    RigidWithForces,
-    rigid_optimum,
-)
-from drake_aigto.planning import BALL_LADDER, BallSearch, BallTask, PlanOptions, Rung, run_search
+from drake_aigto.paper import LiteralTranscription
+from drake_aigto.planning import BallTask, PlanOptions, Rung
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import RigidTranscription, Transcription
 
@@ -145,156 +129,19 @@ def test_the_first_box_holds_the_start_the_straight_way_and_bounds(
         assert np.max(np.abs(low[q].reshape(11, nq)[1:, -1])) < 1e-15
 
 
-Array = npt.NDArray[np.float64]
-
-# The optimum bounces, and boxes of the hot rung find it without forces as variables.
 BOUNCE = dataclasses.replace(Scenario.named("table1/3"), time_step=0.02)
-HOT = BALL_LADDER[0]
 
 
-def test_each_wall_of_a_corridor_has_impulses_of_its_own() -> None:
-    world, scenario = shipped("corridor"), make_task("corridor", 0.5, -2.0, time_step=0.1)
-    transcription = RigidWithForces(world, scenario)
-    assert transcription.impulses(transcription.initial_box()[0]).shape == (
-        scenario.num_steps + 1,
-        2,
-    )
-
-
-def contact_mean(f: BoxPolynomial, center: Array, half_width: Array) -> float:
-    return mean_by_block(f, center, half_width)["contact"]
-
-
-def test_the_mean_of_the_contact_row_is_that_of_fig_1_and_least_at_zero() -> None:
-    # Two steps and no relaxation: the only products are φ_1 p_1, and p_0 for the start.
-    scenario = make_scenario(1.0, -2.0, time_step=0.5)
-    transcription = RigidWithForces(shipped_world(), scenario, relaxation=0.0)
-    f = compile_program(transcription.penalized(), transcription.elimination_order())
-    center, half_width = np.zeros((2, f.num_variables))
-    q1 = transcription.prog().FindDecisionVariableIndex(transcription.state(1)[0])
-    p1 = transcription.impulse_indices()[1]
-    L, w_q, w_p = transcription.length_scale(), 0.7, 1.3
-    half_width[[q1, p1]] = w_q, w_p
-    means = {}
-    for phi in (-0.5, 0.0, 0.2, 0.9):
-        for p in (-1.0, 0.0, 0.4, 2.0):
-            center[[q1, p1]] = phi, p
-            means[phi, p] = contact_mean(f, center, half_width)
-            closed = (phi**2 + w_q**2 / 3) * (p**2 + w_p**2 / 3)
-            unit = scenario.num_steps * (scenario.duration / L**2) ** 2  # mass 1 kg
-            assert means[phi, p] == pytest.approx(closed * unit, rel=1e-12)
-    assert min(means, key=lambda at: means[at]) == (0.0, 0.0)
-
-
-def test_impulses_stand_by_their_knot_so_that_newton_systems_stay_banded() -> None:
-    for steps in (10, 40):
-        scenario = dataclasses.replace(BOUNCE, time_step=BOUNCE.duration / steps)
-        transcription = RigidWithForces(shipped_world(), scenario)
-        order = transcription.elimination_order()
-        f = compile_program(transcription.penalized(), order)
-        np.testing.assert_array_equal(np.sort(order), np.arange(f.num_variables))
-        assert f.bandwidth <= 7
-
-
-def test_the_first_box_is_as_wide_as_asked_and_holds_no_pull() -> None:
-    world = shipped_world()
-    one, half = (RigidWithForces(world, BOUNCE, impulse_width=width) for width in (1.0, 0.5))
-    where = one.impulse_indices()
-    for transcription, share in ((one, 1.0), (half, 0.5)):
-        center, half_width = transcription.initial_box()
-        turned = 4 * transcription.length_scale() / BOUNCE.duration
-        np.testing.assert_allclose((center + half_width)[where[1:]], share * turned)
-        np.testing.assert_allclose((center - half_width)[where], 0.0, atol=1e-12)
-
-
-def read(transcription: RigidTranscription, rung: Rung) -> tuple[int, float]:
-    """Returns how many contacts the last box shows, and its largest impulse.
-
-    Annealed slowly, so that what is seen is the transcription's doing.
-    """
-    problem = BallTask(transcription)
-    start = rung.temperature * transcription.cost_scale()
-    slowly = Annealing(initial_temperature=start, final_temperature=1e-7 * start)
-    result = problem.run_aigo(rung, algorithm=slowly)
-    impulses = transcription.impulses(result.box.center)
-    return len(problem.find_sequences(result, rung)[0]), float(np.max(impulses))
-
-
-def lightened(rung: Rung, **weights: float) -> Rung:
-    return dataclasses.replace(rung, weights={**rung.weights, **weights})
-
-
-@pytest.mark.parametrize("row", [1, 4])
-def test_plans_collapse_where_those_without_forces_bounce(row: int) -> None:
-    world = shipped_world()
-    scenario = dataclasses.replace(Scenario.named(f"table1/{row}"), time_step=0.02)
-    assert len(rigid_optimum(world, scenario).bounce_times) == 1
-    contacts, largest = read(RigidTranscription(world, scenario), HOT)
-    assert contacts == 1
-    for impulse_width in (0.01, 1.0):
-        collapsed = RigidWithForces(world, scenario, impulse_width=impulse_width)
-        found, remaining = read(collapsed, HOT)
-        assert found == 0
-        assert remaining < 0.05 * largest
-
-
-def test_they_do_not_always_collapse() -> None:
-    rung = lightened(HOT, dynamics=30.0, contact=30.0, restitution=0.02)
-    assert read(RigidWithForces(shipped_world(), BOUNCE), rung)[0] == 1
-
-
-def test_a_plan_with_forces_is_polished_like_any_other() -> None:
-    variant = Variant("forces", force_variables=True)
-    search = BallSearch(VariantProblem(variant, shipped_world(), BOUNCE))
-    found = run_search(search, BOUNCE)
-    exact = rigid_optimum(shipped_world(), BOUNCE).cost
-    assert found.replay.event_driven.cost == pytest.approx(exact, rel=1e-3)
-    assert len(found.stats.box_contacts) == len(BALL_LADDER)
-    # The boxes around the coasting motion start in the bounce; those around the line lose it.
-    assert found.stats.box_contacts == (0, 0, 0, 1, 1)
-
-
-def test_literal_plans_with_forces_keep_the_penalty_of_their_row() -> None:
-    ladder = (Rung(1e-4, {"contact": 1e4, "kinematics": 1e3, "dynamics": 1e-2}),)
-    options = LiteralOptions(ladder=ladder, knot_steps=())
-    search = LiteralSearch(LiteralTask(LiteralWithForces(shipped_world(), BOUNCE), options))
-    search.run()
-    best = search.find_feasible()[0]
-    assert max(best.defects.values()) < 1e-6
-    assert {"dynamics", "kinematics"} < set(best.defects)
-
-
-@pytest.mark.parametrize("transcribe", [RigidWithForces, LiteralWithForces])
-def test_widths_that_are_none_are_refused(transcribe: Any) -> None:
-    for width in (0.0, -1.0, np.inf, np.nan):
-        with pytest.raises(OptionsError, match=r"impulse_width: got .*, expected a number above 0"):
-            transcribe(shipped_world(), BOUNCE, impulse_width=width)
-
-
-def test_weights_of_impulse_rows_need_impulses_as_variables() -> None:
+def test_weights_of_rows_that_are_not_there_are_refused() -> None:
     options = PlanOptions(ladder=(Rung(1.0, {"push": 1.0}),))
-    BallTask(RigidWithForces(shipped_world(), BOUNCE), options)
     with pytest.raises(OptionsError, match="got a weight for 'push', expected names of rows: fli"):
         BallTask(RigidTranscription(shipped_world(), BOUNCE), options)
 
 
 def test_what_users_add_is_kept_along_another_path() -> None:
-    transcription = RigidWithForces(shipped_world(), BOUNCE, impulse_width=0.3)
+    transcription = RigidTranscription(shipped_world(), BOUNCE)
     (u,) = transcription.input()
     transcription.AddRunningCost(1.0 * u**2, "again")
     other = transcription.again(BOUNCE, np.ones((BOUNCE.num_steps + 1, 1)))
-    assert other.impulse_width == 0.3
     named = {cost.evaluator().get_description() for cost in other.prog().GetAllCosts()}
     assert "again" in named
-    assert isinstance(other, RigidWithForces)
-
-
-def test_literal_forces_are_read_off_the_variables() -> None:
-    scenario = make_scenario(0.4, -1.2, time_step=0.1)
-    transcription = LiteralWithForces(shipped_world(), scenario)
-    x = np.arange(transcription.prog().num_vars(), dtype=float)
-    np.testing.assert_array_equal(
-        transcription.impulses(x)[:-1, 0], x[transcription.impulse_indices()]
-    )
-    without = LiteralTranscription(shipped_world(), scenario)
-    assert transcription.prog().num_vars() == without.prog().num_vars() + scenario.num_steps

@@ -31,7 +31,6 @@ from benchmarks.study.scenario_study import (
 from benchmarks.study.scenario_tables import failures, ratio_text
 from drake_aigto.aigo import AigoResult, Algorithm, Alternating, FullGradient
 from drake_aigto.errors import OptionsError
-from drake_aigto.paper import RigidWithForces
 from drake_aigto.planning import (
     BALL_LADDER,
     BallSearch,
@@ -43,14 +42,7 @@ from drake_aigto.planning import (
     run_search,
 )
 from drake_aigto.simulation import replay_event_driven
-from drake_aigto.transcription import (
-    CONTACT,
-    DYNAMICS,
-    RESTITUTION,
-    RigidTranscription,
-    Touch,
-    TouchSequence,
-)
+from drake_aigto.transcription import RESTITUTION, RigidTranscription, Touch, TouchSequence
 from drake_aigto.world import Scenario, World
 
 Way: TypeAlias = Literal["plan", "replay", "listed"]
@@ -66,9 +58,6 @@ class Variant:
         algorithm: that shrinks boxes in place of the planner's.
         pull: whether contact sequences are read off box centers that a penalty continuation has
             pulled towards the rows.
-        force_variables: whether contact impulses are decision variables too while boxes shrink
-            (`RigidWithForces`), which AIGTO Sec. III-B advises against.
-        num_steps: of the scenario, N; its own if None.
         way: "plan"; or "replay", the controls in the centers of AIGO's last boxes as they are, the
             best of all rungs, without any polish; or "listed", the flight and one bounce polished,
             without AIGO.
@@ -78,8 +67,6 @@ class Variant:
     options: PlanOptions = EXHAUSTIVE
     algorithm: Algorithm | None = None
     pull: bool = False
-    force_variables: bool = False
-    num_steps: int | None = None
     way: Way = "plan"
 
 
@@ -97,11 +84,6 @@ def _with(options: PlanOptions, **changes: object) -> PlanOptions:
 
 # Only boxes can find a bounce here: none starts in a simulation, no neighbour is tried.
 _BARE = _with(EXHAUSTIVE, ladder=_of("line"), branches=0)
-# Hot rungs under which forces as variables find bounces too.
-_LIGHT = _reweighed(
-    (dataclasses.replace(BALL_LADDER[0], temperature=T) for T in (30.0, 10.0, 3.0)),
-    **{DYNAMICS: 30.0, CONTACT: 30.0, RESTITUTION: 0.02},
-)
 # A local optimum of the penalized cost itself.
 _NO_BOXES = EqualWidths(first_share=0.0, final_share=0.0, max_newton_steps=200)
 # Name → algorithm, and whether its end is pulled towards the rows.
@@ -130,24 +112,12 @@ def _make_variants() -> dict[str, Variant]:
         found[f"bare, {name}"] = Variant("boxes, bare", _BARE, algorithm, pull)
     for number, rung in enumerate(BALL_LADDER, 1):
         found[f"rung {number} alone"] = Variant("ladder", _with(EXHAUSTIVE, ladder=(rung,)))
-    for steps in (25, 100, 200, 400):
-        found[f"{steps} box steps"] = Variant("steps", _with(EXHAUSTIVE, aigo_steps=steps))
-    for steps in (25, 50, 100, 400):
-        found[f"{steps} time steps"] = Variant("steps", num_steps=steps)
-    for relaxation in (1e-1, 1e-2, 1e-3, 1e-5):
-        options = _with(EXHAUSTIVE, relaxation=relaxation)
-        found[f"relaxation {relaxation:.0e}"] = Variant("rows", options)
     for name, options in {"": EXHAUSTIVE, "bare, ": _BARE}.items():
         ladder = _reweighed(options.ball_ladder, **{RESTITUTION: 0.0})
         found[f"{name}no restitution row"] = Variant("rows", _with(options, ladder=ladder))
     found |= {
         "no polish": Variant("polish", way="replay"),
         "no polish, continued": Variant("polish", pull=True, way="replay"),
-        "bare, forces": Variant("forces", _BARE, force_variables=True),
-        "bare, light rows": Variant("forces", _with(_BARE, ladder=_LIGHT)),
-        "bare, forces, light rows": Variant(
-            "forces", _with(_BARE, ladder=_LIGHT), force_variables=True
-        ),
     }
     return found
 
@@ -200,9 +170,6 @@ class AblationStudy(ScenarioStudy):
 def run_variant(world: World, job: Job) -> MethodRun:
     """Returns what the variant that a job names makes of its scenario."""
     variant, scenario = VARIANTS[job.method], job.scenario
-    if variant.num_steps is not None:
-        time_step = scenario.duration / variant.num_steps
-        scenario = dataclasses.replace(scenario, time_step=time_step)
     start = time.process_time()
     cost, boxes = _WAYS[variant.way](world, scenario, variant)
     seconds = time.process_time() - start
@@ -219,9 +186,8 @@ class VariantProblem(BallTask):
     def __init__(self, variant: Variant, world: World, scenario: Scenario) -> None:
         """Compiles."""
         self._variant = variant
-        transcribe = RigidWithForces if variant.force_variables else RigidTranscription
         coarse = coarsen(world, scenario, variant.options)
-        transcription = transcribe(world, coarse, variant.options.relaxation)
+        transcription = RigidTranscription(world, coarse, variant.options.relaxation)
         super().__init__(transcription, variant.options, scenario.num_steps)
 
     def make_algorithm(self, rung: Rung) -> Algorithm:
@@ -287,7 +253,7 @@ _WAYS: Mapping[Way, Callable[[World, Scenario, Variant], _Found]] = {
 def count_lost_bounces(results: Iterable[ScenarioResult], variant: str) -> tuple[int, int]:
     """Returns how many last boxes show no contact where the optimum has one, and of how many.
 
-    All rungs count. With forces as variables this is the collapse of AIGTO Fig. 1.
+    All rungs count.
 
     Args:
         results: of a study.

@@ -109,12 +109,6 @@ _CONCLUSION = """\
   replayed as it is, most of it costs more than the optimum by far; raised penalties help some.
 - *The restitution row tells a bounce from a crowd.* Without it, bare boxes show several contacts
   everywhere. That bounces survive this is owed to reading a crowd as one; flights do not.
-- Neither the number of box steps nor the relaxation matters much here, apart from the time; fewer
-  time steps of the plan cost what a coarser control costs.
-- *Forces as decision variables* mostly collapse to the flight, as the paper says, under the default
-  weights and under light ones, where boxes without forces show contacts nearly everywhere. It is no
-  law: annealed slowly, hot boxes under light rows find bounces with forces, too
-  (`RigidWithForces`).
 """
 
 

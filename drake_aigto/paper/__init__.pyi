@@ -1,7 +1,4 @@
 from .literal import LiteralTranscription as LiteralTranscription
-from .literal import LiteralWithForces as LiteralWithForces
-from .literal import PolynomialLaw as PolynomialLaw
-from .literal import RigidWithForces as RigidWithForces
 from .planner import LITERAL_LADDER as LITERAL_LADDER
 from .planner import AlgorithmName as AlgorithmName
 from .planner import LiteralOptions as LiteralOptions
@@ -17,8 +14,6 @@ from .rigid_optimum import bounce_costs as bounce_costs
 from .rigid_optimum import calc_efforts as calc_efforts
 from .rigid_optimum import refuse_world as refuse_world
 from .rigid_optimum import rigid_optimum as rigid_optimum
-from .single_shooting import SingleShooting as SingleShooting
-from .single_shooting import count_terms as count_terms
 from .table1 import PAPER_COSTS as PAPER_COSTS
 from .table1 import ROWS as ROWS
 from .table1 import Cell as Cell
