@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 import textwrap
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, TypeVar
 
 from benchmarks.ablations.ablations import (
     VARIANTS,
@@ -15,12 +15,24 @@ from benchmarks.ablations.ablations import (
     format_ablations,
 )
 from benchmarks.baselines import BASELINES
-from benchmarks.study.flags import add_question, add_running, read_question, run_asked
 from benchmarks.study.scenario_question import PLANNER, ScenarioQuestion
 from benchmarks.study.scenario_study import ScenarioStudy
 from benchmarks.study.scenario_tables import format_study
-from drake_aigto.cli import FINE, INTERRUPTED, Parser, add_command, add_common, run, show_progress
+from drake_aigto.cli import (
+    FINE,
+    INTERRUPTED,
+    Parser,
+    add_command,
+    add_common,
+    add_json,
+    add_workers,
+    read_workers,
+    run,
+    show_progress,
+)
 from drake_aigto.show import WIDTH
+
+_Study = TypeVar("_Study", bound=ScenarioStudy)
 
 _ALL = "all"
 _SCENARIOS = """\
@@ -45,17 +57,14 @@ python -m benchmarks page planner.json rivals.json --out results.md
 """
 
 
-def main(
-    arguments: Sequence[str] | None = None, make: Callable[[Sequence[str]], Parser] | None = None
-) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command and returns its exit status, as `drake-aigto` does.
 
     Args:
         arguments: what was typed; None takes it from `sys.argv`.
-        make: returns the parser; that of this module if None.
     """
     try:
-        return run(arguments, make or make_parser)
+        return run(arguments, make_parser)
     except KeyboardInterrupt:
         print("benchmarks: interrupted", file=sys.stderr)
         return INTERRUPTED
@@ -76,7 +85,7 @@ def _add_scenarios(commands: Any) -> None:
     text = "how often methods find the optimum of random scenarios, and how fast"
     command = add_command(commands, "scenarios", _scenarios, text, _SCENARIOS, _NOTES)
     usual = ScenarioQuestion()
-    add_question(command, usual)
+    _add_question(command, usual)
     names = ", ".join(f"'{name}'" if " " in name else name for name in BASELINES)
     text = f"{PLANNER}, the planner (default); {names}; or {_ALL}"
     command.add_argument("--methods", nargs="+", metavar="NAME", default=[PLANNER], help=text)
@@ -88,7 +97,6 @@ def _add_scenarios(commands: Any) -> None:
     command.add_argument("--seconds-per-unit", type=float, metavar="S", help=text)
     text = "also report what boxes alone say, before any polish"
     command.add_argument("--read-boxes", action="store_true", help=text)
-    add_running(command)
 
 
 def _scenarios(options: argparse.Namespace) -> int:
@@ -98,9 +106,9 @@ def _scenarios(options: argparse.Namespace) -> int:
         budgets=tuple(options.budgets),
         seconds_per_unit=options.seconds_per_unit,
         reads_boxes=options.read_boxes,
-        **read_question(options),
+        **_read_question(options),
     )
-    print(format_study(run_asked(options, ScenarioStudy(question))), flush=True)
+    print(format_study(_run_asked(options, ScenarioStudy(question))), flush=True)
     return FINE
 
 
@@ -108,16 +116,46 @@ def _add_ablations(commands: Any) -> None:
     text = "what finds the bounce: the planner with one part changed at a time"
     notes = textwrap.fill(f"Variants: {'; '.join(VARIANTS)}.", WIDTH)
     command = add_command(commands, "ablations", _ablations, text, _ABLATIONS, notes)
-    add_question(command, AblationQuestion())
+    _add_question(command, AblationQuestion())
     text, usual = "by name, see below (default: all)", list(VARIANTS)
     command.add_argument("--variants", nargs="+", metavar="NAME", default=usual, help=text)
-    add_running(command)
 
 
 def _ablations(options: argparse.Namespace) -> int:
-    question = AblationQuestion(methods=tuple(options.variants), **read_question(options))
-    print(format_ablations(run_asked(options, AblationStudy(question))), flush=True)
+    question = AblationQuestion(methods=tuple(options.variants), **_read_question(options))
+    print(format_ablations(_run_asked(options, AblationStudy(question))), flush=True)
     return FINE
+
+
+def _add_question(command: Any, usual: ScenarioQuestion) -> None:
+    """Adds which scenarios, how they are run, and where results go; `usual` has the defaults."""
+    for name, meaning in (("count", "of scenarios"), ("seed", "of all chance")):
+        default = getattr(usual, name)
+        look: dict[str, Any] = {"type": int, "metavar": name[0].upper(), "default": default}
+        command.add_argument(f"--{name}", help=f"{meaning} (default: {default})", **look)
+    text = f"time steps of a scenario (default: {usual.num_steps})"
+    command.add_argument("--steps", type=int, metavar="N", default=usual.num_steps, help=text)
+    add_workers(command)
+    add_json(command, "write the results, again and again")
+    text = "go on from the results that are there"
+    command.add_argument("--resume", action="store_true", help=text)
+
+
+def _read_question(options: argparse.Namespace) -> dict[str, Any]:
+    """Returns the fields of a question that `_add_question` has flags for."""
+    return {"count": options.count, "seed": options.seed, "num_steps": options.steps}
+
+
+def _run_asked(options: argparse.Namespace, study: _Study) -> _Study:
+    """Runs a study and shows how far it is; after Ctrl-C it says how to go on from what is kept."""
+    try:
+        with show_progress(options) as say:
+            workers = read_workers(options)
+            return study.run(options.json, resume=options.resume, executor=workers, progress=say)
+    except KeyboardInterrupt:
+        if options.json:
+            print(f"drake-aigto: --resume goes on from {options.json}", file=sys.stderr)
+        raise
 
 
 def _add_page(commands: Any) -> None:

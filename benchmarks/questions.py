@@ -1,7 +1,7 @@
 """Questions that nobody shipped: each world's scenarios with another task, drawn by seed.
 
-    python -m benchmarks.questions --tuning --count 2 --json tuning.json     # to tune on
-    python -m benchmarks.questions --json questions.json --resume            # reported, once each
+    python -m benchmarks.questions --tuning --count 2 --keep tuning     # to tune on
+    python -m benchmarks.questions --keep questions                     # reported, once each
     python -m benchmarks.questions cart_pole/soft_06 spinner/two_radians --count 20
 
 A question changes some of: start, goal (as far as beyond a turn), horizon, weight of the control,
@@ -14,28 +14,23 @@ replay of its control does. The best that any run has found of a question is kep
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import math
-import sys
 import time
 import zlib
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.__main__ import main
 from benchmarks.rivals import ask_rivals
-from benchmarks.script import is_met
-from benchmarks.study import StudyQuestion
-from benchmarks.study.flags import add_running, run_asked
-from benchmarks.study.study import Call, WorldStudy, round_to
+from benchmarks.script import is_met, read_flags, run_all, run_as
+from benchmarks.study.scenario_question import round_to
 from drake_aigto import AigtoError, Planner, PlanOptions, Scenario, World, scenario_names
-from drake_aigto.cli import Parser, add_common, positive
 from drake_aigto.errors import OptionsError
 from drake_aigto.output import write_text
 from drake_aigto.simulation import tangent_scales
@@ -148,29 +143,13 @@ def draw(name: str, number: int, is_tuning: bool) -> Scenario:
     raise OptionsError(name, got=f"no question in {_MOST_DRAWS} draws", expected="one that fits")
 
 
-@dataclass(frozen=True)
-class Asked(StudyQuestion):
-    """What is asked.
+class Job(NamedTuple):
+    """A question of a shipped scenario, and what rivals have."""
 
-    Attributes:
-        worlds: shipped scenarios; (): all.
-        count: questions of each.
-        times: how many times the plan's CPU seconds rivals have, together; 60 s at most.
-        is_tuning: those to tune on, and not those that are reported.
-    """
-
-    worlds: tuple[str, ...] = ()
-    count: int = 20
-    times: float = 10.0
-    is_tuning: bool = False
-
-    kind: ClassVar[str] = "questions"
-    command: ClassVar[str] = "python -m benchmarks.questions"
-
-    def __post_init__(self) -> None:
-        """Checks the names."""
-        for each in self.worlds:
-            Scenario.named(each)
+    world: str
+    number: int
+    is_tuning: bool
+    times: float  # the plan's CPU seconds, together; 60 s at most
 
 
 @dataclass(frozen=True)
@@ -224,9 +203,10 @@ def load_known() -> dict[str, float]:
     return json.loads(PATH.read_text(encoding="utf-8")) if PATH.exists() else {}
 
 
-def answer(name: str, number: int, is_tuning: bool, times: float, known: float) -> Row:
+def answer(job: Job) -> Row:
     """Returns what the plan and its rivals make of a question."""
-    scenario = draw(name, number, is_tuning)
+    scenario = draw(job.world, job.number, job.is_tuning)
+    known = load_known().get(_key(scenario), math.inf)
     world, cpu = World.from_scenario(scenario), time.process_time()
     options = PlanOptions(confirm=False, threads=1)
     cost = promised = idle = np.inf
@@ -241,38 +221,19 @@ def answer(name: str, number: int, is_tuning: bool, times: float, known: float) 
     except AigtoError as raised:
         error = str(raised)
     seconds = time.process_time() - cpu
-    rival = ask_rivals(world, scenario, min(times * seconds, _MOST_SECONDS), min(cost, known))
+    rival = ask_rivals(world, scenario, min(job.times * seconds, _MOST_SECONDS), min(cost, known))
     cost, promised, idle, rival = (round_to(x, _DIGITS) for x in (cost, promised, idle, rival))
     figures = cost, promised, idle, rival, known
-    return Row(name, number, *figures, is_idle, searches, found, round(seconds, 3), error)
+    return Row(job.world, job.number, *figures, is_idle, searches, found, round(seconds, 3), error)
 
 
-@dataclass(frozen=True)
-class QuestionStudy(WorldStudy[Asked, Row]):
-    """Plans and rivals on all questions."""
-
-    question_type: ClassVar[Any] = Asked
-    result_type: ClassVar[Any] = Row
-
-    def order(self) -> list[tuple[str, int]]:
-        """Returns the questions, the first of each world first."""
-        worlds = self.question.worlds or tuple(scenario_names())
-        return [(name, number) for number in range(self.question.count) for name in worlds]
-
-    def calls(self, key: tuple[str, int], result: Row | None) -> Iterator[Call]:
-        """Yields the job of a question that is not answered."""
-        asked = self.question
-        if result is None:
-            known = load_known().get(_key(draw(*key, asked.is_tuning)), math.inf)
-            yield Call("", answer, (*key, asked.is_tuning, asked.times, known))
-
-    def taken(self, key: Any, result: Row | None, name: str, future: Future[Row]) -> Row:
-        """Returns the row; what is better than the best known is kept if asked."""
-        row = future.result()
-        if self.refresh and row.best < row.known:
-            known = load_known() | {_key(draw(*key, self.question.is_tuning)): row.best}
-            write_text(PATH, json.dumps(dict(sorted(known.items())), indent=0) + "\n")
-        return row
+def keep_best(rows: Sequence[Row], is_tuning: bool) -> None:
+    """Lets what is better than the best known take its place."""
+    known = load_known()
+    for row in rows:
+        if row.best < row.known:
+            known[_key(draw(row.world, row.number, is_tuning))] = row.best
+    write_text(PATH, json.dumps(dict(sorted(known.items())), indent=0) + "\n")
 
 
 def format_results(rows: Sequence[Row]) -> str:
@@ -295,28 +256,26 @@ def format_results(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def make_parser(_: Sequence[str] = ()) -> Parser:
-    """Returns the parser."""
-    parser = Parser(prog="python -m benchmarks.questions", description="Plans of changed tasks.")
-    add_common(parser)
+def main(words: Sequence[str] | None = None) -> int:
+    """Prints the table, and returns the exit status: 1 if figures that are asked for are missed."""
     text = "shipped scenarios (default: all)"
-    parser.add_argument("worlds", nargs="*", metavar="SCENARIO", default=[], help=text)
-    text = "questions of each (default: %(default)s)"
-    parser.add_argument("--count", type=positive, metavar="N", default=Asked.count, help=text)
-    text = "as many times the plan's CPU seconds for rivals (default: %(default)s)"
-    parser.add_argument("--times", type=float, metavar="X", default=Asked.times, help=text)
-    text = "questions to tune on, and not those that are reported"
-    parser.add_argument("--tuning", action="store_true", help=text)
-    text = "let what is better take the place of the best known"
-    parser.add_argument("--refresh", action="store_true", help=text)
-    add_running(parser)
-    parser.set_defaults(run=_run)
-    return parser
-
-
-def _run(options: Any) -> int:
-    asked = Asked(tuple(options.worlds), options.count, options.times, options.tuning)
-    rows = run_asked(options, QuestionStudy(asked, refresh=options.refresh)).results
+    options = read_flags(
+        __doc__,
+        words,
+        place=("worlds", {"nargs": "*", "metavar": "SCENARIO", "help": text}),
+        count=(20, "questions of each"),
+        times=(10.0, "as many times the plan's CPU seconds for rivals"),
+        tuning=(False, "questions to tune on, and not those that are reported"),
+        refresh=(False, "let what is better take the place of the best known"),
+    )
+    worlds = options.worlds or scenario_names()
+    for each in worlds:
+        Scenario.named(each)  # Before any work.
+    asked = itertools.product(range(options.count), worlds)  # The first of each world first.
+    jobs = [Job(world, number, options.tuning, options.times) for number, world in asked]
+    rows = sorted(run_all(answer, jobs, options), key=lambda row: worlds.index(row.world))
+    if options.refresh:
+        keep_best(rows, options.tuning)
     print(format_results(rows), end="\n\n")
     off = {near: float(np.mean([not row.is_within(near) for row in rows])) for near in (NEAR, WIDE)}
     met = is_met("plans more than 1 % above the best known", off[NEAR], 0.05)
@@ -324,4 +283,4 @@ def _run(options: Any) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(make=make_parser))
+    run_as("benchmarks.questions")

@@ -17,9 +17,8 @@ from benchmarks import __main__ as command
 from benchmarks.__main__ import main
 from benchmarks.baselines import registry
 from benchmarks.study import scenario_question
-from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion
+from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion, command_of
 from benchmarks.study.scenario_study import ScenarioStudy
-from benchmarks.study.study import command_of
 from drake_aigto import jobs
 from drake_aigto.cli import FINE, INTERRUPTED
 from drake_aigto.errors import PlanFileError

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.local_peers import casadi
-from benchmarks.questions import NEAR, WIDE, Asked, Row, draw, format_results
+from benchmarks.questions import NEAR, WIDE, Row, draw, format_results, main
 from benchmarks.rivals import ask_rivals
 from benchmarks.shooting_ipopt import ShootingProgram
 from drake_aigto import PlanOptions, Scenario, World
@@ -44,7 +44,7 @@ def test_plans_are_near_the_best_that_anything_has_found() -> None:
 
 def test_a_world_that_is_not_shipped_is_refused() -> None:
     with pytest.raises(ScenarioError, match="unknown scenario 'cart_pole/soft'"):
-        Asked(("cart_pole/soft",))
+        main(["cart_pole/soft"])
 
 
 # Near its rest, where all methods have one optimum.

@@ -19,9 +19,8 @@ from scenario_studies import TOYS, Inline, coast_or_turn
 
 from benchmarks.baselines import registry
 from benchmarks.study import scenario_question
-from benchmarks.study.scenario_question import Job, MethodRun, ScenarioQuestion, run_job
+from benchmarks.study.scenario_question import Job, MethodRun, ScenarioQuestion, round_to, run_job
 from benchmarks.study.scenario_study import DIED, ScenarioStudy, calc_good_enough
-from benchmarks.study.study import round_to
 from drake_aigto.errors import ResultsFileError, StudyError
 
 QUICK = ScenarioQuestion(count=4, methods=("coast", "crash"), seconds_per_unit=0.5, num_steps=20)

@@ -16,8 +16,8 @@ from matplotlib.ticker import PercentFormatter
 
 from benchmarks.ablations.ablations import VARIANTS, AblationStudy, markdown_ablations
 from benchmarks.study.page import Images, Section
+from benchmarks.study.scenario_question import command_of
 from benchmarks.study.scenario_study import ScenarioStudy, count_right_boxes, summarize
-from benchmarks.study.study import command_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,15 +1,6 @@
-"""Studies: questions × methods, run as jobs, judged, recorded, shown; random scenarios first."""
+"""Studies of random scenarios: methods on each, run as jobs, judged, recorded, shown."""
 
-from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion
-from benchmarks.study.scenario_study import ScenarioResult, ScenarioStudy
-from benchmarks.study.study import Call, Study, StudyQuestion
-
-__all__ = [
-    "Call",
-    "MethodRun",
-    "ScenarioQuestion",
-    "ScenarioResult",
-    "ScenarioStudy",
-    "Study",
-    "StudyQuestion",
-]
+from benchmarks.study.scenario_question import MethodRun as MethodRun
+from benchmarks.study.scenario_question import ScenarioQuestion as ScenarioQuestion
+from benchmarks.study.scenario_study import ScenarioResult as ScenarioResult
+from benchmarks.study.scenario_study import ScenarioStudy as ScenarioStudy

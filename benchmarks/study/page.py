@@ -10,7 +10,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from benchmarks.study.study import read_results
+from benchmarks.study.scenario_study import read_results
 from drake_aigto.errors import ResultsFileError
 from drake_aigto.output import check_writable, write_bytes, write_text
 

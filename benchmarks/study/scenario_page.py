@@ -21,10 +21,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
 
 from benchmarks.study.page import Images, Section
-from benchmarks.study.scenario_question import PLANNER, RANGES, RESTITUTIONS
+from benchmarks.study.scenario_question import PLANNER, RANGES, RESTITUTIONS, command_of
 from benchmarks.study.scenario_study import ScenarioResult, ScenarioStudy
 from benchmarks.study.scenario_tables import describe_unit, markdown_study
-from benchmarks.study.study import command_of
 
 _OURS: dict[str, Any] = {"color": "#D55E00", "linewidth": 3.2, "zorder": 3}
 _RIVAL_COLORS = ("#0072B2", "#56B4E9", "#009E73", "#CC79A7", "#555555")

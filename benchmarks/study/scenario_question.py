@@ -8,18 +8,20 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import shlex
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import ROUND_DOWN, ROUND_HALF_EVEN, Context
 from functools import cache, lru_cache
 from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
 from benchmarks.baselines import check_baselines, run_baseline
-from benchmarks.study.study import StudyQuestion, round_to
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import RigidOptimum, rigid_optimum
+from drake_aigto.plain import to_plain
 from drake_aigto.planning import Plan, Planner, PlanOptions
 from drake_aigto.world import Scenario, World
 
@@ -175,7 +177,7 @@ _DRAWS = 6  # of chance for each scenario, as there once were more ranges
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScenarioQuestion(StudyQuestion):
+class ScenarioQuestion:
     """Random scenarios of the point mass before a wall, and the methods that are to solve them.
 
     Scenario i depends on the seed and on i: not on the count, the methods, or who works on it.
@@ -203,9 +205,11 @@ class ScenarioQuestion(StudyQuestion):
     seconds_per_unit: float | None = None
     reads_boxes: bool = False
 
-    kind: ClassVar[str] = "scenarios"
+    kind: ClassVar[str] = "scenarios"  # of files with answers
     command: ClassVar[str] = "python -m benchmarks scenarios"
+    # Field → flag, where they differ.
     flags: ClassVar[Mapping[str, str]] = {"num_steps": "steps", "reads_boxes": "read-boxes"}
+    # What `command_of` tells even where it is as usual.
     told: ClassVar[Sequence[str]] = ("count", "seed")
 
     def __post_init__(self) -> None:
@@ -273,3 +277,33 @@ class ScenarioQuestion(StudyQuestion):
     def method_seed(self, number: int) -> int:
         """Returns the seed of the methods on a scenario, which its own numbers do not share."""
         return int(np.random.SeedSequence((self.seed, number, 1)).generate_state(1)[0])
+
+
+def command_of(question: ScenarioQuestion) -> str:
+    """Returns the command line that asks a question."""
+    words = [question.command]
+    asked, usual = to_plain(question), to_plain(type(question)())
+    for name, value in asked.items():
+        if value == usual[name] and name not in question.told:
+            continue
+        words.append(f"--{question.flags.get(name, name).replace('_', '-')}")
+        if isinstance(value, list):
+            words.extend(shlex.quote(_as_word(each)) for each in value)
+        elif not isinstance(value, bool):
+            words.append(_as_word(value))
+    return " ".join(words)
+
+
+def _as_word(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def round_to(value: float, digits: int, down: bool = False) -> float:
+    """Returns a number with that many significant digits, as files of results have them.
+
+    It is the nearest one, or the next towards 0; what is not finite stays as it is.
+    """
+    if not math.isfinite(value):
+        return value
+    rounding = ROUND_DOWN if down else ROUND_HALF_EVEN
+    return float(Context(prec=digits, rounding=rounding).create_decimal(repr(float(value))))
