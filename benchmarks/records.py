@@ -19,7 +19,6 @@ from __future__ import annotations
 import argparse
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 import time
@@ -263,13 +262,11 @@ def run(name: str, parts: Path | None = None) -> int:
     With a folder of parts, what is done is kept there, and gone on from when it is run again.
     """
     arguments = shlex.split(RECORDS[name])[1:]  # after `python`
-    saved = CHECKOUT / arguments[arguments.index("--json") + 1] if "--json" in arguments else None
-    if saved:  # From the beginning, and not where an earlier run ended.
-        saved.unlink(missing_ok=True)
     kept = parts and parts.absolute() / name
     if kept:
         kept.parent.mkdir(parents=True, exist_ok=True)
-        arguments += _flags_of_parts(arguments, kept)
+        if "--workers" in arguments:
+            arguments += ["--keep", str(kept)]
     begin = time.perf_counter()
     result = subprocess.run(
         [sys.executable, *arguments], cwd=CHECKOUT, stdout=subprocess.PIPE, text=True, check=False
@@ -280,17 +277,8 @@ def run(name: str, parts: Path | None = None) -> int:
         f"{machine()}; {versions()}",
         f"commit {_commit()}, {date.today()}, {seconds:.0f} s, exit status {result.returncode}",
     )
-    if kept and saved:
-        shutil.copy(kept, saved)
     write_text(path_of(name), "".join(f"# {line}\n" for line in head) + result.stdout)
     return result.returncode
-
-
-def _flags_of_parts(arguments: Sequence[str], kept: Path) -> list[str]:
-    """Returns what has a command keep its results in a file, and go on from them."""
-    if arguments[1] == "benchmarks" and arguments[2] != "page":
-        return ["--json", str(kept), "--resume"]
-    return ["--keep", str(kept)] if "--workers" in arguments else []
 
 
 def _commit() -> str:

@@ -130,8 +130,8 @@ def write_csv(path: Path, records: Sequence[Any], note: str) -> None:
     unfinished.replace(path)
 
 
-# Flags that change where and for how long jobs run, and not what comes of them.
-_WHERE = ("workers", "scheduler", "minutes", "keep")
+# Flags of where, for how long and to what file jobs run: they do not change what comes of them.
+_WHERE = ("workers", "scheduler", "minutes", "keep", "json")
 
 
 def read_flags(

@@ -32,6 +32,13 @@ from drake_aigto.show import WIDTH
 BARE = VARIANTS["bare"].options
 # A bounce is optimal, and the boxes of the default rungs find it.
 BOUNCE = dataclasses.replace(Scenario.named("table1/3"), time_step=0.02)
+
+
+@pytest.fixture(autouse=True)
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jobs, "open_workers", Inline)
+
+
 # The last one of these has a bounce; coasting is optimal in the first.
 QUICK = AblationQuestion(count=2, methods=("default", "bare, no boxes"), num_steps=20)
 
@@ -65,7 +72,7 @@ def _rungs(name: str) -> tuple[Rung, ...]:
 
 def run(name: str) -> tuple[bool, MethodRun]:
     """Returns whether a variant finds the bounce, and its run."""
-    found = run_variant(shipped_world(), Job(0, BOUNCE, name))
+    found = run_variant(shipped_world(), Job(BOUNCE, name))
     exact = rigid_optimum(shipped_world(), BOUNCE)
     assert len(exact.bounce_times) == 1
     return found.cost <= calc_good_enough(exact.cost), found
@@ -110,15 +117,12 @@ def make_study() -> ScenarioStudy:
     )
 
 
-def test_a_study_survives_its_file_and_goes_on(tmp_path: Path) -> None:
+def test_a_study_survives_its_file(tmp_path: Path) -> None:
     path = tmp_path / "study.json"
-    executor = Inline()
-    first = dataclasses.replace(QUICK, count=1)
-    AblationStudy(first).run(path, executor=executor)
-    study = AblationStudy(QUICK).run(path, resume=True, executor=executor)
-    assert executor.num_jobs == 4
-    assert AblationStudy.load(path) == study
-    assert study.is_complete
+    words = ["ablations", "--count", "2", "--steps", "20", "--variants", *QUICK.methods]
+    assert main([*words, "--json", str(path)]) == FINE
+    study = AblationStudy.load(path)
+    assert study.question == QUICK and study.is_complete
     for result in study.results:
         assert study.succeeds(result, "default", 1.0)
         assert len(result.runs["default"].boxes) == len(BALL_LADDER)
@@ -155,18 +159,3 @@ def test_the_page_has_the_table_the_figure_and_what_to_make_of_it(tmp_path: Path
     (command,) = re.findall(r"^    (python .+)$", text, re.MULTILINE)
     assert shlex.split(command)[1:4] == ["-m", "benchmarks", "ablations"]
     assert "'no boxes'" in command
-
-
-def test_the_command_runs_what_it_is_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(jobs, "open_workers", Inline)
-    path = tmp_path / "study.json"
-    words = ["ablations", "--quiet", "--count", "1", "--seed", "3", "--steps", "20"]
-    words += ["--variants", "no neighbours", "bare, no boxes"]
-    assert main([*words, "--json", str(path)]) == FINE
-    assert "no neighbours" in capsys.readouterr().out
-    question = AblationStudy.load(path).question
-    assert question == AblationQuestion(
-        count=1, seed=3, num_steps=20, methods=("no neighbours", "bare, no boxes")
-    )

@@ -10,7 +10,6 @@ import shlex
 from pathlib import Path
 
 import pytest
-from refusals import check_refused
 from scenario_studies import TOYS, Inline, coast_or_turn, made_up_study
 
 from benchmarks import __main__ as command
@@ -20,12 +19,12 @@ from benchmarks.study import scenario_question
 from benchmarks.study.scenario_question import MethodRun, ScenarioQuestion, command_of
 from benchmarks.study.scenario_study import ScenarioStudy
 from drake_aigto import jobs
-from drake_aigto.cli import FINE, INTERRUPTED
-from drake_aigto.errors import PlanFileError
+from drake_aigto.cli import BAD_INPUT, FINE
+from drake_aigto.errors import AigtoError, PlanFileError
 from drake_aigto.planning import Planner
 from drake_aigto.show import WIDTH
 
-SCENARIOS = ["scenarios", "--quiet", "--steps", "20"]
+SCENARIOS = ["scenarios", "--steps", "20"]
 TOY_METHODS = ["--methods", "coast", "crash", "--seconds-per-unit", "0.5"]
 
 
@@ -80,19 +79,6 @@ def test_what_boxes_say_is_printed_if_asked_for(capsys: pytest.CaptureFixture[st
     assert "have the optimum's number of contacts in 1 of 1:\nby rung " in printed
 
 
-def test_ctrl_c_says_how_to_go_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupt(*arguments: object, **options: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(scenario_question, "run_job", interrupt)
-    path = tmp_path / "study.json"
-    told = f"drake-aigto: --resume goes on from {path}\nbenchmarks: interrupted\n"
-    assert main([*SCENARIOS, "--count", "4", *TOY_METHODS, "--json", str(path)]) == INTERRUPTED
-    assert capsys.readouterr().err == told
-
-
 def test_all_stands_for_every_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(command, "BASELINES", {"coast": TOYS["coast"]})
     path = tmp_path / "study.json"
@@ -106,15 +92,20 @@ def test_all_stands_for_every_method(tmp_path: Path, monkeypatch: pytest.MonkeyP
         ("scenarios --count 0", "count: got 0, expected a whole number, 1 or more"),
         ("scenarios --methods aigto cost", "unknown baseline 'cost': expected aigto, the planner,"),
         ("scenarios --json no/folder/x.json", "no/folder/x.json can't be written"),
-        ("ablations --count 0", "count: got 0, expected a whole number, 1 or more"),
         ("ablations --variants luck", "variants: got 'luck', expected some of 'default'"),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(
-    words: str, message: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_bad_input_is_refused_before_any_work(
+    words: str, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scenario_question, "run_job", None)  # Before any work.
-    check_refused(words.split(), message, capsys, main)
+    monkeypatch.setattr(command, "run_all", None)
+    with pytest.raises(AigtoError, match=re.escape(message)):
+        main(words.split())
+
+
+def test_no_command_is_answered_with_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["weather"]) == BAD_INPUT
+    assert "expected one of scenarios, ablations, page" in capsys.readouterr().err
 
 
 PNG = b"\x89PNG\r\n"
@@ -199,12 +190,11 @@ def test_the_command_on_the_page_asks_the_studys_question(
 ) -> None:
     asked: list[ScenarioQuestion] = []
 
-    def ask(study: ScenarioStudy, *arguments: object, **keywords: object) -> ScenarioStudy:
+    def ask(study: ScenarioStudy, options: object) -> ScenarioStudy:
         asked.append(study.question)
         return study
 
-    monkeypatch.setattr(registry, "BASELINES", TOYS)
-    monkeypatch.setattr(ScenarioStudy, "run", ask)
+    monkeypatch.setattr(command, "_ask", ask)
     assert main(shlex.split(command_of(question))[3:]) == FINE
     assert asked == [question]
 
@@ -220,11 +210,10 @@ def test_the_command_on_the_page_asks_the_studys_question(
         ('{"kind": "fru', "is cut short or no JSON: got Unterminated string"),
     ],
 )
-def test_what_is_no_result_is_one_line_and_status_2(
-    text: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_result_is_refused(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_text(text, encoding="utf-8")
     page = tmp_path / "results.md"
-    check_refused(["page", str(path), "--out", str(page)], message, capsys, main)
+    with pytest.raises(AigtoError, match=re.escape(message)):
+        main(["page", str(path), "--out", str(page)])
     assert not page.exists()

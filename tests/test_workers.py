@@ -1,19 +1,19 @@
 """Processes that work side by side: what one does is no other's business.
 
-Studies on Dask's workers: nothing is lost, and what can't be run on is refused by name.
+Plans on Dask's workers: nothing is lost, and what can't be run on is refused by name.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from multiprocessing import active_children
 from pathlib import Path
 
@@ -21,12 +21,17 @@ import dask
 import pytest
 from distributed import LocalCluster
 from distributed.versions import get_package_info
-from scenario_studies import Inline
 
-from benchmarks.study import ScenarioQuestion
-from benchmarks.study.scenario_study import ScenarioStudy
+from drake_aigto import PlanOptions, Scenario, plan
 from drake_aigto.errors import MissingExtraError, OptionsError, StudyError
-from drake_aigto.jobs import ProcessDiedError, open_jobs, open_workers
+from drake_aigto.jobs import (
+    Answer,
+    ProcessDiedError,
+    load_answers,
+    open_jobs,
+    open_workers,
+    plan_many,
+)
 
 
 def die_unless(path: Path) -> int:
@@ -131,7 +136,12 @@ def test_a_scheduler_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
         pass
 
 
-PLANS = ScenarioQuestion(count=8, seed=1, num_steps=20, methods=("aigto",))
+FAST = PlanOptions(confirm=False, threads=1)
+QUESTIONS = {
+    f"{row}/{k}": replace(Scenario.named(f"table1/{row}"), goal_position=0.5 + 0.1 * k)
+    for row in (1, 3)
+    for k in range(4)
+}
 
 
 @contextmanager
@@ -154,56 +164,40 @@ def scheduler(workers: int = 1, threads: int = 1) -> Iterator[LocalCluster]:
         yield local
 
 
-def plans(study: ScenarioStudy) -> list[tuple[object, ...]]:
-    """Returns all of a study's results but seconds."""
-    return [
-        (each.goal, each.optimum, run.cost, run.evaluations, run.error)
-        for each in study.results
-        for run in each.runs.values()
-    ]
+def costs(answers: Iterable[Answer]) -> dict[str, float]:
+    """Returns what each plan costs."""
+    return {each.name: each.plan.cost for each in answers if each.plan is not None}
 
 
 @pytest.mark.slow
-def test_a_worker_killed_in_the_middle_changes_no_plan(tmp_path: Path) -> None:
-    before: set[int | None] = set()
-
-    def kill_one(line: str) -> None:
-        if line.startswith("3 of"):
-            before.update(child.pid for child in active_children())
-            victim = active_children()[0].pid
-            assert victim is not None
-            os.kill(victim, signal.SIGKILL)
-
-    path = tmp_path / "study.json"
-    study = ScenarioStudy(PLANS).run(path, executor=open_workers(2), progress=kill_one)
+def test_a_worker_killed_in_the_middle_changes_no_plan() -> None:
+    answers = plan_many(QUESTIONS, FAST, workers=2)
+    first = next(answers)
+    before = {child.pid for child in active_children()}
     assert len(before) == 2
-    assert plans(study) == plans(ScenarioStudy(PLANS).run(executor=Inline()))
-    assert ScenarioStudy.load(path) == study
-    assert study.is_complete
+    os.kill(before.pop() or 0, signal.SIGKILL)
+    assert costs([first, *answers]) == costs(plan_many(QUESTIONS, FAST, workers=1))
     assert not active_children()
 
 
-def test_a_study_runs_on_the_workers_of_a_scheduler_with_the_same_plans() -> None:
-    question = dataclasses.replace(PLANS, count=2)
+def test_plans_on_the_workers_of_a_scheduler_are_the_same() -> None:
+    two = {name: QUESTIONS[name] for name in list(QUESTIONS)[:2]}
     with scheduler() as local:
-        executor = open_workers(scheduler=local.scheduler_address)
-        there = ScenarioStudy(question).run(executor=executor)
-    assert plans(there) == plans(ScenarioStudy(question).run(executor=Inline()))
+        there = costs(plan_many(two, FAST, scheduler=local.scheduler_address))
+    assert there == {name: plan(scenario, FAST).cost for name, scenario in two.items()}
 
 
-def test_a_scheduler_that_is_lost_ends_the_study_and_what_was_done_is_kept(tmp_path: Path) -> None:
-    path = tmp_path / "study.json"
+def test_a_scheduler_that_is_lost_ends_the_work_and_what_was_done_is_kept(tmp_path: Path) -> None:
     with scheduler() as local:
-
-        def lose(line: str) -> None:
-            local.close()
-
-        executor = open_workers(scheduler=local.scheduler_address)
+        address = local.scheduler_address
+        answers = plan_many(QUESTIONS, FAST, scheduler=address, folder=tmp_path)
+        first = next(answers)
+        local.close()
         told = r"workers broke: got jobs that were dropped, as by a scheduler .*\(--resume\)"
         with pytest.raises(StudyError, match=told):
-            ScenarioStudy(PLANS).run(path, executor=executor, progress=lose)
-    assert 1 <= len(ScenarioStudy.load(path).results) < PLANS.count
-    assert ScenarioStudy(PLANS).run(path, resume=True, executor=Inline()).is_complete
+            list(answers)
+    kept = load_answers(tmp_path)
+    assert first in kept and len(kept) < len(QUESTIONS)
 
 
 @pytest.fixture

@@ -85,7 +85,6 @@ class Job:
     """One method on one scenario.
 
     Attributes:
-        number: of the scenario in its study.
         scenario: the task.
         method: "aigto", or a baseline's name.
         seconds: of one core that a baseline has.
@@ -96,7 +95,6 @@ class Job:
             can be sent to another process.
     """
 
-    number: int
     scenario: Scenario
     method: str
     seconds: float = 0.0

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import json
-import logging
 import math
 import os
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Executor, Future
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from benchmarks.study import scenario_question
 from benchmarks.study.scenario_question import (
     COST_DIGITS,
     PLANNER,
@@ -26,18 +21,14 @@ from benchmarks.study.scenario_question import (
     ScenarioQuestion,
     find_optimum,
     round_to,
+    run_job,
 )
 from drake_aigto.errors import AigtoError, ResultsFileError
-from drake_aigto.jobs import ProcessDiedError, open_jobs
-from drake_aigto.output import check_writable, write_text
+from drake_aigto.output import write_text
 from drake_aigto.plain import from_plain, read_json, to_plain
-from drake_aigto.progress import Count
 
 # A method succeeds with a cost of at most this much more than the optimum: relative and absolute.
 RELATIVE, ABSOLUTE = 0.01, 1e-7
-DIED = "its process died"
-_SECONDS_BETWEEN_SAVES = 5.0
-_LOG = logging.getLogger(__name__)
 _Self = TypeVar("_Self", bound="ScenarioStudy")
 
 
@@ -86,147 +77,46 @@ class ScenarioResult:
     def planner_seconds(self) -> float | None:
         """What the planner took [s]; None while it is not done."""
         run = self.runs.get(PLANNER)
-        return None if run is None or run.error == DIED else run.seconds
+        return run.seconds if run else None
+
+
+def answer(asked: tuple[ScenarioQuestion, int]) -> ScenarioResult:
+    """Returns what all methods make of one scenario.
+
+    The planner goes first, as its time is the unit of the others' budgets.
+    """
+    question, number = asked
+    scenario = question.scenario(number)
+    exact = find_optimum(scenario)
+    optimum, contacts = round_to(exact.cost, COST_DIGITS), len(exact.bounce_times)
+    result = ScenarioResult.of(question, number, optimum, contacts)
+    runs: dict[str, MethodRun] = {}
+    for method in sorted(question.methods, key=lambda each: each != PLANNER):
+        planned = runs.get(PLANNER)
+        unit = question.seconds_per_unit or (planned.seconds if planned else 0.0)
+        job = Job(
+            scenario,
+            method,
+            seconds=question.budgets[-1] * unit,
+            good_enough=result.good_enough,
+            seed=question.method_seed(number),
+            reads_boxes=question.reads_boxes,
+            runner=question.runner,
+        )
+        runs[method] = run_job(job)
+    unit = question.seconds_per_unit or (runs[PLANNER].seconds if PLANNER in runs else 0.0)
+    ends = [budget * unit for budget in question.budgets]
+    return replace(result, runs={name: runs[name].thinned(ends) for name in question.methods})
 
 
 @dataclass(frozen=True)
 class ScenarioStudy:
-    """All methods on all scenarios: a question, and the results so far, in their order.
-
-    The planner goes first on each scenario, as its time is the unit of the others' budgets. Jobs
-    whose processes died are tried again when it is gone on from.
-    """
+    """All methods on all scenarios: a question, and the results that there are, in their order."""
 
     question: ScenarioQuestion
     results: tuple[ScenarioResult, ...] = ()
 
     question_type: ClassVar[Any] = ScenarioQuestion
-
-    def run(
-        self: _Self,
-        path: str | os.PathLike[str] | None = None,
-        *,
-        resume: bool = False,
-        executor: AbstractContextManager[Executor] | None = None,
-        progress: Callable[[str], None] | None = None,
-    ) -> _Self:
-        """Runs all jobs that are not done, and returns the study with what came of them.
-
-        What is done is written every few seconds, and at the end, whatever that is: Ctrl-C, a
-        crash, a pool that broke.
-
-        Args:
-            path: of the results; None keeps them in memory only.
-            resume: go on from the results that are there.
-            executor: where jobs run, entered once all is checked; `open_workers`, with a process a
-                core, if None. Its processes should have one thread each.
-            progress: called with a line of text after each job.
-
-        Raises:
-            OptionsError, MissingExtraError, ScenarioError: from `check` of the question.
-            OutputFileError: the results can't be written.
-            ResultsFileError: there are results and they are not to be gone on from; or they are
-                damaged or another study's.
-            StudyError: from `open_workers`; or the executor broke.
-        """
-        self.question.check()
-        study = self.resumed(path) if path and check_results_file(path, resume) else self
-        done = {result.number: result for result in study.results}
-        begun: set[tuple[int, str]] = set()
-
-        def so_far() -> _Self:
-            return replace(study, results=tuple(done[number] for number in sorted(done)))
-
-        with open_jobs(executor) as jobs:
-
-            def start(number: int) -> None:
-                for job in study._jobs(number, done.get(number)):
-                    if (number, job.method) not in begun:
-                        begun.add((number, job.method))
-                        jobs.start((number, job.method), scenario_question.run_job, job)
-
-            saved = time.monotonic()
-            try:
-                for number in range(self.question.count):
-                    start(number)
-                for (number, method), future in jobs.ended():
-                    done[number] = study._taken(number, done.get(number), method, future)
-                    _LOG.info("%s, %s: done", number, method)
-                    start(number)
-                    if path and time.monotonic() - saved > _SECONDS_BETWEEN_SAVES:
-                        so_far().save(path)
-                        saved = time.monotonic()
-                    if progress:
-                        progress(so_far().progress())
-            finally:
-                if path and done:
-                    so_far().save(path)
-        return so_far()
-
-    def _jobs(self, number: int, result: ScenarioResult | None) -> Iterator[Job]:
-        """Yields the jobs of methods whose time is known and that are not done."""
-        question, scenario = self.question, self.question.scenario(number)
-        runs = result.runs if result else {}
-        unit = question.seconds_per_unit or (result.planner_seconds if result else None)
-        for method in question.methods:
-            if method in runs and runs[method].error != DIED:
-                continue
-            job = Job(number, scenario, method, reads_boxes=question.reads_boxes)
-            if question.runner is not None:
-                job = replace(job, runner=question.runner)
-            elif method != PLANNER:
-                if unit is None:
-                    continue
-                good_enough = (result or self._new(number)).good_enough
-                seconds, seed = question.budgets[-1] * unit, question.method_seed(number)
-                job = replace(job, seconds=seconds, good_enough=good_enough, seed=seed)
-            yield job
-
-    def _new(self, number: int) -> ScenarioResult:
-        exact = find_optimum(self.question.scenario(number))
-        optimum, contacts = round_to(exact.cost, COST_DIGITS), len(exact.bounce_times)
-        return ScenarioResult.of(self.question, number, optimum, contacts)
-
-    def _taken(
-        self, number: int, result: ScenarioResult | None, method: str, future: Future[MethodRun]
-    ) -> ScenarioResult:
-        """Returns the result with a run more, and be it that its process died."""
-        result = result or self._new(number)
-        try:
-            run = future.result()
-        except ProcessDiedError:
-            run = MethodRun((), 0.0, error=DIED)
-        unit = self.unit(result) or 0.0
-        thinned = run.thinned(budget * unit for budget in self.question.budgets)
-        runs = {**result.runs, method: thinned}
-        in_order = {name: runs[name] for name in self.question.methods if name in runs}
-        return replace(result, runs=in_order)
-
-    def progress(self) -> Count:
-        """Returns in a line how much is done, and how often each method has found the optimum."""
-        counts = []
-        for method in self.question.methods:
-            done = list(self.of_method(method))
-            solved = sum(
-                self.succeeds(result, method, self.question.budgets[-1]) for result in done
-            )
-            counts.append(f"{method} {solved}/{len(done)}")
-        return Count(self.num_runs, self.num_asked, f"runs; optimal: {', '.join(counts)}")
-
-    def resumed(self: _Self, path: str | os.PathLike[str]) -> _Self:
-        """Returns this study with the results of a file, of fewer scenarios and methods perhaps.
-
-        Raises:
-            ResultsFileError: the file is damaged, or another study's.
-        """
-        known = self.load(path)
-        here, there = to_plain(self.question), to_plain(known.question)
-        if known.question.count <= self.question.count:
-            there["count"] = here["count"]
-        if set(known.question.methods) <= set(self.question.methods):
-            there["methods"] = here["methods"]
-        check_same_question(path, there, here)
-        return replace(self, results=known.results)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a file that `load` reads, whole or not at all, a line for each result.
@@ -382,25 +272,6 @@ def count_right_boxes(
     return each, sum(exact in boxes for exact, boxes in read), len(read)
 
 
-def check_results_file(path: str | os.PathLike[str] | None, resume: bool = False) -> bool:
-    """Returns whether there is a file to go on from; None, for no file, passes.
-
-    Raises:
-        OutputFileError: the file can't be written.
-        ResultsFileError: there is one, and nobody asked to go on from it.
-    """
-    check_writable(path)
-    if path is None or not Path(path).exists():
-        return False
-    if not resume:
-        raise ResultsFileError(
-            f"results file {path}",
-            got="one that exists",
-            remedy="Go on from it (--resume), name another, or delete it first.",
-        )
-    return True
-
-
 def read_results(path: str | os.PathLike[str], kind: str | None = None) -> dict[str, Any]:
     """Returns what is in a results file: a JSON object with a field "kind", of any kind if None.
 
@@ -433,21 +304,3 @@ def refuse_damaged(path: str | os.PathLike[str]) -> Iterator[None]:
             got=f"no {error}" if isinstance(error, KeyError) else error,
             remedy="Delete it, and measure again.",
         ) from error
-
-
-def check_same_question(
-    path: str | os.PathLike[str], there: Mapping[str, Any], here: Mapping[str, Any]
-) -> None:
-    """Refuses to go on from results whose question's fields are others than those asked for here.
-
-    Raises:
-        ResultsFileError: says which fields differ.
-    """
-    names = [name for name in {**here, **there} if there.get(name) != here.get(name)]
-    if names:
-        raise ResultsFileError(
-            f"results file {path} is of another study",
-            got=", ".join(f"{name} {there.get(name)}" for name in names),
-            expected=", ".join(f"{name} {here.get(name)}" for name in names),
-            remedy="Name another file, or ask the same question.",
-        )
