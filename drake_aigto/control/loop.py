@@ -251,9 +251,10 @@ def _connect(
     control = controller.get_output_port_control()
     if disturbance.delay:
         count = int(np.ceil(disturbance.delay / _SAMPLED))
-        # What changes as it is sampled is seen at the next sample, or at once.
-        step = disturbance.delay / (count + 0.5)
-        late = builder.AddSystem(DiscreteTimeDelay(step, count, control.size()))
+        # Never sooner: what is commanded for after a task's end would act at it.
+        late = builder.AddSystem(
+            DiscreteTimeDelay(disturbance.delay / count, count, control.size())
+        )
         builder.Connect(control, late.get_input_port())
         control = late.get_output_port()
     if (most := disturbance.saturation).any():
