@@ -119,11 +119,11 @@ _NUMBER = r"([\d.]+)"
 
 
 def _planner(e: str) -> dict[str, Figure]:
-    row = rf"(?s)^e = {re.escape(e)}:.*?^aigto +"
+    row = rf"^\| {re.escape(e)} \| aigto \| \d+ \| "
     name = f"one_wall_{e.replace('.', '')}"
     return {
         f"{name}_share": Figure("planner", rf"{row}([\d.]+ %)"),
-        f"{name}_worst": Figure("planner", rf"{row}[\d.]+ % +[\d.]+ +{_NUMBER}"),
+        f"{name}_worst": Figure("planner", rf"{row}[\d.]+ % \| [\d.]+ \| {_NUMBER}"),
     }
 
 
@@ -237,8 +237,6 @@ FIGURES: Mapping[str, Figure] = {
     "table1_seconds": Figure("table1", rf"^table in {_NUMBER} s"),
     "newton_iteration": Figure("newton_speed", rf"^iteration .* {_NUMBER} × dpbtrf"),
     "newton_hessian": Figure("newton_speed", rf"^Hessian  .* {_NUMBER} × dpbtrf"),
-    "newton_casadi": Figure("newton_speed", rf"^Hessian, CasADi  .* {_NUMBER} × dpbtrf"),
-    "newton_c": Figure("newton_speed", rf"^Hessian, CasADi's C .* {_NUMBER} × dpbtrf"),
     "start_import": Figure("start_time", rf"^import drake_aigto +{_NUMBER} \("),
     "start_plan": Figure("start_time", rf"^drake-aigto plan table1/1 +{_NUMBER} \("),
     "start_libraries": Figure("start_time", rf"^libraries alone +{_NUMBER} \("),

@@ -1,4 +1,4 @@
-"""What scripts that measure share: flags, and jobs and plans that are run side by side and kept.
+"""What scripts that measure share: flags, and jobs that are run side by side and kept.
 
 What measurements share: turns, spreads, figures that are asked for, CSV files, the command.
 """
@@ -23,10 +23,10 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
-from drake_aigto import AigtoError, Scenario
+from drake_aigto import AigtoError
 from drake_aigto.cli import BAD_INPUT, add_workers, read_workers
 from drake_aigto.errors import OptionsError
-from drake_aigto.jobs import Answer, open_jobs, plan_many
+from drake_aigto.jobs import open_jobs
 
 # `drake-aigto`, for an interpreter that is started with -c.
 COMMAND = "import sys; from drake_aigto.cli import main; sys.exit(main(sys.argv[1:]))"
@@ -258,32 +258,6 @@ def run_all(
         else:
             done[number] = future.result()
     return [done[number] for number in sorted(done)]
-
-
-def plan_all(
-    scenarios: Mapping[str, Scenario],
-    plan_options: Any,
-    options: argparse.Namespace,
-    what: str = "plans",
-) -> dict[str, Answer]:
-    """Returns the answers to questions (`plan_many`), those that come before time is up.
-
-    Args:
-        scenarios: by name.
-        plan_options: of every plan.
-        options: of `read_flags`; plans are kept in a folder beside their file.
-        what: ending of that folder's name.
-    """
-    end, found = time.monotonic() + 60.0 * options.minutes, {}
-    folder = options.keep and options.keep.with_suffix(f".{what}")
-    count = None if options.scheduler else options.workers
-    where: dict[str, Any] = {"workers": count, "scheduler": options.scheduler}
-    for answer in plan_many(scenarios, plan_options, **where, folder=folder, resume=True):
-        found[answer.name] = answer
-        if time.monotonic() > end:
-            print(f"TIME IS UP: {len(scenarios) - len(found)} plans not made", flush=True)
-            break
-    return found
 
 
 def run_as(name: str) -> NoReturn:

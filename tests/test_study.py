@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from scenario_studies import TOYS, Inline
 
 from benchmarks.baselines import registry
-from benchmarks.script import plan_all, read_flags, run_all, run_as, run_jobs
+from benchmarks.script import read_flags, run_all, run_as, run_jobs
 from benchmarks.study.scenario_question import RANGES, ScenarioQuestion
 from drake_aigto import jobs
 from drake_aigto.cli import BAD_INPUT
@@ -174,17 +174,6 @@ def test_what_is_kept_is_gone_on_from_and_only_with_the_same_flags(
     assert [job for job in done if job != "dies"] == ["a", "raises", "b", "raises"]
     with pytest.raises(OptionsError, match="--keep"):
         run_all(note, ["c"], parse(*keep, seed=(1, "")))
-
-
-def test_plans_of_a_script_are_those_of_plan_many(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("drake_aigto.jobs.many.open_workers", Some)
-    scenario = dataclasses.replace(Scenario.named("table1/3"), time_step=0.05)
-    options, keep = PlanOptions(confirm=False, threads=1), str(tmp_path / "jobs")
-    found = plan_all({"a": scenario}, options, parse("--keep", keep))
-    assert found["a"].plan is not None and found["a"].holds
-    assert plan_all({"a": scenario}, options, parse("--keep", keep)) == found
 
 
 def test_a_script_without_its_scheduler_ends_with_one_clear_error(

@@ -60,24 +60,6 @@ class Judgment(NamedTuple):
         return self.cost if self.is_solution else np.inf
 
 
-class Motion(NamedTuple):
-    """A motion, sampled where the control changes."""
-
-    states: np.ndarray  # q and v (L + 1, 2n)
-    cost: float
-    extremes: np.ndarray  # the least and the most of q and v (2, 2n)
-    touches: int  # of rigid walls
-
-    def find_excess(self, setting: Setting) -> float:
-        """Returns how far it leaves its ranges or misses a hard goal, in parts of the range."""
-        (low, high), (least, most) = setting.ranges, self.extremes
-        worst = np.max(np.maximum(low - least, most - high) / setting.units, initial=0.0)
-        if setting.is_hard:
-            n = setting.mechanism.coordinates
-            worst = max(worst, np.abs(self.states[-1, :n] - setting.weights.goal).max())
-        return float(worst)
-
-
 class Law(NamedTuple):
     """What moves, and what it costs."""
 
@@ -102,9 +84,19 @@ def judge(scenario: Scenario, control: Control) -> Judgment:
     times[-1] = setting.duration
     longest = _SOFT_STEP if setting.stiffness else _STEP
     tables = make_tables(mechanism)
-    motion = Motion(*simulate(law, tables, setting.start, times, values, longest))
-    cost = motion.cost if np.isfinite(motion.cost) else np.inf
-    return Judgment(cost, motion.find_excess(setting), motion.touches)
+    end, cost, extremes, touches = simulate(law, tables, setting.start, times, values, longest)
+    excess = find_excess(setting, end, extremes)
+    return Judgment(cost if np.isfinite(cost) else np.inf, excess, touches)
+
+
+def find_excess(setting: Setting, end: np.ndarray, extremes: np.ndarray) -> float:
+    """Returns how far a motion leaves its ranges or misses a hard goal, in parts of the range."""
+    (low, high), (least, most) = setting.ranges, extremes
+    worst = np.max(np.maximum(low - least, most - high) / setting.units, initial=0.0)
+    if setting.is_hard:
+        goal = setting.weights.goal
+        worst = max(worst, np.abs(end[: goal.size] - goal).max())
+    return float(worst)
 
 
 @inner
@@ -335,7 +327,7 @@ def simulate(
     controls: np.ndarray,
     longest: float,
 ) -> tuple[np.ndarray, float, np.ndarray, int]:
-    """Returns what a `Motion` holds: states (L + 1, 2n), J, extremes (2, 2n), touches.
+    """Returns q and v at the end (2n,), J, the least and most of q and v (2, 2n), and touches.
 
     Args:
         law: what moves.
@@ -346,12 +338,12 @@ def simulate(
         longest: step [s].
     """
     n, m = out.force.size, out.gap.size
-    states, extremes = np.empty((controls.shape[0] + 1, 2 * n)), np.empty((2, 2 * n))
+    extremes = np.empty((2, 2 * n))
     x, y, b = np.zeros(2 * n + 1), np.zeros(2 * n + 1), np.zeros(n + m)
     a, rates, on = np.zeros((n + m, n + m)), np.zeros((4, 2 * n + 1)), np.zeros(m, dtype=np.bool_)
     touches = 0
     for i in range(2 * n):
-        x[i] = states[0, i] = extremes[0, i] = extremes[1, i] = start[i]
+        x[i] = extremes[0, i] = extremes[1, i] = start[i]
     for k in range(controls.shape[0]):
         u, held = controls[k], times[k + 1] - times[k]
         steps = max(1, int(np.ceil(held / longest - 1e-9)))
@@ -381,10 +373,8 @@ def simulate(
             for i in range(2 * n):
                 extremes[0, i] = min(extremes[0, i], x[i])
                 extremes[1, i] = max(extremes[1, i], x[i])
-        for i in range(2 * n):
-            states[k + 1, i] = x[i]
     cost, w = x[2 * n], law.weights
     for i in range(n):
         cost += w.final_position[i] * _square(w, x, i)
         cost += w.final_velocity[i] * (x[n + i] - w.goal_velocity[i]) ** 2
-    return states, cost if touches <= _MOST_TOUCHES else np.inf, extremes, touches
+    return x[: 2 * n], cost if touches <= _MOST_TOUCHES else np.inf, extremes, touches

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
@@ -28,16 +27,6 @@ from benchmarks.study.scenario_tables import describe_unit, markdown_study
 _OURS: dict[str, Any] = {"color": "#D55E00", "linewidth": 3.2, "zorder": 3}
 _RIVAL_COLORS = ("#0072B2", "#56B4E9", "#009E73", "#CC79A7", "#555555")
 _RIVAL_DASHES = ("-", (0, (5, 2)), (0, (1, 1.3)))
-# Classes of cost / J*, the last with more than that. The first is success.
-_RATIOS = (1.1, 2.0, 10.0)
-COST_CLASSES = (
-    "optimal",
-    *(f"up to {ratio:g} J*" for ratio in _RATIOS),
-    f"above {_RATIOS[-1]:g} J*",
-    "nothing found",
-)
-# Shares below this have no room for their number.
-_WRITTEN_SHARE = 0.08
 # Number of contacts of the optimum → what it is called, and how it looks where it is found.
 _MODES: dict[int, tuple[str, dict[str, Any]]] = {
     0: ("flight", {"marker": "o", "color": "#56B4E9", "s": 16}),
@@ -75,26 +64,6 @@ def _scale_shares(axes: Axes, budgets: Sequence[float]) -> None:
     axes.set_xlabel("time on one core, in units")
 
 
-def plot_costs(
-    axes: Axes, study: ScenarioStudy, results: Sequence[ScenarioResult], budget: float
-) -> None:
-    """Draws a bar for each method: how far above the optimum it is after so many units of time."""
-    methods = study.question.methods
-    shares = np.array([_class_shares(study, results, method, budget) for method in methods])
-    # Darkest is best; the optimum has our own color.
-    shades = ["#D55E00", *map(tuple, colormaps["cividis"](np.linspace(0.15, 1.0, 4))), "white"]
-    for number, (label, shade) in enumerate(zip(COST_CLASSES, shades, strict=True)):
-        part, left = shares[:, number], shares[:, :number].sum(axis=1)
-        edge: dict[str, Any] = {"edgecolor": "0.5", "linewidth": 0.5}
-        bars = axes.barh(methods, part, left=left, color=shade, label=label, **edge)
-        texts = [f"{100 * share:.0f}" if share >= _WRITTEN_SHARE else "" for share in part]
-        ink = "white" if number < 3 else "black"
-        axes.bar_label(bars, texts, label_type="center", color=ink, fontsize="x-small")
-    axes.invert_yaxis()
-    axes.set_xlim(0.0, 1.0)
-    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-
-
 def plot_map(
     axes: Axes, study: ScenarioStudy, results: Iterable[ScenarioResult], method: str
 ) -> None:
@@ -119,20 +88,6 @@ def _solving_time(study: ScenarioStudy, result: ScenarioResult, method: str) -> 
     if run.cost > result.good_enough or not unit:
         return np.inf
     return next(at for at, cost in run.improvements if cost <= result.good_enough) / unit
-
-
-def _class_shares(
-    study: ScenarioStudy, results: Iterable[ScenarioResult], method: str, budget: float
-) -> list[float]:
-    """Returns which share of scenarios is in each of the classes of costs."""
-    counts = [0] * len(COST_CLASSES)
-    for result in results:
-        if method in result.runs:
-            cost = study.cost(result, method, budget)
-            bounds = [result.good_enough, *(ratio * result.optimum for ratio in _RATIOS)]
-            above = sum(cost > bound for bound in np.maximum.accumulate(bounds))
-            counts[above if np.isfinite(cost) else -1] += 1
-    return [count / max(1, sum(counts)) for count in counts]
 
 
 def _line_styles(methods: Iterable[str]) -> Iterable[tuple[str, dict[str, Any]]]:
@@ -195,24 +150,6 @@ def draw_success(study: ScenarioStudy) -> Figure:
     return figure
 
 
-def draw_costs(study: ScenarioStudy) -> Figure:
-    """Returns bars of cost classes: a row for each restitution, a column for each budget."""
-    groups, budgets = study.groups(), study.question.budgets
-    height = 0.24 * len(study.question.methods) + 0.5
-    width = max(_LEGEND_WIDTH, 2.6 * len(budgets) + 1.8)
-    figure = Figure(figsize=(width, height * len(groups) + 0.6), layout="constrained")
-    grid = figure.subplots(len(groups), len(budgets), sharex=True, sharey=True, squeeze=False)
-    for row, (name, results) in zip(grid, groups.items(), strict=True):
-        for axes, budget in zip(row, budgets, strict=True):
-            plot_costs(axes, study, results, budget)
-            axes.set_title(f"{name}, {budget:g}×", fontsize="medium")
-    # Shared, the axis has been turned over once for each panel.
-    grid[0, 0].set_ylim(len(study.question.methods) - 0.5, -0.5)
-    labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(*labels, loc="outside lower center", ncols=len(labels[0]), frameon=False)
-    return figure
-
-
 def draw_map(study: ScenarioStudy) -> Figure:
     """Returns maps over (v₀, p_f), one for each method; of one method, one for each restitution."""
     panels = _map_panels(study)
@@ -246,10 +183,6 @@ def _map_panels(study: ScenarioStudy) -> list[tuple[str, str, tuple[ScenarioResu
 # Name → what draws it, and its caption; of the planner alone there is the map.
 _FIGURES: dict[str, tuple[Callable[[ScenarioStudy], Figure], str]] = {
     "success": (draw_success, "Share of scenarios solved over time, a panel for each restitution"),
-    "costs": (
-        draw_costs,
-        "How far above the exact optimum each method ends: shares of scenarios, after each budget",
-    ),
     "map": (
         draw_map,
         "Scenarios over initial velocity and goal: which mode is optimal, and which are missed",

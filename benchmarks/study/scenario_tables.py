@@ -1,9 +1,9 @@
-"""Studies of random scenarios as text, at most 100 columns wide, and as Markdown."""
+"""Studies of random scenarios as Markdown, and as text about what it means."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from benchmarks.study.page import markdown_table
 from benchmarks.study.scenario_question import PLANNER
@@ -23,16 +23,16 @@ seconds   of one core, the median"""
 
 
 def format_study(study: ScenarioStudy) -> str:
-    """Returns a study's tables, one for each restitution, and what failed."""
-    return "\n".join(
-        [*_tables(study), "", _LEGEND.format(unit=describe_unit(study)), *_notes(study)]
-    )
+    """Returns a study's table, what it means, and what failed."""
+    legend = _LEGEND.format(unit=describe_unit(study))
+    return "\n".join([markdown_study(study), "", legend, *_notes(study)])
 
 
 def markdown_study(study: ScenarioStudy) -> str:
-    """Returns the same numbers as one Markdown table."""
+    """Returns shares of success, ratios and seconds as a Markdown table."""
     budgets = [f"optimal at {budget:g}×" for budget in _shown_budgets(study)]
-    head = ["e", "method", "scenarios", *budgets, *_LAST_COLUMNS]
+    last = "median cost / J*", "worst", "seconds", "failed"
+    head = ["e", "method", "scenarios", *budgets, *last]
     rows = []
     for name, results in study.groups().items():
         for method in study.question.methods:
@@ -42,9 +42,6 @@ def markdown_study(study: ScenarioStudy) -> str:
     return markdown_table(head, rows)
 
 
-_LAST_COLUMNS = ("median cost / J*", "worst", "seconds", "failed")
-
-
 def describe_unit(study: ScenarioStudy) -> str:
     """Returns what the budgets are multiples of."""
     seconds = study.question.seconds_per_unit
@@ -52,7 +49,7 @@ def describe_unit(study: ScenarioStudy) -> str:
 
 
 def ratio_text(ratio: float) -> str:
-    """Returns a ratio of costs, in nine columns or less."""
+    """Returns a ratio of costs as text."""
     if math.isnan(ratio):
         return "-"
     if math.isinf(ratio):
@@ -90,28 +87,6 @@ def failures(study: ScenarioStudy) -> Iterator[str]:
         for error in summarize(study, study.results, method).errors:
             text = " ".join(f"{method} failed: {error}".split())
             yield text if len(text) <= WIDTH else f"{text[: WIDTH - 1]}…"
-
-
-def _tables(study: ScenarioStudy) -> Iterator[str]:
-    heads = [f"{budget:g}×" for budget in _shown_budgets(study)]
-    for name, results in study.groups().items():
-        bounces = sum(result.contacts > 0 for result in results)
-        yield ""
-        yield f"{name}: {len(results)} scenarios, of which {bounces} have a bounce in the optimum"
-        last = ("median", "worst", "seconds", "failed")
-        yield _line("", ["optimal"] + [""] * (len(heads) - 1), ("cost / J*", "", "", ""))
-        yield _line("method", heads, last)
-        for method in study.question.methods:
-            cells = _cells(study, summarize(study, results, method))
-            yield _line(method, cells[: len(heads)], cells[len(heads) :])
-
-
-def _line(name: str, shares: Sequence[str], rest: Sequence[str]) -> str:
-    """Returns a row; shares get narrower if there are many."""
-    size = min(9, (WIDTH - 26 - 40) // len(shares))
-    texts = [share.rjust(size) for share in shares]
-    texts += [text.rjust(width) for text, width in zip(rest, (12, 11, 10, 7), strict=True)]
-    return (name.ljust(26) + "".join(texts)).rstrip()
 
 
 def _notes(study: ScenarioStudy) -> Iterator[str]:
