@@ -101,9 +101,9 @@ def _ask(study: _Study, options: argparse.Namespace) -> _Study:
 
 def _page(words: Sequence[str]) -> None:
     # Matplotlib takes its time.
-    from benchmarks.ablations.page import ABLATIONS
+    from benchmarks.ablations.page import describe_ablations
     from benchmarks.study.page import write_results_page
-    from benchmarks.study.scenario_page import SCENARIOS
+    from benchmarks.study.scenario_page import describe_scenarios
 
     options = read_flags(
         __doc__,
@@ -112,7 +112,10 @@ def _page(words: Sequence[str]) -> None:
         place=("results", {"nargs": "+", "metavar": "RESULTS.json"}),
         out=("docs/results.md", "the page; pictures go into a folder images beside it"),
     )
-    sections = {ScenarioQuestion.kind: SCENARIOS, AblationQuestion.kind: ABLATIONS}
+    sections = {
+        ScenarioQuestion.kind: describe_scenarios,
+        AblationQuestion.kind: describe_ablations,
+    }
     write_results_page(options.results, options.out, sections)
     print(f"wrote {options.out}")
 

@@ -14,17 +14,15 @@ many times as much the first one costs. Exits with 1 if what is asked for is mis
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.script import Seconds, clock, is_met, machine
+from benchmarks.script import Seconds, clock, is_met, machine, read_flags
 from drake_aigto import Scenario
-from drake_aigto.cli import positive
 from drake_aigto.show import Live
 
 # Scenario → its sliders, and what is asked for [s].
@@ -77,11 +75,9 @@ def measure(name: str, slider: str, count: int) -> tuple[list[Seconds], str]:
     return took, words
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> int:
     """Prints the figures, and returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--count", type=positive, default=12, help="moves of each slider")
-    count = parser.parse_args(arguments).count
+    count = read_flags(__doc__, workers=None, count=(12, "moves of each slider")).count
     print(f"{machine()}; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
     met = True
     for name, (sliders, most) in ASKED.items():

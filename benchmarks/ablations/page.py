@@ -5,7 +5,7 @@ The part of the results page on variants of the planner.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from benchmarks.ablations.ablations import VARIANTS, AblationStudy, markdown_ablations
-from benchmarks.study.page import Images, Section
+from benchmarks.study.page import add_figure
 from benchmarks.study.scenario_question import command_of
 from benchmarks.study.scenario_study import ScenarioStudy, count_right_boxes, summarize
 
@@ -112,20 +112,19 @@ _CONCLUSION = """\
 """
 
 
-def _describe(path: Path, images: Images) -> Iterator[str]:
-    study = AblationStudy.load(path)
-    bounces = sum(result.contacts > 0 for result in study.results)
-    yield f"    {command_of(study.question)}\n"
-    yield (
-        f"{len(study.results)} scenarios of seed {study.question.seed}, of which {bounces} have a "
-        "bounce in the optimum.\n"
-    )
-    yield f"{markdown_ablations(study)}\n"
-    text = "Share of optima, and of boxes with as many contacts as the optimum, by variant"
-    yield images.add(f"{path.stem}_variants", draw_variants(study), text)
-
-
-ABLATIONS = Section(_INTRODUCTION, _describe, _CONCLUSION)
+def describe_ablations(paths: Sequence[Path], page: Path) -> Iterator[str]:
+    """Yields the part of a page on variants of the planner, and draws its figure."""
+    yield _INTRODUCTION
+    for path in paths:
+        study = AblationStudy.load(path)
+        bounces = sum(result.contacts > 0 for result in study.results)
+        yield f"    {command_of(study.question)}\n"
+        head = f"{len(study.results)} scenarios of seed {study.question.seed}, of which {bounces}"
+        yield f"{head} have a bounce in the optimum.\n"
+        yield f"{markdown_ablations(study)}\n"
+        text = "Share of optima, and of boxes with as many contacts as the optimum, by variant"
+        yield add_figure(page, f"{path.stem}_variants", draw_variants(study), text)
+    yield _CONCLUSION
 
 
 def draw_variants(study: ScenarioStudy) -> Figure:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import io
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 from matplotlib.figure import Figure
 
@@ -14,55 +14,20 @@ from benchmarks.study.scenario_study import read_results
 from drake_aigto.errors import ResultsFileError
 from drake_aigto.output import check_writable, write_bytes, write_text
 
+# Of files of one kind, and the page: Markdown in parts.
+Section: TypeAlias = Callable[[Sequence[Path], Path], Iterable[str]]
 
-@dataclass(frozen=True)
-class Images:
-    """A folder beside a page, and what its pictures' names begin with.
 
-    Attributes:
-        page: the page's path.
-        folder: of the pictures, under the page's own.
+def add_figure(page: Path, name: str, figure: Figure, text: str) -> str:
+    """Writes a figure as PNG beside a page, and returns Markdown that shows it.
+
+    Raises:
+        OutputFileError: it can't be written.
     """
-
-    page: Path
-    folder: Path
-
-    def add(self, name: str, figure: Figure, text: str) -> str:
-        """Writes a figure as PNG, and returns Markdown that shows it, with an alternative text.
-
-        Raises:
-            OutputFileError: it can't be written.
-        """
-        path = self.folder / f"{self.page.stem}_{name}.png"
-        data = io.BytesIO()
-        figure.savefig(data, format="png", dpi=150)
-        write_bytes(path, data.getvalue())
-        return f"![{text}]({path.relative_to(self.page.parent).as_posix()})\n"
-
-
-@dataclass(frozen=True)
-class Section:
-    """Part of the page on one kind of study.
-
-    Attributes:
-        introduction: before all studies.
-        describe: gives Markdown on the study of a file, and draws its figures; raises
-            ResultsFileError if the file is damaged.
-        conclusion: after all studies.
-    """
-
-    introduction: str
-    describe: Callable[[Path, Images], Iterable[str]]
-    conclusion: str = ""
-
-    def write(self, paths: Sequence[Path], images: Images) -> str:
-        """Returns Markdown on the studies of some files.
-
-        Raises:
-            ResultsFileError: a file is damaged.
-        """
-        parts = [part for path in paths for part in self.describe(path, images)]
-        return "\n".join([self.introduction, *parts, *filter(None, [self.conclusion])])
+    path, data = page.parent / "images" / f"{page.stem}_{name}.png", io.BytesIO()
+    figure.savefig(data, format="png", dpi=150)
+    write_bytes(path, data.getvalue())
+    return f"![{text}]({path.relative_to(page.parent).as_posix()})\n"
 
 
 def markdown_table(head: Sequence[str], rows: Iterable[Iterable[str]]) -> str:
@@ -83,7 +48,6 @@ def write_results_page(
         ResultsFileError: a file can't be read, or is of a kind that no section is about.
     """
     page = Path(page)
-    images = Images(page, page.parent / "images")
     check_writable(page)
     by_kind = defaultdict(list)
     for file in map(Path, files):
@@ -95,8 +59,10 @@ def write_results_page(
                 expected=f"one of {', '.join(map(repr, sections))}",
             )
         by_kind[kind].append(file)
-    images.folder.mkdir(exist_ok=True)
-    texts = [each.write(by_kind[kind], images) for kind, each in sections.items() if by_kind[kind]]
+    (page.parent / "images").mkdir(exist_ok=True)
+    parts = [
+        part for kind in sections if by_kind[kind] for part in sections[kind](by_kind[kind], page)
+    ]
     names = ", ".join(f"`{path.name}`" for paths in by_kind.values() for path in paths)
     head = f"""\
 # Results
@@ -104,4 +70,4 @@ def write_results_page(
 Made by `python -m benchmarks page` of saved results: {names}.
 To change it, measure again and make it again.
 """
-    write_text(page, "\n".join([head, *texts]))
+    write_text(page, "\n".join([head, *parts]))

@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
 
-from benchmarks.study.page import Images, Section
+from benchmarks.study.page import add_figure
 from benchmarks.study.scenario_question import PLANNER, RANGES, RESTITUTIONS, command_of
 from benchmarks.study.scenario_study import ScenarioResult, ScenarioStudy
 from benchmarks.study.scenario_tables import describe_unit, markdown_study
@@ -113,7 +113,14 @@ end as soon as they succeed, or with their last budget.
 _LEGEND_WIDTH = 8.7
 
 
-def _describe(path: Path, images: Images) -> Iterator[str]:
+def describe_scenarios(paths: Sequence[Path], page: Path) -> Iterator[str]:
+    """Yields the part of a page on studies of random scenarios, and draws their figures."""
+    yield _INTRODUCTION
+    for path in paths:
+        yield from _describe(path, page)
+
+
+def _describe(path: Path, page: Path) -> Iterator[str]:
     study = ScenarioStudy.load(path)
     question = study.question
     has_rivals = any(method != PLANNER for method in question.methods)
@@ -131,10 +138,7 @@ def _describe(path: Path, images: Images) -> Iterator[str]:
         yield "Not all of these scenarios are done with all methods.\n"
     for kind in _FIGURES if has_rivals else ("map",):
         draw, caption = _FIGURES[kind]
-        yield images.add(f"{path.stem}_{kind}", draw(study), caption)
-
-
-SCENARIOS = Section(_INTRODUCTION, _describe)
+        yield add_figure(page, f"{path.stem}_{kind}", draw(study), caption)
 
 
 def draw_success(study: ScenarioStudy) -> Figure:
