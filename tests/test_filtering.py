@@ -60,10 +60,10 @@ def run(world: World, scenario: Scenario, noise: Any, measured: Any, u: Any) -> 
     return np.array(found), quiet.read_covariance(context)
 
 
-def simulate(world: World, scenario: Scenario, u: Any, count: int) -> Any:
-    """Returns states a period apart."""
+def simulate(world: World, scenario: Scenario, u: Any, count: int, off: Any = 0.0) -> Any:
+    """Returns states a period apart, from a start that is off the scenario's."""
     judge: Any = EVENT_DRIVEN
-    rows = [start(scenario)]
+    rows = [start(scenario) + off]
     held = HeldControl(np.array([0.0, PERIOD]), np.array(u)[np.newaxis])
     for _ in range(count - 1):
         end = judge.simulate(world, scenario, held, state=world.split(rows[-1]))
@@ -77,7 +77,8 @@ def test_in_free_flight_it_is_kalmans_filter() -> None:
     noise = np.repeat([2e-3, 2e-2], n)
     u = 0.1 * rng.normal(size=world.num_actuators)
     # Half of the noise, so that no sample is doubted.
-    measured = simulate(world, BALL, u, count) + noise / 2 * rng.normal(size=(count, 2 * n))
+    true = simulate(world, BALL, u, count, 10 * noise)
+    measured = true + noise / 2 * rng.normal(size=(count, 2 * n))
     found, covariance = run(world, BALL, noise, measured, u)
     F, R = np.eye(2 * n) + PERIOD * np.eye(2 * n, k=n), np.diag(noise**2)
     _, speeds = np.split(tangent_scales(world, BALL), 2)
@@ -100,7 +101,7 @@ def test_estimates_are_as_near_as_they_are_said_to_be(scenario: Scenario) -> Non
     n, count = world.num_positions, 40
     noise = np.repeat([2e-3, 2e-2], n)
     u = np.max(np.abs(np.clip(world.bounds(scenario).control, -5, 5)), axis=0)
-    true = simulate(world, scenario, u, count)
+    true = simulate(world, scenario, u, count, 10 * noise)
     ratios, shares = [], []
     for _ in range(2):
         measured = true + noise * rng.normal(size=true.shape)
@@ -111,6 +112,18 @@ def test_estimates_are_as_near_as_they_are_said_to_be(scenario: Scenario) -> Non
         shares.append(np.linalg.norm(both[0]) / np.linalg.norm(both[1]))
     assert np.mean(ratios) < 3.0
     assert max(shares) < 0.6
+
+
+@pytest.mark.parametrize("push", [0.0, 0.5])
+def test_what_nothing_disturbs_is_where_the_model_says(push: float) -> None:
+    """And what something pushes, if slowly, is where samples say."""
+    world, rng, count = World.from_scenario(BALL), np.random.default_rng(6), 50
+    noise, u = np.array([5e-3, 5e-2]), np.array([0.1])
+    true = simulate(world, BALL, u + push, count)
+    found, _ = run(world, BALL, noise, true + noise * rng.normal(size=true.shape), u)
+    errors = np.abs(found - true) / noise
+    assert np.max(errors[1:]) < 4.0
+    assert push or np.max(errors) < 1e-6
 
 
 def test_a_kick_is_believed_at_once_and_a_gap_goes_through() -> None:
@@ -131,7 +144,8 @@ def test_a_bounce_is_no_surprise() -> None:
     corridor = Scenario.named("corridor/three_bounces")
     world, rng, found = World.from_scenario(corridor), np.random.default_rng(2), []
     n, u = world.num_positions, np.zeros(world.num_actuators)
-    noise, true = np.repeat([2e-3, 2e-2], n), simulate(world, corridor, u, 40)
+    noise = np.repeat([2e-3, 2e-2], n)
+    true = simulate(world, corridor, u, 40, 10 * noise)
     turned = np.flatnonzero(np.any(true[1:, n:] * true[:-1, n:] < 0, axis=1)) + 1
     assert len(turned)
     for _ in range(3):

@@ -26,6 +26,9 @@ from drake_aigto.world import Scales, Scenario, World
 _UNKNOWN = 0.05
 # Standard deviations of an error's squared norm above its mean up to which the model is believed.
 _BELIEVED = 3.0
+# Samples are of the model's own motion until they are likelier of another one, by this log; to this
+# part of the task's scales, the model knows where that is.
+_ODDS, _EXACT = np.log(1e3), 1e-3
 # The covariance is doubled so often at one sample, at most: to a thousand times the deviations.
 _DOUBLINGS = 20
 # Samples are a period apart within this part of it.
@@ -33,12 +36,28 @@ _SAME = 1e-6
 
 
 class _Estimate(NamedTuple):
-    """An estimate x = [q, v] at a time, its covariance (2 nv, 2 nv), and the last sample's time."""
+    """Estimates at a time.
+
+    Attributes:
+        time: t [s].
+        x: the filter's, [q, v].
+        covariance: of that, (2 nv, 2 nv).
+        sampled: the last sample's time [s].
+        undisturbed: where the model leads from the scenario's start, [q, v].
+        odds: log of how much likelier samples are of that than of x, as far as it counts.
+    """
 
     time: float
     x: Floats
     covariance: Floats
     sampled: float
+    undisturbed: Floats
+    odds: float = -np.inf
+
+    @property
+    def likelier(self) -> Floats:
+        """The likelier one of both."""
+        return self.undisturbed if self.odds > 0 else self.x
 
 
 class StateFilter(LeafSystem):
@@ -57,6 +76,10 @@ class StateFilter(LeafSystem):
     off after the task's time. Where ‖z − x̂⁻‖² in the norm of S⁻¹ is above N + 3 √(2N), as after a
     kick, P⁻ is doubled until it is not. Where the model finds no motion, z is the estimate. A
     sample that is not finite goes through as it is, so that a controller sees it.
+
+    A plant that nothing disturbs moves as the model does from the scenario's start, x⁰, and noise
+    wants no answer. So x⁰ is the estimate until w, from log 1000 on and never above, is negative:
+    w ← w + log N(z; x⁰, R) − log N(z; x̂⁻, S), a cumulative sum (Page, Biometrika 1954).
 
     Input ports: `measured_state`, q and v; and `control`, u as it acts on the plant. Output port:
     `estimated_state`, q and v of now; between samples, as the model leads the last estimate on. Of
@@ -95,7 +118,7 @@ class StateFilter(LeafSystem):
                 that is not above zero.
         """
         super().__init__()
-        self._world, self._scenario = world, scenario
+        self._world, self._scenario, self._model = world, scenario, (world, scenario)
         nx = world.num_positions + world.num_velocities
         self._noise = np.array(noise, dtype=float)
         is_some = np.any(self._noise > 0) and np.all((self._noise >= 0) & np.isfinite(self._noise))
@@ -106,11 +129,14 @@ class StateFilter(LeafSystem):
         often = check_seconds(
             "control_period", period if control_period is None else control_period, is_positive=True
         )
-        _, scales = np.split(tangent_scales(world, scenario), 2)
-        self._unknown = _UNKNOWN**2 * scales**2 / Scales.of(world, scenario).time
+        scales = tangent_scales(world, scenario)
+        self._exact = np.diag((_EXACT * scales) ** 2)
+        _, speeds = np.split(scales, 2)
+        self._unknown = _UNKNOWN**2 * speeds**2 / Scales.of(world, scenario).time
         self._measured = self.DeclareVectorInputPort("measured_state", nx)
         self._control = self.DeclareVectorInputPort("control", world.num_actuators)
-        nothing = AbstractValue.Make(_Estimate(-np.inf, np.zeros(nx), np.empty((0, 0)), -np.inf))
+        none, start = np.zeros(nx), scenario.initial_state
+        nothing = AbstractValue.Make(_Estimate(-np.inf, none, np.empty((0, 0)), -np.inf, start))
         self._last = self.DeclareAbstractState(nothing)
         make = ValueProducer(nothing.Clone, lambda at, kept: kept.set_value(self._estimate(at)))
         self._now = self.DeclareCacheEntry("estimate", make, {self.all_sources_ticket()})
@@ -119,7 +145,7 @@ class StateFilter(LeafSystem):
         self.DeclareVectorOutputPort("estimated_state", nx, self._write)
 
     def read_covariance(self, context: Context) -> Floats:
-        """Returns the covariance of the last estimate along changes of q and v, (2 nv, 2 nv)."""
+        """Returns the filter's last covariance along changes of q and v, shape (2 nv, 2 nv)."""
         return np.array(self._read(context).covariance)
 
     def _read(self, context: Context) -> _Estimate:
@@ -140,12 +166,12 @@ class StateFilter(LeafSystem):
         last, z = self._read(context), self._measured.Eval(context)
         if self._is_due(context) or not np.all(np.isfinite(z)):
             found: _Estimate = self._now.Eval(context)
-            output.SetFromVector(found.x)
+            output.SetFromVector(found.likelier)
         elif context.get_time() > last.time:
-            led = predict((self._world, self._scenario), last.x, self._read_held(context))
+            led = predict(self._model, last.likelier, self._read_held(context))
             output.SetFromVector(z if led is None else led[0])
         else:
-            output.SetFromVector(last.x)
+            output.SetFromVector(last.likelier)
 
     def _keep(self, context: Context, state: State) -> EventStatus:
         found: _Estimate = self._now.Eval(context)
@@ -161,7 +187,7 @@ class StateFilter(LeafSystem):
         """Returns the estimate of now: the last one led on, and corrected where a sample is due."""
         last, now, z = self._read(context), context.get_time(), self._measured.Eval(context)
         if not np.all(np.isfinite(z)):
-            return last._replace(x=np.array(z))
+            return last._replace(x=np.array(z), odds=-np.inf)
         q, v = self._world.split(z)
         z = np.concatenate([self._world.normalized(q), v])
         R = self._spread(z)
@@ -169,7 +195,10 @@ class StateFilter(LeafSystem):
         if now > last.time > -np.inf:
             led = self._lead_on(last, self._read_held(context))
         if led is None:
-            return _Estimate(now, z, R, now)
+            off = self._world.calc_error(z, last.undisturbed)
+            is_near = off @ np.linalg.solve(R + self._exact, off) <= _most(off)
+            is_start = np.isinf(last.time) and is_near
+            return _Estimate(now, z, R, now, last.undisturbed, _ODDS if is_start else -np.inf)
         return self._correct(led, z, R) if self._is_due(context) else led
 
     def _spread(self, z: Floats) -> Floats:
@@ -184,7 +213,7 @@ class StateFilter(LeafSystem):
 
     def _lead_on(self, last: _Estimate, held: HeldControl) -> _Estimate | None:
         """Returns what the model makes of an estimate; None: it finds no motion."""
-        world, model = self._world, (self._world, self._scenario)
+        world, model = self._world, self._model
         variances, axes = np.linalg.eigh(last.covariance)
         steps = np.sqrt(len(axes) * np.maximum(variances, 0.0)) * axes
         points = [last.x, *(self._add(last.x, step) for step in (*steps.T, *-steps.T))]
@@ -195,13 +224,16 @@ class StateFilter(LeafSystem):
         elapsed = held.times[-1] - held.times[0]
         unknown, covariance = self._unknown * elapsed, errors.T @ errors / len(errors)
         covariance += np.diag(np.concatenate([unknown * elapsed**2 / 3, unknown]))
-        return _Estimate(float(held.times[-1]), ends[0], covariance, last.sampled)
+        ahead = predict(model, last.undisturbed, held) if last.odds > 0 else None
+        known = (ahead[0], last.odds) if ahead else (last.undisturbed,)
+        return _Estimate(float(held.times[-1]), ends[0], covariance, last.sampled, *known)
 
     def _correct(self, led: _Estimate, z: Floats, R: Floats) -> _Estimate:
         """Returns an estimate after a sample z of covariance R."""
         error, before = self._world.calc_error(z, led.x), led.covariance
-        most = len(error) + _BELIEVED * np.sqrt(2.0 * len(error))
-        S = cho_factor(before + R)
+        most, S = _most(error), cho_factor(before + R)
+        off = self._world.calc_error(z, led.undisturbed)
+        gained = _log_density(off, cho_factor(R + self._exact)) - _log_density(error, S)
         for _ in range(_DOUBLINGS):
             if error @ cho_solve(S, error) <= most:
                 break
@@ -210,9 +242,24 @@ class StateFilter(LeafSystem):
         gain = cho_solve(S, before).T
         rest = np.eye(len(error)) - gain  # Joseph's form: P has no negative part.
         covariance = rest @ before @ rest.T + gain @ R @ gain.T
-        return _Estimate(led.time, self._add(led.x, gain @ error), covariance, led.time)
+        return led._replace(
+            x=self._add(led.x, gain @ error),
+            covariance=covariance,
+            sampled=led.time,
+            odds=min(led.odds + gained, _ODDS),
+        )
 
     def _add(self, x: Floats, step: Floats) -> Floats:
         """Returns [q ⊕ δq, v + δv]."""
         (q, v), (dq, dv) = self._world.split(x), np.split(step, 2)
         return np.concatenate([self._world.add(q, dq), v + dv])
+
+
+def _most(error: Floats) -> float:
+    """Returns up to which squared norm an error is believed."""
+    return len(error) + _BELIEVED * float(np.sqrt(2.0 * len(error)))
+
+
+def _log_density(error: Floats, S: tuple[Floats, bool]) -> float:
+    """Returns log N(error; 0, S) from a factor of S, but for what is the same for all S."""
+    return float(-error @ cho_solve(S, error) / 2.0 - np.sum(np.log(np.diag(S[0]))))
