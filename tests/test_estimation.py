@@ -72,11 +72,27 @@ def test_a_rigid_wall_is_as_near_as_it_is_said_to_be(scenario: Scenario, shift: 
     check(known, [1.2, shift])
 
 
+def test_a_wall_that_nobody_expected_is_found_as_it_is_touched() -> None:
+    """No small change of where the model has it would be touched, too."""
+    world = World.from_scenario(POLE)
+    truth = Disturbance(wall_shift=0.15).apply(world, POLE)
+    for count, found in ((15, 0.0), (16, 0.15)):
+        known = watch(ModelEstimate.of(world, POLE, ["walls"]), truth, count=count)
+        np.testing.assert_allclose(known.values, [0.0, found], atol=2e-3)
+
+
 @pytest.mark.slow
 def test_noise_does_not_pass_for_another_model() -> None:
     world = World.from_scenario(POLE)
     known = watch(ModelEstimate.of(world, POLE, ["mass"]), (world, POLE), NOISE)
     assert known.values[0] == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("count", [2, 10])
+def test_more_noise_than_is_thought_of_makes_doubts_larger(count: int) -> None:
+    world = World.from_scenario(POLE)
+    known = ModelEstimate.of(world, POLE, ["mass"])
+    check(watch(known, (world, POLE), 5 * NOISE, count), [1.0])
 
 
 @pytest.mark.slow

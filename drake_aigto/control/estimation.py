@@ -34,8 +34,9 @@ _LINEAR, _CURVED = 0.1, 0.05
 _PASSES = 3
 # Factors stay between these; walls and forces within this number of units.
 _LEAST, _MOST, _FARTHEST = 0.2, 5.0, 2.0
-# A unit of walls, in the task's length.
-_WALL = 0.1
+# A unit of walls, in the task's length; and how deep in one a sample may be that was not foreseen,
+# in such units.
+_WALL, _DEPTHS = 0.1, (0.01, 0.02, 0.04, 0.08, 0.16)
 
 
 class _Parameter(NamedTuple):
@@ -58,21 +59,26 @@ class ModelEstimate:
 
         x − x̂(p) ≈ x − x̂(p₀) − Φ (p − p₀),    Φ_i = (x̂(p₀ + h_i) − x̂(p₀ − h_i)) / 2h_i,
 
-    and p minimizes Σ wₖ ‖x − x̂(p)‖² / σ² + ‖p − p_model‖² / σ_p² with weights that fall by a factor
-    e in a hundred samples, as Cauchy's for errors above 3 σ that doubts about p do not explain.
-    What is not linear counts as noise, of covariance Σ b_i b_iᵀ + Φ δ² Φᵀ beside σ²: no sample
+    and p minimizes Σ wₖ ‖x − x̂(p)‖² / s²σ² + ‖p − p_model‖² / σ_p² with weights that fall by a
+    factor e in a hundred samples, as Cauchy's for errors above 3 sσ that doubts about p do not
+    explain. The noise is as large as the errors that p leaves: s² is their mean, and at least 1.
+    What is not linear counts as noise, of covariance Σ b_i b_iᵀ + Φ δ² Φᵀ beside s²σ²: no sample
     tells p better than δ, and bends b_i = (x̂(p₀ + h_i) − 2x̂(p₀) + x̂(p₀ − h_i)) / 2 are taken as
     far as p_i is in doubt, σ_i: they grow by (σ_i / h_i)². So a sample in which something begins to
     slip tells little while friction is not known. (Second differences are those of Nørgaard,
     Poulsen and Ravn's filter, Automatica 2000.) Where p has left p₀ by h, a tenth of σ_p, or by
     half of its doubt σ, the model is built anew, about p, and that sample looked at again.
 
+    A wall that the model has out of reach changes no prediction if it moves a little. So where p
+    leaves an error above 3 sσ, it is also looked for from where a wall is as near as to be touched.
+
     Attributes:
         world: that the model was thought to be.
         scenario: its task.
         parameters: what is estimated.
         values: p.
-        information: of p, (P, P), and Σ wₖ Φᵀ(…) as it has been summed, (P,).
+        sums: Σ wₖ Φᵀ Φ, shape (P, P), Σ wₖ Φᵀ y, shape (P,), Σ wₖ yᵀ y, and Σ wₖ of numbers y, over
+            σ, with y = x − x̂(p₀) + Φ (p₀ − p_model).
         about: p₀.
         models: at p₀, at p₀ with each parameter higher, and with each lower.
     """
@@ -81,7 +87,7 @@ class ModelEstimate:
     scenario: Scenario
     parameters: tuple[_Parameter, ...]
     values: Floats
-    information: tuple[Floats, Floats]
+    sums: tuple[Floats, Floats, float, float]
     about: Floats
     models: tuple[Model, ...]
 
@@ -100,11 +106,9 @@ class ModelEstimate:
             ControlError: an unknown name, or one that the model has nothing of.
         """
         parameters = tuple(_list_parameters(world, scenario, unknown))
-        usual = np.array([each.usual for each in parameters])
-        precisions = np.array([each.unit for each in parameters]) ** -2.0
-        empty = cls(world, scenario, parameters, usual, (np.diag(precisions), precisions * usual),
-                    usual, ())  # fmt: skip
-        return empty._build()
+        usual, none = np.array([each.usual for each in parameters]), np.zeros(len(parameters))
+        empty = np.diag(none), none, 0.0, 0.0
+        return cls(world, scenario, parameters, usual, empty, usual, ())._build()
 
     def __deepcopy__(self, memo: object) -> ModelEstimate:
         """Returns itself: it never changes."""
@@ -118,12 +122,30 @@ class ModelEstimate:
     @property
     def is_of_the_model(self) -> bool:
         """Whether p₀ is the model's."""
-        return bool(np.all(self.about == [each.usual for each in self.parameters]))
+        return bool(np.all(self.about == self._usual))
+
+    @property
+    def noise(self) -> float:
+        """s², by which the noise of samples is larger than it is thought to be: at least 1."""
+        (information, slopes, squares, count), off = self.sums, self.values - self._usual
+        left = squares - 2.0 * slopes @ off + off @ information @ off
+        least = 2.0 * self.world.num_velocities  # As much is thought of it as a sample tells.
+        return max(1.0, float((least + left) / (least + count)))
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance of the values, shape (P, P)."""
+        precision: Floats = self.sums[0] / self.noise + np.diag(self._units**-2.0)
+        return np.asarray(np.linalg.inv(precision), dtype=float)
 
     @property
     def deviations(self) -> Floats:
         """Standard deviations of the values, shape (P,)."""
-        return np.sqrt(np.diag(np.linalg.inv(self.information[0])))
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def _usual(self) -> Floats:
+        return np.array([each.usual for each in self.parameters])
 
     @property
     def _units(self) -> Floats:
@@ -162,7 +184,19 @@ class ModelEstimate:
         """
         if not np.all(np.isfinite(samples)):
             return self
-        known = self
+        found = self._pass(self, samples, held)
+        if self._calc_error(self.models[0], samples, held) <= _LARGE**2:
+            return found
+        tried = [found.values, *self._list_nearer(samples[1])]
+        best = tried[int(np.argmin([self._price(values, samples, held) for values in tried]))]
+        if best is found.values:
+            return found
+        return self._pass(dataclasses.replace(self, values=best)._build(), samples, held)
+
+    def _pass(
+        self, known: ModelEstimate, samples: tuple[Floats, Floats], held: HeldControl
+    ) -> ModelEstimate:
+        """Returns what is known after a sample, with models that are about its values."""
         for _ in range(_PASSES):
             found = known._update(samples, held, self)
             near = np.minimum(_LINEAR * self._units, found.deviations / 2.0)
@@ -174,16 +208,47 @@ class ModelEstimate:
                 return found
         return known
 
+    def _list_nearer(self, x: Floats) -> Iterator[Floats]:
+        """Yields values with one wall as near as touches a state that it seems to be off."""
+        distances = self.models[0][0].calc_signed_distance(self.world.split(x)[0])
+        for i, each in enumerate(self.parameters):
+            if each.kind == "walls" and 0 < distances[each.which] < each.upper - self.about[i]:
+                for depth in _DEPTHS:
+                    nearer = self.about.copy()
+                    nearer[i] += distances[each.which] + depth * each.unit
+                    yield nearer
+
+    def _price(self, values: Floats, samples: tuple[Floats, Floats], held: HeldControl) -> float:
+        """Returns how unlikely values are by a sample, and by what was known before."""
+        try:
+            error = self._calc_error(self._change(values), samples, held)
+        except AigtoError:
+            return np.inf
+        off = values - self.values
+        before = float(off @ np.linalg.solve(self.covariance, off))
+        return 2 * self.world.num_velocities * error + before
+
+    def _calc_error(self, model: Model, samples: tuple[Floats, Floats], held: HeldControl) -> float:
+        """Returns the mean square of a prediction's errors, in standard deviations."""
+        end = predict(model, samples[0], held)
+        if end is None:
+            return np.inf
+        errors = self.world.calc_error(samples[1], end[0]) / self._deviations
+        return float(np.mean(errors**2) / self.noise)
+
+    @property
+    def _deviations(self) -> Floats:
+        """Standard deviations σ of a prediction's errors, shape (2 nv,)."""
+        scales = tangent_scales(self.world, self.scenario)
+        return np.repeat(_NOISE, self.world.num_velocities) * scales
+
     def _update(
         self, samples: tuple[Floats, Floats], held: HeldControl, before: ModelEstimate
     ) -> ModelEstimate:
         """Returns the same after a sample, linear about p₀, with what was known before it."""
         ends = [predict(model, samples[0], held) for model in self.models]
-        scales = tangent_scales(self.world, self.scenario)
-        scales = np.repeat(_NOISE, self.world.num_velocities) * scales
-        errors = np.array(
-            [self.world.calc_error(samples[1], end[0]) / scales for end in ends if end]
-        )
+        scales, after = self._deviations, samples[1]
+        errors = np.array([self.world.calc_error(after, end[0]) / scales for end in ends if end])
         if len(errors) < len(ends):
             return self
         expected, (above, below) = errors[0], np.split(errors[1:], 2)
@@ -191,19 +256,24 @@ class ModelEstimate:
         slopes = (below - above).T / (2.0 * steps)
         bends = (above + below - 2.0 * expected).T * np.maximum(before.deviations / steps, 1.0) ** 2
         spread = np.hstack([bends / 2.0, slopes * _CURVED * self._units])
-        noise = np.eye(len(expected)) + spread @ spread.T
-        likely = noise + slopes @ np.linalg.solve(before.information[0], slopes.T)
+        noise = before.noise * np.eye(len(expected)) + spread @ spread.T
+        likely = noise + slopes @ before.covariance @ slopes.T
         error = expected - slopes @ (before.values - self.about)
-        trust = np.linalg.inv(noise)
+        trust = before.noise * np.linalg.inv(noise)
         trust /= 1 + error @ np.linalg.solve(likely, error) / len(error) / _LARGE**2
-        kept = np.exp(-1 / _WINDOW)
-        prior = (1 - kept) * self._units**-2.0
-        usual, lower, upper = np.array([each[-4:-3] + each[-2:] for each in self.parameters]).T
-        information = kept * before.information[0] + np.diag(prior) + slopes.T @ trust @ slopes
-        total = kept * before.information[1] + prior * usual
-        total += slopes.T @ trust @ (expected + slopes @ self.about)
-        values = np.clip(np.linalg.solve(information, total), lower, upper)
-        return dataclasses.replace(self, values=values, information=(information, total))
+        kept, y = np.exp(-1 / _WINDOW), expected + slopes @ (self.about - self._usual)
+        told = slopes.T @ trust @ slopes, slopes.T @ trust @ y, y @ trust @ y, np.trace(trust)
+        sums = tuple(kept * old + new for old, new in zip(before.sums, told, strict=True))
+        return dataclasses.replace(self, values=before.values, sums=sums)._solve()
+
+    def _solve(self) -> ModelEstimate:
+        """Returns the same with the likeliest values, and the noise that they leave."""
+        lower, upper = np.array([each[-2:] for each in self.parameters]).T
+        known = self
+        for _ in range(_PASSES):
+            values = self._usual + known.covariance @ self.sums[1] / known.noise
+            known = dataclasses.replace(known, values=np.clip(values, lower, upper))
+        return known
 
 
 def _list_parameters(
