@@ -119,7 +119,7 @@ def test_hands_stay_within_limits_and_stick_until_they_reach_anew(fingers: Finge
             way = world.subtract(path[k + 1], path[k])
             total += way[turn]
             if each and each == then:
-                slips = world.relate(path[k])[1][list(each)] @ way
+                slips = world.relate(path[k])[2][list(each)] @ way
                 assert np.all(np.linalg.norm(slips, axis=1) < 0.3 * 0.05 * abs(way[turn]) + 1e-3)
         np.testing.assert_allclose(path[end:], np.tile(path[end], (101 - end, 1)), atol=1e-12)
         q = path[end]

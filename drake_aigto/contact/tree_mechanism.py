@@ -61,7 +61,7 @@ def _measure_pairs(world: SpaceWorld, law: CompliantLaw) -> tuple[Floats, Floats
     driven = np.any(world.actuation[world.tree.velocities], axis=1)
     share = np.where(np.any((world.signs != 0) & driven, axis=1), 1.0, _RESTING)
     q, g = world.plant.GetDefaultPositions(), world.plant.gravity_field().gravity_vector()
-    n, J = world.relate(q)
+    _, n, J = world.relate(q)
     mobility = J @ np.linalg.solve(world.calc_mass_matrix(q), np.swapaxes(J, 1, 2))
     across = np.einsum("mi,mij,mj->m", n, mobility, n)
     sideways = np.eye(3) - n[:, :, np.newaxis] * n[:, np.newaxis]

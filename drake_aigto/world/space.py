@@ -221,7 +221,7 @@ class SpaceWorld(SpaceCoordinates, World):
     def calc_slides(self, q: Floats, v: Floats) -> Floats:
         """Returns how the first shape of each pair slides along the second, (…, m, 3) [m/s]."""
         found = []
-        for (n, J), speed in zip(map(self.relate, list_rows(q)), list_rows(v), strict=True):
+        for (_, n, J), speed in zip(map(self.relate, list_rows(q)), list_rows(v), strict=True):
             rate = J @ speed
             found.append(rate - n * np.sum(n * rate, axis=1, keepdims=True))
         return np.array(found).reshape(*np.shape(q)[:-1], self.num_contacts, 3)
@@ -245,15 +245,15 @@ class SpaceWorld(SpaceCoordinates, World):
         at = self.tree, *self.geometry, np.array(self.signs), list_rows(q)
         return measure_pairs(*at, memory, make_closest(), J)
 
-    def relate(self, q: Floats) -> tuple[Floats, Floats]:
-        """Returns normals at one state, shape (m, 3), and ∂(ṗ_A − ṗ_B)/∂v, shape (m, 3, nv)."""
+    def relate(self, q: Floats) -> tuple[Floats, Floats, Floats]:
+        """Returns φ of one state (m,), normals (m, 3), and ∂(ṗ_A − ṗ_B)/∂v, shape (m, 3, nv)."""
         memory, tree = make_tree_memory(self.tree), self.tree
-        _, points = self._measure(q, memory=memory)
-        turns, C = memory.motions[:, :3], points[0, :, np.newaxis, 3:]
-        moved = memory.motions[:, 3:] + np.cross(turns, C)
+        distances, points = self._measure(q, memory=memory)
+        (x, y, z), (a, b, c) = points[0, :, 3:, np.newaxis].swapaxes(0, 1), memory.motions[:, :3].T
+        moved = np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=1)
         J = np.empty((self.num_contacts, 3, self.num_velocities))
-        J[..., tree.velocities] = np.swapaxes(moved * self.signs[..., np.newaxis], 1, 2)
-        return points[0, :, :3], J
+        J[..., tree.velocities] = (moved + memory.motions[:, 3:].T) * self.signs[:, np.newaxis]
+        return distances[0], points[0, :, :3], J
 
     @cached_property
     def signs(self) -> Floats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.dynamics import Tree, TreeMemory, place, subtract_positions
+from drake_aigto.dynamics import Tree, TreeMemory, add_tangent, place, subtract_positions
 from drake_aigto.geometry import Closest, Shapes, cross, dot, find_closest, place_shapes
 from drake_aigto.kernels import borrow, kernel
 
@@ -67,4 +67,13 @@ def subtract_rows(tree: Tree, after: Floats, before: Floats) -> Floats:
     found = np.zeros((after.shape[0], tree.up.size))
     for k in range(after.shape[0]):
         subtract_positions(tree, after[k], before[k], found[k])
+    return found
+
+
+@kernel
+def add_rows(tree: Tree, q: Floats, delta: Floats) -> Floats:
+    """Returns q ⊕ δ of rows (K, nq) and (K, nv), shape (K, nq)."""
+    tree, found = borrow(tree), np.zeros(q.shape)
+    for k in range(q.shape[0]):
+        add_tangent(tree, q[k], delta[k], found[k])
     return found

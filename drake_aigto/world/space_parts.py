@@ -173,9 +173,10 @@ class SpaceCoordinates(Coordinates):
 
     def add(self, q: Floats, delta: Floats) -> Floats:
         """Returns q ⊕ δ, shape (…, nq): links turned by rotation vectors, and moved."""
+        from drake_aigto.world.space_kernels import add_rows
+
         q, delta = broadcast_rows(q, delta)
-        rows = [self.tree.add(*row) for row in zip(list_rows(q), list_rows(delta), strict=True)]
-        return np.array(rows).reshape(q.shape)
+        return add_rows(self.tree, list_rows(q), list_rows(delta)).reshape(q.shape)
 
     def subtract(self, after: Floats, before: Floats) -> Floats:
         """Returns the shortest δ with before ⊕ δ = after, shape (…, nv), of positions (…, nq)."""
@@ -211,8 +212,13 @@ class SpaceCoordinates(Coordinates):
 
         The latter has the shape (…, 1).
         """
-        places = self.tree.places
+        places = self._places
         return np.where(places >= 0, positions[..., places], turn)
+
+    @cached_property
+    def _places(self) -> Ints:
+        """Which position has each velocity as its rate, −1 of turns in space, shape (nv,)."""
+        return self.tree.places
 
     @cached_property
     def _turns_in_space(self) -> list[int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +45,19 @@ class Stroke(NamedTuple):
     positions: Floats
     contacts: list[tuple[int, ...]]
     end: int
+
+
+class _Touch(NamedTuple):
+    """Hands at an object that they may push: how good that is at most, q, and which contacts push.
+
+    It is best where hands come by a short way, without collisions, and push it all of its way to
+    its goal: by the straight one, or as they can.
+    """
+
+    most: float
+    positions: Floats
+    contacts: tuple[int, ...]
+    is_straight: bool
 
 
 class _Following(HeldControl):
@@ -237,7 +250,7 @@ class Reaches:
         It is nearest in accelerations by the roots of their weights, with forces f within cones of
         friction, of four edges each. The second result is how far off it is there.
         """
-        normals, jacobians = self.world.relate(q)
+        _, normals, jacobians = self.world.relate(q)
         edges = np.vstack(
             [_find_edges(normals[i], self._law.friction[i]) @ jacobians[i] for i in contacts]
         )
@@ -263,25 +276,39 @@ class Reaches:
 
         Also returns their contacts.
         """
-        world, best = self.world, (-np.inf, list[Floats](), tuple[int, ...]())
-        nearest, way = world.calc_signed_distance(start), self._find_way(start)
-        size = max(self._measure(way), _NOTHING)
+        best = -np.inf, list[Floats](), tuple[int, ...]()
+        size = max(self._measure(self._find_way(start)), _NOTHING)
+        touches = sorted(self._draw_touches(start, size, rng), key=lambda each: -each.most)
+        for most, q, contacts, is_straight in touches:
+            if most <= best[0]:
+                break
+            pushed = self._follow(q, size / _PARTS, contacts, is_straight)
+            value = most - self._measure(self._find_way(pushed[-1])) / size
+            best = max(best, (value, pushed, contacts), key=lambda each: each[0])
+        return best[1:]
+
+    def _draw_touches(
+        self, start: Floats, size: float, rng: np.random.Generator
+    ) -> Iterator[_Touch]:
+        """Yields random touches; the object's way is this long, at least."""
+        world, way = self.world, self._find_way(start)
+        nearest = np.minimum(world.calc_signed_distance(start), 0.0)
+        found: dict[tuple[int, ...], Floats] = {}
         for _ in range(_SAMPLES):
             contacts, is_straight = self._draw_contacts(rng), bool(rng.integers(2))
-            q = self._touch(self._draw_pose(self._touch(start, contacts), contacts, rng), contacts)
+            if contacts not in found:
+                found[contacts] = self._touch(start, contacts)
+            q = self._touch(self._draw_pose(found[contacts], contacts, rng), contacts)
             there = world.subtract(q, start)
             distances = world.calc_signed_distance(world.add(start, np.outer(_LOOKS, there)))
             is_near = np.all(np.abs(distances[-1, contacts]) < _NEAR * self._length)
             if is_near and not self._find_excess(q).any():
-                pushed = self._follow(q, size / _PARTS, contacts, is_straight)
-                inside = float(np.sum(np.minimum(distances - np.minimum(nearest, 0.0), 0.0)))
-                value = 1 - self._measure(self._find_way(pushed[-1])) / size
+                inside = float(np.sum(np.minimum(distances - nearest, 0.0)))
+                most = 1 + _COLLISION * inside / self._length
+                most -= _DISTANCE * float(np.linalg.norm(there / self._unit))
                 if is_straight:
-                    value -= self.calc_push(q, self._calc_inertia(q) @ way, contacts)[1] / size
-                value += _COLLISION * inside / self._length
-                value -= _DISTANCE * float(np.linalg.norm(there / self._unit))
-                best = max(best, (value, pushed, contacts), key=lambda each: each[0])
-        return best[1:]
+                    most -= self.calc_push(q, self._calc_inertia(q) @ way, contacts)[1] / size
+                yield _Touch(most, q, contacts, is_straight)
 
     def _draw_pose(self, q: Floats, contacts: tuple[int, ...], rng: np.random.Generator) -> Floats:
         """Returns random positions of contacts' hands: near some, or within limits of joints."""
@@ -322,10 +349,11 @@ class Reaches:
         """Returns positions in which hands touch, by Newton steps from others, one by one."""
         for contact in contacts:
             for _ in range(_NEWTON):
-                off = float(self.world.calc_signed_distance(q)[contact])
+                distances, normals, jacobians = self.world.relate(q)
+                off = float(distances[contact])
                 if abs(off) < _TOUCHES * self._length:
                     break
-                J = self.world.calc_contact_jacobian(q)[contact] * self._driven
+                J = normals[contact] @ jacobians[contact] * self._driven
                 towards = self._unit**2 * J
                 step = -off * towards / max(J @ towards, _NOTHING)
                 longest = float(np.max(np.abs(step) / self._unit))
@@ -335,8 +363,8 @@ class Reaches:
 
     def _stick(self, q: Floats, way: Floats, contacts: tuple[int, ...]) -> Floats | None:
         """Returns positions in which the object has moved, and hands with it; None: they can't."""
-        rows, (normals, jacobians) = list(contacts), self.world.relate(q)
-        gaps = normals[rows] * self.world.calc_signed_distance(q)[rows, np.newaxis]
+        rows, (distances, normals, jacobians) = list(contacts), self.world.relate(q)
+        gaps = normals[rows] * distances[rows, np.newaxis]
         J = jacobians[rows].reshape(-1, len(way))
         off, by_hand = J @ way + gaps.ravel(), J * (self._unit * self._driven)
         moved = np.linalg.lstsq(by_hand, -off, rcond=_SINGULAR)[0]
