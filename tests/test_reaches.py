@@ -208,3 +208,12 @@ def test_servos_that_follow_a_line_bring_a_quadruped_to_its_feet_in_drake_too() 
     assert drake.cost == pytest.approx(own.cost, rel=1e-5)
     assert drake.goal_error < 0.05  # [m, rad]
     assert task.idle_candidate().replay.goal_error > 1.0
+
+
+def test_what_costs_far_more_than_kept_motions_after_wide_passes_is_left_there() -> None:
+    task = Planner(Scenario.named("puck/spin")).task
+    assert isinstance(task, MechanismTask)
+    guess = task.guesses.plain("line")
+    whole, same, dear = (task.close(guess, Aim(most, False)) for most in (np.inf, 1e2, 1e-6))
+    assert dear.is_left and not (whole.is_left or same.is_left)
+    assert dear.iterations < same.iterations and same.cost == whole.cost < 1e2

@@ -20,10 +20,10 @@ from drake_aigto.kernels import borrowing
 from drake_aigto.shooting.stages import accelerate_stage, bend
 from drake_aigto.shooting.tables import FlowMemory
 
-# Newton's method ends once the residual's square is below this share of the velocities' squares, or
-# after `_MOST` evaluations. A Newton step that raises the residual is shortened by this factor, and
-# again, until it is as short as `_SHORTEST` of itself.
-_TOLERANCE, _MOST, _SHORTER, _SHORTEST = 1e-20, 30, 0.3, 1e-3
+# Newton's method ends with the step from a residual whose square is below this share of velocities'
+# squares: its own square is left then. Or it ends after `_MOST` evaluations. A step that raises the
+# residual is shortened by this factor, and again, until it is as short as `_SHORTEST` of itself.
+_TOLERANCE, _MOST, _SHORTER, _SHORTEST = 1e-12, 30, 0.3, 1e-3
 
 
 @only_of(TreeMechanics)
@@ -75,7 +75,7 @@ def step_implicitly(
 def _find_velocities(
     mechanics: Any, z: Floats, u: Floats, eps: float, h: float, room: FlowMemory
 ) -> None:
-    """Computes velocities of y that obey w = v + h a, and derivatives of a there."""
+    """Computes velocities of y that obey w = v + h a, and derivatives of a as near as counts."""
     x, y, off, n = room.points[0], room.points[1], room.off, room.off.shape[0] // 2
     acceleration, best, length = room.mechanics.acceleration, np.inf, 1.0
     for count in range(_MOST + 1):
@@ -86,7 +86,7 @@ def _find_velocities(
             error = y[n + i] - x[n + i] - change
             squares += error * error
             total += change * change + x[n + i] * x[n + i]
-        if squares <= _TOLERANCE * total or count == _MOST or not np.isfinite(squares):
+        if count == _MOST or not np.isfinite(squares):
             return
         if squares < best or length < _SHORTEST:
             best, length = squares, 1.0
@@ -100,6 +100,8 @@ def _find_velocities(
             length *= _SHORTER
         for i in range(n):
             y[n + i] += shift * off[n + i, 0]
+        if squares <= _TOLERANCE * total:
+            return
 
 
 @borrowing

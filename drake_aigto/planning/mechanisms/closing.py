@@ -101,11 +101,6 @@ _LEFT = 1.2
 _WRECKED = 10.0
 # Times the cost of a motion that another one costs at most, which is as good.
 _HARDLY = 1.05
-# In the plane with friction, motions that cost more after a pass at smoothing ε than 1 + `_RISES` ε
-# times the limit of the last one are left there, from `_TELLING` on. In six traces of 250 closings,
-# around discs, blocks, spinners and a hopper, that saves up to 40 % of the time, none around one of
-# the spinners, and no best motion is lost.
-_TELLING, _RISES = 0.1, 40.0
 # A motion that violates its bounds by more (relative to the scales) won't become a plan.
 HOPELESS = 0.05
 
@@ -126,19 +121,21 @@ class Aim(NamedTuple):
     substeps: int = 1
     order: int | None = None
 
-    def limit(self, options: ShootingOptions, is_telling: bool) -> ShootingOptions:
+    def limit(self, options: ShootingOptions, tells: tuple[float, float] | None) -> ShootingOptions:
         """Returns options with this limit, unless their costs are of other walls or prices.
 
         Args:
             options: of a closing.
-            is_telling: whether costs of wider passes tell; their limits grow with the width.
+            tells: from which smoothing ε on costs of wider passes tell, and how their limits grow
+                with ε; None: they do not.
         """
         *wide, last = options.rungs
-        if options.multiplier_updates or (wide and not is_telling):
+        if options.multiplier_updates or (wide and tells is None):
             return options
+        first, rise = tells or (0.0, 0.0)
         rungs = (
-            each._replace(most=scaled(1 + _RISES * each.smoothing, self.most))
-            if each.smoothing <= _TELLING
+            each._replace(most=scaled(1 + rise * each.smoothing, self.most))
+            if each.smoothing <= first
             else each
             for each in wide
         )
