@@ -47,7 +47,7 @@ class Stroke(NamedTuple):
     end: int
 
 
-class _Touch(NamedTuple):
+class _Grasp(NamedTuple):
     """Hands at an object that they may push: how good that is at most, q, and which contacts push.
 
     It is best where hands come by a short way, without collisions, and push it all of its way to
@@ -278,8 +278,8 @@ class Reaches:
         """
         best = -np.inf, list[Floats](), tuple[int, ...]()
         size = max(self._measure(self._find_way(start)), _NOTHING)
-        touches = sorted(self._draw_touches(start, size, rng), key=lambda each: -each.most)
-        for most, q, contacts, is_straight in touches:
+        grasps = sorted(self._draw_grasps(start, size, rng), key=lambda each: -each.most)
+        for most, q, contacts, is_straight in grasps:
             if most <= best[0]:
                 break
             pushed = self._follow(q, size / _PARTS, contacts, is_straight)
@@ -287,10 +287,10 @@ class Reaches:
             best = max(best, (value, pushed, contacts), key=lambda each: each[0])
         return best[1:]
 
-    def _draw_touches(
+    def _draw_grasps(
         self, start: Floats, size: float, rng: np.random.Generator
-    ) -> Iterator[_Touch]:
-        """Yields random touches; the object's way is this long, at least."""
+    ) -> Iterator[_Grasp]:
+        """Yields random ones; the object's way is this long, at least."""
         world, way = self.world, self._find_way(start)
         nearest = np.minimum(world.calc_signed_distance(start), 0.0)
         found: dict[tuple[int, ...], Floats] = {}
@@ -308,7 +308,7 @@ class Reaches:
                 most -= _DISTANCE * float(np.linalg.norm(there / self._unit))
                 if is_straight:
                     most -= self.calc_push(q, self._calc_inertia(q) @ way, contacts)[1] / size
-                yield _Touch(most, q, contacts, is_straight)
+                yield _Grasp(most, q, contacts, is_straight)
 
     def _draw_pose(self, q: Floats, contacts: tuple[int, ...], rng: np.random.Generator) -> Floats:
         """Returns random positions of contacts' hands: near some, or within limits of joints."""
