@@ -80,16 +80,11 @@ RECORDS: Mapping[str, str] = {
     "certificates": "python -m benchmarks.certificates --worlds 20 --lossy 10 --workers 1",
     "provers": "python -m benchmarks.provers --workers 1",
     "push_bot_bounds": "python -m benchmarks.push_bot_bounds",
-    "in_the_loop": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --workers 1",
-    "in_more_loops": "python -m benchmarks.in_the_loop room/bank_shot floor/rebound"
-    " cart_pole/soft_06 --count 100 --workers 2 --minutes 14",
     "loop_record": "python -m benchmarks.loop_record --only table1,corridor,room,floor,soft,block"
     " --workers 1 --minutes 12",
     "estimated": "python -m benchmarks.estimated --workers 1 --minutes 25",
     "held": "python -m benchmarks.held --workers 1 --minutes 70",
     "live_latency": "python -m benchmarks.live_latency",
-    "loops_changing": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --changing"
-    " --count 60 --workers 1 --minutes 6",
     "cart_poles": "python -m benchmarks.cart_poles --count 100 --workers 1 --minutes 45",
     "soak": "python -m benchmarks.soak --count 1000000",
     "random_programs": "python -m benchmarks.random_programs --count 3000 --seed 4 --workers 2",
@@ -217,9 +212,6 @@ FIGURES: Mapping[str, Figure] = {
     ),
     "lifted_tables": Figure("lifted_functions", r"(?s)\A[^\n]*\n(.*\S)"),
     "staged_tables": Figure("staged_programs", r"(?s)^(push_bot/0\.6: .*\S)"),
-    "in_the_loop_tables": Figure("in_the_loop", r"(?s)\A[^\n]*\n(.*\S)"),
-    "loops_changing_tables": Figure("loops_changing", r"(?s)\A[^\n]*\n(.*\S)"),
-    "in_more_loops_tables": Figure("in_more_loops", r"(?s)\A[^\n]*\n(.*\S)"),
     "friction_worlds_table": Figure("friction_worlds", r"(?s)\A[^\n]*\n(.*\S)"),
     "loop_record_tables": Figure("loop_record", r"(?s)^(table1/1: .*\S)"),
     "estimated_tables": Figure("estimated", r"(?s)^(table1/1  .*\S)"),
