@@ -24,7 +24,7 @@ _RAISES, _RAISE = 5, 10.0
 _RAISED_STEPS, _RAISED_TOLERANCE = 10, 1e-10
 
 
-def make_ball_task(
+def make_newton_problem(
     f: BoxPolynomial,
     order: Order,
     free: Bools,
@@ -86,7 +86,7 @@ class CenterObjective:
         """Puts variables in elimination order."""
         within = _NO_BOUNDS if bounds is None else (bounds[0][f.order], bounds[1][f.order])
         self._f, self._tolerance = f, tolerance
-        self._problem = make_ball_task(f, Order.CENTERS, free, half_width, within)
+        self._problem = make_newton_problem(f, Order.CENTERS, free, half_width, within)
 
     def descend(self, x: Floats, max_steps: int, damping: float = 0.0) -> NewtonResult:
         """Minimizes from x (n,) by damped steps, see `descent.descend`."""
@@ -193,7 +193,7 @@ class Annealing:
             lower[0::2] -= box.half_width[f.order]
             upper[0::2] += box.half_width[f.order]
             lower[1::2] = -np.inf
-        problem = make_ball_task(f, Order.BOXES, box.free, 0.0, bounds)
+        problem = make_newton_problem(f, Order.BOXES, box.free, 0.0, bounds)
         return Iterate(box, mean, start, memory=AnnealingMemory(problem, unit, start))
 
     def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
