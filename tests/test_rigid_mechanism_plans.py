@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -148,20 +147,6 @@ def test_a_wall_that_would_be_grazed_is_passed_at_a_distance() -> None:
     assert plan.replay.event_driven.cost == pytest.approx(plan.cost, rel=1e-4)
     assert plan.cost < 80.6
     check_impacts(plan)
-
-
-@pytest.mark.slow
-def test_a_plan_is_that_of_any_number_of_threads(pendulum: Planner, plan: Plan) -> None:
-    one = dataclasses.replace(QUICK, threads=1)
-    other = Planner(pendulum.scenario, one, pendulum.world).plan()
-    np.testing.assert_array_equal(other.trajectory.controls, plan.trajectory.controls)
-
-
-def test_a_file_keeps_the_plan(throw: Plan, tmp_path: Path) -> None:
-    throw.save(tmp_path / "plan.json")
-    loaded = Plan.load(tmp_path / "plan.json")
-    assert loaded == throw
-    assert loaded.replayed().holds
 
 
 @pytest.mark.parametrize("times", [[], [0.0, 0.0, 0.0], [1.0, 1.0], [0.1, 0.5, 0.50001, 0.99]])

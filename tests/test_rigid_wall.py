@@ -100,17 +100,6 @@ def test_a_dip_within_one_interval_is_seen(depth: float, steps: int) -> None:
     assert replay.positions[-1, 0] == pytest.approx(exact.position, abs=EXACT)
 
 
-def test_the_ball_rests_while_pushed_and_leaves_when_pulled() -> None:
-    times = np.linspace(0.0, 2.0, 201)
-    forces = np.where(times[:-1] < 1.5, -4.0, 1.0)[:, np.newaxis]
-    scenario = make_scenario(0.3, 0.0, restitution=0.3)
-    replay = replay_event_driven(shipped_world(), scenario, times, forces)
-    resting = (replay.times > 1.0) & (replay.times < 1.5)
-    assert np.all(np.abs(replay.positions[resting]) <= 1e-13)
-    assert np.all(replay.velocities[resting] == 0)
-    assert replay.positions[-1, 0] == pytest.approx(0.5**2 / 2, abs=1e-11)
-
-
 @pytest.mark.parametrize("e", [1.0, 0.999, 0.9, 0.5, 0.0])
 def test_a_ball_that_trembles_under_a_push_does_not_hang(e: float) -> None:
     scenario = make_scenario(1e-7, 0.0, restitution=e)
