@@ -1,21 +1,13 @@
 from .command_line import main as main
 from .command_line import make_parser as make_parser
-from .command_line import run as run
-from .command_line import show_progress as show_progress
 from .flags import BAD_INPUT as BAD_INPUT
 from .flags import FAULT as FAULT
 from .flags import FINE as FINE
 from .flags import INTERRUPTED as INTERRUPTED
 from .flags import NOTHING_HOLDS as NOTHING_HOLDS
 from .flags import UNREAD as UNREAD
-from .flags import Parser as Parser
-from .flags import add_command as add_command
-from .flags import add_common as add_common
-from .flags import add_json as add_json
 from .flags import add_workers as add_workers
 from .flags import load_scenario as load_scenario
-from .flags import positive as positive
 from .flags import read_workers as read_workers
-from .flags import share as share
 
 __all__: list[str]

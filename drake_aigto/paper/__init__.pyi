@@ -1,7 +1,6 @@
 from .planner import LITERAL_LADDER as LITERAL_LADDER
 from .planner import AlgorithmName as AlgorithmName
 from .planner import LiteralOptions as LiteralOptions
-from .planner import LiteralSearch as LiteralSearch
 from .planner import LiteralTask as LiteralTask
 from .planner import LiteralTranscription as LiteralTranscription
 from .planner import gradient_from_random as gradient_from_random
