@@ -9,7 +9,8 @@ all).
 
 Controllers: the plan's control alone; a time-varying LQR as one writes it by hand, by the clock,
 about the smooth dynamics, compliant walls included; `TrackingController`;
-`ModelPredictiveController` from the same plan; and MPPI, which moves the plan's control to samples
+`ModelPredictiveController` from the same plan, which estimates what mechanisms' models may have
+wrong; and MPPI, which moves the plan's control to samples
 about it, by their cost in our own simulation. The tracker and what plans again are told the delay
 and the limits of actuators. Where states are measured with noise, all of these get them from a
 `StateFilter`.
@@ -42,7 +43,14 @@ from drake_aigto import (
     World,
 )
 from drake_aigto.arrays import Floats
-from drake_aigto.control import ClosedLoopRun, Disturbance, PlannedMotion, Safety, run_in_loop
+from drake_aigto.control import (
+    ClosedLoopRun,
+    Disturbance,
+    ModelEstimate,
+    PlannedMotion,
+    Safety,
+    run_in_loop,
+)
 from drake_aigto.planning import make_mechanism_task
 from drake_aigto.simulation import EVENT_DRIVEN, Held, HeldControl, Parabolas, summarize
 from drake_aigto.world import Scales, TaskCost
@@ -61,6 +69,7 @@ KICK, CUT = 0.3, 0.8  # of the task's velocity, and of the largest control of th
 # Of controls of the plan; and the part of the mean excess of costs that weighs as 1 / e.
 _SPREAD, _TEMPERATURE, _SAMPLES, _KNOTS = 0.1, 0.1, 16, 8
 _BALLS = PlanOptions(branches=0, finalists=1, threads=1)
+_UNKNOWN: tuple[Any, ...] = ("mass", "friction", "stiffness", "walls")
 _WITHIN = 1.1  # times the best counts as best
 
 
@@ -97,8 +106,18 @@ def prepare(name: str) -> Prepared:
         options["feedback_period"] = 0.005
     if world.contacts and (scenario.contact == "rigid" or world.frictions):
         options |= {"surprise": np.inf, "iterations": 15 if world.frictions else 5}
+    options["estimate"] = [each for each in _UNKNOWN if may_be_unknown(world, scenario, each)]
     period = scenario.time_step if world.frictions else 0.02
     return Prepared(world, planner.plan(), planner, period, options)
+
+
+def may_be_unknown(world: World, scenario: Scenario, what: Any) -> bool:
+    """Returns whether a model has something that may be estimated."""
+    try:
+        ModelEstimate.of(world, scenario, [what])
+    except AigtoError:
+        return False
+    return True
 
 
 class Clocked(ModelPredictiveController):

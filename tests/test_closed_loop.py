@@ -27,7 +27,7 @@ from drake_aigto import (
 from drake_aigto.control import ClosedLoopRun, Disturbance, run_in_loop
 from drake_aigto.errors import ControlError, ResultsFileError
 from drake_aigto.show import figures_of_run, format_run, plot_run
-from drake_aigto.world import STIFFNESS, read_given, read_material
+from drake_aigto.world import STIFFNESS, read_given
 
 WALL, POLE = Scenario.named("table1/1"), Scenario.named("cart_pole/soft_06")
 NOISE = np.array([1e-3, 1e-2])  # [m, m/s]
@@ -161,11 +161,11 @@ def test_true_masses_are_multiples_also_of_the_mass_that_a_scenario_gives(
 
 
 def test_true_walls_are_as_stiff_as_was_asked_for() -> None:
-    world = make_planner().world
-    root, shape = world.create_context(), world.shapes[0][0]
-    Disturbance(stiffness_factor=0.5).impose(world, root)
-    found = read_material(world.scene_graph, root, shape).GetProperty(*STIFFNESS)
-    assert found == 0.5 * read_given(world.scene_graph, shape, STIFFNESS)
+    world = (planner := make_planner()).world
+    true, _ = Disturbance(stiffness_factor=0.5).apply(world, planner.scenario)
+    for shape in world.shapes[0]:
+        found, given = (read_given(each.scene_graph, shape, STIFFNESS) for each in (true, world))
+        assert found == 0.5 * given
 
 
 def test_true_friction_is_that_of_contacts_and_joints() -> None:

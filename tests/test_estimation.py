@@ -72,6 +72,14 @@ def test_a_rigid_wall_is_as_near_as_it_is_said_to_be(scenario: Scenario, shift: 
     check(known, [1.2, shift])
 
 
+def test_how_stiff_a_soft_wall_is_shows_as_it_is_pressed() -> None:
+    world = World.from_scenario(POLE)
+    truth = Disturbance(stiffness_factor=1.5).apply(world, POLE)
+    known = watch(ModelEstimate.of(world, POLE, ["mass", "stiffness"]), truth)
+    check(known, [1.0, 1.5])
+    assert known.deviations[1] < 0.1
+
+
 def test_a_wall_that_nobody_expected_is_found_as_it_is_touched() -> None:
     """No small change of where the model has it would be touched, too."""
     world = World.from_scenario(POLE)
@@ -195,7 +203,12 @@ def test_a_pole_of_another_mass_ends_as_near_as_one_that_is_known() -> None:
     ("scenario", "unknown", "message"),
     [
         (BALL, ["friction"], "^friction_factor: got no friction, expected friction in joints"),
-        (BALL, ["length"], "^estimate: got length, expected some of mass, friction, walls, force"),
+        (
+            BALL,
+            ["length"],
+            "^estimate: got length, expected some of mass, friction, stiffness, walls, force",
+        ),
+        (BALL, ["stiffness"], "^estimate: got no compliant wall"),
         (Scenario.named("acrobot/swing_up"), ["walls"], "^estimate: got no wall of one face"),
     ],
 )

@@ -18,8 +18,8 @@ from drake_aigto.errors import AigtoError, ControlError, ModelError
 from drake_aigto.simulation import HeldControl, tangent_scales
 from drake_aigto.world import Scales, Scenario, SpaceWorld, World
 
-Unknown: TypeAlias = Literal["mass", "friction", "walls", "force"]
-_FACTORS = ("mass", "friction")
+Unknown: TypeAlias = Literal["mass", "friction", "stiffness", "walls", "force"]
+_FACTORS = ("mass", "friction", "stiffness")
 
 # Standard deviations of a prediction's errors, in the task's scales of q and v.
 _NOISE = 2e-3, 1e-2
@@ -99,8 +99,8 @@ class ModelEstimate:
             world: the model.
             scenario: its task.
             unknown: of "mass", a factor of all masses and inertias; "friction", of all friction;
-                "walls", by how much nearer each stands [m]; and "force", one that acts on each
-                coordinate all the time [N, N m].
+                "stiffness", of all compliant walls; "walls", by how much nearer each stands [m];
+                and "force", one that acts on each coordinate all the time [N, N m].
 
         Raises:
             ControlError: an unknown name, or one that the model has nothing of.
@@ -281,6 +281,10 @@ def _list_parameters(
 ) -> Iterator[_Parameter]:
     scales = Scales.of(world, scenario)
     for kind in unknown:
+        if kind == "stiffness" and not (scenario.contact == "compliant" and world.contacts):
+            raise ControlError(
+                "estimate", got="no compliant wall", expected="walls with a stiffness"
+            )
         if kind in _FACTORS:
             changes: dict[str, Any] = {f"{kind}_factor": 1.1}
             Disturbance(**changes).apply(world, scenario)  # Refuses what is none.

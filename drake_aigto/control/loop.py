@@ -211,7 +211,6 @@ def run_in_loop(
     plant_world = true_world.of_diagram(diagram)
     plant_world.check(true)
     simulator, contacts = start_plant(plant_world, true, (0.0, true.duration))
-    disturbance.impose(plant_world, simulator.get_mutable_context())
     if meshcat is not None:
         simulator.set_target_realtime_rate(1.0)
     recorder = LoopRecorder(plant_world, controller, contacts, end, progress)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import json
 import os
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from pydrake.systems.framework import Context
 
 from drake_aigto.arrays import ArrayRecord, Floats, LockedArrays, locked
 from drake_aigto.control.ports import TickStatus
@@ -18,7 +16,7 @@ from drake_aigto.errors import AigtoError, ControlError, ResultsFileError
 from drake_aigto.output import write_text
 from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
 from drake_aigto.simulation import Arrival, Replay
-from drake_aigto.world import STIFFNESS, Scenario, World, read_given, set_material
+from drake_aigto.world import Scenario, World
 
 FORMAT, FORMAT_VERSION = "drake_aigto closed loop", 2
 HEAD = {"format": FORMAT, "version": FORMAT_VERSION, "simulation": True}
@@ -38,7 +36,7 @@ class Disturbance(ArrayRecord):
         wall_shift: how much nearer each wall stands, along its normal [m].
         restitution_factor: of the scenario's restitution.
         friction_factor: of all friction, where contacts have one μ, and of that in joints.
-        stiffness_factor: of all compliant walls, in what is simulated.
+        stiffness_factor: of all compliant walls.
         saturation: |u| at most that acts on the plant, shape (nu,) [N, N m].
         kick: by how much v jumps, shape (n,) [m/s, rad/s].
         kick_time: when it does, before the run ends [s].
@@ -88,13 +86,13 @@ class Disturbance(ArrayRecord):
             raise ControlError("noise", got=self.noise.tolist(), expected="standard deviations")
 
     def apply(self, world: World, scenario: Scenario) -> tuple[World, Scenario]:
-        """Returns the true world and scenario, but for the stiffness (`impose`).
+        """Returns the true world and scenario.
 
         Raises:
             ControlError: sizes that are not the world's, a restitution that is not the scenario's
                 or would be above 1, contacts of different friction, or walls that can't stand
                 nearer.
-            ModelError: a wall moves (`World.with_wall_moved`).
+            ModelError: a wall moves (`World.with_wall_moved`), or has no stiffness.
         """
         self._check_sizes(world)
         scenario, changes = world.place(scenario), dict[str, object]()
@@ -109,6 +107,8 @@ class Disturbance(ArrayRecord):
             world = World.from_scenario(true)
         if self.mass_factor != 1:
             world = world.of_diagram(world.diagram, self.mass_factor * world.mass_factor)
+        if self.stiffness_factor != 1:
+            world = world.with_stiffness(self.stiffness_factor)
         return (self._move_walls(world) if self.wall_shift else world), true
 
     def check_times(self, end: float) -> None:
@@ -182,15 +182,6 @@ class Disturbance(ArrayRecord):
         for wall in dict.fromkeys(walls):
             world = world.with_wall_moved(walls.index(wall), self.wall_shift)
         return world
-
-    def impose(self, world: World, root: Context) -> None:
-        """Gives shapes their true stiffness, in this context only."""
-        if self.stiffness_factor == 1:
-            return
-        source: Any = world.plant.get_source_id()
-        for shape in dict.fromkeys(itertools.chain(*world.shapes)):
-            stiffness = self.stiffness_factor * read_given(world.scene_graph, shape, STIFFNESS)
-            set_material(world.scene_graph, source, root, shape, STIFFNESS, stiffness)
 
     def draw_noise(self, count: int) -> Floats:
         """Returns the noise of q and v at each of a count of periods, shape (count, 2n)."""

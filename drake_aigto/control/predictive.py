@@ -131,8 +131,8 @@ class ModelPredictiveController(LoopController):
             delay: see `LoopController`, as for the other arguments.
             start_time: the context's time at which the task begins [s].
             safety: limits, and the fallback.
-            estimate: what of the model is not known, of "mass", "friction", "walls" and "force"
-                (`ModelEstimate.of`); walls of balls are learned anyhow.
+            estimate: what of the model is not known, of "mass", "friction", "stiffness", "walls"
+                and "force" (`ModelEstimate.of`); walls of balls are learned anyhow.
 
         Raises:
             ControlError: a free duration, or something that was added to the planner's

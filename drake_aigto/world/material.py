@@ -7,7 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.geometry import GeometryId, ProximityProperties, RoleAssign, SceneGraph, SourceId
-from pydrake.multibody.plant import CalcContactFrictionFromSurfaceProperties, CoulombFriction
+from pydrake.multibody.plant import (
+    CalcContactFrictionFromSurfaceProperties,
+    CoulombFriction,
+    MultibodyPlant,
+)
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Floats, read_only
@@ -149,6 +153,21 @@ def set_material(
     properties.UpdateProperty(*name, value)
     context = scene_graph.GetMyMutableContextFromRoot(root)
     scene_graph.AssignRole(context, source, shape, properties, RoleAssign.kReplace)
+
+
+def scale_stiffness(
+    plant: MultibodyPlant, scene_graph: SceneGraph, shape: GeometryId, factor: float
+) -> None:
+    """Makes a shape times as stiff, in the model.
+
+    Raises:
+        ModelError: it has no stiffness.
+    """
+    inspector: Any = scene_graph.model_inspector()
+    properties = ProximityProperties(inspector.GetProximityProperties(shape))
+    properties.UpdateProperty(*STIFFNESS, factor * read_given(scene_graph, shape, STIFFNESS))
+    source: Any = plant.get_source_id()
+    scene_graph.AssignRole(source, shape, properties, RoleAssign.kReplace)
 
 
 def read_frictions(

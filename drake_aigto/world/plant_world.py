@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from pydrake.geometry import SceneGraph
+from pydrake.geometry import GeometryId, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, Diagram
 
@@ -31,6 +32,7 @@ from drake_aigto.world.diagram import (
 )
 from drake_aigto.world.frames import place_scenario
 from drake_aigto.world.limits import Limits, check_sizes
+from drake_aigto.world.material import scale_stiffness
 from drake_aigto.world.model_facts import FixableError, find_errors, gather
 from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
 from drake_aigto.world.model_reader import read_model
@@ -146,6 +148,11 @@ class PlantWorld(EquationsOfMotion):
     def _of_plant(cls, **given: Any) -> Self:
         """Reads the equations and the contacts of a plant; given are fields of the world."""
 
+    @property
+    @abstractmethod
+    def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
+        """The shapes of each contact, in the scene graph."""
+
     def of_diagram(self, diagram: Diagram, mass_factor: float | None = None) -> Self:
         """Returns the world of another diagram with a copy of its plant, all else as it is here.
 
@@ -164,6 +171,17 @@ class PlantWorld(EquationsOfMotion):
             name: getattr(self, name) for name in ("limits", "model_fields", "ignored", "notes")
         }
         return dataclasses.replace(other, **mine)
+
+    def with_stiffness(self, factor: float) -> Self:
+        """Returns a copy of this world with shapes that touch times as stiff, in a copied diagram.
+
+        Raises:
+            ModelError: a shape has no stiffness, or the diagram can't be copied.
+        """
+        copy = copy_diagram(self.diagram)
+        for shape in dict.fromkeys(itertools.chain(*self.shapes)):
+            scale_stiffness(*find_plant(copy), shape, factor)
+        return self.of_diagram(copy)
 
     def __repr__(self) -> str:
         """Returns a line without arrays: the model, and the sizes of q, v, u and contact."""
