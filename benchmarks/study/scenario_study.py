@@ -91,9 +91,8 @@ def answer(asked: tuple[ScenarioQuestion, int]) -> ScenarioResult:
     optimum, contacts = round_to(exact.cost, COST_DIGITS), len(exact.bounce_times)
     result = ScenarioResult.of(question, number, optimum, contacts)
     runs: dict[str, MethodRun] = {}
+    unit = question.seconds_per_unit or 0.0
     for method in sorted(question.methods, key=lambda each: each != PLANNER):
-        planned = runs.get(PLANNER)
-        unit = question.seconds_per_unit or (planned.seconds if planned else 0.0)
         job = Job(
             scenario,
             method,
@@ -104,7 +103,7 @@ def answer(asked: tuple[ScenarioQuestion, int]) -> ScenarioResult:
             runner=question.runner,
         )
         runs[method] = run_job(job)
-    unit = question.seconds_per_unit or (runs[PLANNER].seconds if PLANNER in runs else 0.0)
+        unit = unit or runs[method].seconds
     ends = [budget * unit for budget in question.budgets]
     return replace(result, runs={name: runs[name].thinned(ends) for name in question.methods})
 
