@@ -87,19 +87,16 @@ class LiteralTranscription(Transcription):
     def _add_rows(self) -> None:
         for row in self._next_q - self.world.positions - self._dt * self.world.velocities:
             self._bind_stages(shared_constraint(row, KINEMATICS))
-        self._add_dynamics_rows()
+        (contact,) = self.world.contacts
+        for row, direction in zip(self._momentum(), contact.jacobian, strict=True):
+            if not direction.Expand().EqualTo(Expression(0.0)):
+                gap = contact.signed_distance + self.scenario.delta
+                row = row * gap - self._dt * self.scenario.epsilon * direction
+            self._bind_stages(shared_constraint(as_expression(row), DYNAMICS))
         if self.nonpenetration:
             self._bound_distances(
                 np.ones((self.num_samples(), self.world.num_contacts), dtype=bool)
             )
-
-    def _add_dynamics_rows(self) -> None:
-        (contact,), dt = self.world.contacts, self._dt
-        for row, direction in zip(self._momentum(), contact.jacobian, strict=True):
-            if not direction.Expand().EqualTo(Expression(0.0)):
-                gap = contact.signed_distance + self.scenario.delta
-                row = row * gap - dt * self.scenario.epsilon * direction
-            self._bind_stages(shared_constraint(as_expression(row), DYNAMICS))
 
     def _momentum(self) -> npt.NDArray[np.object_]:
         """Returns the residual of flight, M Δv − dt (B u − h) [N s]."""
@@ -144,8 +141,7 @@ class LiteralTranscription(Transcription):
     def impulses(self, x: Floats) -> Floats:
         """Returns dt λ(φ(q_k)), shape (N+1, m) [N s]; 0 at the last knot: no step follows."""
         distances, scenario = self.signed_distances(x), self.scenario
-        forces = scenario.epsilon / (distances + scenario.delta)
-        impulses = np.broadcast_to(self._dt * forces, distances.shape).copy()
+        impulses: Floats = self._dt * scenario.epsilon / (distances + scenario.delta)
         impulses[-1] = 0.0
         return impulses
 
