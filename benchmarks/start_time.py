@@ -5,10 +5,10 @@
 Each in a process of its own, in turns, with bytecode and compiled code cached, as where the package
 is installed; the command replays its plan in Drake, too. Beside them what no use of Drake and Numba
 can go below: an interpreter that imports the libraries that the command needs and does nothing.
-Then where the command's imports go; and the first plan with an empty cache of Numba's, twice, of
-which the second finds all that the first compiled. Writes start_time.csv; exits with 1 if
-``import drake_aigto`` takes more than 0.5 s, ``drake-aigto plan table1/1`` more than 1.5 s, or the
-first compilation more than 5 s, or if the second process compiles anything.
+Then the first plan with an empty cache of Numba's, twice, of which the second finds all that the
+first compiled. Writes start_time.csv; exits with 1 if ``import drake_aigto`` takes more than 0.5 s,
+``drake-aigto plan table1/1`` more than 1.5 s, or the first compilation more than 5 s, or if the
+second process compiles anything.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,7 +86,6 @@ def main() -> int:
             start for turn in range(arguments.repeats) for start in plan_twice(turn, environment)
         ]
         write_csv(arguments.out / "start_time.csv", starts, "a process each, in turns")
-        tell_imports(environment)
     met = []
     for what in (*PROGRAMS, FIRST, SECOND):
         spreads = {
@@ -130,21 +128,6 @@ def run(program: list[str], environment: dict[str, str]) -> tuple[float, float]:
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - children.ru_utime - children.ru_stime
     return seconds, cpu
-
-
-def tell_imports(environment: dict[str, str]) -> None:
-    """Prints how much of the command's imports each library takes, its own modules alone."""
-    parse = "from drake_aigto.cli import make_parser; make_parser(['plan'])"
-    program = [sys.executable, "-X", "importtime", "-c", parse]
-    told = subprocess.run(program, check=True, capture_output=True, text=True, env=environment)
-    lines = told.stderr.splitlines()
-    totals: defaultdict[str, float] = defaultdict(float)
-    for line in lines:
-        own, _, name = line.removeprefix("import time:").split("|")
-        if own.strip().isdigit():
-            totals[name.strip().split(".")[0]] += float(own) / 1e6
-    largest = sorted(totals.items(), key=lambda item: -item[1])[:8]
-    print("imports of the command:", ", ".join(f"{name} {each:.2f} s" for name, each in largest))
 
 
 if __name__ == "__main__":

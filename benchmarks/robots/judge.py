@@ -50,14 +50,9 @@ class Judgment(NamedTuple):
     touches: int  # of rigid walls
 
     @property
-    def is_solution(self) -> bool:
-        """Whether it stays where it may."""
-        return self.excess <= LARGEST_EXCESS
-
-    @property
     def score(self) -> float:
-        """J of a solution, else infinite."""
-        return self.cost if self.is_solution else np.inf
+        """J of what stays where it may, else infinite."""
+        return self.cost if self.excess <= LARGEST_EXCESS else np.inf
 
 
 class Law(NamedTuple):
