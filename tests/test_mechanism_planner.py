@@ -17,7 +17,7 @@ from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInert
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_aigto import Plan, Planner, PlanningError, Scenario, World
-from drake_aigto.errors import OptionsError
+from drake_aigto.errors import OptionsError, TrajectoryError
 from drake_aigto.planning import (
     BALL_LADDER,
     Aim,
@@ -252,6 +252,36 @@ def test_a_search_closes_what_may_be_kept_and_no_more_than_it_has_to() -> None:
     aims, starts = Watched.aims, QUICK.starts
     assert aims[:starts] == [Aim()] * starts
     assert not aims[-1].is_patient and search.motions[-1].cost <= aims[-1].most < np.inf
+
+
+def test_what_costs_far_more_than_the_best_is_refined_only_if_nothing_else_is_a_candidate() -> None:
+    class Watched(MechanismTask):
+        refined: ClassVar[list[ShootingResult]] = []
+        fails: ClassVar[bool] = False
+
+        def tighten(self, motion: ShootingResult) -> ShootingResult:
+            self.refined.append(motion)
+            return super().tighten(motion)
+
+        def judge(self, *args: Any) -> Candidate:
+            if self.fails:
+                raise TrajectoryError("motion", got="one that fails", expected="none")
+            return super().judge(*args)
+
+    scenario = Scenario.named("cart_pole/soft_06")
+    options = dataclasses.replace(QUICK, renewals=0)
+    search = MechanismSearch(Watched(World.from_scenario(scenario), scenario, options))
+    search.explore()
+    best = search.motions[0]
+    far = dataclasses.replace(best, result=search.motions[1].result, rank=(False, 11 * best.cost))
+    search.motions = [best, far]
+    search.judge()
+    assert Watched.refined == [best.result] and len(search.candidates) == 1
+    Watched.fails = True
+    other = MechanismSearch(search.task)
+    other.motions = [best, far]
+    other.judge()
+    assert Watched.refined == [best.result, best.result, far.result] and not other.candidates
 
 
 def test_a_search_ends_once_its_patience_would_find_less_than_one_better_motion() -> None:

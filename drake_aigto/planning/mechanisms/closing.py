@@ -90,10 +90,8 @@ _FROM_AFAR = tuple(Smoothing(each, 15, 1e-2) for each in (1.0, 0.3, 0.1, 0.03, 0
 _EXACT, MOST_SUBSTEPS = 1e-3, 64
 # A motion that halved steps change by less is steady: its controls reproduce it closely.
 _STEADY = 0.1
-# In space steps are short enough if the exact law's cost differs by this part of theirs at most:
-# plans promise their costs to 1e-3.
-_AGREES = 5e-4
-# They are not where halving them lowers it by more than this part.
+# In space steps are short enough where halving them lowers the cost under the exact law by no more
+# than this part of it.
 _FALLS = 0.01
 # Costs fall by up to this factor after the first pass in space.
 _LEFT = 1.2
@@ -339,15 +337,16 @@ def settle(
 ) -> ShootingResult:
     """Returns the local optimum near a motion in space, corrected under the exact law (`steady`).
 
-    Its steps are halved until that confirms its cost and halving lowers it no more. Each time
-    contact is hardly smoothed first: with the sharp law at once, a drone slipped off, for 1.4.
+    Its steps are halved until that lowers its cost under that law no more. Each time contact is
+    hardly smoothed first: with the sharp law at once, a drone slipped off, for 1.4.
 
     Args:
         world: its shapes touch with friction.
         scenario: the task.
         problem: in the motion's time steps.
         motion: whose states are kept, and gaps between them closed, where steps change it.
-        most: what promises to cost more, after a first pass by `_LEFT`, is left unfinished.
+        most: what promises to cost more, after a first pass by `_LEFT`, is left unfinished; and so
+            is what promises to cost more than it did in longer steps.
     """
     limit = scaled(_LEFT, most)
     options = dataclasses.replace(
@@ -362,21 +361,19 @@ def settle(
         if is_over or motion.violation > HOPELESS:
             return best or motion
         found = steady(world, scenario, problem, motion)
-        cost = np.inf if found.replay is None else found.replay.cost
-        agrees = abs(cost - motion.exact_cost) <= _AGREES * abs(motion.exact_cost)
-        is_done = agrees and best is not None and cost >= (1 - _FALLS) * best.exact_cost
+        falls = best is None or _rank_settled(found) < _rank_settled(best, 1 - _FALLS)
         if best is None or _rank_settled(found) < _rank_settled(best):
             best = found
-        if is_done or motion.substeps >= MOST_SUBSTEPS:
+        if not falls or motion.substeps >= MOST_SUBSTEPS:
             return best
         lost = _WRECKED * max(motion.cost, _EXACT * problem.cost_scale)
-        rungs = tuple(each._replace(most=lost) for each in IN_SPACE)
-        substeps, promised = 2 * motion.substeps, min(most, lost)
+        promised = min(most, lost, np.inf if _rank_settled(best)[0] else best.exact_cost)
+        rungs = tuple(each._replace(most=min(lost, scaled(_LEFT, promised))) for each in IN_SPACE)
         options = dataclasses.replace(
-            options, rungs=rungs, substeps=substeps, most_promised=promised
+            options, rungs=rungs, substeps=2 * motion.substeps, most_promised=promised
         )
 
 
-def _rank_settled(motion: ShootingResult) -> tuple[bool, float]:
-    """Orders motions by whether they violate bounds, and by their cost."""
-    return motion.violation > POLISH.feasibility, motion.exact_cost
+def _rank_settled(motion: ShootingResult, times: float = 1.0) -> tuple[bool, float]:
+    """Orders motions by whether they violate bounds, and by their cost, or a part of it."""
+    return motion.violation > POLISH.feasibility, scaled(times, motion.exact_cost)

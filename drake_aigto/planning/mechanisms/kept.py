@@ -19,6 +19,9 @@ _NEAR = 0.05
 # Motions that cost at most this times the best are near it, as far as a chance of better ones goes,
 # unless they are hardly better than no control.
 _NEARLY = 1.1
+# Motions that cost more than this times the best are refined only if none of the others holds: in
+# space, where costs fall most, refining takes off up to 72 %, and a polish up to a half.
+_FAR = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,13 @@ def keep(
 def best_of(motions: Sequence[KeptMotion]) -> list[KeptMotion]:
     """Returns the best motions, the best first."""
     return sorted(motions, key=lambda each: each.rank)[:MOST_KEPT]
+
+
+def part_far(motions: Sequence[KeptMotion]) -> tuple[list[KeptMotion], list[KeptMotion]]:
+    """Returns the motions that may become the best ones, and those that cost far more."""
+    most = scaled(_FAR, motions[0].cost) if motions else 0.0
+    far = [each for each in motions if each.cost > most]
+    return [each for each in motions if each not in far], far
 
 
 def calc_chance(motions: Sequence[KeptMotion], searches: int, idle: float) -> float:

@@ -22,6 +22,7 @@ from drake_aigto.planning.mechanisms.kept import (
     calc_chance,
     is_better,
     keep,
+    part_far,
 )
 from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask
 from drake_aigto.planning.mechanisms.task import MechanismTask
@@ -67,12 +68,7 @@ _MOST_UNCONTROLLED = 3
 
 
 class Found(NamedTuple):
-    """A motion that a search found.
-
-    Attributes:
-        result: of shooting.
-        parent: the motion that the search began with, if any.
-    """
+    """A motion that a search found, and the one that the search began with, if any."""
 
     result: ShootingResult
     parent: KeptMotion | None = None
@@ -99,6 +95,7 @@ class MechanismSearch(Search):
         self.motions: list[KeptMotion] = []
         self._candidates: list[Candidate] = []
         self._tight: list[KeptMotion] = []  # The best motions, in shorter steps.
+        self._far: list[KeptMotion] = []  # Those that cost far more, as they were found.
         self._known: list[KeptMotion] = []  # Motions before and after their polish.
         self._left_out: list[KeptMotion] = []  # As another one that holds costs less.
         self._aim = Aim()
@@ -307,12 +304,17 @@ class MechanismSearch(Search):
 
     def judge(self) -> None:
         """Polishes and judges the best motions."""
+        near, self._far = part_far(self.motions)
+        self._refine(near)
+
+    def _refine(self, motions: Sequence[KeptMotion]) -> None:
+        """Refines motions, the first one if interrupted, and judges the best of these."""
         tight: list[KeptMotion] = []
-        with self.clock("polish"), self.ended_by_ctrl_c(lambda: self.motions):
-            for motion in self.motions[: 1 if self.is_interrupted else None]:
+        with self.clock("polish"), self.ended_by_ctrl_c(lambda: motions):
+            for motion in motions[: 1 if self.is_interrupted else None]:
                 result = self.task.tighten(motion.result)
                 tight.append(KeptMotion(motion.origin, result, self.task.rank(result)))
-        self._tight = best_of(tight) or self.motions[:1]
+        self._tight = best_of(tight) or list(motions[:1])
         self._judge_best()
 
     def _judge_best(self) -> None:
@@ -320,7 +322,7 @@ class MechanismSearch(Search):
 
         It ends once enough finalists hold or cost more than one that does, or those that remain
         promise to. Finalists whose polish broke a promise say nothing of the next ones, which have
-        their turn, too.
+        their turn, too; those that cost far more have it if none holds.
         """
         for motion in self._tight:
             enough = self.task.finalists + self._num_broken
@@ -333,6 +335,9 @@ class MechanismSearch(Search):
                 rank = self.task.rank(polished)
                 self._num_broken += rank > (motion.rank[0], scaled(_BROKEN, motion.cost))
                 self._known += [motion, KeptMotion(motion.origin, polished, rank)]
+        if self._far and not self._holding:
+            far, self._far = self._far, []
+            self._refine(far)
 
     @property
     def _holding(self) -> list[float]:
@@ -377,12 +382,8 @@ class MechanismSearch(Search):
             _LOG.info("  not a candidate: %s", error)
             return polished
         self._candidates.append(candidate)
-        _LOG.info(
-            "  %s: cost %.6g, replayed %.6g",
-            candidate.describe_contacts(),
-            candidate.cost,
-            candidate.replay.cost,
-        )
+        told = candidate.describe_contacts(), candidate.cost, candidate.replay.cost
+        _LOG.info("  %s: cost %.6g, replayed %.6g", *told)
         return polished
 
     def add_left_out(self) -> None:
