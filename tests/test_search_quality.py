@@ -122,3 +122,19 @@ def test_motions_in_a_longer_horizon_rest_at_the_goal_or_wait_first(
     search = MechanismSearch(task)
     search.explore()
     assert search.motions[0].cost < most
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "restitution"),
+    [("corridor/six_bounces", 3.0, 1.0), ("room/bank_shot", 8.0, 0.9)],
+)
+def test_limits_that_do_not_bind_change_no_plan_however_often_it_bounces(
+    name: str, factor: float, restitution: float
+) -> None:
+    shipped = Scenario.named(name)
+    T, h = factor * shipped.duration, factor * shipped.time_step
+    free = dataclasses.replace(shipped, duration=T, time_step=h, restitution=restitution)
+    limited = Scenario.from_plain({**free.to_plain(), "effort_limits": {"*": 1e3}})
+    costs = [plan(each, PlanOptions(confirm=False)).cost for each in (free, limited)]
+    # One road solves in closed form, the other by shooting, from the touches of motion let go.
+    assert costs[1] == pytest.approx(costs[0], rel=1e-3)

@@ -207,12 +207,17 @@ class RigidMechanismTask(MechanismTask):
         return motion
 
     @cached_property
-    def coasting(self) -> TouchSequence:
-        """The touches of the uncontrolled motion; sustained ones last until the next."""
+    def coasting(self) -> tuple[TouchSequence, ShootingResult]:
+        """Touches of the uncontrolled motion, sustained ones until the next, and that motion."""
         idle = self.idle_motion
         times = self._end_exactly(idle.times)
         replay = replay_event_driven(self.world, self.scenario, times, idle.controls)
-        return read_replay(self.world, self.rigid_law, replay, self.lasting)
+        touches = read_replay(self.world, self.rigid_law, replay, self.lasting)
+        last = np.diff(replay.times, append=np.inf) > 0
+        states = np.hstack([replay.positions, replay.velocities])[last]
+        controls = np.zeros((len(states) - 1, self.world.num_actuators))
+        times = replay.times[last]
+        return touches, dataclasses.replace(idle, times=times, states=states, controls=controls)
 
     def find_neighbors(self, motion: ShootingResult) -> Iterator[tuple[ChangeName, TouchSequence]]:
         """Yields sequences of touches near a motion's, and how they differ."""

@@ -63,8 +63,8 @@ _MOST_RENEWED = 4
 _MOST_BRANCHED, _PROMISING, _MOST_BRANCHES = 3, 1.5, 6
 # How many motions of half the duration are extended by a rest.
 _MOST_EXTENDED = 4
-# How many of the first touches of the uncontrolled motion are tried.
-_MOST_UNCONTROLLED = 3
+# How many of the first touches of the uncontrolled motion are tried, beside all of them.
+_FIRST = 1, 2, 3
 
 
 class Found(NamedTuple):
@@ -160,9 +160,11 @@ class MechanismSearch(Search):
             late = self.task.scenario.duration - shorter.scenario.duration
             kept = search.motions[:_MOST_EXTENDED]
             yield [self._extend(each, wait) for each in kept for wait in (0.0, late)]
-        first = self._rigid.coasting[:_MOST_UNCONTROLLED] if self._rigid else ()
-        sequences = [first[: count + 1] for count in range(len(first))]
-        yield [self._touch(Origin(COASTING), each, self.task.idle_motion) for each in sequences]
+        if self._rigid:
+            touches, motion = self._rigid.coasting
+            ends = sorted({min(end, len(touches)) for end in (*_FIRST, len(touches))} - {0})
+            first = [partial(self._bounce, touches[:end], motion) for end in ends]
+            yield [Proposal(Origin(COASTING), close) for close in first]
 
     def vary(self) -> Iterator[Sequence[Proposal]]:
         """Yields renewals of the best motions, and new starts in turn."""
@@ -229,16 +231,13 @@ class MechanismSearch(Search):
         """Closes a guess."""
         return Found(self.task.close(propose(), self._aim), parent)
 
-    def _touch(
-        self,
-        origin: Origin,
-        touches: TouchSequence,
-        guess: ShootingResult,
-        parent: KeptMotion | None = None,
-    ) -> Proposal:
+    def _bounce(
+        self, touches: TouchSequence, guess: ShootingResult, parent: KeptMotion | None = None
+    ) -> Found:
+        """Closes touches; without a parent at any cost, as many of them begin at a high one."""
         assert self._rigid is not None
-        bounce = self._rigid.bounce
-        return Proposal(origin, lambda: Found(bounce(touches, guess, self._aim.most), parent))
+        most = np.inf if parent is None else self._aim.most
+        return Found(self._rigid.bounce(touches, guess, most), parent)
 
     def close(self, wave: Sequence[Proposal]) -> None:
         """Closes motions, and neighbors of the best until none of these leads to a better one."""
@@ -287,9 +286,8 @@ class MechanismSearch(Search):
             )
             if key not in self._tried:
                 self._tried.add(key)
-                yield self._touch(
-                    motion.origin.changed(change, found.touches), touches, found, motion
-                )
+                origin = motion.origin.changed(change, found.touches)
+                yield Proposal(origin, partial(self._bounce, touches, found, motion))
 
     def keep(self, origin: Origin, found: Found) -> None:
         """Keeps a motion if it is among the best, and no better one is near."""
