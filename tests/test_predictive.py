@@ -349,6 +349,20 @@ def calc_spent(run: ClosedLoopRun, until: float) -> float:
     return float(np.trapezoid(rates, motion[0]))
 
 
+@pytest.mark.slow
+def test_a_pole_that_nothing_disturbs_grazes_no_rigid_wall() -> None:
+    """A motion that is in a wall between its knots alone promised less, and ended at 106."""
+    asked = Scenario.named("cart_pole/rigid_06")
+    planner = Planner(asked, PlanOptions(threads=1))
+    found = planner.plan()
+    controller = ModelPredictiveController(
+        planner, 0.02, "shrinking", surprise=np.inf, plan=found, feedback_period=0.005
+    )
+    run = run_in_loop(controller, asked, planner.world)
+    assert run.cost < 1.01 * found.cost
+    assert run.replay.bounce_contacts == tuple(each.index for each in found.best.contacts)
+
+
 def test_a_mechanism_is_not_planned_for_from_inside_of_a_rigid_wall() -> None:
     planner = Planner(PENDULUM, PlanOptions(renewals=0))
     inside = np.array([-0.7, 0.0])

@@ -20,6 +20,7 @@ from drake_aigto.planning import (
     Regulator,
     RigidMechanismTask,
     find_deepest,
+    find_lacks,
     lay_onto,
     make_mechanism_task,
     make_trajectory,
@@ -315,7 +316,10 @@ class RigidHorizon(_ShootingHorizon):
     def _descend(
         self, left: Trajectory, touches: TouchSequence, options: ShootingOptions
     ) -> ShootingResult:
-        """Returns the best motion near a trajectory, with touches as times after its start."""
+        """Returns the best motion near a trajectory, with touches as times after its start.
+
+        Where it grazes a wall between its knots it is led off it there: the plant would bounce.
+        """
         q, elapsed = left.positions, left.times - left.times[0]
         times, phases = lay_onto(touches, elapsed, self.world.num_contacts)
         after = np.hstack([q, left.velocities + self.world.calc_velocity_change(q, left.impulses)])
@@ -325,7 +329,15 @@ class RigidHorizon(_ShootingHorizon):
         cost = dataclasses.replace(task.cost, times=task.cost.times - left.times[0])
         problem = dataclasses.replace(task, start=after[0], cost=cost)
         controls = left.controls[np.searchsorted(elapsed, middles) - 1]
-        return problem.solve(controls, interpolate(times, elapsed, after), options)
+        found = problem.solve(controls, interpolate(times, elapsed, after), options)
+        margin = _AT_WALL * self._task.scales.length
+        if (
+            not np.isfinite(found.cost)
+            or np.max(lacks := find_lacks(self.world, found, margin)) <= margin
+        ):
+            return found
+        apart = dataclasses.replace(problem, clearances=lacks)
+        return apart.solve(found.controls, found.states, options)
 
     def _read(self, found: ShootingResult, now: float) -> PlannedMotion | None:
         """Returns a result as a motion from now on; None if it leads nowhere, or misses walls."""

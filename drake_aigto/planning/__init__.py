@@ -30,6 +30,7 @@ from drake_aigto.planning.mechanisms.closing import (
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, Measures
 from drake_aigto.planning.mechanisms.phases import (
     find_deepest,
+    find_lacks,
     in_order,
     is_closed,
     lay_onto,
@@ -127,6 +128,7 @@ __all__ = [
     "find_deepest",
     "find_grazes",
     "find_insertions",
+    "find_lacks",
     "find_rates",
     "find_tight",
     "in_order",
