@@ -337,6 +337,22 @@ def test_a_file_that_cannot_be_read_is_refused_by_name(tmp_path: Path) -> None:
         Scenario.load(tmp_path / "binary.yaml")
 
 
+def test_a_model_beside_its_scenario_is_found_from_everywhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "task").mkdir()
+    path, model = tmp_path / "task" / "scenario.yaml", tmp_path / "task" / "robot.sdf"
+    dataclasses.replace(Scenario(**ENDS), model="robot.sdf").save(path)
+    monkeypatch.chdir(tmp_path)
+    assert Scenario.load(path).model == "robot.sdf"  # There is none: what is given counts.
+    model.touch()
+    assert Scenario.load(path).model == str(model)
+    relative = Scenario.load("task/scenario.yaml")
+    assert relative.model == "task/robot.sdf"
+    relative.save(path)
+    assert Scenario.load(path) == relative
+
+
 def test_a_number_without_a_point_is_read_as_a_number(tmp_path: Path) -> None:
     # YAML 1.1, which Drake reads, takes 1e-3 for text.
     path = tmp_path / "scenario.yaml"

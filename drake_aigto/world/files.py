@@ -181,7 +181,10 @@ def suggest(word: str, known: list[str]) -> str | None:
 
 
 def read_scenario(path: str | os.PathLike[str]) -> object:
-    """Returns what is in a YAML file; what is no text may be numbers."""
+    """Returns what is in a YAML file; what is no text may be numbers.
+
+    The path of a model that starts at the file's folder is one from the working directory then.
+    """
     try:
         data = yaml_load_data(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
@@ -192,7 +195,11 @@ def read_scenario(path: str | os.PathLike[str]) -> object:
         ) from error
     if not isinstance(data, dict):
         return data
-    return {k: v if k in _TEXTS else _parse_numbers(v) for k, v in data.items()}
+    fields = {k: v if k in _TEXTS else _parse_numbers(v) for k, v in data.items()}
+    model = fields.get("model")
+    if isinstance(model, str) and (beside := Path(path).parent / model).is_file():
+        fields["model"] = str(beside)
+    return fields
 
 
 def _parse_numbers(value: object) -> object:

@@ -80,7 +80,8 @@ class Scenario(ModelFields):
 
     Attributes:
         model: the world, a ``package://`` URI or a path to an SDF, URDF or MJCF. A relative path
-            starts at the working directory; how it is read, say the `ModelFields`.
+            starts at the working directory; of a scenario's file, at its folder if the model is
+            there. How it is read, say the `ModelFields`.
         initial_position: q(0), shape (nq,); or by names of joints and floating bodies, of which
             others are at the model's default: numbers of a joint, or a pose (`place_scenario`).
         initial_velocity: v(0), shape (nv,).
