@@ -1,4 +1,7 @@
-"""Decision variables of all transcriptions: nothing gets lost or mixed up between forms."""
+"""Decision variables of all transcriptions: nothing gets lost or mixed up between forms.
+
+Impulses as decision variables: the closed form of Fig. 1, and where boxes lose the bounce.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +12,31 @@ from typing import Any
 
 import numpy as np
 import pytest
+from box_programs import compile_program, mean_by_block
 from replay_worlds import make_diagram, make_scenario, shipped_world
 from rigid_worlds import indices
 
 from drake_aigto import Scenario, World
+from drake_aigto.aigo import Annealing
 from drake_aigto.errors import OptionsError
-from drake_aigto.paper import LiteralTranscription
-from drake_aigto.planning import BallTask, PlanOptions, Rung
+from drake_aigto.paper import (
+    LiteralOptions,
+    LiteralSearch,
+    LiteralTask,
+    LiteralTranscription,
+    LiteralWithForces,
+    RigidWithForces,
+    rigid_optimum,
+)
+from drake_aigto.planning import BALL_LADDER, BallSearch, BallTask, PlanOptions, Rung, run_search
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import RigidTranscription, Transcription
 
 KINDS: dict[str, Callable[[World, Scenario], Transcription]] = {
     "literal": LiteralTranscription,
     "rigid": RigidTranscription,
+    "literal, forces": LiteralWithForces,
+    "rigid, forces": RigidWithForces,
 }
 PLANTS: list[dict[str, Any]] = [
     {},
@@ -99,7 +114,7 @@ def test_the_elimination_order_counts_all_variables_stage_by_stage(
     assert max(spread) <= 2 * prog.num_vars() / 11 + 2
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["literal", "rigid"])
 def test_the_first_box_holds_the_start_the_straight_way_and_bounds(
     kind: str, plant: tuple[World, Scenario]
 ) -> None:
@@ -129,19 +144,124 @@ def test_the_first_box_holds_the_start_the_straight_way_and_bounds(
         assert np.max(np.abs(low[q].reshape(11, nq)[1:, -1])) < 1e-15
 
 
+# The optimum bounces, and boxes of the hot rung find it without forces as variables.
 BOUNCE = dataclasses.replace(Scenario.named("table1/3"), time_step=0.02)
+HOT = BALL_LADDER[0]
 
 
-def test_weights_of_rows_that_are_not_there_are_refused() -> None:
+@pytest.mark.parametrize("relaxation", [0.0, 0.3])
+def test_the_mean_of_the_contact_row_is_that_of_fig_1_and_least_at_zero(relaxation: float) -> None:
+    # Two steps: the only products are φ_1 p_1, and p_0 for the start. The mass is 1 kg.
+    scenario = make_scenario(1.0, -2.0, time_step=0.5)
+    transcription = RigidWithForces(shipped_world(), scenario, relaxation)
+    f = compile_program(transcription.penalized(), transcription.elimination_order())
+    center, half_width = np.zeros((2, f.num_variables))
+    q1 = transcription.prog().FindDecisionVariableIndex(transcription.state(1)[0])
+    p1 = transcription.impulse_indices()[1]
+    L, w_q, w_p = transcription.length_scale(), 0.7, 1.3
+    half_width[[q1, p1]] = w_q, w_p
+    pushed = scenario.time_step * relaxation * L**2 / scenario.duration**2
+    means = {}
+    for phi in (-0.5, 0.0, 0.2, 0.9):
+        for p in (-1.0, 0.0, 0.4, 2.0):
+            center[[q1, p1]] = phi, p
+            means[phi, p] = mean_by_block(f, center, half_width)["contact"]
+            closed = (phi**2 + w_q**2 / 3) * (p**2 + w_p**2 / 3) - 2 * pushed * phi * p + pushed**2
+            unit = scenario.num_steps * (scenario.duration / L**2) ** 2
+            assert means[phi, p] == pytest.approx(closed * unit, rel=1e-12)
+    assert relaxation or min(means, key=lambda at: means[at]) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_the_first_box_is_as_wide_as_asked_and_holds_no_pull(share: float) -> None:
+    transcription = RigidWithForces(shipped_world(), BOUNCE, impulse_width=share)
+    center, half_width = transcription.initial_box()
+    turned = 4 * transcription.length_scale() / BOUNCE.duration
+    where = transcription.impulse_indices()
+    np.testing.assert_allclose((center + half_width)[where[1:]], share * turned)
+    np.testing.assert_allclose((center - half_width)[where], 0.0, atol=1e-12)
+    q, v, _ = transcription.split(center)
+    grown, late = (transcription.box_around(q, v, share=0.7), where[5:])
+    growth = (np.arange(5, len(where)) / len(where)) ** 2
+    np.testing.assert_allclose(np.add(*grown)[late], 0.7 * share * turned * growth, rtol=1e-12)
+
+
+def read(transcription: RigidTranscription, rung: Rung) -> tuple[int, float]:
+    """Returns how many contacts the last box shows, and its largest impulse.
+
+    Annealed slowly, so that what is seen is the transcription's doing.
+    """
+    problem = BallTask(transcription)
+    start = rung.temperature * transcription.cost_scale()
+    slowly = Annealing(initial_temperature=start, final_temperature=1e-7 * start)
+    result = problem.run_aigo(rung, algorithm=slowly)
+    impulses = transcription.impulses(result.box.center)
+    return len(problem.find_sequences(result, rung)[0]), float(np.max(impulses))
+
+
+@pytest.mark.parametrize("row", [1, 4])
+def test_plans_collapse_where_those_without_forces_bounce(row: int) -> None:
+    world = shipped_world()
+    scenario = dataclasses.replace(Scenario.named(f"table1/{row}"), time_step=0.02)
+    assert len(rigid_optimum(world, scenario).bounce_times) == 1
+    contacts, largest = read(RigidTranscription(world, scenario), HOT)
+    assert contacts == 1
+    for impulse_width in (0.01, 1.0):
+        collapsed = RigidWithForces(world, scenario, impulse_width=impulse_width)
+        found, remaining = read(collapsed, HOT)
+        assert found == 0
+        assert remaining < 0.05 * largest
+
+
+def test_they_do_not_always_collapse() -> None:
+    light = {"dynamics": 30.0, "contact": 30.0, "restitution": 0.02}
+    rung = dataclasses.replace(HOT, weights={**HOT.weights, **light})
+    assert read(RigidWithForces(shipped_world(), BOUNCE), rung)[0] == 1
+
+
+def test_a_plan_with_forces_is_polished_like_any_other() -> None:
+    search = BallSearch(
+        BallTask(RigidWithForces(shipped_world(), BOUNCE), PlanOptions(exhaustive=True))
+    )
+    found = run_search(search, BOUNCE)
+    exact = rigid_optimum(shipped_world(), BOUNCE).cost
+    assert found.replay.event_driven.cost == pytest.approx(exact, rel=1e-3)
+    # The boxes around the coasting motion start in the bounce; those around the line lose it.
+    assert found.stats.box_contacts == (0, 0, 0, 1, 1)
+
+
+def test_literal_plans_with_forces_keep_the_penalty_of_their_row() -> None:
+    ladder = (Rung(1e-4, {"contact": 1e4, "kinematics": 1e3, "dynamics": 1e-2}),)
+    options = LiteralOptions(ladder=ladder, knot_steps=())
+    search = LiteralSearch(LiteralTask(LiteralWithForces(shipped_world(), BOUNCE), options))
+    search.run()
+    best = search.find_feasible()[0]
+    assert max(best.defects.values()) < 1e-6
+    assert {"dynamics", "kinematics"} < set(best.defects)
+
+
+@pytest.mark.parametrize("transcribe", [RigidWithForces, LiteralWithForces])
+@pytest.mark.parametrize("width", [0.0, -1.0, np.inf, np.nan])
+def test_widths_that_are_none_are_refused(transcribe: Any, width: float) -> None:
+    with pytest.raises(OptionsError, match=r"impulse_width: got .*, expected a number above 0"):
+        transcribe(shipped_world(), BOUNCE, impulse_width=width)
+
+
+def test_weights_of_impulse_rows_need_impulses_as_variables() -> None:
     options = PlanOptions(ladder=(Rung(1.0, {"push": 1.0}),))
+    BallTask(RigidWithForces(shipped_world(), BOUNCE), options)
     with pytest.raises(OptionsError, match="got a weight for 'push', expected names of rows: fli"):
         BallTask(RigidTranscription(shipped_world(), BOUNCE), options)
 
 
-def test_what_users_add_is_kept_along_another_path() -> None:
-    transcription = RigidTranscription(shipped_world(), BOUNCE)
+@pytest.mark.parametrize("kind", ["rigid", "rigid, forces"])
+def test_what_users_add_is_kept_along_another_path(kind: str) -> None:
+    transcription: Any = KINDS[kind](shipped_world(), BOUNCE)
+    transcription.impulse_width = 0.3
     (u,) = transcription.input()
     transcription.AddRunningCost(1.0 * u**2, "again")
     other = transcription.again(BOUNCE, np.ones((BOUNCE.num_steps + 1, 1)))
     named = {cost.evaluator().get_description() for cost in other.prog().GetAllCosts()}
     assert "again" in named
+    assert type(other) is type(transcription)
+    assert getattr(other, "impulse_width", 0.3) == 0.3

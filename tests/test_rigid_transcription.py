@@ -20,6 +20,7 @@ from drake_aigto.box import BoxPolynomial
 from drake_aigto.contact import JointImpact
 from drake_aigto.dynamics import Contact
 from drake_aigto.errors import ModelError, OptionsError
+from drake_aigto.paper import RigidWithForces
 from drake_aigto.planning import PhaseProblem
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import RigidTranscription, Transcription, rigid_defects
@@ -41,16 +42,23 @@ def is_met(transcription: Transcription, x: Array, tolerance: float = EXACT) -> 
     return bool(prog.CheckSatisfied(prog.GetAllConstraints(), x, tolerance))
 
 
+@pytest.mark.parametrize("kind", [RigidTranscription, RigidWithForces])
 @pytest.mark.parametrize("e", RESTITUTIONS)
-def test_rows_vanish_on_an_exact_motion(physics: Physics, e: float) -> None:
+def test_rows_vanish_on_an_exact_motion(
+    physics: Physics, kind: type[RigidTranscription], e: float
+) -> None:
     scenario, motion = make_motion(physics, e, seed=0)
-    transcription = RigidTranscription(physics.world, scenario, relaxation=0.0)
+    transcription = kind(physics.world, scenario, relaxation=0.0)
     x = transcription.vector(motion)
     assert max(transcription.defects(x).values()) < EXACT
     assert is_met(transcription, x)
     # The vector says nothing of impulses: they come back with the trajectory.
     for impulses in (transcription.impulses(x), transcription.trajectory(x).impulses):
         np.testing.assert_allclose(impulses, motion.impulses, atol=EXACT)
+    if isinstance(transcription, RigidWithForces):
+        x[transcription.impulse_indices()] = 0.0
+        assert not is_met(transcription, x)
+        assert transcription.defects(x)["dynamics"] > 0.1
 
 
 @pytest.mark.parametrize("e", RESTITUTIONS)

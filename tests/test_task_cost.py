@@ -22,7 +22,15 @@ from benchmarks.baselines import BASELINES, run_baseline
 from benchmarks.optima import block_optimum, masses_optimum, walls_optimum
 from drake_aigto import Planner, PlanOptions, Scenario, World
 from drake_aigto.errors import ScenarioError
-from drake_aigto.paper import bounce_costs, make_literal_task, plan_literal, rigid_optimum
+from drake_aigto.paper import (
+    LiteralWithForces,
+    RigidWithForces,
+    SingleShooting,
+    bounce_costs,
+    make_literal_task,
+    plan_literal,
+    rigid_optimum,
+)
 from drake_aigto.planning import PhaseProblem, make_ball_task
 from drake_aigto.transcription import RigidTranscription
 from drake_aigto.world import Scales, TaskCost
@@ -210,6 +218,9 @@ DOORS: dict[str, Callable[[World, Scenario], Any]] = {
     "plan_literal": lambda world, task: plan_literal(task, world=world),
     "make_literal_task": make_literal_task,
     "make_ball_task": make_ball_task,
+    "SingleShooting": SingleShooting,
+    "LiteralWithForces": LiteralWithForces,
+    "RigidWithForces": RigidWithForces,
     "RigidTranscription": RigidTranscription,
     "PhaseProblem": PhaseProblem,
     "rigid_optimum": rigid_optimum,

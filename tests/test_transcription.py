@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from box_programs import compile_program, mean_by_block
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pydrake.solvers import (
     ExpressionCost,
@@ -24,7 +24,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto import Scenario, World
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.paper import LiteralTranscription
+from drake_aigto.paper import LiteralTranscription, LiteralWithForces
 from drake_aigto.terms import read_bounds
 from drake_aigto.transcription import Transcription, cut_to, penalize
 from drake_aigto.world import models_directory
@@ -60,15 +60,17 @@ def euler(
 CONTROLS = st.lists(st.floats(-5, 5), min_size=10, max_size=10).map(np.array)
 
 
+@pytest.mark.parametrize("kind", [LiteralTranscription, LiteralWithForces])
 @settings(max_examples=10)
 @given(controls=CONTROLS)
-def test_rows_vanish_on_the_papers_euler_and_only_there(controls: np.ndarray) -> None:
-    transcription = LiteralTranscription(
-        World.from_scenario(SCENARIO), SCENARIO, nonpenetration=False
-    )
+def test_rows_vanish_on_the_papers_euler_and_only_there(
+    kind: type[LiteralTranscription], controls: np.ndarray
+) -> None:
+    transcription = kind(World.from_scenario(SCENARIO), SCENARIO, nonpenetration=False)
     q, v, u = np.split(euler(SCENARIO, controls, mass=1.0)[:, np.newaxis], [11, 22])
     x = transcription.vector_of(q, v, u)
     gaps = q[:-1] + SCENARIO.delta
+    assume(kind is LiteralTranscription or np.all(gaps > 0))  # Variables of forces pull nowhere.
     law = SCENARIO.time_step * SCENARIO.epsilon / gaps
     np.testing.assert_allclose(transcription.impulses(x)[:-1], law)
     # λ is of size ε/δ at most: its rounding is what may be left, far below 1e-9.
@@ -79,6 +81,9 @@ def test_rows_vanish_on_the_papers_euler_and_only_there(controls: np.ndarray) ->
     wrong[15] += 1e-3
     assert max(transcription.defects(wrong).values()) > 1e-4
     assert not prog.CheckSatisfied(prog.GetAllConstraints(), wrong, 1e-9)
+    if isinstance(transcription, LiteralWithForces):
+        x[transcription.impulse_indices()[3]] *= 1.01
+        assert not prog.CheckSatisfied(prog.GetAllConstraints(), x, 1e-9)
 
 
 @settings(max_examples=10)

@@ -1,8 +1,8 @@
 from .planner import LITERAL_LADDER as LITERAL_LADDER
 from .planner import AlgorithmName as AlgorithmName
 from .planner import LiteralOptions as LiteralOptions
+from .planner import LiteralSearch as LiteralSearch
 from .planner import LiteralTask as LiteralTask
-from .planner import LiteralTranscription as LiteralTranscription
 from .planner import gradient_from_random as gradient_from_random
 from .planner import gradient_from_zero as gradient_from_zero
 from .planner import make_literal_task as make_literal_task
@@ -13,6 +13,8 @@ from .rigid_optimum import bounce_costs as bounce_costs
 from .rigid_optimum import calc_efforts as calc_efforts
 from .rigid_optimum import refuse_world as refuse_world
 from .rigid_optimum import rigid_optimum as rigid_optimum
+from .single_shooting import SingleShooting as SingleShooting
+from .single_shooting import count_terms as count_terms
 from .table1 import PAPER_COSTS as PAPER_COSTS
 from .table1 import ROWS as ROWS
 from .table1 import Cell as Cell
@@ -23,3 +25,7 @@ from .table1 import TableMethod as TableMethod
 from .table1 import run_cell as run_cell
 from .table1 import run_rigid_cell as run_rigid_cell
 from .table1 import run_table1 as run_table1
+from .transcriptions import LiteralTranscription as LiteralTranscription
+from .transcriptions import LiteralWithForces as LiteralWithForces
+from .transcriptions import PolynomialLaw as PolynomialLaw
+from .transcriptions import RigidWithForces as RigidWithForces
