@@ -259,9 +259,9 @@ def test_what_costs_far_more_than_the_best_is_refined_only_if_nothing_else_is_a_
         refined: ClassVar[list[ShootingResult]] = []
         fails: ClassVar[bool] = False
 
-        def tighten(self, motion: ShootingResult) -> ShootingResult:
+        def tighten(self, motion: ShootingResult, least: float = np.inf) -> ShootingResult:
             self.refined.append(motion)
-            return super().tighten(motion)
+            return super().tighten(motion, least)
 
         def judge(self, *args: Any) -> Candidate:
             if self.fails:

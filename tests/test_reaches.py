@@ -217,3 +217,5 @@ def test_what_costs_far_more_than_kept_motions_after_wide_passes_is_left_there()
     whole, same, dear = (task.close(guess, Aim(most, False)) for most in (np.inf, 1e2, 1e-6))
     assert dear.is_left and not (whole.is_left or same.is_left)
     assert dear.iterations < same.iterations and same.cost == whole.cost < 1e2
+    refined, left = task.tighten(whole), task.tighten(whole, least=1e-6)
+    assert left.is_left and not refined.is_left and refined.cost < left.cost

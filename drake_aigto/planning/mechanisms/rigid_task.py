@@ -224,7 +224,7 @@ class RigidMechanismTask(MechanismTask):
         near = NEAR * self.scenario.duration
         yield from find_neighbors(self.world, self.rigid_law, motion, self.lasting, near)
 
-    def tighten(self, motion: ShootingResult) -> ShootingResult:
+    def tighten(self, motion: ShootingResult, least: float = np.inf) -> ShootingResult:
         """Returns a motion as it is: in phases, few steps err little."""
         return motion
 

@@ -310,7 +310,8 @@ class MechanismSearch(Search):
         tight: list[KeptMotion] = []
         with self.clock("polish"), self.ended_by_ctrl_c(lambda: motions):
             for motion in motions[: 1 if self.is_interrupted else None]:
-                result = self.task.tighten(motion.result)
+                least = min((each.cost for each in tight if not each.rank[0]), default=np.inf)
+                result = self.task.tighten(motion.result, least)
                 tight.append(KeptMotion(motion.origin, result, self.task.rank(result)))
         self._tight = best_of(tight) or list(motions[:1])
         self._judge_best()
