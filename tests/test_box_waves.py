@@ -34,10 +34,11 @@ scales = st.one_of(
 
 @st.composite
 def boxes(draw: st.DrawFn, least: float = -12.0) -> Box:
-    """Factors, centers up to 1e6 on both sides, and scale·half_width from 10^least to 1e6."""
+    """Factors, centers up to 1e6 on both sides, scale·half_width 0, or 10^least to 1e6."""
     kind = draw(st.sampled_from(WAVES))
     scale = draw(signs) * draw(scales)
-    reach = 10.0 ** draw(st.one_of(st.floats(least, 6.0), st.floats(-2.0, 1.5)))
+    decades = st.one_of(st.floats(least, 6.0), st.floats(-2.0, 1.5))
+    reach = draw(st.one_of(st.just(0.0), decades.map(lambda e: 10.0**e)))
     half_width = reach / abs(scale)
     center = draw(
         st.one_of(
@@ -92,9 +93,10 @@ def natural_sizes(factor: Factor, center: float, half_width: float) -> dict[int,
 def assert_exact(factor: Factor, center: float, half_width: float) -> None:
     row = evaluate(factor, center, half_width)
     sizes = natural_sizes(factor, center, half_width)
+    slack = Fraction(0 if half_width else 1e-35)  # Differences at a point miss by h² = 1e-40.
     for column, exact in exact_row(factor, center, half_width).items():
-        error = abs(Fraction(row[column]) - exact)
-        assert error <= Fraction(TOLERANCE) * sizes[column], (column, row[column], float(exact))
+        error, largest = abs(Fraction(row[column]) - exact), Fraction(TOLERANCE) * sizes[column]
+        assert error <= largest + slack, (column, row[column], float(exact))
 
 
 @given(boxes())
@@ -136,37 +138,6 @@ def test_the_recursions_meet_where_their_direction_changes(
 ) -> None:
     offset = 0.0 if kind is not EXPONENTIAL else -reach
     assert_exact(Factor(0, kind, exponent, side, offset), ratio * reach, reach)
-
-
-@given(boxes(), st.integers(0, 8))
-def test_a_box_of_no_width_has_the_value_and_no_slope_in_z(box: Box, exponent: int) -> None:
-    factor, center, _ = box
-    p, k = exponent, factor.scale
-    y = min(k * center + factor.offset, 700.0)
-    factor = Factor(0, factor.kind, p, k, y - k * center)
-    y = k * center + factor.offset  # as rounded
-    row = evaluate(factor, center, 0.0)
-    np.testing.assert_array_equal(row[[D_Z, D_CZ, D_ZZ]], 0.0)
-    angle = float(Fraction(k) * Fraction(center) + Fraction(factor.offset))
-    size = abs(center) ** p * (math.exp(angle) if factor.kind is EXPONENTIAL else 1.0)
-    value = center**p * PLAIN[factor.kind](angle)
-    slack = 1e-15 + 2.3e-16 * abs(angle)  # that of the angle, as rounded here
-    assert row[VALUE] == pytest.approx(value, rel=0.0, abs=slack * size)
-
-
-@pytest.mark.parametrize("exponent", range(5))
-def test_at_the_origin_derivatives_are_the_taylor_coefficients(exponent: int) -> None:
-    for kind, series in {
-        COSINE: (1.0, 0.0, -4.0),
-        SINE: (0.0, 2.0, 0.0),
-        EXPONENTIAL: (1.0, 2.0, 4.0),
-    }.items():  # g, g′ and g″ of g(2x) at 0
-        row = evaluate(Factor(0, kind, exponent, 2.0), 0.0, 0.0)
-        expected = np.zeros(6)
-        for order, column in enumerate((VALUE, D_C, D_CC)):
-            if order >= exponent:
-                expected[column] = math.perm(order, exponent) * series[order - exponent]
-        np.testing.assert_array_equal(row, expected)
 
 
 @given(st.sampled_from(WAVES), st.integers(0, 8), st.floats(-9.0, 9.0), st.floats(0.0, 9.0))
