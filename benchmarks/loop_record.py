@@ -10,10 +10,9 @@ all).
 Controllers: the plan's control alone; a time-varying LQR as one writes it by hand, by the clock,
 about the smooth dynamics, compliant walls included; `TrackingController`;
 `ModelPredictiveController` from the same plan, which estimates what mechanisms' models may have
-wrong; and MPPI, which moves the plan's control to samples
-about it, by their cost in our own simulation. The tracker and what plans again are told the delay
-and the limits of actuators. Where states are measured with noise, all of these get them from a
-`StateFilter`.
+wrong; and MPPI, which moves the plan's control to samples about it, by their cost in our own
+simulation. The tracker and what plans again are told the delay and the limits of actuators. Where
+states are measured with noise, all of these get as many from a `StateFilter`.
 """
 
 from __future__ import annotations
@@ -361,7 +360,8 @@ def make_controller(method: str, prepared: Prepared, disturbance: Disturbance) -
         known["safety"] = Safety(control=disturbance.saturation)
     if method == "planning again":
         return Clocked(planner, period, plan=plan, **known, **options)
-    often = min(period, plan.scenario.time_step / 5)
+    # No sensor of noise is read more often by one than by another.
+    often = period if disturbance.noise.any() else min(period, plan.scenario.time_step / 5)
     controller: Any = TrackingController(plan, world, period=often, **known)
     if method == "TVLQR":
         controller = TrackingController(plan, world, period=often)

@@ -170,10 +170,11 @@ def test_a_turn_in_space_is_filtered() -> None:
     assert np.linalg.norm(found[-1][:4]) == pytest.approx(1.0)
 
 
-def test_no_command_answers_a_bounce_with_what_was_before_it() -> None:
+@pytest.mark.parametrize("name", ["floor/rebound", "room/bank_shot"])
+def test_no_command_answers_a_bounce_with_what_was_before_it(name: str) -> None:
     """It would take 54 N for a moment: felt and filtered, a bounce is not at the same time."""
-    rebound = plan("floor/rebound")
-    noise = Disturbance(noise=np.array([2e-3, 2e-2]))
+    rebound = plan(name)
+    noise = Disturbance(noise=np.repeat([2e-3, 2e-2], len(rebound.scenario.initial_position)))
     controller = TrackingController(rebound)
     loop = run_in_loop(controller, rebound.scenario, disturbance=noise, filters=True)
     assert loop.is_filtered and "(seed 0), filtered before the controller" in format_run(loop)

@@ -199,7 +199,18 @@ class StateFilter(LeafSystem):
             is_near = off @ np.linalg.solve(R + self._exact, off) <= _most(off)
             is_start = np.isinf(last.time) and is_near
             return _Estimate(now, z, R, now, last.undisturbed, _ODDS if is_start else -np.inf)
-        return self._correct(led, z, R) if self._is_due(context) else led
+        if not self._is_due(context):
+            return led
+        found = self._correct(led, z, R)
+        if found.odds < 0 < led.odds and self._bounces_about(last, self._read_held(context)):
+            return found._replace(odds=led.odds)
+        return found
+
+    def _bounces_about(self, last: _Estimate, held: HeldControl) -> bool:
+        """Returns whether what nothing disturbs bounces now: the plant may, a moment off that."""
+        times = held.times + np.array([0.0, held.times[-1] - held.times[0]])
+        ahead = predict(self._model, last.undisturbed, HeldControl(times, held.controls))
+        return bool(ahead and ahead[1])
 
     def _spread(self, z: Floats) -> Floats:
         """Returns R along changes of q and v, shape (2 nv, 2 nv)."""
