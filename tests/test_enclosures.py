@@ -109,7 +109,7 @@ def is_within(value: Any, ends: np.ndarray) -> bool:
     return bool(low <= value <= high)
 
 
-ONE = {
+ONE: dict[str, Callable[..., Any]] = {
     "square": lambda m, x: x**2,
     "cube": lambda m, x: x**3,
     "seventh power": lambda m, x: x**7,
@@ -127,8 +127,11 @@ ONE = {
 }
 
 
-def check_enclosures(function: Callable[..., Any], count: int) -> None:
-    """Checks value and derivatives over cells of widths from nothing to the size of x."""
+@pytest.mark.parametrize("count", [60, pytest.param(4000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ONE)
+def test_a_function_of_one_variable_is_enclosed(name: str, count: int) -> None:
+    """Value and derivatives hold over cells of widths from nothing to the size of x."""
+    function = ONE[name]
     rng, exact = np.random.default_rng(11), SimpleNamespace(**HIGH_PRECISION)
     x = sym.Variable("x")
     prog = MathematicalProgram()
@@ -145,17 +148,6 @@ def check_enclosures(function: Callable[..., Any], count: int) -> None:
             for order in range(3):
                 value = mpmath.diff(lambda x: function(exact, x), at, order, h=at * 1e-15)
                 assert own[order, 0] <= value <= own[order, 1]
-
-
-@pytest.mark.parametrize("name", ONE)
-def test_a_function_of_one_variable_is_enclosed(name: str) -> None:
-    check_enclosures(ONE[name], 60)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ONE)
-def test_a_function_of_one_variable_is_enclosed_at_thousands_of_points(name: str) -> None:
-    check_enclosures(ONE[name], 4000)
 
 
 MPMATH: dict[Operation, Callable[..., Any]] = {
@@ -283,22 +275,19 @@ def test_however_bad_the_multipliers_are_the_bound_holds() -> None:
         assert safe_bound(structure, cell, (root, 1.0), y, residuals) <= least
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_a_feasible_point_is_never_excluded(seed: int) -> None:
-    check_feasible_points(np.random.default_rng([7, seed]), 40)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(10))
-def test_a_feasible_point_is_never_excluded_in_10000_programs(seed: int) -> None:
-    check_feasible_points(np.random.default_rng([9, seed]), 1000)
-
-
-def check_feasible_points(rng: np.random.Generator, count: int) -> None:
+@pytest.mark.parametrize(
+    ("seed", "count"),
+    [
+        *(([7, number], 40) for number in range(2)),
+        *(pytest.param([9, number], 1000, marks=pytest.mark.slow) for number in range(10)),
+    ],
+)
+def test_a_feasible_point_is_never_excluded(seed: list[int], count: int) -> None:
     """Rows and bounds that a point meets just about, fixed variables and rows twice among them.
 
     Functions end there, variables are pinned, and costs have scales of 1e±150.
     """
+    rng = np.random.default_rng(seed)
     exact = SimpleNamespace(**HIGH_PRECISION)
 
     def value_at(function: Callable[..., Any], numbers: Sequence[Any]) -> float:

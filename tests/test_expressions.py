@@ -269,6 +269,7 @@ REFUSED: dict[str, tuple[ExpressionOf, str]] = {
     "a minimum": (lambda x: smin(0.0, x[0]) ** 2, r"min\(0, x\(0\)\)"),
     "a hinge of two variables": (lambda x: smax(0.0, x[0] - x[1]) ** 2, r"max\(0, \(x\(0\)"),
     "a hinge of a square": (lambda x: smax(0.0, 1 - x[0] ** 2) ** 2, r"max\(0, \(1 - pow"),
+    "a barrier with the other sign": (lambda x: 2 * log(x[0]), r"\(2 \* log\(x\(0\)\)\)"),
     "a barrier of two variables": (lambda x: -log(x[0] + x[1]), r"log\(.*\) is a function of 2"),
     "a barrier of a square": (lambda x: -log(x[0] ** 2), r"log\(pow\(x\(0\), 2\)\)"),
     "a barrier times a variable": (lambda x: -x[1] * log(x[0]), r"\* log\(x\(0\)\)"),
@@ -282,7 +283,8 @@ def test_a_term_without_a_closed_form_is_refused_by_cost_term_and_reason(case: s
     add(prog, x[0] ** 2 + x[1] ** 4, "fine")
     add(prog, expression_of(x) + sin(x[2]), "troublesome")
     with pytest.raises(
-        UnsupportedTermError, match=rf"cost 'troublesome' of x\(0\).*the term .*{term}.*equality"
+        UnsupportedTermError,
+        match=rf"cost 'troublesome' of x\(0\).*the term .*{term}.*(equality|Check the term's sign)",
     ):
         compile_program(prog)
 
@@ -322,6 +324,8 @@ def test_numbers_that_are_not_finite_are_refused() -> None:
         lambda x: cos(math.inf * x[0]) * cos(x[0]),
         lambda x: math.inf * sin(x[0]),
         lambda x: exp(x[0] + 1000) * exp(-x[0]),
+        lambda x: math.inf * x[0] ** 3,
+        lambda x: smax(0.0, math.inf - x[0]) ** 2,
     ):
         with pytest.raises(UnsupportedTermError, match=r"'the cost'.*term .*inf.*finite numbers"):
             compiled(expression_of)
