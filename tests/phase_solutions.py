@@ -1,6 +1,6 @@
 """Multi-phase problems, solved and checked, and what their optima cost by closed forms.
 
-What it costs at least to land on a floor, rest there, and jump: closed forms.
+What a free flight costs at least, and to land on a floor, rest there, and jump.
 """
 
 from __future__ import annotations
@@ -55,6 +55,24 @@ def optimise(
     assert max(solved.defects.values()) < MET
     check_clock(solved)
     return solved
+
+
+def free_flight_cost(
+    scenario: Scenario, mass: float = 1.0, weight: float = 0.0, acts: float = 0.5
+) -> float:
+    """Returns the least cost of a flight under held controls, by linear least squares.
+
+    The weight pulls down [N]. A control moves the mass as a push at this part of its time step
+    does: in the middle, or by explicit Euler at the end.
+    """
+    N, dt = scenario.num_steps, scenario.time_step
+    T, w_u, w_f = scenario.duration, scenario.control_weight, scenario.goal_weight
+    reach = (T - dt * (np.arange(N) + acts)) * dt / mass
+    drift = scenario.initial_position + T * scenario.initial_velocity - weight / mass * T**2 / 2
+    rows = np.vstack([math.sqrt(w_u * dt) * np.eye(N), math.sqrt(w_f) * reach])
+    target = np.append(np.zeros(N), math.sqrt(w_f) * (scenario.goal_position - drift))
+    best, *_ = np.linalg.lstsq(rows, target, rcond=None)
+    return float(np.sum((rows @ best - target) ** 2))
 
 
 def check_clock(solved: Solved) -> None:

@@ -16,6 +16,7 @@ from phase_solutions import (
     MET,
     bouncing,
     check_clock,
+    free_flight_cost,
     least_rest,
     one_bounce,
     optimise,
@@ -29,18 +30,6 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.local import LocalStatus
 from drake_aigto.planning import Arcs, PhaseProblem, sample, straight_path
 from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
-
-
-def free_flight_cost(scenario: Scenario, mass: float = 1.0, weight: float = 0.0) -> float:
-    """Returns the least cost under held controls, by linear least squares; the weight pulls."""
-    N, dt = scenario.num_steps, scenario.time_step
-    T, w_u, w_f = scenario.duration, scenario.control_weight, scenario.goal_weight
-    reach = (T - dt * (np.arange(N) + 0.5)) * dt / mass
-    drift = scenario.initial_position + T * scenario.initial_velocity - weight / mass * T**2 / 2
-    rows = np.vstack([math.sqrt(w_u * dt) * np.eye(N), math.sqrt(w_f) * reach])
-    target = np.append(np.zeros(N), math.sqrt(w_f) * (scenario.goal_position - drift))
-    best, *_ = np.linalg.lstsq(rows, target, rcond=None)
-    return float(np.sum((rows @ best - target) ** 2))
 
 
 @pytest.mark.parametrize("N", [1, 50])

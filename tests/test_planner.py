@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phase_solutions import free_flight_cost
 
 from drake_aigto import Scenario
 from drake_aigto.errors import OptionsError
@@ -39,23 +40,11 @@ FLIGHT = Scenario(
 )
 
 
-def least_cost(scenario: Scenario) -> float:
-    """Returns the optimum of explicit Euler for 1 kg without contact, by linear least squares."""
-    N, dt, w_f = scenario.num_steps, scenario.time_step, scenario.goal_weight
-    # q_N = q_0 + T v_0 + Σ gain_k u_k
-    gains = dt**2 * np.arange(N - 1, -1, -1)
-    free = scenario.initial_position[0] + scenario.duration * scenario.initial_velocity[0]
-    rows = np.vstack([np.sqrt(scenario.control_weight * dt) * np.eye(N), np.sqrt(w_f) * gains])
-    target = np.append(np.zeros(N), np.sqrt(w_f) * (scenario.goal_position[0] - free))
-    solution, *_ = np.linalg.lstsq(rows, target, rcond=None)
-    return float(np.sum((rows @ solution - target) ** 2))
-
-
 @pytest.mark.parametrize("solver", ["newton", "snopt", "ipopt"])
 def test_a_flight_costs_the_linear_quadratic_optimum(solver: LocalSolverName) -> None:
     options = dataclasses.replace(QUICK, local_solver=solver, ladder=QUICK.ladder[:1], confirm=True)
     found = plan_literal(FLIGHT, options)
-    assert found.cost == pytest.approx(least_cost(FLIGHT), rel=1e-6)
+    assert found.cost == pytest.approx(free_flight_cost(FLIGHT, acts=1.0), rel=1e-6)
     assert max(found.defects.values()) < 1e-8
     assert not found.best.contacts
     # Euler's error is of the order of the time step, so the exact replay differs by that.

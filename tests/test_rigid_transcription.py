@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from box_programs import compile_program, mean_by_block
+from phase_solutions import free_flight_cost
 from replay_worlds import make_diagram, make_scenario, shipped_world
 from rigid_worlds import AXIS, NAMES, Physics, indices, make_motion, physics_of, write_model
 from scipy.linalg import expm
@@ -214,16 +215,11 @@ def test_penalties_are_the_formulas_of_the_docstring(steps: int, duration: float
 @pytest.mark.parametrize("goal_weight", [0.0, 1e-3, 1.0, 1e3])
 def test_the_unit_of_costs_is_what_the_way_costs_from_rest(goal_weight: float) -> None:
     scenario = make_scenario(0.4, 0.0, duration=2.0, time_step=0.01, goal_weight=goal_weight)
-    N, T, dt, L = 200, 2.0, 0.01, 0.73
     transcription = RigidTranscription(shipped_world(3.0), scenario)
-    assert transcription.length_scale() == L
-    # q(T) − q(0) = Σ reach_k u_k; without a goal it has to be met.
-    reach = (T - dt * (np.arange(N) + 0.5)) * dt / 3.0
-    weight, price = goal_weight or 1e9, scenario.control_weight
-    rows = np.vstack([np.sqrt(price * dt) * np.eye(N), np.sqrt(weight) * reach])
-    target = np.append(np.zeros(N), np.sqrt(weight) * L)
-    best, *_ = np.linalg.lstsq(rows, target, rcond=None)
-    cost = np.sum((rows @ best - target) ** 2)
+    assert transcription.length_scale() == scenario.goal_position[0]
+    # Without a weight the goal has to be met.
+    way = dataclasses.replace(scenario, initial_position=0.0, goal_weight=goal_weight or 1e9)
+    cost = free_flight_cost(way, mass=3.0)
     assert transcription.cost_scale() == pytest.approx(cost, rel=1e-4)
 
 
