@@ -18,7 +18,6 @@ from pydrake.solvers import (
     QuadraticCost,
     SnoptSolver,
 )
-from pydrake.symbolic import tan
 from pydrake.trajectories import PiecewisePolynomial
 from rigid_worlds import AXIS, write_model
 
@@ -250,22 +249,6 @@ def test_an_inequality_of_several_variables_is_refused_by_name() -> None:
     prog.AddConstraint(x[0] + x[1] <= 1.0).evaluator().set_description("budget")
     with pytest.raises(UnsupportedTermError, match=r"'budget' can't be penalized.*one variable"):
         penalize(prog)
-
-
-def test_a_constraint_without_a_formula_is_refused_by_name() -> None:
-    prog = MathematicalProgram()
-    x = prog.NewContinuousVariables(1, "x")
-    prog.AddConstraint(lambda z: np.sin(z), lb=[0.0], ub=[0.0], vars=x, description="opaque")
-    with pytest.raises(UnsupportedTermError, match="'opaque' can't be met"):
-        penalize(prog)
-
-
-def test_a_constraint_that_is_no_polynomial_is_refused_when_compiled() -> None:
-    prog = MathematicalProgram()
-    x = prog.NewContinuousVariables(2, "x")
-    prog.AddConstraint(tan(x[0]) * x[1] == 1.0).evaluator().set_description("wave")
-    with pytest.raises(UnsupportedTermError, match="'wave'"):
-        compile_program(penalize(prog))
 
 
 def test_a_linear_cost_stays_linear() -> None:
