@@ -215,7 +215,7 @@ LEAST = 4 / 3 * (MU * G) ** 2 * UNTIL
 def test_the_cheapest_push_to_rest_lets_the_floor_brake() -> None:
     problem = make_mechanism_task(World.from_scenario(BLOCK), BLOCK, PlanOptions())
     assert isinstance(problem, RigidMechanismTask)
-    assert [(touch.start, touch.mode) for touch in problem.coasting[0]] == [(0.0, 0)]
+    assert [(touch.start, touch.mode) for touch in problem.coasting] == [(0.0, 0)]
     near = problem.bounce((Touch(0.0, 1.0, 0, -1), Touch(1.0, 2.0, 0, 0)), problem.idle_motion)
     found = problem.polish(near)
     candidate = problem.judge(Origin(COASTING), near, found)
@@ -244,8 +244,8 @@ def test_a_ball_that_is_pushed_and_rolls_is_as_dear_as_seven_fifths_of_its_mass(
     )
     problem = make_mechanism_task(world, scenario, PlanOptions())
     assert isinstance(problem, RigidMechanismTask)
-    assert [(touch.start, touch.mode) for touch in problem.coasting[0]] == [(0.0, 0)]
-    near = problem.bounce(*problem.coasting)
+    assert [(touch.start, touch.mode) for touch in problem.coasting] == [(0.0, 0)]
+    near = problem.bounce(problem.coasting, problem.idle_motion)
     found = problem.polish(near)
     assert found.cost == pytest.approx(12 * 1.4**2 / 2**3, rel=5e-4)
     candidate = problem.judge(Origin(COASTING), near, found)

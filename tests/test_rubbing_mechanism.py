@@ -270,7 +270,7 @@ def test_an_impact_at_the_edge_of_its_mode_is_led_to_the_best_from_every_mode() 
     costs = []
     for mode in (-1, 0, 1):
         touches: tuple[Touch, ...] = tuple(
-            dataclasses.replace(touch, mode=mode) for touch in of.coasting[0][:1]
+            dataclasses.replace(touch, mode=mode) for touch in of.coasting[:1]
         )
         costs.append(of.bounce(touches, of.idle_motion).cost)
     np.testing.assert_allclose(costs, min(costs), rtol=1e-3)

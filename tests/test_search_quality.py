@@ -126,7 +126,11 @@ def test_motions_in_a_longer_horizon_rest_at_the_goal_or_wait_first(
 
 @pytest.mark.parametrize(
     ("name", "factor", "restitution"),
-    [("corridor/six_bounces", 3.0, 1.0), ("room/bank_shot", 8.0, 0.9)],
+    [
+        ("corridor/six_bounces", 3.0, 1.0),
+        ("room/bank_shot", 3.0, 1.0),  # In a corner, off the other wall first.
+        ("room/bank_shot", 8.0, 0.9),
+    ],
 )
 def test_limits_that_do_not_bind_change_no_plan_however_often_it_bounces(
     name: str, factor: float, restitution: float

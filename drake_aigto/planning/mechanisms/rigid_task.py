@@ -18,8 +18,6 @@ from drake_aigto.planning.mechanisms.phases import (
     find_deepest,
     find_grazes,
     find_lacks,
-    in_order,
-    is_closed,
     lay_out,
     make_trajectory,
     read_touches,
@@ -31,11 +29,14 @@ from drake_aigto.planning.mechanisms.touches import (
     find_neighbors,
     lead_over_edges,
     read_replay,
+    rests_early,
     switch_modes,
+    with_dip,
 )
 from drake_aigto.planning.mechanisms.traces import add_impulses, replay_at_knots, with_losses
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.search import scaled
+from drake_aigto.planning.sequence_search import swapped
 from drake_aigto.shooting import Phases, ShootingOptions, ShootingProblem, ShootingResult, Smoothing
 from drake_aigto.simulation import Replay, replay_event_driven
 from drake_aigto.trajectory import Trajectory
@@ -45,8 +46,8 @@ from drake_aigto.world import Scenario, World
 # A bounce is added where a motion penetrates a wall between knots by this part of the task's
 # length, and how often at most.
 _DEEP, _MOST_ADDED = 1e-2, 4
-# A contact that penetrates its wall again within this many search steps was released too early.
-_SOON = 2
+# Bounces this near each other, as a part of the duration, are as near as phases may be.
+_AT_ONCE = 2e-3
 # Clearance of walls, as a part of the task's length; how often knots are lifted for it at most; and
 # the part of its speed below which touches become passes, and no sustained touch begins: any error
 # would miss the wall.
@@ -81,6 +82,7 @@ _OTHER, _FAR = 1.01, 1.05
 # Costs fall by up to this factor while walls are cleared, and met to rounding.
 _UNSETTLED = 1.01
 _COARSE = ShootingOptions(rungs=(Smoothing(0.0, 40, 1e-3),), multiplier_updates=4)
+_FIRST = dataclasses.replace(_COARSE, multiplier_updates=0)
 # With friction, motions that cost more than this times the best while violations only have a price
 # are left unfinished. Of 185 neighbors in a shot with spin no costlier one led to a new and better
 # motion, and they took three quarters of the time.
@@ -121,18 +123,12 @@ class RigidMechanismTask(MechanismTask):
         touches = read_touches(self.world, self.rigid_law, soft, self.lasting)
         found = [self.bounce(touches, soft, aim.most)]
         controls, states = guess.sample(soft.times)
-        if (self._sinks_in or guess.touches is not None) and states is not None:
+        sinks_in = rests_early(self.world, self.rigid_law, self.scenario)
+        if (sinks_in or guess.touches is not None) and states is not None:
             shown = dataclasses.replace(soft, states=states, controls=controls)
             touches = guess.touches or read_touches(self.world, self.rigid_law, shown, self.lasting)
             found.append(self.bounce(touches, shown, aim.most))
         return min(found, key=self.rank)
-
-    @cached_property
-    def _sinks_in(self) -> bool:
-        """Whether contacts with friction may rest from early on: on springs they sink and creep."""
-        start = self.scenario.initial_position, self.scenario.initial_velocity
-        rests = (self.rigid_law.restitution == 0) | is_closed(self.world, *start)
-        return bool(np.any(rests & (self.rigid_law.friction > 0)))
 
     @property
     def rigid_law(self) -> RigidLaw:
@@ -151,21 +147,21 @@ class RigidMechanismTask(MechanismTask):
         return np.where(self.rigid_law.restitution == 0, 0.0, 2 * np.pi * time_step)
 
     def bounce(
-        self, touches: TouchSequence, guess: ShootingResult, most: float = np.inf
+        self, touches: TouchSequence, guess: ShootingResult | None, most: float = np.inf
     ) -> ShootingResult:
         """Returns a motion with these touches after a few steps from another.
 
-        A bounce is added where it penetrates a wall deeply between knots, and modes of touches
-        with friction are switched at their edges if that is better.
+        A bounce is added where it penetrates a wall deeply between knots. Bounces off two walls at
+        once change their order, and touches with friction their modes, if that is better.
 
         Args:
             touches: in their order.
-            guess: the other motion.
+            guess: the other motion; None: no control.
             most: a motion that costs more before its bounds hold is returned as it is.
         """
         tried = list[ShootingResult]()
         for _ in range(1 + _MOST_ADDED):
-            motion = self._with_depth(self._shoot(touches, guess, self.search_steps, _COARSE, most))
+            motion = self._with_depth(self._close_phases(touches, guess, most))
             if motion.is_left or motion.cost > most:
                 return min([*tried, motion], key=self.rank)
             dip = find_deepest(self.world, motion) if np.isfinite(motion.cost) else None
@@ -177,20 +173,27 @@ class RigidMechanismTask(MechanismTask):
         return self._switch(min(tried, key=self.rank))
 
     def with_dip(self, motion: ShootingResult, dip: Dip) -> TouchSequence:
-        """Returns the touches of a motion and its dip: a new touch, or a prolonged one.
+        """Returns the touches of a motion and its dip (`with_dip`)."""
+        step = self.scenario.duration / self.search_steps
+        return with_dip(self.world, self.rigid_law, motion, dip, self.lasting, step)
 
-        A contact with zero restitution that penetrates a wall soon after its release was released
-        too early: added bounces would become ever smaller, without end.
-        """
-        contact, soon = dip.touch.contact, _SOON * self.scenario.duration / self.search_steps
-        law, touches = self.rigid_law, list(motion.touches)
-        if not (law.restitution[contact] or law.friction[contact]):
-            for place, touch in enumerate(touches):
-                if touch.contact == contact and 0 <= dip.start - touch.end <= soon:
-                    touches[place] = dataclasses.replace(touch, end=dip.end)
-                    return tuple(touches)
-        added = dip.as_touches(self.world, law, self.lasting, motion)
-        return in_order((*touches, *added))
+    def _close_phases(
+        self, touches: TouchSequence, guess: ShootingResult | None, most: float
+    ) -> ShootingResult:
+        """Returns a motion in coarse steps, bounces that end at once in their better order."""
+        N, near = self.search_steps, _AT_ONCE * self.scenario.duration
+        found = self._shoot(touches, guess, N, _COARSE, most)
+        if found.is_left or found.cost > most or not swapped(found.touches, near):
+            return found
+        # Penalties of an order that does not fit only grow: the first pass has none of this yet.
+        best = self._shoot(touches, guess, N, _FIRST)
+        while orders := swapped(best.touches, near):
+            others = [self._shoot(each, best, N, _FIRST, rolls=True) for each in orders]
+            if not (other := min(others, key=lambda each: each.cost)).cost < best.cost:
+                break
+            best = other
+        ordered = self._shoot(best.touches, best, N, _COARSE, most, rolls=True)
+        return min(found, ordered, key=self.rank)
 
     def _switch(self, motion: ShootingResult) -> ShootingResult:
         """Returns the best motion found by switching modes of touches at their edges."""
@@ -207,22 +210,17 @@ class RigidMechanismTask(MechanismTask):
         return motion
 
     @cached_property
-    def coasting(self) -> tuple[TouchSequence, ShootingResult]:
-        """Touches of the uncontrolled motion, sustained ones until the next, and that motion."""
+    def coasting(self) -> TouchSequence:
+        """The touches of the uncontrolled motion; sustained ones last until the next."""
         idle = self.idle_motion
         times = self._end_exactly(idle.times)
         replay = replay_event_driven(self.world, self.scenario, times, idle.controls)
-        touches = read_replay(self.world, self.rigid_law, replay, self.lasting)
-        last = np.diff(replay.times, append=np.inf) > 0
-        states = np.hstack([replay.positions, replay.velocities])[last]
-        controls = np.zeros((len(states) - 1, self.world.num_actuators))
-        times = replay.times[last]
-        return touches, dataclasses.replace(idle, times=times, states=states, controls=controls)
+        return read_replay(self.world, self.rigid_law, replay, self.lasting)
 
     def find_neighbors(self, motion: ShootingResult) -> Iterator[tuple[ChangeName, TouchSequence]]:
         """Yields sequences of touches near a motion's, and how they differ."""
-        near = NEAR * self.scenario.duration
-        yield from find_neighbors(self.world, self.rigid_law, motion, self.lasting, near)
+        law, near = self.rigid_law, NEAR * self.scenario.duration
+        yield from find_neighbors(self.world, law, motion, self.lasting, near)
 
     def tighten(self, motion: ShootingResult, least: float = np.inf) -> ShootingResult:
         """Returns a motion as it is: in phases, few steps err little."""
@@ -276,23 +274,26 @@ class RigidMechanismTask(MechanismTask):
     def _shoot(
         self,
         touches: TouchSequence,
-        guess: ShootingResult,
+        guess: ShootingResult | None,
         num_steps: int,
         options: ShootingOptions,
         most: float = np.inf,
+        rolls: bool = False,
     ) -> ShootingResult:
-        """Returns the motion with these touches near another one (`ShootingProblem.solve`).
+        """Returns the motion with these touches near another one, or no control.
 
+        It begins with that one's states, or rolls out its controls (`ShootingProblem.solve`).
         Touches of pairs that the scenario keeps apart are left out.
         """
-        T, may_touch = float(guess.times[-1]), np.isneginf(self.least_distances)
+        near = self.idle_motion if guess is None else guess
+        T, may_touch = float(near.times[-1]), np.isneginf(self.least_distances)
         touches = tuple(touch for touch in touches if may_touch[touch.contact])
         times, phases = lay_out(touches, num_steps, T, self._total, self.world.num_contacts)
         middles = (times[1:] + times[:-1]) / 2
-        row = np.clip(np.searchsorted(guess.times, middles) - 1, 0, len(guess.controls) - 1)
-        states = sample(self.world, guess, times)
+        row = np.clip(np.searchsorted(near.times, middles) - 1, 0, len(near.controls) - 1)
+        states = None if guess is None or rolls else sample(self.world, guess, times)
         options = dataclasses.replace(options, most_promised=most)
-        return self.pose_phases(times, phases).solve(guess.controls[row], states, options)
+        return self.pose_phases(times, phases).solve(near.controls[row], states, options)
 
     def _refine(
         self,

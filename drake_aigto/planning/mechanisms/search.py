@@ -152,7 +152,13 @@ class MechanismSearch(Search):
             for each in guesses.sharp_starts
             for words, has_states in (("", True), (", simulated", False))
         ]
-        yield [*given, *starts, *sharp]
+        first = []
+        if self._rigid:
+            touches = self._rigid.coasting
+            ends = sorted({min(end, len(touches)) for end in (*_FIRST, len(touches))} - {0})
+            closes = (partial(self._bounce, touches[:end]) for end in ends)
+            first = [Proposal(Origin(COASTING), close) for close in closes]
+        yield [*given, *starts, *sharp, *first]
         if (shorter := self.task.shortened()) is not None:
             search = MechanismSearch(shorter, self.clock)
             search.explore(self._progress)
@@ -160,11 +166,6 @@ class MechanismSearch(Search):
             late = self.task.scenario.duration - shorter.scenario.duration
             kept = search.motions[:_MOST_EXTENDED]
             yield [self._extend(each, wait) for each in kept for wait in (0.0, late)]
-        if self._rigid:
-            touches, motion = self._rigid.coasting
-            ends = sorted({min(end, len(touches)) for end in (*_FIRST, len(touches))} - {0})
-            first = [partial(self._bounce, touches[:end], motion) for end in ends]
-            yield [Proposal(Origin(COASTING), close) for close in first]
 
     def vary(self) -> Iterator[Sequence[Proposal]]:
         """Yields renewals of the best motions, and new starts in turn."""
@@ -231,13 +232,11 @@ class MechanismSearch(Search):
         """Closes a guess."""
         return Found(self.task.close(propose(), self._aim), parent)
 
-    def _bounce(
-        self, touches: TouchSequence, guess: ShootingResult, parent: KeptMotion | None = None
-    ) -> Found:
+    def _bounce(self, touches: TouchSequence, parent: KeptMotion | None = None) -> Found:
         """Closes touches; without a parent at any cost, as many of them begin at a high one."""
         assert self._rigid is not None
-        most = np.inf if parent is None else self._aim.most
-        return Found(self._rigid.bounce(touches, guess, most), parent)
+        near, most = (parent.result, self._aim.most) if parent else (None, np.inf)
+        return Found(self._rigid.bounce(touches, near, most), parent)
 
     def close(self, wave: Sequence[Proposal]) -> None:
         """Closes motions, and neighbors of the best until none of these leads to a better one."""
@@ -287,7 +286,7 @@ class MechanismSearch(Search):
             if key not in self._tried:
                 self._tried.add(key)
                 origin = motion.origin.changed(change, found.touches)
-                yield Proposal(origin, partial(self._bounce, touches, found, motion))
+                yield Proposal(origin, partial(self._bounce, touches, motion))
 
     def keep(self, origin: Origin, found: Found) -> None:
         """Keeps a motion if it is among the best, and no better one is near."""

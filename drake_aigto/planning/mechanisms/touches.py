@@ -13,6 +13,7 @@ from drake_aigto.contact import Closed, Mode, RigidLaw, find_other_mode, read_mo
 from drake_aigto.planning.candidate import ChangeName
 from drake_aigto.planning.mechanisms.phases import (
     CREEP,
+    Dip,
     find_slopes,
     in_order,
     is_closed,
@@ -22,10 +23,12 @@ from drake_aigto.planning.sequence_search import swapped
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.simulation import Replay, find_impacts
 from drake_aigto.transcription import Touch, TouchSequence
-from drake_aigto.world import World
+from drake_aigto.world import Scenario, World
 
 # A sticking contact is at the edge if it takes this part of the available friction.
 _EDGE = 0.98
+# A contact that penetrates its wall again within this many search steps was released too early.
+_SOON = 2
 # Touches closer than this part of the duration may be swapped.
 NEAR = 0.05
 
@@ -76,6 +79,37 @@ def read_replay(world: World, law: RigidLaw, replay: Replay, lasting: Floats) ->
             mode = read_mode(world, law, i, replay.positions[row], replay.velocities[row])
             bounces.append(Touch(start, start if lasting[i] or law.friction[i] else end, i, mode))
     return in_order([*bounces, *held])
+
+
+def rests_early(world: World, law: RigidLaw, scenario: Scenario) -> bool:
+    """Returns whether contacts with friction may rest early: on springs they sink and creep."""
+    closed = is_closed(world, scenario.initial_position, scenario.initial_velocity)
+    return bool(np.any(((law.restitution == 0) | closed) & (law.friction > 0)))
+
+
+def with_dip(
+    world: World, law: RigidLaw, motion: ShootingResult, dip: Dip, lasting: Floats, step: float
+) -> TouchSequence:
+    """Returns the touches of a motion and its dip: a new touch, or a prolonged one.
+
+    A contact with zero restitution that penetrates a wall soon after its release was released too
+    early: added bounces would become ever smaller, without end.
+
+    Args:
+        world: the mechanism.
+        law: of its rigid walls.
+        motion: in phases.
+        dip: where it penetrates a wall.
+        lasting: the shortest sustained touch of each contact, shape (m,) [s].
+        step: of the search [s].
+    """
+    contact, touches = dip.touch.contact, list(motion.touches)
+    if not (law.restitution[contact] or law.friction[contact]):
+        for place, touch in enumerate(touches):
+            if touch.contact == contact and 0 <= dip.start - touch.end <= _SOON * step:
+                touches[place] = replace(touch, end=dip.end)
+                return tuple(touches)
+    return in_order((*touches, *dip.as_touches(world, law, lasting, motion)))
 
 
 def drop(touches: TouchSequence, place: int) -> TouchSequence:
