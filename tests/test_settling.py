@@ -61,12 +61,21 @@ def test_a_motion_that_is_lost_in_shorter_steps_is_left(monkeypatch: pytest.Monk
     assert problem.asked[0].rungs[0].most == np.inf  # Before, its cost says little.
 
 
-def test_a_motion_that_costs_somewhat_more_in_shorter_steps_is_followed_on(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(
+    ("costs", "best", "steps"),
+    [
+        ([COST, 3 * COST], COST, (4, 8)),
+        ([COST, 0.9 * COST, 0.895 * COST, 0.1], 0.895 * COST, (4, 8, 16)),
+        ([COST * 0.9**k for k in range(6)], COST * 0.9**4, (4, 8, 16, 32, 64)),
+    ],
+)
+def test_steps_are_halved_as_long_as_that_lowers_the_cost_by_more_than_a_hundredth(
+    costs: list[float], best: float, steps: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _, problem = follow([COST, 3 * COST], monkeypatch)
-    steps = [(each.substeps, each.order) for each in problem.asked]
-    assert steps == [(count, IMPLICIT) for count in (4, 8, 16, 32, 64)]
+    found, problem = follow(costs, monkeypatch)
+    assert found.cost == best
+    asked = [(each.substeps, each.order) for each in problem.asked]
+    assert asked == [(count, IMPLICIT) for count in steps]
 
 
 @pytest.mark.parametrize(
