@@ -81,7 +81,7 @@ RECORDS: Mapping[str, str] = {
     "provers": "python -m benchmarks.provers --workers 1",
     "push_bot_bounds": "python -m benchmarks.push_bot_bounds",
     "loop_record": "python -m benchmarks.loop_record --only table1,corridor,room,floor,soft,block"
-    " --workers 1 --minutes 10",
+    " --workers 1 --minutes 24",
     "estimated": "python -m benchmarks.estimated --workers 1 --minutes 25",
     "held": "python -m benchmarks.held --workers 1 --minutes 70",
     "live_latency": "python -m benchmarks.live_latency",
