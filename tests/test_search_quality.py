@@ -142,3 +142,11 @@ def test_limits_that_do_not_bind_change_no_plan_however_often_it_bounces(
     costs = [plan(each, PlanOptions(confirm=False)).cost for each in (free, limited)]
     # One road solves in closed form, the other by shooting, from the touches of motion let go.
     assert costs[1] == pytest.approx(costs[0], rel=1e-3)
+
+
+def test_limits_that_do_not_bind_do_not_hide_the_way_around_a_block() -> None:
+    shipped = Scenario.named("room_with_block/around")
+    limited = Scenario.from_plain({**shipped.to_plain(), "effort_limits": {"*": 1e3}})
+    costs = [plan(each, PlanOptions(confirm=False)).cost for each in (shipped, limited)]
+    # 9.4 times as much, where motions that dip into the block were not led off it.
+    assert costs[1] < 1.5 * costs[0]

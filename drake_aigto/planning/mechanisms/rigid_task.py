@@ -57,35 +57,27 @@ _MOST_SWITCHED = 3
 # Near a grazed wall speeds change with the square root of distances: a finalist has to meet its
 # walls closely.
 _FINE = ShootingOptions(
-    rungs=(Smoothing(0.0, 40, 1e-6),),
-    substeps=4,
-    penalty=1e4,
-    multiplier_updates=8,
-    feasibility=1e-6,
+    (Smoothing(0.0, 40, 1e-6),), substeps=4, penalty=1e4, multiplier_updates=8, feasibility=1e-6
 )
 _EXACT, _MOST_SUBSTEPS = 1e-4, 16
 # The best impact with friction is often at the edge of its mode. Steps toward it pass the edge, and
 # with a high penalty none of them would be accepted.
 _GENTLE = 1e2
 # Violations this small cost next to nothing: steps that gain less have to count, too.
-_SETTLED = ShootingOptions(
-    rungs=(Smoothing(0.0, 40, 1e-12),), multiplier_updates=24, feasibility=1e-11
-)
+_SETTLED = ShootingOptions((Smoothing(0.0, 40, 1e-12),), multiplier_updates=24, feasibility=1e-11)
 # Walls are met to rounding in Runge-Kutta steps whose error is at most this part of the scales.
 _TRUE = 1e-7
 # A motion is steady if other steps move its end by less than this part of its scales.
 _STEADY = 1.0
 # A polish may lower costs by up to this factor.
 _UNPOLISHED = 1.2
-# A polish that raised the cost by more than these factors ended at another optimum, or diverged.
-_OTHER, _FAR = 1.01, 1.05
-# Costs fall by up to this factor while walls are cleared, and met to rounding.
-_UNSETTLED = 1.01
+# A polish that raised the cost by more than these factors ended at another optimum, or diverged;
+# while walls are cleared, and met to rounding, it falls by up to the third.
+_OTHER, _FAR, _UNSETTLED = 1.01, 1.05, 1.01
 _COARSE = ShootingOptions(rungs=(Smoothing(0.0, 40, 1e-3),), multiplier_updates=4)
 _FIRST = dataclasses.replace(_COARSE, multiplier_updates=0)
-# With friction, motions that cost more than this times the best while violations only have a price
-# are left unfinished. Of 185 neighbors in a shot with spin no costlier one led to a new and better
-# motion, and they took three quarters of the time.
+# With friction, motions that cost more than this times the best are left unfinished. Of 185
+# neighbors in a shot with spin, no such one led to a better motion; they took 3/4 of the time.
 _HOPELESS = 3.0
 
 
@@ -93,8 +85,7 @@ class RigidMechanismTask(MechanismTask):
     """A task of a mechanism between rigid walls.
 
     The first shooting has springs in place of the walls (`soften`). The touches of that motion are
-    read off, and shooting continues in phases that meet there (`Phases`): on rigid
-    walls, with impacts at knots with free times.
+    read off, and shooting continues in phases that meet there (`Phases`), at knots with free times.
     """
 
     @property
@@ -140,8 +131,7 @@ class RigidMechanismTask(MechanismTask):
     def lasting(self) -> Floats:
         """The shortest touch of a spring that is sustained on a wall, shape (m,) [s].
 
-        With zero restitution, any is: one of no duration was a bounce. Otherwise it is twice the
-        time in which a spring reverses a velocity.
+        With zero restitution, any is; else twice the time in which a spring reverses a velocity.
         """
         time_step = self.scenario.duration / self.search_steps
         return np.where(self.rigid_law.restitution == 0, 0.0, 2 * np.pi * time_step)
@@ -170,7 +160,16 @@ class RigidMechanismTask(MechanismTask):
             if dip is None or dip.depth < _DEEP * self.measures.length or is_full:
                 break
             guess, touches = motion, self.with_dip(motion, dip)
-        return self._switch(min(tried, key=self.rank))
+        return self._switch(self._lift(min(tried, key=self.rank)))
+
+    def _lift(self, motion: ShootingResult) -> ShootingResult:
+        """Returns a motion, led off walls if dips into them are priced higher than it."""
+        if not np.isfinite(motion.cost) or self.price(motion) <= 2 * motion.cost:
+            return motion
+        lacks = find_lacks(self.world, motion, _MARGIN * self.measures.length)
+        problem = self.pose_phases(motion.times, motion.phases, lacks)
+        lifted = self._with_depth(problem.solve(motion.controls, None, _COARSE))
+        return min(motion, lifted, key=self.rank)
 
     def with_dip(self, motion: ShootingResult, dip: Dip) -> TouchSequence:
         """Returns the touches of a motion and its dip (`with_dip`)."""
@@ -282,8 +281,7 @@ class RigidMechanismTask(MechanismTask):
     ) -> ShootingResult:
         """Returns the motion with these touches near another one, or no control.
 
-        It begins with that one's states, or rolls out its controls (`ShootingProblem.solve`).
-        Touches of pairs that the scenario keeps apart are left out.
+        It begins with its states, or rolls out its controls. Pairs to be kept apart do not touch.
         """
         near = self.idle_motion if guess is None else guess
         T, may_touch = float(near.times[-1]), np.isneginf(self.least_distances)
@@ -369,8 +367,8 @@ class RigidMechanismTask(MechanismTask):
 
     def make_trajectory(self, found: ShootingResult) -> Trajectory:
         """Returns a motion in phases as a trajectory, with its impulses."""
-        motion = make_trajectory(self.world, found)
-        return dataclasses.replace(motion, times=self._end_exactly(found.times))
+        times = self._end_exactly(found.times)
+        return dataclasses.replace(make_trajectory(self.world, found), times=times)
 
     def _simulate_alone(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
         """Returns the simulation of controls, as a trajectory with knots at its bounces."""
