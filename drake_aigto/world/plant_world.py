@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pkgutil import resolve_name
 from types import MappingProxyType
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from pydrake.geometry import GeometryId, SceneGraph
@@ -38,6 +38,9 @@ from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
 from drake_aigto.world.model_reader import read_model
 from drake_aigto.world.model_shapes import name_shapes, pick_shapes, set_materials
 from drake_aigto.world.scenario import Scenario
+
+if TYPE_CHECKING:
+    from typing import Self  # Python 3.10 has none.
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from pydrake.geometry import GeometryId, SceneGraph
@@ -39,6 +39,9 @@ from drake_aigto.world.space_parts import (
     read_shapes,
 )
 from drake_aigto.world.world import World
+
+if TYPE_CHECKING:
+    from typing import Self  # Python 3.10 has none.
 
 # Bodies that are deeper in each other than this part of the smaller one overlap at the start.
 _OVERLAP = 0.1

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property, partial
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.geometry import GeometryId
@@ -39,6 +39,9 @@ from drake_aigto.world.plant_world import PlantWorld, check_made_for, read_world
 from drake_aigto.world.rubbing import Rubbing
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.task_cost import TaskCost
+
+if TYPE_CHECKING:
+    from typing import Self  # Python 3.10 has none.
 
 # A sphere this near to a wall with friction lies against it, however its place was rounded [m].
 _TOUCHING = 1e-9
