@@ -233,11 +233,11 @@ class ModelEstimate:
         end = predict(model, samples[0], held)
         if end is None:
             return np.inf
-        errors = self.world.calc_error(samples[1], end[0]) / self._deviations
+        errors = self.world.calc_error(samples[1], end[0]) / self._error_scales
         return float(np.mean(errors**2) / self.noise)
 
     @property
-    def _deviations(self) -> Floats:
+    def _error_scales(self) -> Floats:
         """Standard deviations σ of a prediction's errors, shape (2 nv,)."""
         scales = tangent_scales(self.world, self.scenario)
         return np.repeat(_NOISE, self.world.num_velocities) * scales
@@ -247,7 +247,7 @@ class ModelEstimate:
     ) -> ModelEstimate:
         """Returns the same after a sample, linear about p₀, with what was known before it."""
         ends = [predict(model, samples[0], held) for model in self.models]
-        scales, after = self._deviations, samples[1]
+        scales, after = self._error_scales, samples[1]
         errors = np.array([self.world.calc_error(after, end[0]) / scales for end in ends if end])
         if len(errors) < len(ends):
             return self

@@ -20,7 +20,7 @@ from drake_aigto.planning import (
     Regulator,
     RigidMechanismTask,
     find_deepest,
-    find_lacks,
+    keep_off,
     lay_onto,
     make_mechanism_task,
     make_trajectory,
@@ -330,14 +330,8 @@ class RigidHorizon(_ShootingHorizon):
         problem = dataclasses.replace(task, start=after[0], cost=cost)
         controls = left.controls[np.searchsorted(elapsed, middles) - 1]
         found = problem.solve(controls, interpolate(times, elapsed, after), options)
-        margin = _AT_WALL * self._task.scales.length
-        if (
-            not np.isfinite(found.cost)
-            or np.max(lacks := find_lacks(self.world, found, margin)) <= margin
-        ):
-            return found
-        apart = dataclasses.replace(problem, clearances=lacks)
-        return apart.solve(found.controls, found.states, options)
+        apart = keep_off(self.world, problem, found, _AT_WALL * self._task.scales.length)
+        return found if apart is None else apart.solve(found.controls, found.states, options)
 
     def _read(self, found: ShootingResult, now: float) -> PlannedMotion | None:
         """Returns a result as a motion from now on; None if it leads nowhere, or misses walls."""

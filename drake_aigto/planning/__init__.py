@@ -24,13 +24,13 @@ from drake_aigto.planning.mechanisms.closing import (
     Aim,
     close_gaps,
     find_tight,
+    keep_off,
     settle,
     steady,
 )
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, Measures
 from drake_aigto.planning.mechanisms.phases import (
     find_deepest,
-    find_lacks,
     in_order,
     is_closed,
     lay_onto,
@@ -128,7 +128,6 @@ __all__ = [
     "find_deepest",
     "find_grazes",
     "find_insertions",
-    "find_lacks",
     "find_rates",
     "find_tight",
     "in_order",
@@ -136,6 +135,7 @@ __all__ = [
     "is_at_rest_on",
     "is_closed",
     "is_same",
+    "keep_off",
     "kinds",
     "lay_onto",
     "lay_out",

@@ -183,7 +183,7 @@ def suggest(word: str, known: list[str]) -> str | None:
 def read_scenario(path: str | os.PathLike[str]) -> object:
     """Returns what is in a YAML file; what is no text may be numbers.
 
-    The path of a model that starts at the file's folder is one from the working directory then.
+    A model's path from the file's folder, if the model is there, leads from the working directory.
     """
     try:
         data = yaml_load_data(Path(path).read_text(encoding="utf-8"))

@@ -74,8 +74,8 @@ def best_of(motions: Sequence[KeptMotion]) -> list[KeptMotion]:
 def part_far(motions: Sequence[KeptMotion]) -> tuple[list[KeptMotion], list[KeptMotion]]:
     """Returns the motions that may become the best ones, and those that cost far more."""
     most = scaled(_FAR, motions[0].cost) if motions else 0.0
-    far = [each for each in motions if each.cost > most]
-    return [each for each in motions if each not in far], far
+    near = [each for each in motions if each.cost <= most]
+    return near, [each for each in motions if each.cost > most]
 
 
 def calc_chance(motions: Sequence[KeptMotion], searches: int, idle: float) -> float:

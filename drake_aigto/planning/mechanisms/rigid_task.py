@@ -11,7 +11,7 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import Mechanism, RigidLaw
 from drake_aigto.planning.candidate import Candidate, ChangeName, Origin
-from drake_aigto.planning.mechanisms.closing import COARSE, Aim, begin_at
+from drake_aigto.planning.mechanisms.closing import COARSE, Aim, begin_at, keep_off
 from drake_aigto.planning.mechanisms.guesses import Guess
 from drake_aigto.planning.mechanisms.phases import (
     Dip,
@@ -69,8 +69,7 @@ _SETTLED = ShootingOptions((Smoothing(0.0, 40, 1e-12),), multiplier_updates=24, 
 _TRUE = 1e-7
 # A motion is steady if other steps move its end by less than this part of its scales.
 _STEADY = 1.0
-# A polish may lower costs by up to this factor.
-_UNPOLISHED = 1.2
+_UNPOLISHED = 1.2  # A polish may lower costs by up to this factor.
 # A polish that raised the cost by more than these factors ended at another optimum, or diverged;
 # while walls are cleared, and met to rounding, it falls by up to the third.
 _OTHER, _FAR, _UNSETTLED = 1.01, 1.05, 1.01
@@ -114,12 +113,15 @@ class RigidMechanismTask(MechanismTask):
         touches = read_touches(self.world, self.rigid_law, soft, self.lasting)
         found = [self.bounce(touches, soft, aim.most)]
         controls, states = guess.sample(soft.times)
-        sinks_in = rests_early(self.world, self.rigid_law, self.scenario)
-        if (sinks_in or guess.touches is not None) and states is not None:
+        if (self._sinks_in or guess.touches is not None) and states is not None:
             shown = dataclasses.replace(soft, states=states, controls=controls)
             touches = guess.touches or read_touches(self.world, self.rigid_law, shown, self.lasting)
             found.append(self.bounce(touches, shown, aim.most))
         return min(found, key=self.rank)
+
+    @cached_property
+    def _sinks_in(self) -> bool:
+        return rests_early(self.world, self.rigid_law, self.scenario)
 
     @property
     def rigid_law(self) -> RigidLaw:
@@ -164,12 +166,12 @@ class RigidMechanismTask(MechanismTask):
 
     def _lift(self, motion: ShootingResult) -> ShootingResult:
         """Returns a motion, led off walls if dips into them are priced higher than it."""
-        if not np.isfinite(motion.cost) or self.price(motion) <= 2 * motion.cost:
+        if self.price(motion) <= 2 * motion.cost:
             return motion
-        lacks = find_lacks(self.world, motion, _MARGIN * self.measures.length)
-        problem = self.pose_phases(motion.times, motion.phases, lacks)
-        lifted = self._with_depth(problem.solve(motion.controls, None, _COARSE))
-        return min(motion, lifted, key=self.rank)
+        margin = _MARGIN * self.measures.length
+        apart = keep_off(self.world, self.pose_again(motion), motion, margin)
+        lifted = apart.solve(motion.controls, None, _COARSE) if apart else motion
+        return min(motion, self._with_depth(lifted), key=self.rank)
 
     def with_dip(self, motion: ShootingResult, dip: Dip) -> TouchSequence:
         """Returns the touches of a motion and its dip (`with_dip`)."""
