@@ -135,6 +135,14 @@ def test_without_contact_the_cost_is_quadratic() -> None:
     assert count_terms(shipped_world(), steps(SOFT, 20)) == list(range(2, 22))
 
 
+def test_forces_of_all_walls_count_so_that_the_squares_of_two_opposite_ones_cancel() -> None:
+    scenario = steps(Scenario.named("corridor/three_bounces"), 6)
+    world = World.from_scenario(scenario)
+    assert world.num_contacts == 2 and len(LAW.coefficients) == 3
+    assert count_terms(world, scenario, LAW) == list(range(2, 8))
+    assert count_terms(shipped_world(), steps(SOFT, 6), LAW)[-1] > 7  # Off one wall, they do not.
+
+
 def test_terms_explode_with_a_laws_degree() -> None:
     world, scenario = shipped_world(), steps(SOFT, 50)
     growth = {

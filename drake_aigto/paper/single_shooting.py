@@ -177,9 +177,9 @@ def _states(
 @np.errstate(invalid="ignore")
 def _euler_step(world: World, dt: float, law: PolynomialLaw) -> list[Expression]:
     """Returns x a step later."""
-    (contact,) = world.contacts
     force = world.actuation @ world.controls - world.bias
-    force = force + contact.jacobian * law(contact.signed_distance)
+    for contact in world.contacts:
+        force = force + contact.jacobian * law(contact.signed_distance)
     slope = np.concatenate([world.velocities, world.constant_inertia.inverse_mass @ force])
     return [as_expression(part).Expand() for part in _names(world) + dt * slope]
 
