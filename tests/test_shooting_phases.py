@@ -23,6 +23,7 @@ from drake_aigto.errors import ProgramError
 from drake_aigto.planning import PlanOptions
 from drake_aigto.shooting import Phases, ShootingOptions, ShootingProblem, ShootingResult
 from drake_aigto.show import format_plan
+from drake_aigto.world import SpaceWorld
 
 RESTITUTION, TOTAL = 0.6, 2.0
 
@@ -152,8 +153,10 @@ QUICK = PlanOptions(renewals=8, finalists=1)
 
 
 @cache
-def cart() -> World:
-    return build_world(link("cart", 1.0, WORLD_AT) + joint("prismatic", "world", "cart", "1 0 0"))
+def cart(in_space: bool) -> World:
+    parts = link("cart", 1.0, WORLD_AT) + joint("prismatic", "world", "cart", "1 0 0")
+    kind = SpaceWorld if in_space else World
+    return kind.from_diagram(build_world(parts).diagram)
 
 
 def ask(least: float, most: float, **changed: Any) -> Scenario:
@@ -169,13 +172,14 @@ def ask(least: float, most: float, **changed: Any) -> Scenario:
         "duration": 1.0,
         "time_step": 0.02,
         "duration_range": (least, most),
+        "contact": "compliant",
     }
     return Scenario(**{**fields, **changed})
 
 
 @cache
-def plan(least: float, most: float) -> Plan:
-    return Planner(ask(least, most), QUICK, cart()).plan()
+def plan(least: float, most: float, in_space: bool = False) -> Plan:
+    return Planner(ask(least, most), QUICK, cart(in_space)).plan()
 
 
 def calc_cost(T: float) -> float:
@@ -194,9 +198,10 @@ def calc_cost(T: float) -> float:
     return float(np.trapezoid(u**2 + WEIGHT * w**2, times))
 
 
-def test_a_free_duration_is_that_which_calculus_says() -> None:
+@pytest.mark.parametrize("in_space", [False, True])
+def test_a_free_duration_is_that_which_calculus_says(in_space: bool) -> None:
     best = minimize_scalar(calc_cost, bounds=(0.5, 4.0), method="bounded")
-    found = plan(0.5, 4.0)
+    found = plan(0.5, 4.0, in_space)
     assert found.holds
     assert 1.1 < best.x < 3.5  # Neither where the search starts nor at an end.
     assert found.trajectory.times[-1] == pytest.approx(best.x, rel=0.01)

@@ -20,6 +20,7 @@ from drake_aigto.dynamics import Tree
 from drake_aigto.planning import MechanismTask, PlanOptions
 from drake_aigto.shooting import (
     IMPLICIT,
+    Phases,
     ShootingOptions,
     ShootingProblem,
     Smoothing,
@@ -115,8 +116,9 @@ def replay(plant: MultibodyPlant, start: Floats, times: Floats, controls: Floats
     ("seed", "order", "substeps", "off"),
     [(0, 4, 2, 1e-5), (1, 4, 2, 1e-5), (1, IMPLICIT, 16, 2e-4)],
 )
+@pytest.mark.parametrize("phases", [None, Phases.free(0.2, (0.1, 0.4))], ids=["timed", "free"])
 def test_expansions_of_a_floating_body_are_differences_along_the_manifold(
-    seed: int, order: int, substeps: int, off: float
+    seed: int, order: int, substeps: int, off: float, phases: Phases | None
 ) -> None:
     rng = np.random.default_rng(seed)
     plant = make_floating(rng)
@@ -128,30 +130,32 @@ def test_expansions_of_a_floating_body_are_differences_along_the_manifold(
     frames = FrameGoals.of(plant, Tree.of(plant), goals)
     cost = replace(problem.cost, QT=A @ A.T, Q=np.arange(1.0, 9.0), positions=about[np.newaxis])
     cost = replace(cost, frames=frames)
-    problem, n, nq = replace(problem, cost=cost), 8, 9
+    problem, n, nq = replace(problem, cost=cost, phases=phases), 8, 9
     program = problem.make_program(ShootingOptions((Smoothing(0.0, 1, 1.0),), substeps, order))
     memory, tree = make_memory(program), Tree.of(plant)
-    states, controls = np.zeros((4, nq + n)), rng.normal(size=(3, 2))
+    K, nz = len(program.kinds), 2 * n + (2 if phases else 0)  # Phases add duration and time.
+    states, controls = np.zeros((K + 1, nq + nz - n)), rng.normal(size=(K, 2))
     for state in states:  # With gaps of some 0.3 rad and m.
         state[:nq] = tree.add(q, 0.3 * rng.normal(size=n))
-        state[nq:] = rng.normal(size=n)
+        state[nq:] = rng.normal(size=nz - n)
+        state[nq + n :] = 0.1 * np.exp(0.3 * state[nq + n :])
     expand_motion(program, states, controls, 0.0, memory)
     F, gradient = memory.expansion.F.copy(), memory.expansion.l1.copy()
 
     def expand(k: int, column: int, step: float) -> tuple[float, Floats]:
-        moved, forced, delta = states.copy(), controls.copy(), step * np.eye(2 * n + 2)[column]
-        moved[k, :nq], moved[k, nq:] = tree.add(states[k, :nq], delta[:n]), states[k, nq:]
-        moved[k, nq:] += delta[n : 2 * n]
-        if k < 3:
-            forced[k] += delta[2 * n :]
+        moved, forced, delta = states.copy(), controls.copy(), step * np.eye(nz + 2)[column]
+        moved[k, :nq] = tree.add(states[k, :nq], delta[:n])
+        moved[k, nq:] += delta[n:nz]
+        if k < K:
+            forced[k] += delta[nz:]
         total = expand_motion(program, moved, forced, 0.0, memory)
-        return total, memory.expansion.gaps[min(k, 2)].copy()
+        return total, memory.expansion.gaps[min(k, K - 1)].copy()
 
-    for k, column in np.ndindex(4, 2 * n + 2):
+    for k, column in np.ndindex(K + 1, nz + 2):
         (high, after), (low, before) = expand(k, column, 1e-5), expand(k, column, -1e-5)
-        if k < 3:
+        if k < K:
             np.testing.assert_allclose((after - before) / 2e-5, F[k, :, column], atol=2 * off)
-        if k < 3 or column < 2 * n:
+        if k < K or column < nz:
             slope = float(gradient[k, column])
             np.testing.assert_allclose((high - low) / 2e-5, slope, atol=off * max(1.0, abs(slope)))
 

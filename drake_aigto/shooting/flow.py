@@ -116,14 +116,11 @@ def flow(
                 for c in range(columns):
                     K[i, c], K[n + i, c] = X[n + i, c], 0.0
         bend(mechanics, x, has_slopes, slope, X, K, room.mechanics)
-        if method.shape[0] == 1:  # Of trees, and without phases.
-            step_implicitly(mechanics, z, u, eps, delta, has_slopes, room)
+        if method.shape[0] == 1:  # Of trees.
+            step_implicitly(mechanics, z, u, eps, delta, unit, has_slopes, room)
             if is_measured:
-                rate = _measure(program, start + (s + 1) * delta, z, y, room)
-                cost += delta * rate
-                if has_slopes:
-                    turn_error_rows(mechanics, y, Y, room.mechanics)
-                    _add_rate(task.running, delta, nz, 0.0, room, l1, l2)
+                time, lag = start + (s + 1) * delta, (s + 1) * unit
+                cost += _add_part(program, time, lag, delta, unit, z, has_slopes, nz, room, l1, l2)
             continue
         for r in range(method.shape[0]):
             ahead, part = method[r, 0], method[r, 1]
@@ -143,14 +140,10 @@ def flow(
                     sum_K[i, c] += part * K[i, c]
             if part == 0.0 or not is_measured:
                 continue
-            rate = _measure(program, start + (s + ahead) * delta, z, y, room)
-            cost += part * delta * rate
-            if has_slopes:
-                turn_error_rows(mechanics, y, Y, room.mechanics)
-                lag = (s + ahead) * unit if has_phases else 0.0
-                _add_rate(task.running, part * delta, nz, lag, room, l1, l2)
-                if has_phases:
-                    _add_duration(nx, part * delta, part * unit, rate, by_column, l1, l2)
+            time, lag = start + (s + ahead) * delta, (s + ahead) * unit
+            cost += _add_part(
+                program, time, lag, part * delta, part * unit, z, has_slopes, nz, room, l1, l2
+            )
         for i in range(nx):
             x[i] += delta * total[i]
             if has_slopes:
@@ -204,6 +197,34 @@ def _chain(ahead: float, unit: float, nz: int, room: FlowMemory) -> None:
                 K[n + i, c] += slope_ij * Y[j, c]
         for j in range(nu):
             K[n + i, nz + j] += slopes[nx + j, i]
+
+
+@borrowing
+def _add_part(
+    program: Program,
+    time: float,
+    lag: float,
+    length: float,
+    unit: float,
+    z: Floats,
+    has_slopes: bool,
+    nz: int,
+    room: FlowMemory,
+    l1: Floats,
+    l2: Floats,
+) -> float:
+    """Returns length·Σ w e² at y, and adds its derivatives if asked.
+
+    In phases, `lag` is ∂time/∂τ, and `unit` is ∂length/∂τ.
+    """
+    y, weights = room.points[1], program.task.running
+    rate = _measure(program, time, z, y, room)
+    if has_slopes:
+        turn_error_rows(program.mechanics, y, room.slopes[1], room.mechanics)
+        _add_rate(weights, length, nz, lag, room, l1, l2)
+        if nz > y.size:
+            _add_duration(y.size, length, unit, rate, room.by_column, l1, l2)
+    return length * rate
 
 
 @borrowing

@@ -6,6 +6,7 @@ Positions drift for half a step with the old velocity and for half with the new 
 
 by Newton's method. For forces without velocities that is the leapfrog method. What brakes is as
 stable as it is strong, at any h: a contact that sticks creeps by no more than the law lets it.
+In a phase of free duration, h is a share of that.
 """
 
 from __future__ import annotations
@@ -33,22 +34,27 @@ def step_implicitly(
     u: Floats,
     eps: float,
     h: float,
+    unit: float,
     has_slopes: bool,
     room: FlowMemory,
 ) -> None:
     """Takes a step of length h from x; y becomes the middle's positions and the end's velocities.
 
     The rate of x is known (`bend`), as are derivatives by (z, u) if asked: X of x, K of its rate.
-    Those of y become Y.
+    Those of y become Y. The unit is ∂h/∂τ, of phases.
     """
     x, y, slope = room.points[0], room.points[1], room.points[2]
     X, Y, K, slopes = room.slopes[0], room.slopes[1], room.slopes[2], room.mechanics.slopes
     nx, columns, half = x.size, room.by_column.size if has_slopes else 0, h / 2
     n, nu = nx // 2, u.size
+    nz = room.by_column.size - nu
+    by_time = unit if has_slopes and nz > nx else 0.0
     for i in range(n):
         y[i], y[n + i] = x[i] + half * slope[i], x[n + i]
         for c in range(columns):
             Y[i, c], Y[n + i, c] = X[i, c] + half * K[i, c], X[n + i, c]
+        if by_time != 0.0:
+            Y[i, nx] += by_time / 2 * slope[i]
     _find_velocities(mechanics, z, u, eps, h, room)
     if has_slopes:
         for i in range(n):
@@ -57,7 +63,9 @@ def step_implicitly(
                 for c in range(columns):
                     Y[n + i, c] += part * Y[j, c]
             for j in range(nu):
-                Y[n + i, nx + j] += h * slopes[nx + j, i]
+                Y[n + i, nz + j] += h * slopes[nx + j, i]
+            if by_time != 0.0:
+                Y[n + i, nx] += by_time * room.mechanics.acceleration[0, i]
         _set_matrix(h, n, slopes, room.newton)
         _eliminate(room.newton, n, Y)
     for i in range(n):
@@ -69,6 +77,8 @@ def step_implicitly(
         x[i], x[n + i] = y[i] + half * slope[i], y[n + i]
         for c in range(columns):
             X[i, c], X[n + i, c] = Y[i, c] + half * K[i, c], Y[n + i, c]
+        if by_time != 0.0:
+            X[i, nx] += by_time / 2 * slope[i]
 
 
 @borrowing

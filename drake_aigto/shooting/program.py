@@ -37,12 +37,10 @@ def make_program(problem: OptimalControlProblem, substeps: int, order: int) -> P
         order: of their error, 4, 2 or `IMPLICIT`.
 
     Raises:
-        OptionsError: implicit steps of what is no tree of joints, or has phases.
+        OptionsError: implicit steps of what is no tree of joints.
     """
-    is_tree = isinstance(problem.mechanism, TreeMechanism) and problem.phases is None
-    if order == IMPLICIT and not is_tree:
-        got, expected = "implicit steps in the plane or with phases", "an order of 2 or 4"
-        raise OptionsError("order", got, expected)
+    if order == IMPLICIT and not isinstance(problem.mechanism, TreeMechanism):
+        raise OptionsError("order", "implicit steps in the plane", "an order of 2 or 4")
     layout = problem.layout
     closed, leans, restitutions = _find_closed(layout, problem.mechanism)
     times = problem.times if problem.phases is None else None

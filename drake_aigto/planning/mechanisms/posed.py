@@ -10,7 +10,6 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import AnyMechanism, ContactLaw, RigidLaw, contact_law, make_mechanism
-from drake_aigto.errors import ScenarioError
 from drake_aigto.planning.candidate import (
     NO_CONTROL,
     Candidate,
@@ -128,17 +127,8 @@ class PosedMechanism:
             OptionsError: an option does not count for mechanisms.
             ProgramError: a cost or constraint of the user can't be planned here; says why.
             UnsupportedTermError: it has a factor that is no power, sin or cos.
-            ScenarioError: the duration is free, in space.
         """
         options.check(is_of_balls=False)
-        if isinstance(world, SpaceWorld) and scenario.duration_range is not None:
-            got = f"{list(scenario.duration_range)}, in space"
-            remedy = (
-                "Leave it out: plan_many compares durations. A model is read in space if more than "
-                "one face of a box can be touched, if bodies float, or for other contact there."
-            )
-            expected = "none, as its time is given there"
-            raise ScenarioError("duration_range", got, expected, remedy)
         self.world, self.scenario, self.options = world, scenario, options
         self.task, self.bounds = TaskCost.of(world, scenario), world.bounds(scenario)
         self.least_distances = world.least_distances(scenario)
