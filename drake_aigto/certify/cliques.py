@@ -131,6 +131,7 @@ class CliqueSearch(BoundSearch):
         self._marginals: Floats | None = None
         self.lower_bound, self._lowest = -np.inf, np.inf  # of f, feasible or not
         self.is_empty = False
+        self._drop_by_slopes()
 
     def _make_groups(self, formulas: Formulas) -> SumOfFormulas:
         """Makes a formula for every set of variables, those of one variable first; returns f."""
@@ -166,7 +167,6 @@ class CliqueSearch(BoundSearch):
         if self.is_empty or self.lower_bound >= enough or size > count * _ENTRIES:
             return False
         self.num_cells += 1 + size // _ENTRIES
-        self._drop_by_slopes()
         best = np.repeat(self.best, np.diff(self._starts))
         points = 0.5 * self._low + 0.5 * self._high
         self._points = np.where((self._low <= best) & (best <= self._high), best, points)
@@ -192,6 +192,7 @@ class CliqueSearch(BoundSearch):
         self._narrow(keep, 2)
         middle = 0.5 * self._low + 0.5 * self._high
         self._low[1::2], self._high[::2] = middle[1::2], middle[::2]
+        self._drop_by_slopes()
 
     def _drop_by_slopes(self) -> None:
         """Drops bins where f has no minimum along their own variable, for any values of others.
