@@ -237,10 +237,10 @@ def test_damped_steps_bring_a_quadruped_of_stiff_servos_down_in_few_iterations()
     planner = Planner(Scenario.named("quadruped/leap_up"))
     task = MechanismTask(planner.world, planner.scenario, planner.options)
     problem, controls = task.shooting(20), np.zeros((20, 12))
-    options = ShootingOptions((Smoothing(1e-3, 40, 1e-4),), substeps=5, order=IMPLICIT)
+    options = ShootingOptions((Smoothing(1e-3, 20, 1e-4),), substeps=5, order=IMPLICIT)
     before = problem.simulate(controls, 5, order=IMPLICIT)
-    # Damping that falls after steps of 1e-4 leaves 153 of 222 then.
-    assert problem.solve(controls, options=options).cost < 0.1 * before.cost
+    # Damping of controls leaves 4.1 of 222 then.
+    assert problem.solve(controls, options=options).cost < 1e-3 * before.cost
 
 
 @pytest.mark.slow

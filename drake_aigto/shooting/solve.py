@@ -318,7 +318,7 @@ class ShootingRun:
             is_wary=self._options.is_wary,
             most=float(self._options.most_promised if is_last else rung.most),
             updates=updates,
-            fits_lengths=isinstance(self._program.mechanics, TreeMechanics),
+            holds_states=isinstance(self._program.mechanics, TreeMechanics),
         )
         has_gaps, memory = self._has_gaps, self._memory
         return descend(self._program, states, self._controls, has_gaps, settings, memory)

@@ -28,6 +28,7 @@ def sweep_back(
     controls: Floats,
     has_gaps: bool,
     damping: float,
+    holding: float,
     expansion: Expansion,
     memory: SweepMemory,
 ) -> float:
@@ -38,6 +39,7 @@ def sweep_back(
         controls: of the motion that it is expanded about, shape (K, nu).
         has_gaps: whether the motion is not a roll-out.
         damping: share of a control's own curvature that is added to it.
+        holding: curvature that is added to states in units of their scales, which holds them.
         expansion: the problem about that motion.
         memory: room, and the result.
 
@@ -56,6 +58,8 @@ def sweep_back(
     for k in range(K - 1, -1, -1):
         size, norm = (nu, bounds.norm) if program.kinds[k] == FLOW else (1, np.inf)
         _expand_value(k, nz, nz + size, has_gaps, expansion, memory)
+        for i in range(nz):
+            Q2[i, i] += holding * bounds.weights[i]
         for i in range(size):
             for j in range(size):
                 H[i, j] = Q2[nz + i, nz + j]

@@ -166,7 +166,7 @@ class Pass(NamedTuple):
     is_wary: bool  # whether steps that close gaps may raise the cost by little only
     most: float  # motions that promise to cost more are left unfinished
     updates: bool  # whether multipliers are updated in the end
-    fits_lengths: bool  # of steps, to their costs; else they are halved
+    holds_states: bool  # by damping, not controls; and lengths of steps are fitted to costs
 
 
 class Outcome(NamedTuple):
