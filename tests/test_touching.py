@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pydrake.multibody.tree import ModelInstanceIndex
+from scipy.optimize import nnls
 from space_models import SPHERE, ball_and_finger, collision, make_scenario
-from touching_bodies import Bodies
+from touching_bodies import CORNERS, Bodies, find_faces
 
 from drake_aigto import World
 from drake_aigto.arrays import Floats
@@ -17,11 +18,11 @@ from drake_aigto.contact import SLOWING
 from drake_aigto.simulation import find_touch_error
 from drake_aigto.world import SpaceWorld
 
-# Drake finds how deep these are in each other in closed form; of two capsules by an iteration that
-# misses it by up to their own size.
+# Drake finds how deep these are in each other in closed form; of two capsules, and of a ball and a
+# hull, by an iteration that misses it by up to their own size.
 PAIRS = [
-    *(("ball", each) for each in ("ball", "capsule", "box", "ground")),
-    *((each, "ground") for each in ("capsule", "box", "cylinder")),
+    *(("ball", each) for each in ("ball", "capsule", "box", "cylinder", "ground")),
+    *((each, "ground") for each in ("capsule", "box", "cylinder", "hull")),
 ]
 DEEPEST = 0.05  # [m]
 _RODS = (0.03, 0.031), (0.04, 0.18)  # Radius and length [m].
@@ -53,7 +54,7 @@ def test_contact_forces_are_those_of_drakes_continuous_plant(kinds: tuple[str, s
 
 
 @pytest.mark.parametrize(("eps", "slowing"), [(0.0, 0.0), (0.02, 0.0), (0.02, 5e-3)])
-@pytest.mark.parametrize("kinds", [*PAIRS, ("capsule", "capsule")], ids="-".join)
+@pytest.mark.parametrize("kinds", [*PAIRS, ("capsule", "capsule"), ("ball", "hull")], ids="-".join)
 def test_derivatives_of_forces_are_exact(
     kinds: tuple[str, str], eps: float, slowing: float
 ) -> None:
@@ -85,6 +86,26 @@ def test_two_capsules_are_as_far_apart_as_the_nearest_balls_on_their_axes() -> N
         distance = bodies.room.closest.distance[0] + 0.12
         assert distance <= nearest + 1e-12
         assert nearest <= np.hypot(distance, 2 * half_step) + 1e-12
+
+
+def test_a_ball_is_as_far_from_a_hull_as_the_nearest_mixture_of_its_corners() -> None:
+    bodies, rng, insides = Bodies.of("ball", "hull"), np.random.default_rng(1), 0
+    for _ in range(60):
+        q, v = bodies.draw(rng)
+        bodies.push(q, v, eps=0.1)  # So wide that all are near.
+        (c, p), R = bodies.room.places, bodies.room.rotations[1]
+        distance, x = bodies.room.closest.distance[0] + 0.1, R.T @ (c - p)
+        a, n = find_faces()[:, 0], find_faces()[:, 3]
+        if (depth := np.max(np.sum(n * (x - a), axis=1))) <= 0:
+            insides += 1
+            assert distance == pytest.approx(depth, abs=1e-12)
+            continue
+        # Σ w = 1 counts as a row with a large weight.
+        rows = np.vstack([CORNERS.T, np.full(len(CORNERS), 1e4)])
+        weights, _ = nnls(rows, np.append(x, 1e4))
+        nearest = CORNERS.T @ weights
+        assert distance == pytest.approx(np.linalg.norm(x - nearest), abs=1e-6)
+    assert 0 < insides < 30
 
 
 def test_touches_of_capsules_in_drake_are_compared_with_the_exact_ones(tmp_path: Path) -> None:

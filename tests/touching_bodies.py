@@ -9,6 +9,7 @@ from pydrake.geometry import (
     AddContactMaterial,
     Box,
     Capsule,
+    Convex,
     Cylinder,
     HalfSpace,
     ProximityProperties,
@@ -19,17 +20,21 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, JacobianWrtVariable, SpatialInertia, UnitInertia
 from pydrake.systems.framework import Context, DiagramBuilder
+from scipy.spatial import ConvexHull
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import TouchRoom, TouchTable, make_touch_room, push
-from drake_aigto.geometry import BALL, BOX, CAPSULE, CYLINDER, HALF_SPACE, Shapes
+from drake_aigto.geometry import BALL, BOX, CAPSULE, CYLINDER, HALF_SPACE, HULL, Shapes
 from drake_aigto.kernels import borrow, kernel
 
+CORNERS = 0.12 * np.random.default_rng(3).normal(size=(14, 3))
+CORNERS /= np.maximum(1.0, np.linalg.norm(CORNERS, axis=1, keepdims=True) / 0.2)
 SHAPES: dict[str, tuple[int, Shape, list[float], float]] = {
     "ball": (BALL, Sphere(0.1), [0.1, 0, 0], 0.1),
     "capsule": (CAPSULE, Capsule(0.06, 0.3), [0.06, 0.15, 0], 0.21),
     "box": (BOX, Box(0.2, 0.3, 0.25), [0.1, 0.15, 0.125], 0.25),
     "cylinder": (CYLINDER, Cylinder(0.1, 0.3), [0.1, 0.15, 0], 0.19),
+    "hull": (HULL, Convex(CORNERS.T, "hull"), [0, 0, 0], 0.2),
     "ground": (HALF_SPACE, HalfSpace(), [0, 0, 0], 0.0),
 }
 STICTION = 0.2  # [m/s]: many states stick.
@@ -116,6 +121,16 @@ class Bodies(NamedTuple):
         return q + self.plant.MapVelocityToQDot(self.context, delta)
 
 
+def find_faces() -> Floats:
+    """Returns triangles of the hull, three corners and the normal outward, shape (T, 4, 3)."""
+    hull = ConvexHull(CORNERS)
+    faces = np.concatenate([CORNERS[hull.simplices], hull.equations[:, np.newaxis, :3]], axis=1)
+    a, b, c, n = np.moveaxis(faces, 1, 0)
+    turns = np.sum(np.cross(b - a, c - a) * n, axis=1) < 0
+    faces[turns, 1:3] = faces[turns, 2:0:-1]
+    return faces
+
+
 def _make_table(of_shapes: list[Any], num_velocities: int) -> TouchTable:
     (k1, d1, mu1), (k2, d2, mu2) = MATERIALS
     law = [k1 * k2 / (k1 + k2), (k2 * d1 + k1 * d2) / (k1 + k2), 2 * mu1 * mu2 / (mu1 + mu2)]
@@ -132,6 +147,8 @@ def _make_table(of_shapes: list[Any], num_velocities: int) -> TouchTable:
             np.tile(_X_BG.translation(), (2, 1)),
             np.array(sizes, dtype=float),
             np.array(bounds),
+            np.cumsum([0, *(len(find_faces()) * (kind == HULL) for kind in kinds)]),
+            find_faces(),
         ),
         pairs=np.array([[0, 1]]),
         law=np.array([[*law, STICTION, 1.0, 0.006, 0.0]]),

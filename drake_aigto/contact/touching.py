@@ -97,7 +97,7 @@ def meet(table: TouchTable, pair: int, reach: float, room: TouchRoom) -> bool:
     Ra, pa, Rb, pb = room.rotations[a], room.places[a], room.rotations[b], room.places[b]
     if is_apart(kinds, bounds, Ra, pa, Rb, pb, reach):
         return False
-    find_closest(kinds[0], Ra, pa, shapes.sizes[a], kinds[1], Rb, pb, shapes.sizes[b], room.closest)
+    find_closest(shapes, a, b, room.rotations, room.places, room.closest)
     return bool(room.closest.distance[0] < reach)
 
 

@@ -103,10 +103,15 @@ def place_bodies(mechanics: TreeMechanics, q: Floats, memory: TreeMechanicsMemor
 
 def make_no_touch(num_velocities: int) -> TouchTable:
     """Returns the table of a tree without contact."""
-    counts, none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-    shapes = Shapes(counts, counts, np.zeros((0, 3, 3)), none, none.copy(), np.zeros(0))
+    counts, none, starts = (
+        np.zeros(0, dtype=np.int64),
+        np.zeros((0, 3)),
+        np.zeros(1, dtype=np.int64),
+    )
+    turns, faces = np.zeros((0, 3, 3)), np.zeros((0, 4, 3))
+    shapes = Shapes(counts, counts, turns, none, none.copy(), np.zeros(0), starts, faces)
     carries = np.zeros((num_velocities, num_velocities), dtype=np.bool_)
-    pairs, starts = np.zeros((0, 2), dtype=np.int64), np.zeros(1, dtype=np.int64)
+    pairs = np.zeros((0, 2), dtype=np.int64)
     return TouchTable(shapes, pairs, np.zeros((0, 7)), counts, starts, counts, np.zeros(0), carries)
 
 

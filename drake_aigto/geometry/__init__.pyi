@@ -1,13 +1,14 @@
-from .closest import cross as cross
-from .closest import dot as dot
 from .closest import find_closest as find_closest
 from .closest import is_apart as is_apart
 from .closest import place_shapes as place_shapes
+from .cores import cross as cross
+from .cores import dot as dot
 from .shapes import BALL as BALL
 from .shapes import BOX as BOX
 from .shapes import CAPSULE as CAPSULE
 from .shapes import CYLINDER as CYLINDER
 from .shapes import HALF_SPACE as HALF_SPACE
+from .shapes import HULL as HULL
 from .shapes import Closest as Closest
 from .shapes import Shapes as Shapes
 from .shapes import can_meet as can_meet

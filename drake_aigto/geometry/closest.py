@@ -1,8 +1,8 @@
 """Distance and witness points of two shapes, with derivatives, in closed form.
 
 Each pair comes down to a ball of A, which may have no radius, against a shape B: the ball itself,
-an end of a capsule, the lowest corner of a box, or the lowest point of a cylinder's rim, which
-slides along A as A turns. Two capsules whose axes cross are the one case that does not.
+an end of a capsule, the lowest corner of a box or a hull, or the lowest point of a cylinder's rim,
+which slides along A as A turns. Two capsules whose axes cross are the one case that does not.
 """
 
 from __future__ import annotations
@@ -10,11 +10,30 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.geometry.shapes import BALL, BOX, CAPSULE, HALF_SPACE, Closest, Shapes
+from drake_aigto.geometry.cores import (
+    TINY,
+    clear,
+    copy,
+    cross,
+    dot,
+    lie_on_face,
+    move_along,
+    reach_core,
+    turn_back,
+)
+from drake_aigto.geometry.hulls import find_lowest, reach_hull
+from drake_aigto.geometry.shapes import (
+    BALL,
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    HALF_SPACE,
+    HULL,
+    Closest,
+    Shapes,
+)
 from drake_aigto.kernels import borrowing
 
-# Cores that are nearer than this have no direction between them [m].
-_TINY = 1e-12
 # The square of the sine of the angle between axes below which they are parallel.
 _PARALLEL = 1e-12
 
@@ -57,82 +76,47 @@ def is_apart(
 
 @borrowing
 def find_closest(
-    kind_a: int, Ra: Floats, pa: Floats, size_a: Floats,
-    kind_b: int, Rb: Floats, pb: Floats, size_b: Floats, out: Closest,
-) -> None:  # fmt: skip
+    shapes: Shapes, a: int, b: int, rotations: Floats, places: Floats, out: Closest
+) -> None:
     """Computes what is closest of two shapes, the kind of the first one the lower number.
 
     Args:
-        kind_a: of A.
-        Ra: its axes in the world, shape (3, 3).
-        pa: its origin in the world, shape (3,) [m].
-        size_a: see `Shapes`, shape (3,) [m].
-        kind_b: of B.
-        Rb: as above.
-        pb: as above.
-        size_b: as above.
+        shapes: all shapes.
+        a: A.
+        b: B.
+        rotations: axes of shapes in the world, shape (G, 3, 3).
+        places: origins of these, shape (G, 3) [m].
         out: becomes the result.
     """
-    _clear(out.by_turn)
-    _clear(out.foot_by_turn)
-    c = out.c
-    if kind_a == BALL:
-        _copy(pa, c)
-        _reach_ball(c, size_a[0], kind_b, Rb, pb, size_b, out)
-    elif kind_a == CAPSULE and kind_b == CAPSULE:
+    clear(out.by_turn)
+    clear(out.foot_by_turn)
+    kind, other, size_a, size_b = shapes.kinds[a], shapes.kinds[b], shapes.sizes[a], shapes.sizes[b]
+    Ra, pa, Rb, pb = rotations[a], places[a], rotations[b], places[b]
+    c, radius = out.c, 0.0
+    copy(pa, c)
+    if kind == CAPSULE and other == CAPSULE:
         _reach_capsules(Ra, pa, size_a, Rb, pb, size_b, out)
-    elif kind_a == CAPSULE:  # Its lower end.
-        _move_along(pa, Ra, -np.sign(_turn_back(Ra, Rb, 2)) * size_a[1], c)
-        _reach_ball(c, size_a[0], kind_b, Rb, pb, size_b, out)
-    elif kind_a == BOX:  # Its lowest corner.
-        _copy(pa, c)
+        return
+    if kind == CYLINDER:
+        _reach_rim(Ra, pa, size_a, Rb, pb, size_b, out)
+        return
+    if kind == BALL:
+        radius = size_a[0]
+        if other == HULL:
+            faces = shapes.faces[shapes.spans[b] : shapes.spans[b + 1]]
+            reach_hull(c, radius, faces, Rb, pb, out)
+            return
+    elif kind == CAPSULE:  # Its lower end.
+        radius = size_a[0]
+        move_along(pa, Ra, -np.sign(turn_back(Ra, Rb, 2)) * size_a[1], c)
+    elif kind == BOX:  # Its lowest corner.
         for i in range(3):
-            side = -size_a[i] if _turn_back(Ra, Rb, i) > 0.0 else size_a[i]
+            side = -size_a[i] if turn_back(Ra, Rb, i) > 0.0 else size_a[i]
             for k in range(3):
                 c[k] += side * Ra[k, i]
-        _reach_ball(c, 0.0, kind_b, Rb, pb, size_b, out)
     else:
-        _reach_rim(Ra, pa, size_a, Rb, pb, size_b, out)
-
-
-@borrowing
-def _clear(matrix: Floats) -> None:
-    for i in range(3):
-        for j in range(3):
-            matrix[i, j] = 0.0
-
-
-@borrowing
-def _copy(source: Floats, target: Floats) -> None:
-    for i in range(3):
-        target[i] = source[i]
-
-
-@borrowing
-def cross(a: Floats, b: Floats, out: Floats) -> None:
-    """Computes a × b of vectors."""
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
-
-
-@borrowing
-def dot(a: Floats, b: Floats) -> float:
-    """Returns a · b of vectors."""
-    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
-
-
-@borrowing
-def _turn_back(Ra: Floats, Rb: Floats, i: int) -> float:
-    """Returns the component along axis i of A of the normal of a half space."""
-    return float(Ra[0, i] * Rb[0, 2] + Ra[1, i] * Rb[1, 2] + Ra[2, i] * Rb[2, 2])
-
-
-@borrowing
-def _move_along(p: Floats, R: Floats, by: float, out: Floats) -> None:
-    """Computes the point that is moved along the z axis."""
-    for k in range(3):
-        out[k] = p[k] + by * R[k, 2]
+        find_lowest(shapes.faces[shapes.spans[a] : shapes.spans[a + 1]], Ra, Rb, c)
+    _reach_ball(c, radius, other, Rb, pb, size_b, out)
 
 
 @borrowing
@@ -144,61 +128,28 @@ def _reach_ball(
         height = R[0, 2] * (c[0] - p[0]) + R[1, 2] * (c[1] - p[1]) + R[2, 2] * (c[2] - p[2])
         for k in range(3):
             out.n[k] = R[k, 2]
-        _lie_on_face(c, height, radius, out)
+        lie_on_face(c, height, radius, out)
     elif kind == BOX:
         _reach_box(c, radius, R, p, size, out)
+    elif kind == CYLINDER:
+        _reach_cylinder(c, radius, R, p, size, out)
     else:
         half = size[1] if kind == CAPSULE else 0.0
         t = R[0, 2] * (c[0] - p[0]) + R[1, 2] * (c[1] - p[1]) + R[2, 2] * (c[2] - p[2])
         slides = abs(t) < half
-        _move_along(p, R, min(max(t, -half), half), out.foot)
+        move_along(p, R, min(max(t, -half), half), out.foot)
         for i in range(3):
             for j in range(3):
                 out.foot_by_place[i, j] = R[i, 2] * R[j, 2] if slides else 0.0
-        _reach_core(c, radius, size[0], R, out)
-
-
-@borrowing
-def _lie_on_face(c: Floats, height: float, radius: float, out: Closest) -> None:
-    """Fills in the rest of a ball before a flat face, of known normal and height of its center."""
-    n = out.n
-    out.distance[0] = height - radius
-    for i in range(3):
-        out.foot[i] = c[i] - height * n[i]
-        for j in range(3):
-            out.by_place[i, j] = 0.0
-            out.foot_by_place[i, j] = (1.0 if i == j else 0.0) - n[i] * n[j]
-
-
-@borrowing
-def _reach_core(c: Floats, radius: float, wall: float, R: Floats, out: Closest) -> None:
-    """Fills in the rest of a ball before the nearest point of a core, which is in `foot`.
-
-    With P the projection on directions in which that point slides along the core (which n is
-    across), l the distance of c from it and r the radius about the core,
-
-        ∂n/∂c = (1 − n nᵀ − P) / l,    ∂(foot)/∂c = P + r ∂n/∂c
-    """
-    n, foot, P = out.n, out.foot, out.foot_by_place
-    distance = np.sqrt((c[0] - foot[0]) ** 2 + (c[1] - foot[1]) ** 2 + (c[2] - foot[2]) ** 2)
-    for k in range(3):  # Of concentric balls any direction will do.
-        n[k] = (c[k] - foot[k]) / distance if distance > _TINY else R[k, 0]
-    distance = max(distance, _TINY)
-    out.distance[0] = distance - radius - wall
-    for i in range(3):
-        foot[i] += wall * n[i]
-        for j in range(3):
-            across = (1.0 if i == j else 0.0) - n[i] * n[j] - P[i, j]
-            out.by_place[i, j] = across / distance
-            P[i, j] += wall * out.by_place[i, j]
+        reach_core(c, radius, size[0], R, out)
 
 
 @borrowing
 def _reach_box(c: Floats, radius: float, R: Floats, p: Floats, half: Floats, out: Closest) -> None:
     """Computes what is closest of a ball and a box: a face, an edge or a corner."""
     foot, P = out.foot, out.foot_by_place
-    _clear(P)
-    _copy(p, foot)
+    clear(P)
+    copy(p, foot)
     nearest, room, is_out = 0, np.inf, False
     for i in range(3):
         x = R[0, i] * (c[0] - p[0]) + R[1, i] * (c[1] - p[1]) + R[2, i] * (c[2] - p[2])
@@ -211,11 +162,46 @@ def _reach_box(c: Floats, radius: float, R: Floats, p: Floats, half: Floats, out
             for j in range(3 if gap > 0.0 else 0):
                 P[k, j] += R[k, i] * R[j, i]
     if is_out:
-        _reach_core(c, radius, 0.0, R, out)
+        reach_core(c, radius, 0.0, R, out)
         return
     for k in range(3):
         out.n[k] = side * R[k, nearest]
-    _lie_on_face(c, -room, radius, out)
+    lie_on_face(c, -room, radius, out)
+
+
+@borrowing
+def _reach_cylinder(
+    c: Floats, radius: float, R: Floats, p: Floats, size: Floats, out: Closest
+) -> None:
+    """Computes what is closest of a ball and a cylinder: its side, an end, or a point of its rim.
+
+    A rim's point moves along the rim by r/ρ of what c does, which is ρ away from the axis.
+    """
+    foot, P, offset = out.foot, out.foot_by_place, out.n
+    t = R[0, 2] * (c[0] - p[0]) + R[1, 2] * (c[1] - p[1]) + R[2, 2] * (c[2] - p[2])
+    move_along(p, R, t, foot)
+    for k in range(3):
+        offset[k] = c[k] - foot[k]
+    across, end = np.sqrt(dot(offset, offset)), size[1] if t > 0.0 else -size[1]
+    if abs(t) < size[1] and across - size[0] > abs(t) - size[1]:
+        for i in range(3):
+            for j in range(3):
+                P[i, j] = R[i, 2] * R[j, 2]
+        reach_core(c, radius, size[0], R, out)
+    elif across <= size[0]:
+        for k in range(3):
+            out.n[k] = np.sign(end) * R[k, 2]
+        lie_on_face(c, abs(t) - size[1], radius, out)
+    else:
+        rim, share = out.by_place[0], size[0] / across
+        cross(R[:, 2], offset, rim)
+        for i in range(3):
+            for j in range(3):
+                P[i, j] = share * rim[i] * rim[j] / across**2
+        move_along(p, R, end, foot)
+        for k in range(3):
+            foot[k] += share * offset[k]
+        reach_core(c, radius, 0.0, R, out)
 
 
 @borrowing
@@ -228,9 +214,9 @@ def _reach_rim(
     turn by ω slides that point by −r t (t × n · ω)/‖m‖.
     """
     c, n, radius = out.c, out.n, size[0]
-    x, y = _turn_back(Ra, Rb, 0), _turn_back(Ra, Rb, 1)
-    across = max(np.sqrt(x * x + y * y), _TINY)
-    along = -size[1] * np.sign(_turn_back(Ra, Rb, 2))
+    x, y = turn_back(Ra, Rb, 0), turn_back(Ra, Rb, 1)
+    across = max(np.sqrt(x * x + y * y), TINY)
+    along = -size[1] * np.sign(turn_back(Ra, Rb, 2))
     for k in range(3):
         c[k] = pa[k] + along * Ra[k, 2] - radius * (x * Ra[k, 0] + y * Ra[k, 1]) / across
     _reach_ball(c, 0.0, HALF_SPACE, Rb, pb, half, out)
@@ -267,17 +253,17 @@ def _reach_capsules(
     t = min(max(to_b + s * product, -half_b), half_b)
     s = min(max(to_a + t * product, -half_a), half_a)
     c = out.c
-    _move_along(pa, Ra, s, c)
+    move_along(pa, Ra, s, c)
     if abs(s) >= half_a or sine <= _PARALLEL:
         _reach_ball(c, size_a[0], CAPSULE, Rb, pb, size_b, out)
     elif abs(t) >= half_b:
-        _move_along(pb, Rb, t, c)
+        move_along(pb, Rb, t, c)
         _reach_ball(c, size_b[0], CAPSULE, Ra, pa, size_a, out)
         _turn_round(size_b[0], out)
     else:
-        _move_along(pb, Rb, t, out.foot)
-        _clear(out.foot_by_place)
-        _reach_core(c, size_a[0], size_b[0], Ra, out)
+        move_along(pb, Rb, t, out.foot)
+        clear(out.foot_by_place)
+        reach_core(c, size_a[0], size_b[0], Ra, out)
         _cross(Ra[:, 2], Rb[:, 2], size_a[0] + size_b[0], size_b[0], out)
 
 
@@ -328,4 +314,4 @@ def _cross(a: Floats, b: Floats, radii: float, wall: float, out: Closest) -> Non
         for i in range(3):
             out.foot_by_place[i, j] = b[i] * g[j] / along
             out.foot_by_turn[i, j] = wall * by_turn[i, j] - distance * b[i] * slide / along
-    _clear(out.by_place)
+    clear(out.by_place)

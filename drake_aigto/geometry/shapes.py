@@ -9,18 +9,21 @@ import numpy as np
 from drake_aigto.arrays import Floats, Ints
 
 # Kinds of shapes; of a pair, the first one is the shape with the lower number.
-BALL, CAPSULE, BOX, CYLINDER, HALF_SPACE = range(5)
+BALL, CAPSULE, BOX, CYLINDER, HULL, HALF_SPACE = range(6)
 
 # Pairs whose distance is known; the lower number comes first.
 _PAIRS = {
-    *((BALL, each) for each in (BALL, CAPSULE, BOX, HALF_SPACE)),
-    *((each, HALF_SPACE) for each in (CAPSULE, BOX, CYLINDER)),
+    *((BALL, each) for each in (BALL, CAPSULE, BOX, CYLINDER, HULL, HALF_SPACE)),
+    *((each, HALF_SPACE) for each in (CAPSULE, BOX, CYLINDER, HULL)),
     (CAPSULE, CAPSULE),
 }
 
 
 class Shapes(NamedTuple):
-    """Shapes on bodies, G of them; a body's frame is B, a shape's own G."""
+    """Shapes on bodies, G of them; a body's frame is B, a shape's own G.
+
+    Faces are triangles of convex hulls; those of shape i go from spans[i] to spans[i + 1].
+    """
 
     bodies: Ints  # of each, shape (G,)
     kinds: Ints  # shape (G,)
@@ -30,6 +33,8 @@ class Shapes(NamedTuple):
     # box; shape (G, 3) [m]. A half space fills z < 0.
     sizes: Floats
     bounds: Floats  # radii of spheres about their origins that hold them, shape (G,) [m]
+    spans: Ints  # shape (G + 1,)
+    faces: Floats  # three corners of each [m], and its unit normal outward, in G, (T, 4, 3)
 
 
 class Closest(NamedTuple):

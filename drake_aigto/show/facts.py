@@ -257,7 +257,8 @@ def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
     if replay.simulator == "drake" and isinstance(world, SpaceWorld):
         off = find_touch_error(world, replay.positions)
         if off > _NEAR * candidate.scales.length:
-            return f"{text}, where Drake finds touches of capsules up to {length_text(off)} off"
+            shapes = "capsules or meshes"
+            return f"{text}, where Drake finds touches of {shapes} up to {length_text(off)} off"
     planned, simulated = veto.first_difference
     if planned == simulated:
         return f"{text}, though with the same contacts"

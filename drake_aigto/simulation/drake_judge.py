@@ -18,7 +18,7 @@ from drake_aigto.contact import (
     calc_time_to_wall,
     read_clearances,
 )
-from drake_aigto.geometry import CAPSULE
+from drake_aigto.geometry import BALL, CAPSULE, HULL
 from drake_aigto.simulation.compliant import find_depth, measure_steps, read_touches
 from drake_aigto.simulation.recording import Controller, Held, Impact, Recording, Rest, sample_steps
 from drake_aigto.simulation.simulator import SETTLED, calc_acceleration, start_plant
@@ -305,16 +305,20 @@ class ContactTrace(StepTrace):
 
 
 def find_touch_error(world: SpaceWorld, positions: Floats) -> float:
-    """Returns how far Drake's touches of capsules are off the exact ones, at most [m].
+    """Returns how far Drake's touches of capsules and meshes are off the exact ones, at most [m].
 
-    Drake finds where and how deep capsules overlap by an iteration that may end elsewhere.
+    Drake finds where and how deep these overlap by an iteration that may end elsewhere.
 
     Args:
         world: whose shapes overlap.
         positions: shape (K, nq).
     """
-    are_capsules = np.all(world.geometry.shapes.kinds[world.geometry.pairs] == CAPSULE, axis=1)
-    pairs = {frozenset(world.pairs[i].shapes): int(i) for i in np.flatnonzero(are_capsules)}
+    kinds = world.geometry.shapes.kinds[world.geometry.pairs]
+    pairs = {
+        frozenset(pair.shapes): i
+        for i, (pair, (a, b)) in enumerate(zip(world.pairs, kinds, strict=True))
+        if a == b == CAPSULE or (a, b) == (BALL, HULL)
+    }
     if not pairs:
         return 0.0
     root, worst = world.create_context(), 0.0

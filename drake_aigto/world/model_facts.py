@@ -130,7 +130,7 @@ class ModelFacts:
             got.append(f"meshes that can't be read: {', '.join(self.unread)}")
             remedies.append(
                 "Name the shapes that may touch by the scenario's collisions: [...], or take "
-                "collisions: none, as meshes can't be planned for."
+                "collisions: none."
             )
         if self.refused:
             words = ", ".join(dict.fromkeys(word for word, _, _ in self.refused))

@@ -103,8 +103,8 @@ class PlantWorld(EquationsOfMotion):
             diagram: of one continuous MultibodyPlant and its SceneGraph, at any depth.
             mass: replaces that of the only body with spheres that touch [kg]; None: the model's. In
                 a plane.
-            ignored_shapes: collision shapes that touch nothing, such as meshes, which can't be
-                planned for: "shape", "link::shape", globs, or all.
+            ignored_shapes: collision shapes that touch nothing, such as two meshes that
+                meet: "shape", "link::shape", globs, or all.
             dry_friction: of each coordinate, shape (nv,) [N, N m], which a system of the diagram
                 makes act on its plant (`add_dry_friction`); None: no joint has any.
             stiction_speed: v_s of friction in the plant, Drake's stiction tolerance, which can't be

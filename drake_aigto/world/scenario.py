@@ -135,7 +135,7 @@ class Scenario(ModelFields):
         clearance: pairs that must not touch, and the least distance between them: name of a pair as
             `World.contacts` has it, or a glob → distance > 0 [m].
         ignored_shapes: collision shapes that touch nothing, neither in plans nor in simulations,
-            such as meshes, which can't be planned for: "shape", "link::shape", globs, or all.
+            such as two meshes that meet: "shape", "link::shape", globs, or all.
 
     Raises:
         ScenarioError: a value that is no number, not finite, or out of range, or one that

@@ -42,10 +42,7 @@ def measure_pairs(
         place_shapes(shapes, memory.poses, rotations, places)
         for c in range(pairs.shape[0]):
             a, b = pairs[c]
-            find_closest(
-                shapes.kinds[a], rotations[a], places[a], shapes.sizes[a],
-                shapes.kinds[b], rotations[b], places[b], shapes.sizes[b], closest,
-            )  # fmt: skip
+            find_closest(shapes, a, b, rotations, places, closest)
             distances[k, c] = closest.distance[0]
             for i in range(3):
                 points[k, c, i] = closest.n[i]

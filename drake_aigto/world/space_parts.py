@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,9 +12,11 @@ import numpy as np
 from pydrake.geometry import (
     Box,
     Capsule,
+    Convex,
     Cylinder,
     GeometryId,
     HalfSpace,
+    Mesh,
     SceneGraph,
     Shape,
     Sphere,
@@ -24,7 +27,8 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Bools, Floats, Ints, read_only
 from drake_aigto.dynamics import PRISMATIC, QUATERNION, RPY, TRANSLATION, Coordinates, Tree
-from drake_aigto.geometry import BALL, BOX, CAPSULE, CYLINDER, HALF_SPACE, Shapes, can_meet
+from drake_aigto.errors import ModelError
+from drake_aigto.geometry import BALL, BOX, CAPSULE, CYLINDER, HALF_SPACE, HULL, Shapes, can_meet
 from drake_aigto.world.material import impose_friction, read_frictions
 
 _KINDS: dict[type[Shape], int] = {
@@ -32,12 +36,16 @@ _KINDS: dict[type[Shape], int] = {
     Capsule: CAPSULE,
     Box: BOX,
     Cylinder: CYLINDER,
+    Convex: HULL,
+    Mesh: HULL,  # Drake's touches are those of its convex hull.
     HalfSpace: HALF_SPACE,
 }
 EXPECTED = (
-    "Sphere against Sphere, Box, Capsule or HalfSpace, Capsule against Capsule or HalfSpace, "
-    "Box or Cylinder against HalfSpace"
+    "Sphere against Sphere, Box, Capsule, Cylinder, Mesh or HalfSpace, "
+    "Capsule against Capsule or HalfSpace, Box, Cylinder or Mesh against HalfSpace"
 )
+# All faces of a hull are looked at; one of as many corners takes a few microseconds.
+_MOST_CORNERS = 64
 
 
 class ShapePair(NamedTuple):
@@ -80,7 +88,11 @@ def read_shapes(
         X_BG: RigidTransform = inspector.GetPoseInFrame(shape)
         poses.append((R @ X_BG.rotation().matrix(), p + R @ X_BG.translation()))
         links.append(int(tree.body_links[body]))
-    sizes = [_read_size(inspector.GetShape(shape)) for shape in numbers]
+    hulls = [_read_hull(inspector, shape) for shape in numbers]
+    sizes = [
+        _read_size(inspector.GetShape(shape), faces)
+        for shape, faces in zip(numbers, hulls, strict=True)
+    ]
     kinds = [_KINDS[type(inspector.GetShape(shape))] for shape in numbers]
     table = Shapes(
         bodies=np.array(links, dtype=np.int64),
@@ -89,13 +101,42 @@ def read_shapes(
         places=np.array([p for _, p in poses]).reshape(-1, 3),
         sizes=np.array([size for size, _ in sizes]).reshape(-1, 3),
         bounds=np.array([bound for _, bound in sizes], dtype=float),
+        spans=np.cumsum([0, *map(len, hulls)]),
+        faces=np.concatenate([np.zeros((0, 4, 3)), *hulls]),
     )
     rows = [[numbers[shape] for shape in pair.shapes] for pair in pairs]
     return SpaceShapes(table, np.array(rows, dtype=np.int64).reshape(-1, 2))
 
 
-def _read_size(shape: Any) -> tuple[list[float], float]:
+def _read_hull(inspector: Any, shape: GeometryId) -> Floats:
+    """Returns the faces of a shape's convex hull as `Shapes` has them; none of what is no mesh.
+
+    Raises:
+        ModelError: it has too many corners.
+    """
+    if not isinstance(inspector.GetShape(shape), Convex | Mesh):
+        return np.zeros((0, 4, 3))
+    hull, faces = inspector.GetConvexHull(shape), []
+    if hull.num_vertices() > _MOST_CORNERS:
+        raise ModelError(
+            f"contact of {inspector.GetName(shape)}",
+            got=f"a mesh whose convex hull has {hull.num_vertices()} corners",
+            expected=f"{_MOST_CORNERS} at most",
+            remedy="Simplify the mesh, as in Blender by Decimate or in MeshLab by Quadric Edge "
+            "Collapse; or replace it by spheres and boxes, or leave it out by ignored_shapes.",
+        )
+    corners = [hull.vertex(i) for i in range(hull.num_vertices())]
+    for e in range(hull.num_elements()):
+        face, normal = hull.element(e), hull.face_normal(e)
+        first, *others = [corners[face.vertex(i)] for i in range(face.num_vertices())]
+        faces += [(first, *pair, normal) for pair in itertools.pairwise(others)]
+    return np.array(faces)
+
+
+def _read_size(shape: Any, faces: Floats) -> tuple[list[float], float]:
     """Returns a shape's size as `Shapes` has it, and the radius of a sphere that holds it."""
+    if len(faces):
+        return [0.0, 0.0, 0.0], float(np.max(np.linalg.norm(faces[:, :3], axis=2)))
     if isinstance(shape, Sphere):
         return [shape.radius(), 0.0, 0.0], shape.radius()
     if isinstance(shape, Box):
