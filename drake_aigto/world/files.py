@@ -115,7 +115,8 @@ def find_model(model: str) -> Path:
             f"model {model}",
             got=f"no file {path}",
             expected="an SDF, URDF or MJCF file",
-            remedy=f"The shipped ones lie in {models_directory()}.",
+            remedy="A path leads from the folder of the scenario's file, or from the working "
+            f"directory. The shipped ones lie in {models_directory()}.",
         )
     return path
 
