@@ -246,7 +246,7 @@ class CellSearch(BoundSearch):
         sides = np.zeros((5, low.size))
         sides[:3] = low.ravel(), high.ravel(), points.ravel()
         places = np.arange(low.size).reshape(low.shape)
-        np.maximum(bounds, bound_all(self._tape, 0, sides, places, False), out=bounds)
+        np.maximum(bounds, bound_all(self._tape, 0, sides, places), out=bounds)
         values = enclose_all(self._tape, formulas, points, points, VALUE)[:, 0, 1]
         self.offer(points[(best := np.argmin(values))], float(values[best]))
 

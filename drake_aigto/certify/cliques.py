@@ -250,7 +250,7 @@ class CliqueSearch(BoundSearch):
             for formula, shape in zip(group.formulas, counts[group.variables], strict=True):
                 starts = first + np.cumsum(shape) - shape
                 cells = starts + np.moveaxis(np.indices(shape), 0, -1).reshape(-1, shape.size)
-                found = bound_all(self._tape, formula, sides, cells, False)
+                found = bound_all(self._tape, formula, sides, cells)
                 tables[formula], first = found.reshape(shape), first + np.sum(shape)
         return tables
 

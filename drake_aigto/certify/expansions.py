@@ -4,10 +4,9 @@ About a point c of the cell, with d = x − c and the Hessian's enclosure H:
 
     f(c) + Σ_i min G_i d_i                          the mean value theorem
     f(c) + Σ_i min (g_i d_i + ½ κ_i d_i²)           κ_i = H_ii − Σ_j |H_ij| s_j / s_i  (Gershgorin)
-    f(c) + Σ_i min g_i d_i                          where f is convex
 
-G is the gradient over the cell, g that at c, s the cell's widths. The second and third bound are
-off by what falls with the cell's width squared, and by nothing at a minimum.
+G is the gradient over the cell, g that at c, s the cell's widths. The second bound is off
+by what falls with the cell's width squared, and by nothing at a minimum.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import math
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, VALUE, enclose, jet_size
+from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, enclose, jet_size
 from drake_aigto.certify.intervals import (
     TINY,
     UNIT,
@@ -98,11 +97,11 @@ def middles(low: Floats, high: Floats) -> Floats:
 
 
 @inner
-def _bound_about(tape: Tape, formula: int, cell: Floats, is_convex: bool, room: Room) -> float:
+def _bound_about(tape: Tape, formula: int, cell: Floats, room: Room) -> float:
     """Returns a bound of f + s (x − c) over a cell (5, L); see `bound_all`."""
     jets, about, over, steps = room
     low, high, point = cell[0], cell[1], cell[2]
-    end = enclose(tape, formula, low, high, VALUE if is_convex else HESSIAN, jets)
+    end = enclose(tape, formula, low, high, HESSIAN, jets)
     if end < 0:
         return np.inf
     over[:] = jets[end]
@@ -118,19 +117,17 @@ def _bound_about(tape: Tape, formula: int, cell: Floats, is_convex: bool, room: 
     mean = bent = about[0, 0]
     for i in range(point.size):
         moved, step = (cell[3, i], cell[4, i]), (steps[i, 0], steps[i, 1])
-        slope, bend = plus((about[1 + i, 0], about[1 + i, 1]), moved), 0.0
-        if not is_convex:
-            bend = curvature(over, steps, i)
-            mean = down(mean + times(plus((over[1 + i, 0], over[1 + i, 1]), moved), step)[0])
-        bent = down(bent + least_quadratic(slope, bend, step))
-    for bound in (bent, -np.inf if is_convex else mean):
+        slope = plus((about[1 + i, 0], about[1 + i, 1]), moved)
+        mean = down(mean + times(plus((over[1 + i, 0], over[1 + i, 1]), moved), step)[0])
+        bent = down(bent + least_quadratic(slope, curvature(over, steps, i), step))
+    for bound in (bent, mean):
         if bound > best:  # NaN is not
             best = bound
     return best
 
 
 @kernel
-def bound_all(tape: Tape, formula: int, sides: Floats, cells: Ints, is_convex: bool) -> Floats:
+def bound_all(tape: Tape, formula: int, sides: Floats, cells: Ints) -> Floats:
     """Returns bounds of f + s (x − c) over cells (C,); ∞ where f has no value.
 
     Args:
@@ -138,7 +135,6 @@ def bound_all(tape: Tape, formula: int, sides: Floats, cells: Ints, is_convex: b
         formula: its number.
         sides: of cells: lower and upper ends, points c, and lower and upper ends of s (5, K).
         cells: which sides each has (C, L).
-        is_convex: whether f is known to be convex.
     """
     size, length = cells.shape[1], tape.starts[formula + 1] - tape.starts[formula]
     jets = np.empty((length, jet_size(size, HESSIAN), 2))
@@ -147,7 +143,7 @@ def bound_all(tape: Tape, formula: int, sides: Floats, cells: Ints, is_convex: b
     for c in range(found.size):
         for i in range(size):
             cell[:, i] = sides[:, cells[c, i]]
-        found[c] = _bound_about(tape, formula, cell, is_convex, room)
+        found[c] = _bound_about(tape, formula, cell, room)
     return found
 
 

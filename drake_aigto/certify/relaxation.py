@@ -21,7 +21,6 @@ from drake_aigto.certify.relaxation_kernels import (
     ROWS_OF_TWO,
     LinearProgram,
     Structure,
-    cut_by_residuals,
     relax,
     safe_bound,
     violations,
@@ -144,7 +143,6 @@ class Relaxation:
             np.empty((num_columns, 1, 2)),
             np.empty((2, size)),
         )
-        self._residuals = np.empty((num_columns, 2))
         self._functions = np.flatnonzero(np.diff(structure.first) > 1)
         self._reads = _readers(structure, size)[self._functions]
         self._starts = structure.starts.astype(np.int32)
@@ -180,10 +178,6 @@ class Relaxation:
         bound, w, y = self._solve(root, 1.0)
         if bound == np.inf:
             return nothing
-        if math.isfinite(cutoff - bound):
-            cut_by_residuals(bound, cutoff, self._residuals, low, high)
-            if np.any(low > high):
-                return nothing
         bound = max(bound, float(self.cell.ranges[root, 0, 0]))
         x = np.clip(w[: low.size], low, high)
         return Relaxed(bound, x, self._choose_cut(w, y, x, low, high))
@@ -247,7 +241,7 @@ class Relaxation:
         return self._bound(column, sign, y), w, y
 
     def _bound(self, column: int, sign: float, y: Floats) -> float:
-        return float(safe_bound(self.structure, self.cell, (column, sign), y, self._residuals))
+        return float(safe_bound(self.structure, self.cell, (column, sign), y))
 
     def _choose_cut(
         self, w: Floats, y: Floats, x: Floats, low: Floats, high: Floats

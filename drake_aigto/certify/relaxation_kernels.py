@@ -26,7 +26,6 @@ from drake_aigto.certify.intervals import (
     times,
     up,
     up_product,
-    up_quotient,
 )
 from drake_aigto.certify.tape import JointTape, Operation
 from drake_aigto.kernels import inner, kernel
@@ -222,11 +221,7 @@ def _add_to(residuals: Floats, column: int, x: Interval) -> None:
 
 @kernel
 def safe_bound(
-    structure: Structure,
-    cell: LinearProgram,
-    cost: tuple[int, float],
-    multipliers: Floats,
-    residuals: Floats,
+    structure: Structure, cell: LinearProgram, cost: tuple[int, float], multipliers: Floats
 ) -> float:
     """Returns a bound of a column times 1 or −1, by any multipliers of the rows.
 
@@ -239,10 +234,8 @@ def safe_bound(
         cell: its linear program.
         cost: the column and its sign.
         multipliers: y (M,); those of rows without an end on their side are left out.
-        residuals: filled with cost − Aᵀy (E, 2).
     """
-    total = 0.0
-    residuals[:] = 0.0
+    total, residuals = 0.0, np.zeros((cell.box.shape[1], 2))  # cost − Aᵀy
     residuals[cost[0]] = cost[1]
     for row in range(multipliers.size):
         y = multipliers[row]
@@ -266,23 +259,6 @@ def safe_bound(
                 _add_to(residuals, structure.columns[k], times((a, a), left))
         total = down(total + own)
     return total if not math.isnan(total) else -np.inf
-
-
-@kernel
-def cut_by_residuals(
-    bound: float, cutoff: float, residuals: Floats, low: Floats, high: Floats
-) -> None:
-    """Narrows a cell, in place, to where a cost with this bound may be no more than the cutoff.
-
-    The cost is at least bound + r_i (x_i − low_i) of r_i > 0, and so from the other side.
-    """
-    gap = up(cutoff - bound)
-    for i in range(low.size):
-        least, most = residuals[i]
-        if least > 0.0:
-            high[i] = min(high[i], max(low[i], up(low[i] + up_quotient(gap, least))))
-        elif most < 0.0:
-            low[i] = max(low[i], min(high[i], down(high[i] - up_quotient(gap, -most))))
 
 
 @kernel

@@ -20,8 +20,7 @@ the touches and c, c' the middles of their cells: along a motion these terms can
 
 Where touches accumulate, their speeds go to 0. Cells that 0 speed belongs to have p = 0, and a way
 from one to a later one of the same wall, by whatever touches or at rest, costs γ² for each unit of
-time if the wall has to be held on to, else nothing. A flight whose cheapest cubic goes through a
-wall is dropped: the cheapest one that does not grazes it, and is two flights.
+time if the wall has to be held on to, else nothing. Flights may go through walls, which costs less.
 """
 
 from __future__ import annotations
