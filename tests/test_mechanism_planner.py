@@ -284,6 +284,27 @@ def test_what_costs_far_more_than_the_best_is_refined_only_if_nothing_else_is_a_
     assert Watched.refined == [best.result, best.result, far.result] and not other.candidates
 
 
+def test_what_is_near_a_motion_that_a_simulation_contradicts_is_judged_too() -> None:
+    class Watched(MechanismTask):
+        judged: ClassVar[list[ShootingResult]] = []
+
+        def judge(self, *args: Any) -> Candidate:
+            candidate, wrong = super().judge(*args), not self.judged
+            self.judged.append(args[1])
+            replay = dataclasses.replace(candidate.replay, cost=2 * candidate.replay.cost)
+            return dataclasses.replace(candidate, replay=replay) if wrong else candidate
+
+    scenario = Scenario.named("cart_pole/soft_06")
+    options = dataclasses.replace(QUICK, renewals=0)
+    search = MechanismSearch(Watched(World.from_scenario(scenario), scenario, options))
+    search.explore()
+    best = search.motions[0]
+    search.motions = [dataclasses.replace(best) for _ in range(3)]
+    search.judge()
+    assert len(Watched.judged) == 2  # The third one is near one that holds.
+    assert [each.is_confirmed for each in search.candidates] == [False, True]
+
+
 def test_a_search_ends_once_its_patience_would_find_less_than_one_better_motion() -> None:
     class Watched(MechanismSearch):
         def vary(self) -> Iterator[Sequence[Proposal]]:

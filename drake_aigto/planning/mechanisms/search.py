@@ -96,10 +96,11 @@ class MechanismSearch(Search):
         self._candidates: list[Candidate] = []
         self._tight: list[KeptMotion] = []  # The best motions, in shorter steps.
         self._far: list[KeptMotion] = []  # Those that cost far more, as they were found.
-        self._known: list[KeptMotion] = []  # Motions before and after their polish.
+        self._polished: list[KeptMotion] = []
+        self._known: list[KeptMotion] = []  # Those that kept their promise, before and after.
         self._left_out: list[KeptMotion] = []  # As another one that holds costs less.
         self._aim = Aim()
-        self._num_closed = self._num_of_use = self._num_broken = 0
+        self._num_of_use = self._num_broken = 0
         self._scales = task.state_scales[: task.world.num_positions]
         self._rigid = task if isinstance(task, RigidMechanismTask) else None
         self._tried: set[_Key] = set()
@@ -260,7 +261,7 @@ class MechanismSearch(Search):
         costs = [motion.cost for motion in self.motions if not motion.rank[0]]
         limits = costs[:1] if self._rigid else costs[-1:] if is_full else []
         most = scaled(self.task.close_ratio, min(limits, default=np.inf))
-        is_patient = 2 * self._num_of_use <= self._num_closed
+        is_patient = 2 * self._num_of_use <= self.searches
         self._aim = self._aim._replace(most=most, is_patient=is_patient)
         super().close(wave)
 
@@ -291,13 +292,11 @@ class MechanismSearch(Search):
     def keep(self, origin: Origin, found: Found) -> None:
         """Keeps a motion if it is among the best, and no better one is near."""
         result, parent = found
-        self._num_closed += 1
         self._num_of_use += self.task.is_of_use(result)
         motion = KeptMotion(origin, result, self.task.rank(result))
         self.searches += 1
-        if not np.isfinite(motion.cost):
-            return
-        self.motions = keep(self.motions, motion, parent, self._scales)
+        if np.isfinite(motion.cost):
+            self.motions = keep(self.motions, motion, parent, self._scales)
 
     def judge(self) -> None:
         """Polishes and judges the best motions."""
@@ -316,22 +315,27 @@ class MechanismSearch(Search):
         self._judge_best()
 
     def _judge_best(self) -> None:
-        """Polishes and judges the motions that remain, one of those that are near each other.
+        """Polishes and judges the motions that remain, one that holds of those near each other.
 
         It ends once enough finalists hold or cost more than one that does, or those that remain
-        promise to. Finalists whose polish broke a promise say nothing of the next ones, which have
-        their turn, too; those that cost far more have it if none holds.
+        promise to. Finalists that broke a promise say nothing of the next ones, which have their
+        turn, too, also those near them; those that cost far more have it if none holds.
         """
         for motion in self._tight:
             enough = self.task.finalists + self._num_broken
             is_full = len(self._holding) + len(self._left_out) >= enough
-            is_ended = self.is_interrupted and self._known
+            is_ended = self.is_interrupted and self._polished
             if is_full or is_ended or motion.cost > self._scale_best(self.task.polish_ratio):
                 return
-            if not any(are_same(motion, other, self._scales) for other in self._known):
-                polished = self._polish(motion)
-                rank = self.task.rank(polished)
-                self._num_broken += rank > (motion.rank[0], scaled(_BROKEN, motion.cost))
+            known = (each for each in self._known if are_same(motion, each, self._scales))
+            if motion in self._polished or any(known):
+                continue
+            self._polished.append(motion)
+            count, polished = len(self._candidates), self._polish(motion)
+            rank = self.task.rank(polished)
+            is_broken = rank > (motion.rank[0], scaled(_BROKEN, motion.cost))
+            self._num_broken += is_broken
+            if not is_broken and all(each.is_confirmed for each in self._candidates[count:]):
                 self._known += [motion, KeptMotion(motion.origin, polished, rank)]
         if self._far and not self._holding:
             far, self._far = self._far, []
