@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from local_problems import Formula, add_cost, himmelblau, make_program, solve
-from pydrake.solvers import MathematicalProgram, SnoptSolver, SolutionResult
+from pydrake.solvers import ExpressionConstraint, MathematicalProgram, SnoptSolver, SolutionResult
 from pydrake.symbolic import cos, exp, log, sin, sqrt
 
 from benchmarks.random_programs import random_program
@@ -390,6 +390,19 @@ def test_constraints_that_can_not_hold_are_no_success(
     assert (details.status, result.get_solution_result()) == (status, outcome)
     assert details.violation > 0.1 and not result.is_success()
     assert ("no proof" in details.status.value) == (status is AigoStatus.NO_FEASIBLE_POINT)
+
+
+def test_a_power_of_0_is_not_called_a_contradiction() -> None:
+    prog, (x,) = make_program(1, lambda x: x[0])
+    prog.AddBoundingBoxConstraint(0.0, 0.0, x)
+    row = ExpressionConstraint([x**0.3], [-1e-15], [1e-15])
+    prog.AddConstraint(row, vars=row.vars())
+    assert solve(prog).get_solver_details().status is AigoStatus.NO_FEASIBLE_POINT
+
+
+def test_a_quotient_of_what_is_alike_is_a_number() -> None:
+    prog, _ = make_program(1, lambda x: exp((2.0 * x[0]) / x[0]) * x[0], lambda x: x[0] >= 1.0)
+    assert solve(prog).get_optimal_cost() == pytest.approx(np.exp(2.0))
 
 
 def test_rows_that_hold_where_an_exponential_overflows_are_no_success() -> None:

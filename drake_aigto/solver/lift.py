@@ -293,7 +293,7 @@ class _Lift:
         above, below = operands(e)
         number, rest = self._split_number(above)
         if number not in (0.0, 1.0):
-            return number * self._lift_quotient(rest / below)
+            return number * self._lift(rest / below)  # No quotient any more where both are alike.
         if not self._signs.find(below):
             remedy = f"Bound its variables such that {shown(below)} keeps its sign and is not 0."
             raise self._refusal(e, self._where(below), remedy, "a divisor that is not 0")
