@@ -20,16 +20,16 @@ _RISE, _SHORT = 3.0, 0.2
 # The same for a wary descent, where motions diverge easily.
 _WARY_RISE, _WARY_SHORT = 0.3, 0.0
 # Damping: its start, its least value after growth, its limits, its growth, and its fall. It grows
-# where no length is good enough, and falls after steps; of trees, it falls after whole steps only,
-# and grows by as much after others.
+# where no length is good enough, and falls after steps; where it holds states, it falls after
+# whole steps only, and grows by as much after others.
 _DAMPING, _LEAST, _SMALLEST, _MOST, _GROWTH, _FALL = 1e-6, 1e-2, 1e-9, 1e3, 10.0, 4.0
-# Of trees, damping holds states near the motion: at a distance of one of their scales at all knots,
-# it adds this share of the cost. Where contacts begin, end or slip, an expansion holds but near the
-# motion, and along what hardly costs, undamped steps go many scales. With damping of controls, as
-# in the plane, a quadruped's fall costs 4.1 after 20 iterations, with this 0.077.
-# Step lengths that are tried: 1, 1/2, …; of trees they are fitted to costs, each at least this part
-# of the one before.
-_LENGTHS, _LENGTHS_OF_TREES, _LEAST_PART = 5, 2, 0.1
+# Damping that holds states near the motion (`Pass.holds_states`) adds this share of the cost at a
+# distance of one of their scales at all knots. Where contacts begin, end or slip, an expansion
+# holds but near the motion, and along what hardly costs, undamped steps go many scales. With
+# damping of controls, a quadruped's fall costs 4.1 after 20 iterations, with this 0.077.
+# Step lengths that are tried: 1, 1/2, …; where states are held they are fitted to costs, each at
+# least this part of the one before.
+_LENGTHS, _FITTED_LENGTHS, _LEAST_PART = 5, 2, 0.1
 # Iterations in a row that gain less than the tolerance and end it.
 _PATIENCE = 3
 # A motion is left unfinished if this times the decrease that the expansion promises does not
@@ -123,7 +123,7 @@ def _search(
 ) -> float:
     """Returns the first step length that is good enough, 0 if none is."""
     length, eps = 1.0, settings.eps
-    count = _LENGTHS_OF_TREES if settings.holds_states else _LENGTHS
+    count = _FITTED_LENGTHS if settings.holds_states else _LENGTHS
     rise, short = (_WARY_RISE, _WARY_SHORT) if settings.is_wary else (_RISE, _SHORT)
     for _ in range(count):
         most, part = cost - _SHARE * length * drop, 0.5

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import ArrayRecord, Floats, Ints, LockedArrays
-from drake_aigto.contact import TreeMechanics
+from drake_aigto.contact import SOURCE, TreeMechanics
 from drake_aigto.errors import OptionsError, ProgramError, check_counts, check_positive
 from drake_aigto.shooting.descent import descend
 from drake_aigto.shooting.optimal_control import OptimalControlProblem, Phases
@@ -28,6 +28,8 @@ _PATIENCE, _STUCK = 4, 0.9
 # After a pass that was cut off, costs may still fall by up to this factor: of 280 motions of discs
 # that swap places, none fell further below the limit.
 _FALLING = 2.5
+# Passes of this tolerance and above are rough.
+_ROUGH = 1e-2
 
 
 class Smoothing(NamedTuple):
@@ -306,6 +308,16 @@ class ShootingRun:
             self._penalty *= 10
         return outcome
 
+    def _holds_states(self, rung: Smoothing) -> bool:
+        """Returns whether damping holds states: of trees, and where compliant contacts slide.
+
+        In a plane, not in rough passes: of five seeds, three would find worse hops, by 6 to 9 %.
+        """
+        if isinstance(self._program.mechanics, TreeMechanics):
+            return True
+        slides = np.any(self._problem.mechanism.frictions[:, SOURCE] >= 0)
+        return bool(slides) and self._problem.phases is None and rung.tolerance < _ROUGH
+
     def _descend(self, rung: Smoothing, states: Floats, updates: bool) -> Outcome:
         """Returns the outcome of a pass; multipliers are updated after it if asked."""
         is_last = rung.smoothing == self._options.rungs[-1].smoothing
@@ -318,7 +330,7 @@ class ShootingRun:
             is_wary=self._options.is_wary,
             most=float(self._options.most_promised if is_last else rung.most),
             updates=updates,
-            holds_states=isinstance(self._program.mechanics, TreeMechanics),
+            holds_states=self._holds_states(rung),
         )
         has_gaps, memory = self._has_gaps, self._memory
         return descend(self._program, states, self._controls, has_gaps, settings, memory)
