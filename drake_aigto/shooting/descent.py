@@ -167,9 +167,10 @@ def _improve(
         share = _DAMPING if settings.holds_states else damping
         drop = sweep_back(program, controls, has_gaps, share, damping * unit, expansion, sweep)
         if drop >= 0.0:
-            if drop <= small and (not has_gaps or small == np.inf):
-                return -1.0, damping
             is_told = damping <= _LEAST or not settings.holds_states  # By steps that are held, not.
+            is_certain = is_told or not settings.is_patient
+            if is_certain and drop <= small and (not has_gaps or small == np.inf):
+                return -1.0, damping
             if is_told and not has_gaps and cost - _FALLS * drop > settings.most:
                 return -2.0, damping
             length = _search(program, states, controls, settings, cost, drop, has_gaps, memory)

@@ -331,6 +331,8 @@ class ShootingRun:
             most=float(self._options.most_promised if is_last else rung.most),
             updates=updates,
             holds_states=self._holds_states(rung),
+            # Of trees, patience takes half as long again, for costs that are as often worse.
+            is_patient=not isinstance(self._program.mechanics, TreeMechanics),
         )
         has_gaps, memory = self._has_gaps, self._memory
         return descend(self._program, states, self._controls, has_gaps, settings, memory)

@@ -167,6 +167,7 @@ class Pass(NamedTuple):
     most: float  # motions that promise to cost more are left unfinished
     updates: bool  # whether multipliers are updated in the end
     holds_states: bool  # by damping, not controls; and lengths of steps are fitted to costs
+    is_patient: bool  # whether steps that are held do not end it, however little they promise
 
 
 class Outcome(NamedTuple):
