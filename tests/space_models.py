@@ -14,6 +14,7 @@ MATERIAL = """<drake:proximity_properties>
   <drake:mu_static>0.5</drake:mu_static>
 </drake:proximity_properties>"""
 SPHERE = "<sphere><radius>0.05</radius></sphere>"
+BOX = "<box><size>0.1 0.1 0.1</size></box>"
 GROUND = "<plane><normal>0 0 1</normal></plane>"
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import logging
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,7 @@ from matplotlib.figure import Figure
 from meshcat_pages import clips
 from pydrake.geometry import Meshcat
 from pydrake.multibody.tree import JacobianWrtVariable
-from scipy.spatial import ConvexHull
-from space_models import SPHERE, ball_and_finger, collision, link, make_scenario
+from space_models import BOX, SPHERE, ball_and_finger, collision, link, make_scenario
 
 from drake_aigto import (
     ModelPredictiveController,
@@ -26,7 +24,6 @@ from drake_aigto import (
     TrackingController,
     World,
 )
-from drake_aigto.arrays import Floats
 from drake_aigto.cli import FINE, main
 from drake_aigto.control import Disturbance, run_in_loop
 from drake_aigto.errors import ModelError, ProgramError, ScenarioError
@@ -45,8 +42,6 @@ from drake_aigto.simulation import replay_drake, replay_event_driven, tangent_sc
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
 from drake_aigto.world import SpaceWorld, TaskCost
-
-BOX = "<box><size>0.1 0.1 0.1</size></box>"
 
 
 def build(scenario: Scenario) -> tuple[SpaceWorld, Scenario]:
@@ -463,39 +458,6 @@ def test_rigid_contact_in_space_is_refused_by_name(tmp_path: Path) -> None:
     rigid = Scenario(**(scenario.to_plain() | {"contact": "rigid"}))
     with pytest.raises(ScenarioError, match="contact: got 'rigid', of bodies in space"):
         world.check(rigid)
-
-
-def write_mesh(path: Path, corners: Floats) -> str:
-    """Writes the convex hull of points as a file, and returns its shape."""
-    rows = [f"v {x} {y} {z}" for x, y, z in corners]
-    rows += [f"f {a} {b} {c}" for a, b, c in 1 + ConvexHull(corners).simplices]
-    path.write_text("\n".join(rows), encoding="utf-8")
-    return f"<mesh><uri>{path}</uri></mesh>"
-
-
-def test_a_mesh_touches_what_its_convex_hull_touches(tmp_path: Path) -> None:
-    corners = np.array(list(itertools.product((-0.05, 0.05), repeat=3)))
-    pierced = np.vstack([corners, [[0.01, 0.0, 0.02]]])  # The hull has no corner within it.
-    shapes = BOX, write_mesh(tmp_path / "cube.obj", pierced)
-    up = {"thing": {"xyz": [0, 0, 0.2]}, "x": -0.15, "z": 0.07}
-    found = []
-    for shape in shapes:
-        text = ball_and_finger(shapes=collision("thing", shape))
-        world = World.from_scenario(make_scenario(tmp_path, text, initial_position=up))
-        rng, q = np.random.default_rng(0), world.plant.GetDefaultPositions()
-        assert isinstance(world, SpaceWorld)
-        states = np.array([world.tree.add(q, rng.normal(size=9) * 0.2) for _ in range(50)])
-        found.append((world.calc_signed_distance(states), world.calc_contact_jacobian(states)))
-    for of_box, of_mesh in zip(*found, strict=True):
-        np.testing.assert_allclose(of_mesh, of_box, atol=1e-12)
-
-
-def test_a_mesh_of_too_many_corners_is_refused_with_what_to_do(tmp_path: Path) -> None:
-    points = np.random.default_rng(0).normal(size=(80, 3))
-    points *= 0.05 / np.linalg.norm(points, axis=1, keepdims=True)
-    text = ball_and_finger(shapes=collision("thing", write_mesh(tmp_path / "round.obj", points)))
-    with pytest.raises(ModelError, match=r"m::thing: got .* 80 corners, expected 64 .*Simplify"):
-        World.from_scenario(make_scenario(tmp_path, text))
 
 
 def test_pairs_without_a_distance_are_listed_at_once(tmp_path: Path) -> None:

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from pydrake.multibody.tree import ModelInstanceIndex
 from scipy.optimize import nnls
-from space_models import SPHERE, ball_and_finger, collision, make_scenario
+from scipy.spatial import ConvexHull
+from space_models import BOX, SPHERE, ball_and_finger, collision, make_scenario
 from touching_bodies import CORNERS, Bodies, find_faces
 
 from drake_aigto import World
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import SLOWING
+from drake_aigto.errors import ModelError
 from drake_aigto.simulation import find_touch_error
 from drake_aigto.world import SpaceWorld
 
@@ -106,6 +108,39 @@ def test_a_ball_is_as_far_from_a_hull_as_the_nearest_mixture_of_its_corners() ->
         nearest = CORNERS.T @ weights
         assert distance == pytest.approx(np.linalg.norm(x - nearest), abs=1e-6)
     assert 0 < insides < 30
+
+
+def write_mesh(path: Path, corners: Floats) -> str:
+    """Writes the convex hull of points as a file, and returns its shape."""
+    rows = [f"v {x} {y} {z}" for x, y, z in corners]
+    rows += [f"f {a} {b} {c}" for a, b, c in 1 + ConvexHull(corners).simplices]
+    path.write_text("\n".join(rows), encoding="utf-8")
+    return f"<mesh><uri>{path}</uri></mesh>"
+
+
+def test_a_mesh_touches_what_its_convex_hull_touches(tmp_path: Path) -> None:
+    corners = np.array(list(itertools.product((-0.05, 0.05), repeat=3)))
+    pierced = np.vstack([corners, [[0.01, 0.0, 0.02]]])  # The hull has no corner within it.
+    shapes = BOX, write_mesh(tmp_path / "cube.obj", pierced)
+    up = {"thing": {"xyz": [0, 0, 0.2]}, "x": -0.15, "z": 0.07}
+    found = []
+    for shape in shapes:
+        text = ball_and_finger(shapes=collision("thing", shape))
+        world = World.from_scenario(make_scenario(tmp_path, text, initial_position=up))
+        rng, q = np.random.default_rng(0), world.plant.GetDefaultPositions()
+        assert isinstance(world, SpaceWorld)
+        states = np.array([world.tree.add(q, rng.normal(size=9) * 0.2) for _ in range(50)])
+        found.append((world.calc_signed_distance(states), world.calc_contact_jacobian(states)))
+    for of_box, of_mesh in zip(*found, strict=True):
+        np.testing.assert_allclose(of_mesh, of_box, atol=1e-12)
+
+
+def test_a_mesh_of_too_many_corners_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).normal(size=(80, 3))
+    points *= 0.05 / np.linalg.norm(points, axis=1, keepdims=True)
+    text = ball_and_finger(shapes=collision("thing", write_mesh(tmp_path / "round.obj", points)))
+    with pytest.raises(ModelError, match=r"m::thing: got .* 80 corners, expected 64 .*Simplify"):
+        World.from_scenario(make_scenario(tmp_path, text))
 
 
 def test_touches_of_capsules_in_drake_are_compared_with_the_exact_ones(tmp_path: Path) -> None:

@@ -103,11 +103,7 @@ def place_bodies(mechanics: TreeMechanics, q: Floats, memory: TreeMechanicsMemor
 
 def make_no_touch(num_velocities: int) -> TouchTable:
     """Returns the table of a tree without contact."""
-    counts, none, starts = (
-        np.zeros(0, dtype=np.int64),
-        np.zeros((0, 3)),
-        np.zeros(1, dtype=np.int64),
-    )
+    none, (counts, starts) = np.zeros((0, 3)), (np.zeros(n, dtype=np.int64) for n in (0, 1))
     turns, faces = np.zeros((0, 3, 3)), np.zeros((0, 4, 3))
     shapes = Shapes(counts, counts, turns, none, none.copy(), np.zeros(0), starts, faces)
     carries = np.zeros((num_velocities, num_velocities), dtype=np.bool_)

@@ -18,7 +18,7 @@ from pydrake.solvers import (
 )
 
 from drake_aigto.arrays import Floats
-from drake_aigto.certify import Certificate, relative_gap
+from drake_aigto.certify import Certificate, is_infeasible, relative_gap
 from drake_aigto.errors import OptionsError, check_counts, check_positive
 from drake_aigto.linear import Storage
 
@@ -129,6 +129,14 @@ class AigoStatus(enum.Enum):
     )
     NOT_FINITE = "the cost is not finite in any box: bound the variables to where it is"
     INTERRUPTED = "interrupted: the answer is the best so far, if there is any"
+
+    def if_proven(self, prog: MathematicalProgram) -> AigoStatus:
+        """Returns this one, which denies any feasible point, if ranges of rows prove that.
+
+        Presolve proves none: powers are logarithms to it, which at 0 have no value that powers may
+        have.
+        """
+        return self if is_infeasible(prog) else AigoStatus.NO_FEASIBLE_POINT
 
 
 # All others are solutions.

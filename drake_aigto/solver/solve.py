@@ -10,14 +10,7 @@ from pydrake.solvers import GetProgramType, MathematicalProgram, ProgramType
 
 from drake_aigto.aigo import Box
 from drake_aigto.arrays import Floats
-from drake_aigto.certify import (
-    Certificate,
-    Certifier,
-    Method,
-    explain_infeasibility,
-    is_infeasible,
-    relative_gap,
-)
+from drake_aigto.certify import Certificate, Certifier, Method, explain_infeasibility, relative_gap
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.solver.answers import FAR, Answers, CheckedPoint, Observer
 from drake_aigto.solver.boxes import BoxStage, Outside, make_first_box
@@ -153,7 +146,7 @@ class Solve:
             status = AigoStatus.INTERRUPTED
             self._certificate = self._certifier.certificate() if self._certifier else None
         except ContradictionError:  # Found by presolve, after ladders were gone up in vain.
-            status = AigoStatus.CONTRADICTORY_BOUNDS
+            status = AigoStatus.CONTRADICTORY_BOUNDS.if_proven(self._program.source)
         best = self._answers.best
         if best is None:
             x = self._program.answer(self._first.center)
@@ -357,8 +350,7 @@ class Solve:
         if not self._answers.is_feasible:
             if found and found.is_infeasible:
                 return AigoStatus.INFEASIBLE
-            is_proven = is_infeasible(self._program.source)
-            return AigoStatus.INFEASIBLE if is_proven else AigoStatus.NO_FEASIBLE_POINT
+            return AigoStatus.INFEASIBLE.if_proven(self._program.source)
         if self._answers.has_fallen or self._is_outermost(best):
             return AigoStatus.FALLS_WITHOUT_END
         cost = self._program.cost(best.x)

@@ -16,7 +16,6 @@ from pydrake.solvers import (
 )
 
 from drake_aigto.arrays import Floats
-from drake_aigto.certify import is_infeasible
 from drake_aigto.errors import OptionsError
 from drake_aigto.solver.details import (
     SOLVER_ID,
@@ -156,9 +155,7 @@ class AigoSolver(SolverInterface):
             x, cost, details = Solve(read_program(prog), options, guess, observe).run()
         except ContradictionError:
             x, cost = np.where(np.isfinite(guess), guess, 0.0), np.inf
-            # Logarithms that powers are read as have no value at 0, where powers may have one.
-            is_sure = is_infeasible(prog)
-            status = AigoStatus.CONTRADICTORY_BOUNDS if is_sure else AigoStatus.NO_FEASIBLE_POINT
+            status = AigoStatus.CONTRADICTORY_BOUNDS.if_proven(prog)
             details = AigoDetails.of_nothing(status, x)
         filled = AigoProgramResult() if result is None else result
         fill_result(filled, prog, x, cost, details)

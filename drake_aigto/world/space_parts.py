@@ -44,7 +44,7 @@ EXPECTED = (
     "Sphere against Sphere, Box, Capsule, Cylinder, Mesh or HalfSpace, "
     "Capsule against Capsule or HalfSpace, Box, Cylinder or Mesh against HalfSpace"
 )
-# All faces of a hull are looked at; one of as many corners takes a few microseconds.
+# All faces of a hull are looked at: of as many corners, before a ball and the ground, in 3 µs.
 _MOST_CORNERS = 64
 
 
@@ -88,12 +88,10 @@ def read_shapes(
         X_BG: RigidTransform = inspector.GetPoseInFrame(shape)
         poses.append((R @ X_BG.rotation().matrix(), p + R @ X_BG.translation()))
         links.append(int(tree.body_links[body]))
+    shapes = [inspector.GetShape(shape) for shape in numbers]
     hulls = [_read_hull(inspector, shape) for shape in numbers]
-    sizes = [
-        _read_size(inspector.GetShape(shape), faces)
-        for shape, faces in zip(numbers, hulls, strict=True)
-    ]
-    kinds = [_KINDS[type(inspector.GetShape(shape))] for shape in numbers]
+    sizes = [_read_size(shape, faces) for shape, faces in zip(shapes, hulls, strict=True)]
+    kinds = [_KINDS[type(shape)] for shape in shapes]
     table = Shapes(
         bodies=np.array(links, dtype=np.int64),
         kinds=np.array(kinds, dtype=np.int64),
