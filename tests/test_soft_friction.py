@@ -51,6 +51,18 @@ def test_both_replays_agree_on_a_ball_that_spins_off_a_wall() -> None:
     assert without.velocities[-1, 2] == pytest.approx(20.0 + 0.01 / 0.004, abs=1e-6)
 
 
+@pytest.mark.parametrize("stiffness", [1e4, 1e6, 1e8])
+def test_both_replays_agree_where_a_ball_sticks_to_a_stiff_wall(stiffness: float) -> None:
+    changes: dict[str, Any] = {"material": {"*": {"stiffness": stiffness}}, "stiction_speed": 1e-3}
+    scenario = dataclasses.replace(ask(), initial_velocity=[0.1, -1.0, 2.0], **changes)
+    world, times, controls = World.from_scenario(scenario), np.array([0.0, 0.5]), np.zeros((1, 2))
+    own = replay_event_driven(world, scenario, times, controls)
+    drake = replay_drake(world, scenario, times, controls)
+    np.testing.assert_allclose(own.velocities[-1], drake.velocities[-1], atol=1e-6)
+    x, _, spin = own.velocities[-1]
+    assert abs(x + 0.1 * spin) < 1e-3, "it rolls as it leaves"
+
+
 def test_friction_is_mu_times_the_push_and_turns_with_the_slip() -> None:
     world, law = read(), contact_law(read(), ask())
     q = np.array([0.8, 0.06, 0.3])

@@ -40,6 +40,9 @@ _ROUGH = _make_config("runge_kutta5", 1e-12)
 # With a contact that lasts for fewer of the longest steps than this its trials leave all bounds.
 _RESOLVED = 10.0
 _STIFF = _make_config("radau3", 1e-7)
+# Where friction sticks, Radau's rule would take steps of 30 ns. So the explicit rule is for stiff
+# walls, too, with at least so many steps in each contact.
+_PER_CONTACT = 3.0
 # There no step is longer than this part of the simulated time, so that none passes over a touch.
 _LONGEST = 1 / 300
 # Flight advances by this part of the predicted time to the wall, then predicts again, …
@@ -130,9 +133,12 @@ def start_plant(
         monitor = ContactMonitor(world, simulator, world.restitutions(scenario), duration)
         return simulator, monitor
     longest = _LONGEST * duration
-    is_stiff = min(contact_delays(world), default=math.inf) < _RESOLVED * longest
-    has_friction = world.dry_friction is not None or (world.frictions and scenario.friction != 0)
-    ApplySimulatorConfig(_STIFF if is_stiff else _ROUGH if has_friction else _SOFT, simulator)
+    shortest = min(contact_delays(world), default=math.inf)
+    if world.dry_friction is not None or (world.frictions and scenario.friction != 0):
+        config, longest = _ROUGH, min(longest, shortest / _PER_CONTACT)
+    else:
+        config = _STIFF if shortest < _RESOLVED * longest else _SOFT
+    ApplySimulatorConfig(config, simulator)
     simulator.get_mutable_integrator().set_maximum_step_size(longest)
     return simulator, None
 
