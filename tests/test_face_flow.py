@@ -85,6 +85,14 @@ def test_a_flat_cost_leaves_the_center_where_it_is() -> None:
     assert result.box.center[0] == 1.5
 
 
+@pytest.mark.parametrize("units", [1.0, 2.0, 5.0])
+def test_a_box_of_a_few_units_in_the_last_place_ends(units: float) -> None:
+    first = Box(np.array([0.0, 4.0]), np.array([1.0, 0.5 * units * np.spacing(4.0)]))
+    result = minimize(random_chain(2, 0), first, FaceFlow())
+    assert result.is_converged
+    assert abs(result.box.center[1] - 4.0) <= units * np.spacing(4.0)
+
+
 def test_alternating_stays_inside_the_first_box() -> None:
     first = Box(np.full(5, 0.5), np.full(5, 1.5))
     for iterate in minimize(random_chain(5, 3), first, Alternating()).history:

@@ -124,7 +124,9 @@ def _flow(
         w -= max(move, least_shrink * w)
         low = max(c - w, first_center[i] - first_half_width[i])
         high = min(c + w, first_center[i] + first_half_width[i])
-        center[i], half_width[i] = (low + high) / 2, (high - low) / 2
+        center[i], width = (low + high) / 2, (high - low) / 2
+        # What rounding keeps as wide as it is would never end: it is held.
+        half_width[i] = width if width < half_width[i] else 0.0
         largest = max(largest, half_width[i] / first_half_width[i])
     return largest
 
