@@ -277,6 +277,8 @@ def test_the_page_of_tasks_has_every_field_and_what_it_shows_is_understood() -> 
     blocks = {match[1]: match[2] for match in FENCED.finditer(TASKS_PAGE)}
     shipped = Scenario.named("cart_pole/soft_06")
     assert Scenario.from_plain(yaml.safe_load(blocks["yaml"])) == shipped
+    gait, *_ = FENCED.findall(TASKS_PAGE.split("## Motions that repeat")[1])
+    assert Planner(Scenario.from_plain(yaml.safe_load(gait[1]))).scenario.periodic
     for line in blocks["sh"].splitlines():
         words = shlex.split(line)[1:]
         asked = load_scenario(make_parser(words).parse_args(words))

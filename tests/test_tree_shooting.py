@@ -20,6 +20,7 @@ from drake_aigto.dynamics import Tree
 from drake_aigto.planning import MechanismTask, PlanOptions
 from drake_aigto.shooting import (
     IMPLICIT,
+    FreeStart,
     Phases,
     ShootingOptions,
     ShootingProblem,
@@ -116,9 +117,13 @@ def replay(plant: MultibodyPlant, start: Floats, times: Floats, controls: Floats
     ("seed", "order", "substeps", "off"),
     [(0, 4, 2, 1e-5), (1, 4, 2, 1e-5), (1, IMPLICIT, 16, 2e-4)],
 )
-@pytest.mark.parametrize("phases", [None, Phases.free(0.2, (0.1, 0.4))], ids=["timed", "free"])
+@pytest.mark.parametrize(
+    ("phases", "is_free"),
+    [(None, False), (Phases.free(0.2, (0.1, 0.4)), False), (Phases.free(0.2, (0.1, 0.4)), True)],
+    ids=["timed", "free", "free start"],
+)
 def test_expansions_of_a_floating_body_are_differences_along_the_manifold(
-    seed: int, order: int, substeps: int, off: float, phases: Phases | None
+    seed: int, order: int, substeps: int, off: float, phases: Phases | None, is_free: bool
 ) -> None:
     rng = np.random.default_rng(seed)
     plant = make_floating(rng)
@@ -131,9 +136,13 @@ def test_expansions_of_a_floating_body_are_differences_along_the_manifold(
     cost = replace(problem.cost, QT=A @ A.T, Q=np.arange(1.0, 9.0), positions=about[np.newaxis])
     cost = replace(cost, frames=frames)
     problem, n, nq = replace(problem, cost=cost, phases=phases), 8, 9
+    if is_free:
+        limits = np.stack([-problem.scales, problem.scales])
+        problem = replace(problem, free_start=FreeStart(limits, 0.1 * problem.scales))
     program = problem.make_program(ShootingOptions((Smoothing(0.0, 1, 1.0),), substeps, order))
     memory, tree = make_memory(program), Tree.of(plant)
-    K, nz = len(program.kinds), 2 * n + (2 if phases else 0)  # Phases add duration and time.
+    # Phases add duration and time, and a free start by how much it is moved.
+    K, nz = len(program.kinds), 2 * n + (2 if phases else 0) + (2 * n if is_free else 0)
     states, controls = np.zeros((K + 1, nq + nz - n)), rng.normal(size=(K, 2))
     for state in states:  # With gaps of some 0.3 rad and m.
         state[:nq] = tree.add(q, 0.3 * rng.normal(size=n))
@@ -152,6 +161,8 @@ def test_expansions_of_a_floating_body_are_differences_along_the_manifold(
         return total, memory.expansion.gaps[min(k, K - 1)].copy()
 
     for k, column in np.ndindex(K + 1, nz + 2):
+        if is_free and k == 2 * n // 2 and column < n:
+            continue  # What is moved does not change.
         (high, after), (low, before) = expand(k, column, 1e-5), expand(k, column, -1e-5)
         if k < K:
             np.testing.assert_allclose((after - before) / 2e-5, F[k, :, column], atol=2 * off)

@@ -373,6 +373,13 @@ def check_planner(planner: Planner) -> None:
             expected="one that is given",
             remedy="Leave duration_range out.",
         )
+    if planner.scenario.periodic is not None:
+        raise ControlError(
+            _ASKED,
+            got="a motion that repeats",
+            expected="one with a goal",
+            remedy="TrackingController follows a plan of it.",
+        )
     if planner.transcription.additions():
         raise ControlError(
             _ASKED,

@@ -100,7 +100,8 @@ class Regulator(NamedTuple):
         asked: dict[str, Any] = {"position_weight": weights[:n], "velocity_weight": weights[n:]}
         asked |= {"goal_weight": np.diag(final)[:n], "goal_velocity_weight": np.diag(final)[n:]}
         asked |= {f"reference_{each}": None for each in ("times", "positions", "velocities")}
-        return dataclasses.replace(scenario, goal_position=q, hard_goal=False, **asked)
+        asked |= {"hard_goal": False, "periodic": None}
+        return dataclasses.replace(scenario, goal_position=q, **asked)
 
     def respond(self, world: World, x: Floats, count: int) -> tuple[Floats, Floats]:
         """Returns states (count + 1, nq + n) and controls (count, nu) from x on, if linear."""

@@ -9,13 +9,18 @@ from dataclasses import dataclass, field
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Literal, get_args
 
-from drake_aigto.errors import OptionsError, check_counts
+import numpy as np
+
+from drake_aigto.errors import OptionsError, ScenarioError, check_counts
 from drake_aigto.transcription import CONTACT, DYNAMICS, FLIGHT, NONPENETRATION, RESTITUTION
 
 if TYPE_CHECKING:
     from drake_aigto.world import Scenario, World
 
 StartName = Literal["line", "coast"]
+
+# Goals of motions that repeat are the start's by this part of them, or in m and rad.
+_SAME_GOAL = 1e-9
 
 
 @dataclass(frozen=True)
@@ -227,6 +232,34 @@ class PlanOptions(SearchOptions):
                 raise OptionsError(
                     "ladder", got=f"a {type(each).__name__} for {task}", expected="every one a Rung"
                 )
+
+
+def check_periodic(world: World, scenario: Scenario) -> None:
+    """Refuses a motion that should repeat where that is not planned for.
+
+    Raises:
+        ScenarioError: walls are rigid, or the goal contradicts the advance.
+    """
+    if scenario.periodic is None:
+        return
+    if scenario.contact == "rigid" and world.contacts:
+        raise ScenarioError(
+            "periodic",
+            got="rigid walls",
+            expected="contact: compliant, or a model in which nothing can touch",
+            remedy="Between rigid walls, and for balls, motions begin where they are given.",
+        )
+    v, speed = scenario.initial_velocity, scenario.goal_velocity
+    assert speed is not None, "the world placed it"
+    way = world.subtract(scenario.goal_position, scenario.initial_position)
+    off = np.concatenate([way - np.nan_to_num(world.find_advance(scenario)), speed - v])
+    if np.any(np.abs(off) > _SAME_GOAL * (1 + np.abs(np.concatenate([way, v])))):
+        raise ScenarioError(
+            "goal_position or goal_velocity",
+            got=f"{scenario.goal_position.tolist()}, {speed.tolist()}",
+            expected="the start, advanced by what periodic says",
+            remedy="Leave them out.",
+        )
 
 
 def needs_shooting(world: World, scenario: Scenario) -> bool:

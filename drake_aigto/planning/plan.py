@@ -217,9 +217,11 @@ class Plan:
         """Words for a plan that is hardly better than the uncontrolled motion; else none.
 
         In simulation, it then saves no more than 1 % of what that costs. A task whose uncontrolled
-        motion costs nothing asks for nothing else.
+        motion costs nothing asks for nothing else, and a hard goal that it misses for more.
         """
-        if self.idle is None or abs(self.idle.replay.cost) <= _NOTHING * self.best.scales.cost:
+        if self.idle is None or HARD_GOAL in self.idle.replay.broken:
+            return ""
+        if abs(self.idle.replay.cost) <= _NOTHING * self.best.scales.cost:
             return ""
         if self.best.is_idle:
             return "does nothing"

@@ -22,7 +22,7 @@ from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.mechanisms.rigid_task import make_mechanism_task
 from drake_aigto.planning.mechanisms.search import MechanismSearch
 from drake_aigto.planning.mechanisms.task import MechanismTask
-from drake_aigto.planning.options import PlanOptions, needs_shooting
+from drake_aigto.planning.options import PlanOptions, check_periodic, needs_shooting
 from drake_aigto.planning.plan import Plan, PlanningError
 from drake_aigto.planning.search import Progress, Search, Stopwatch, name_active, scaled
 from drake_aigto.planning.stretches import check_sizes
@@ -88,6 +88,7 @@ class Planner:
         self.scenario = scenario = self.world.place(scenario)
         self.world.check(scenario)
         _check_friction(self.world, scenario)
+        check_periodic(self.world, scenario)
         self.is_of_balls = not needs_shooting(self.world, scenario)
         asked = options or PlanOptions()
         asked.check(self.is_of_balls)
@@ -233,6 +234,8 @@ class Planner:
     def _begin(self, initial_guess: Trajectory | None, **given: Any) -> tuple[Search, Scenario]:
         """Returns the search for the plan of a changed scenario, and that."""
         changed = {key: value for key, value in given.items() if value is not None}
+        if changed and self.scenario.periodic is not None:  # The goal moves with the start.
+            changed = {"goal_position": None, "goal_velocity": None} | changed
         scenario = dataclasses.replace(self.scenario, **changed) if changed else self.scenario
         scenario = self.world.place(scenario)
         self.world.check(scenario)
@@ -247,6 +250,7 @@ class Planner:
             _check_guess(self.world, scenario, initial_guess)
         _check_reach(self.world, scenario)
         _check_friction(self.world, scenario)
+        check_periodic(self.world, scenario)
         self._transcription.check_frozen()
         search = self._start_search(scenario)
         search.guess = initial_guess

@@ -361,7 +361,7 @@ class Search(ABC):
         _LOG.info("%s; seconds: %s", stats, took)
         options, world = self.task.options, self.task.world
         return Plan(
-            scenario=scenario,
+            scenario=scenario.starting_at(best.trajectory.states[0]),
             transcription=self.task.transcription_name,
             candidates=(best, *rest),
             replay=self._replays[id(best)],

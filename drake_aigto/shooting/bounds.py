@@ -21,8 +21,8 @@ from drake_aigto.contact import (
 from drake_aigto.kernels import borrowing, inner
 from drake_aigto.shooting.flow import clear
 from drake_aigto.shooting.modes import measure_modes
-from drake_aigto.shooting.stages import read_coordinate
-from drake_aigto.shooting.tables import FLOW, Added, Bounds, Memory, Program
+from drake_aigto.shooting.readings import push_start, read_coordinate
+from drake_aigto.shooting.tables import CHOOSE, FLOW, Added, Bounds, Memory, Program
 
 # Returns the penalties, adds their derivatives to the expansion, or returns the largest violation
 # √w dist(s, [a, b]) and has multipliers become ρw (s + y/ρw − its projection on [a, b]), Hestenes'
@@ -58,12 +58,14 @@ def visit_bounds(
 ) -> float:
     """Does a job for all bounds at knots: returns penalties, or the largest violation."""
     bounds, l1, l2, total = program.bounds, memory.expansion.l1, memory.expansion.l2, 0.0
-    mechanics, room = program.mechanics, memory.flow.mechanics
+    mechanics, room, nx = program.mechanics, memory.flow.mechanics, memory.flow.points.shape[1]
+    returns = program.kinds[0] == CHOOSE  # The hard goal moves with the start.
     for k in range(states.shape[0]):
         if bounds.is_bounded[k, 0]:
             for i in range(bounds.does_turn.size):
                 low, high = bounds.lower[k, i], bounds.upper[k, i]
-                value = read_coordinate(mechanics, program.task.goal, states[k], i, room)
+                moved = returns and k == states.shape[0] - 1 and i < nx
+                value = read_coordinate(mechanics, program.task.goal, states[k], i, moved, room)
                 if bounds.does_turn[i] and k == states.shape[0] - 1:
                     value -= 2 * np.pi * np.round((value - low) / (2 * np.pi))
                 weight = bounds.weights[i]
@@ -72,6 +74,9 @@ def visit_bounds(
                 if push != 0.0:
                     l1[k, i] += push
                     l2[k, i, i] += penalty * weight
+                    if moved:
+                        stiffness = penalty * weight
+                        push_start(mechanics, states[k], i, push, stiffness, l1[k], l2[k], room)
         u = controls[min(k, controls.shape[0] - 1)]
         if bounds.is_bounded[k, 2]:
             total = _join(job, total, _visit_added(program, k, states[k], u, penalty, job, memory))
@@ -266,7 +271,7 @@ def add_costs(
     clear(gradient, A)
     for r in range(R):
         factor, stretches = added.factors[k, r], has_phases and added.is_running[r]
-        length = factor * z[z.size - 2] if stretches else factor
+        length = factor * z[z.size - nz + nx] if stretches else factor
         cost += length * sums[r] if factor != 0.0 else 0.0
         at = R + R * C + r * (C * (C + 1) // 2)
         for c in range(C if has_slopes and factor != 0.0 else 0):

@@ -7,10 +7,10 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.kernels import borrow, borrowing, kernel
 from drake_aigto.shooting.bounds import EXPAND, MEASURE, PENALIZE, UPDATE, add_costs, visit_bounds
-from drake_aigto.shooting.flow import flow, jump, measure_end
+from drake_aigto.shooting.flow import choose, flow, jump, measure_end
 from drake_aigto.shooting.stages import align, shift, subtract
-from drake_aigto.shooting.sweep import clip_control, sweep_back
-from drake_aigto.shooting.tables import FLOW, Memory, Outcome, Pass, Program
+from drake_aigto.shooting.sweep import clip_control, find_size, sweep_back
+from drake_aigto.shooting.tables import CHOOSE, FLOW, Memory, Outcome, Pass, Program
 
 # A step must keep this share of the fall that the expansion promises (Armijo).
 _SHARE = 1e-4
@@ -69,7 +69,7 @@ def travel(
         trial_states[0, i] = states[0, i]
     for k in range(K):
         z, u, after = states[k], controls[k], states[k + 1]
-        size = program.task.control.size if kinds[k] == FLOW else 1
+        size, norm = find_size(program, k)
         if mode == FOLLOW:
             z, u, after = trial_states[k], trial_controls[k], trial_states[k + 1]
             subtract(mechanics, z, states[k], off)
@@ -77,11 +77,12 @@ def travel(
                 u[i] = controls[k, i] + length * feedforward[k, i]
                 for j in range(nz):
                     u[i] += gains[k, i, j] * off[j]
-            norm = program.bounds.norm if kinds[k] == FLOW else np.inf
             clip_control(size, u, lower[k], upper[k], norm)
         elif mode == LINEARIZE:
             after = trial_states[k + 1]
-        if kinds[k] != FLOW:
+        if kinds[k] == CHOOSE:
+            choose(k, size, z, u, mode == LINEARIZE, after, memory)
+        elif kinds[k] != FLOW:
             jump(program, k, z, u, mode == LINEARIZE, after, memory)
         else:
             cost += flow(program, k, z, u, eps, mode == LINEARIZE, after, memory)

@@ -18,7 +18,7 @@ from drake_aigto.shooting.stages import (
     turn_end,
     turn_error_rows,
 )
-from drake_aigto.shooting.tables import CHORDAL, MODULO, FlowMemory, Memory, Program
+from drake_aigto.shooting.tables import CHOOSE, CHORDAL, MODULO, FlowMemory, Memory, Program
 
 
 @borrowing
@@ -80,7 +80,7 @@ def flow(
     Args:
         program: the problem.
         k: the stage.
-        z: the state at its start, shape (nz,); for phases with its time and their duration.
+        z: the state at its start, shape (nz,); for phases with their duration and its time.
         u: its control.
         eps: the smoothing ε [m].
         has_slopes: whether to compute derivatives.
@@ -95,11 +95,11 @@ def flow(
     X, Y, K, sum_K = room.slopes[0], room.slopes[1], room.slopes[2], room.slopes[3]
     acceleration = room.mechanics.acceleration
     nx, nz, n, columns = x.size, memory.sweep.V1.size, x.size // 2, by_column.size
-    start, share = program.times[k], program.steps[k]
+    start, share, tau = program.times[k], program.steps[k], z.size - nz + nx
     duration, has_phases, holds = share, nz > nx, bool(closed.any())
     is_measured = has_phases or bool(task.running.any())
     if has_phases:
-        duration, start = share * float(z[z.size - 2]), float(z[z.size - 1])
+        duration, start = share * float(z[tau]), float(z[tau + 1])
     delta, unit, cost = duration / substeps, share / substeps, 0.0
     enter(mechanics, z, x)
     if has_slopes:
@@ -156,7 +156,9 @@ def flow(
             F[i, c] = X[i, c]
     leave(mechanics, z, x, has_slopes, F, after, room.mechanics)
     if has_phases:
-        after[z.size - 2], after[z.size - 1] = z[z.size - 2], start + duration
+        for i in range(tau, z.size):
+            after[i] = z[i]
+        after[tau + 1] = start + duration
     squares = 0.0
     for j in range(task.control.size):
         squares += task.control[j] * u[j] * u[j]
@@ -168,9 +170,10 @@ def flow(
             l1[nz + j] += duration * by_column[nz + j]
             l2[nz + j, nz + j] += 2 * duration * task.control[j]
         if has_phases:
-            for c in range(columns):
-                F[nx, c] = F[nx + 1, c] = 0.0
-            F[nx, nx] = F[nx + 1, nx + 1] = 1.0
+            for i in range(nx, nz):
+                for c in range(columns):
+                    F[i, c] = 0.0
+                F[i, i] = 1.0
             F[nx + 1, nx] = share
             _add_duration(nx, duration, share, squares, by_column, l1, l2)
     return cost + duration * squares
@@ -272,21 +275,53 @@ def jump(
     """Computes the state (q, v⁺, τ, t) after the start of a phase; with derivatives if asked.
 
     Contacts that are struck change the velocity (`strike`): the one that is hit, if any, and all
-    that are held from then on. The duration, a control, becomes τ.
+    that are held from then on. The duration, a control, becomes τ. A start that was chosen before
+    it becomes (q, v) ⊕ s.
     """
+    F, nx, nz = memory.expansion.F[k], memory.flow.points.shape[1], memory.sweep.V1.size
+    _stay(k, z, has_slopes, after, memory)
+    after[z.size - nz + nx] = u[0]
+    if has_slopes:
+        F[nx, nx], F[nx, nz] = 0.0, 1.0
+    if k > 0 and program.kinds[k - 1] == CHOOSE:
+        x, first = memory.flow.points[0], z.size - nx
+        enter(program.mechanics, z, x)
+        for i in range(nx):
+            x[i] += z[first + i]
+            if has_slopes:
+                F[i, i], F[i, nx + 2 + i] = 0.0, 1.0
+        leave(program.mechanics, z, x, has_slopes, F, after, memory.flow.mechanics)
+        for i in range(nx if has_slopes else 0):
+            F[i, i] = 1.0  # It is where all begins, and does not change.
+    if program.closed[k].any():
+        strike_stage(program.mechanics, program, k, z, has_slopes, F, after, memory.flow.mechanics)
+
+
+@borrowing
+def choose(
+    k: int, size: int, z: Floats, u: Floats, has_slopes: bool, after: Floats, memory: Memory
+) -> None:
+    """Computes the state after stage k, whose control is a part of s; with derivatives if asked."""
+    F, nx, nz = memory.expansion.F[k], memory.flow.points.shape[1], memory.sweep.V1.size
+    _stay(k, z, has_slopes, after, memory)
+    for j in range(min(size, nx - k * size)):
+        i = nz - nx + k * size + j
+        after[z.size - nz + i] = u[j]
+        if has_slopes:
+            F[i, i], F[i, nz + j] = 0.0, 1.0
+
+
+@borrowing
+def _stay(k: int, z: Floats, has_slopes: bool, after: Floats, memory: Memory) -> None:
+    """Computes the same state after stage k, with derivatives if asked."""
     F, l1, l2 = memory.expansion.F[k], memory.expansion.l1[k], memory.expansion.l2[k]
-    nx, nz = memory.flow.points.shape[1], memory.sweep.V1.size
     for i in range(z.size):
         after[i] = z[i]
-    after[z.size - 2] = u[0]
     if has_slopes:
         clear(l1, l2)
         clear(l1, F)
-        for i in range(nz):
+        for i in range(F.shape[0]):
             F[i, i] = 1.0
-        F[nx, nx], F[nx, nz] = 0.0, 1.0
-    if program.closed[k].any():
-        strike_stage(program.mechanics, program, k, z, has_slopes, F, after, memory.flow.mechanics)
 
 
 @borrowing

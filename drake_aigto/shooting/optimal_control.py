@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from drake_aigto.arrays import ArrayRecord, Bools, Floats, Ints, read_only
+from drake_aigto.arrays import ArrayRecord, Bools, Floats, Ints, LockedArrays, read_only
 from drake_aigto.contact import AnyMechanism
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
-from drake_aigto.shooting.tables import FLOW, START
+from drake_aigto.shooting.tables import CHOOSE, FLOW, START
 from drake_aigto.world import TaskCost
 
 _FIELDS = {
@@ -98,6 +98,21 @@ class Phases(ArrayRecord):
 
 
 @dataclass(frozen=True, eq=False)
+class FreeStart(LockedArrays, ArrayRecord):
+    """A start x₀ ⊕ s that is free within limits, and to which the motion returns.
+
+        x(T) ⊖ (x₀ ⊕ s) = goal ⊖ x₀    in all coordinates that have a hard goal
+
+    Attributes:
+        limits: the least and the most s, shape (2, 2n).
+        change: s, as a guess, shape (2n,).
+    """
+
+    limits: Floats
+    change: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class StageLayout:
     """The stages of a problem: flights between knots and starts of phases."""
 
@@ -105,18 +120,25 @@ class StageLayout:
     held: Bools  # which contacts are held in each, shape (K, m)
     modes: Ints  # in which mode each contact is held in each, or hit, shape (K, m)
     flights: Ints  # which stages are flights, shape (N,)
+    phases: Ints  # of which phase each is, shape (K,)
     shares: Floats  # their lengths [s]; with phases, as shares of these; shape (K,)
 
     @classmethod
-    def of(cls, times: Floats, phases: Phases | None, num_contacts: int) -> StageLayout:
-        """Returns the stages of knots at these times, shape (N + 1,)."""
+    def of(
+        cls, times: Floats, phases: Phases | None, num_contacts: int, num_choices: int = 0
+    ) -> StageLayout:
+        """Returns the stages of knots at these times, shape (N + 1,).
+
+        With phases, as many as `num_choices` before these choose the start.
+        """
         steps = np.diff(times)
         if phases is None:
             never = np.zeros((len(steps), num_contacts), dtype=np.bool_)
             none = never.astype(np.int64)
-            return cls(np.full(len(steps), FLOW), never, none, np.arange(len(steps)), steps)
-        kinds: list[int] = []
-        shares: list[float] = []
+            every = np.arange(len(steps))
+            return cls(np.full(len(steps), FLOW), never, none, every, 0 * every, steps)
+        kinds: list[int] = [CHOOSE] * num_choices
+        shares: list[float] = [0.0] * num_choices
         ends = [*phases.knots.tolist(), len(steps)]
         contacts = np.where(phases.contacts < 0, START, phases.contacts).tolist()
         for kind, first, last in zip([START, *contacts], [0, *ends[:-1]], ends, strict=True):
@@ -124,17 +146,29 @@ class StageLayout:
             kinds += [kind, *[FLOW] * len(of_phase)]
             shares += [0.0, *(of_phase / of_phase.sum())]
         is_flight = np.equal(kinds, FLOW)
-        phase = np.cumsum(~is_flight) - 1
+        phase = np.maximum(np.cumsum(~is_flight) - 1 - num_choices, 0)
         held = np.zeros((len(kinds), num_contacts), dtype=np.bool_)
         modes = np.zeros(held.shape, dtype=np.int64)
         held[:, : phases.held.shape[1]] = phases.held[phase]
         modes[:, : phases.modes.shape[1]] = phases.modes[phase]
-        return cls(np.array(kinds), held, modes, np.flatnonzero(is_flight), np.array(shares))
+        flights = np.flatnonzero(is_flight)
+        return cls(np.array(kinds), held, modes, flights, phase, np.array(shares))
 
     @property
     def starts(self) -> Ints:
         """Which stages start a phase, shape (P,); none without phases."""
-        return np.flatnonzero(self.kinds != FLOW)
+        return np.flatnonzero((self.kinds != FLOW) & (self.kinds != CHOOSE))
+
+    @property
+    def num_choices(self) -> int:
+        """How many stages choose the start, the first ones."""
+        return int(np.count_nonzero(self.kinds == CHOOSE))
+
+    def spread(self, row: Floats, size: int) -> Floats:
+        """Returns numbers of the start's coordinates, (2n,), as those stages' controls."""
+        spread = np.zeros(self.num_choices * size)
+        spread[: len(row)] = row
+        return spread.reshape(-1, size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +200,7 @@ class OptimalControlProblem:
         duration: of the whole task if the knots are only its end, so that friction stays the same
             [s]; 0: they are all of it.
         added: costs and constraints of users.
+        free_start: with phases, where the start may be, and the hard goal with it; None: `start`.
 
     Raises:
         ProgramError: a shape or a number does not fit; says which.
@@ -187,6 +222,7 @@ class OptimalControlProblem:
     slowest: float = 0.0
     duration: float = 0.0
     added: AddedTerms = NO_TERMS
+    free_start: FreeStart | None = None
 
     def __post_init__(self) -> None:
         """Checks shapes and numbers, and makes arrays read-only."""
@@ -262,7 +298,8 @@ class OptimalControlProblem:
     @cached_property
     def layout(self) -> StageLayout:
         """Its stages."""
-        return StageLayout.of(self.times, self.phases, self.mechanism.num_contacts)
+        count = 0 if self.free_start is None else -(-len(self.scales) // len(self.control_scales))
+        return StageLayout.of(self.times, self.phases, self.mechanism.num_contacts, count)
 
     def fit_mechanism(self, substeps: int, is_implicit: bool = False) -> Any:
         """Returns the mechanism's tables for compiled code and this number of steps of a stage.
@@ -283,6 +320,6 @@ class OptimalControlProblem:
         """Times of knots [s], shape (N + 1,), with the guessed durations of phases."""
         if self.phases is None:
             return self.times
-        of_phase = np.cumsum(self.layout.kinds != FLOW) - 1
-        steps = (self.layout.shares * self.phases.durations[of_phase])[self.layout.flights]
+        of_stages = self.phases.durations[self.layout.phases]
+        steps = (self.layout.shares * of_stages)[self.layout.flights]
         return np.concatenate([[0.0], np.cumsum(steps)])

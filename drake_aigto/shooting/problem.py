@@ -268,7 +268,8 @@ class ShootingProblem(OptimalControlProblem):
         options: ShootingOptions,
         prices: Floats | None = None,
     ) -> ShootingRun:
-        return ShootingRun(self, self.make_program(options), controls, states, options, prices)
+        problem = self if states is None else self.beginning_at(states[0])
+        return ShootingRun(problem, self.make_program(options), controls, states, options, prices)
 
     def lasting(self, duration: float) -> ShootingProblem:
         """Returns the same problem with guessed durations of phases of this sum [s]."""
@@ -277,8 +278,17 @@ class ShootingProblem(OptimalControlProblem):
         return self._with_durations(duration / self.phases.durations.sum() * self.phases.durations)
 
     def starting_from(self, result: ShootingResult) -> ShootingProblem:
-        """Returns the same problem with guessed durations of phases from a result."""
-        return self if self.phases is None else self._with_durations(result.phases.durations)
+        """Returns the same problem with guesses of durations and of the start from a result."""
+        if self.phases is None:
+            return self
+        return self._with_durations(result.phases.durations).beginning_at(result.states[0])
+
+    def beginning_at(self, start: Floats) -> ShootingProblem:
+        """Returns the same problem, where the start is free, with a guess of it, (nq + n,)."""
+        if self.free_start is None or not np.isfinite(start).all():
+            return self
+        change = self.mechanism.subtract(start, self.start)
+        return replace(self, free_start=replace(self.free_start, change=change))
 
     def _with_durations(self, durations: Floats) -> ShootingProblem:
         assert self.phases is not None

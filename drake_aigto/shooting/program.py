@@ -109,7 +109,7 @@ def _make_bounds(problem: OptimalControlProblem, layout: StageLayout, of_users: 
     low, high = _bound_distances(problem, layout)
     low_control, high_control = _bound_controls(problem, layout)
     T, nx, nz, m = np.ptp(problem.times), len(problem.scales), lower.shape[1], low.shape[1]
-    scales = np.concatenate([problem.scales, np.full(nz - nx, T)])
+    scales = np.concatenate([problem.scales, np.full(2, T), problem.scales])[:nz]
     sizes = np.concatenate([problem.scales, problem.control_scales])
     units = problem.added.measure_units(sizes, problem.length)
     weights = np.concatenate([scales**-2, np.full(m, float(problem.length) ** -2), units**-2])
@@ -118,11 +118,14 @@ def _make_bounds(problem: OptimalControlProblem, layout: StageLayout, of_users: 
     n, does_turn = nx // 2, np.zeros(nz, dtype=bool)
     turns = problem.cost.is_modulo | problem.cost.is_chordal
     does_turn[:n] = turns & np.isfinite(problem.hard_goal[:n])
+    nu = len(problem.control_scales)
     floors = np.tile(problem.control_scales**-2.0, (len(layout.kinds), 1))
     floors[layout.starts] = T**-2.0
+    if problem.free_start is not None:  # Where all starts cost the same, it stays as it is.
+        floors[: layout.num_choices] = layout.spread(problem.scales**-2.0, nu) / _FLOOR
     finite = [np.isfinite(a) | np.isfinite(b) for a, b in ((lower, upper), (low, high), of_users)]
     is_bounded = np.stack([each.any(axis=1) for each in finite], axis=1)
-    is_bounded[0, :2] = False
+    is_bounded[: 1 + layout.num_choices, :2] = False
     return Bounds(
         lower=np.hstack([lower, low, of_users[0]]),
         upper=np.hstack([upper, high, of_users[1]]),
@@ -152,7 +155,10 @@ def _bound_states(problem: OptimalControlProblem, num_stages: int) -> Floats:
     times = np.stack([-free, free])
     if len(problem.phases.durations) > 1:
         times[:, -1, 1] = problem.phases.total
-    return np.concatenate([bounds, times], axis=2)
+    if problem.free_start is None:
+        return np.concatenate([bounds, times], axis=2)
+    chosen = np.full((num_stages + 1, len(problem.scales)), np.inf)
+    return np.concatenate([bounds, times, np.stack([-chosen, chosen])], axis=2)
 
 
 def _bound_distances(problem: OptimalControlProblem, layout: StageLayout) -> Floats:
@@ -191,4 +197,7 @@ def _bound_controls(problem: OptimalControlProblem, layout: StageLayout) -> Floa
         least, most = problem.phases.total
         ends = np.array([_SHORTEST * most if len(problem.phases.durations) > 1 else least, most])
         tiled[:, layout.starts] = ends[:, np.newaxis, np.newaxis]
+    if problem.free_start is not None:
+        limits = problem.free_start.limits
+        tiled[:, : layout.num_choices] = [layout.spread(each, tiled.shape[2]) for each in limits]
     return tiled

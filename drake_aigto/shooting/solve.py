@@ -234,22 +234,31 @@ class ShootingRun:
         if problem.phases is not None:
             starts = layout.starts
             chosen[starts, 0] = np.clip(problem.phases.durations, low[starts, 0], high[starts, 0])
+        if problem.free_start is not None:
+            change, count = layout.spread(problem.free_start.change, nu), layout.num_choices
+            chosen[:count] = np.clip(change, low[:count], high[:count])
         return chosen
 
     def _lay_out_states(self, states: Floats | None) -> Floats:
         """Returns z at each stage, shape (K + 1, nz), and at the end."""
         problem, layout = self._problem, self._layout
         K, N, nx = len(layout.kinds), len(problem.times) - 1, len(problem.start)
-        laid = np.zeros((K + 1, nx + (0 if problem.phases is None else 2)))
+        first, free = layout.num_choices, problem.free_start
+        size = nx + (0 if problem.phases is None else 2)
+        laid = np.zeros((K + 1, size + (0 if free is None else len(free.change))))
         if states is not None:
             knots = np.cumsum(layout.kinds == FLOW)
             laid[:, :nx] = _take("states", states, (N + 1, nx))[np.concatenate([[0], knots])]
-        laid[0, :nx] = problem.start
+        laid[: first + 1, :nx] = problem.start
         if problem.phases is not None:
-            laid[0, nx:] = problem.phases.durations[0], 0.0
-            phase = np.cumsum(layout.kinds != FLOW) - 1
-            laid[1:, nx] = problem.phases.durations[phase]
+            laid[0, nx] = problem.phases.durations[0]
+            laid[1:, nx] = problem.phases.durations[layout.phases]
             laid[1:, nx + 1] = np.cumsum(layout.shares * laid[1:, nx])
+        if free is not None:
+            nu, n = self._controls.shape[1], len(free.change)
+            chosen = self._controls[:first].ravel()[:n]
+            for k in range(first):
+                laid[k + 1 :, size + k * nu :][:, :nu] = chosen[k * nu :][:nu]
         return laid
 
     def run(self) -> ShootingResult:

@@ -267,19 +267,6 @@ def shift_tree(
         z[first - n + i] += length * off[i]
 
 
-def read_tree_coordinate(
-    mechanics: TreeMechanics, goal: Floats, z: Floats, i: int, memory: TreeMechanicsMemory
-) -> float:
-    """Returns coordinate i of a state, in the order of (v, v); of turns, of that off the goal."""
-    n, first, tree = mechanics.tree.up.size, mechanics.num_positions, mechanics.tree
-    if i >= n:
-        return z[first - n + i]
-    if mechanics.places[i] >= 0:
-        return z[mechanics.places[i]]
-    subtract_positions(tree, z, goal, memory.reference)
-    return memory.reference[i]
-
-
 @of_tree(accelerate_tree)
 def accelerate_stage(
     mechanics: Mechanics,
@@ -346,11 +333,3 @@ def shift(
     """Moves a state by a part of a tangent vector, in place."""
     for i in range(off.size):
         z[i] += length * off[i]
-
-
-@of_tree(read_tree_coordinate)
-def read_coordinate(
-    mechanics: Mechanics, goal: Floats, z: Floats, i: int, memory: MechanicsMemory
-) -> float:
-    """Returns coordinate i of a state, for its bounds."""
-    return float(z[i])

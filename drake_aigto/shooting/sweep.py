@@ -7,7 +7,7 @@ import numpy as np
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.kernels import borrowing
 from drake_aigto.linear import solve_factored
-from drake_aigto.shooting.tables import FLOW, Expansion, Program, SweepMemory
+from drake_aigto.shooting.tables import CHOOSE, FLOW, Expansion, Program, SweepMemory
 
 
 @borrowing
@@ -20,6 +20,15 @@ def clip_control(size: int, u: Floats, lower: Floats, upper: Floats, norm: float
     if squares > norm * norm:
         for j in range(size):
             u[j] *= norm / np.sqrt(squares)
+
+
+@borrowing
+def find_size(program: Program, k: int) -> tuple[int, float]:
+    """Returns how many controls stage k has, and the limit of their norm."""
+    nu, kind = program.task.control.size, program.kinds[k]
+    if kind == FLOW:
+        return nu, program.bounds.norm
+    return nu if kind == CHOOSE else 1, np.inf
 
 
 @borrowing
@@ -49,14 +58,14 @@ def sweep_back(
     V1, V2, Q1, Q2, H = memory.V1, memory.V2, memory.Q1, memory.Q2, memory.H
     bounds = program.bounds
     lower, upper, floors = bounds.lower_control, bounds.upper_control, bounds.floors
-    K, nz, nu = controls.shape[0], V1.size, program.task.control.size
+    K, nz = controls.shape[0], V1.size
     for i in range(nz):
         V1[i] = expansion.l1[K, i]
         for j in range(nz):
             V2[i, j] = expansion.l2[K, min(i, j), max(i, j)]
     drop = 0.0
     for k in range(K - 1, -1, -1):
-        size, norm = (nu, bounds.norm) if program.kinds[k] == FLOW else (1, np.inf)
+        size, norm = find_size(program, k)
         _expand_value(k, nz, nz + size, has_gaps, expansion, memory)
         for i in range(nz):
             Q2[i, i] += holding * bounds.weights[i]

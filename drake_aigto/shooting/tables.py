@@ -11,7 +11,7 @@ from drake_aigto.contact import TreeMechanics, make_mechanics_memory
 from drake_aigto.dynamics import FrameTable
 
 # Kinds of stages; others are impacts, given by their contact.
-FLOW, START = -1, -2
+FLOW, START, CHOOSE = -1, -2, -3
 
 # Kinds of errors of coordinates.
 EXACT, MODULO, CHORDAL = 0, 1, 2
@@ -65,13 +65,16 @@ class Added(NamedTuple):
 
 
 class Program(NamedTuple):
-    """A shooting problem of K stages, whose state z is (q, v), or (q, v, τ, t) of phases."""
+    """A shooting problem of K stages, whose state z is (q, v), or (q, v, τ, t) of phases.
+
+    Where the start is free, it is (q, v, τ, t, s), with s by how much the start is moved.
+    """
 
     mechanics: Any  # Mechanics or TreeMechanics, for each of which the kernels are compiled
     task: CostTable
     bounds: Bounds
     added: Added
-    kinds: Ints  # FLOW, START or a contact, of each stage, shape (K,)
+    kinds: Ints  # FLOW, START, CHOOSE or a contact, of each stage, shape (K,)
     held: Bools  # which contacts are held in each stage, from its start, shape (K, m)
     modes: Ints  # in which mode they are, or are hit, shape (K, m); see `Phases`
     closed: Bools  # rows of contacts that vanish in flights, or are struck, (K, m + R); see `hold`

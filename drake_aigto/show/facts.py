@@ -38,7 +38,7 @@ from drake_aigto.show.text import (
     touch_names,
     way_text,
 )
-from drake_aigto.simulation import Replay, find_touch_error
+from drake_aigto.simulation import HARD_GOAL, Replay, find_touch_error
 from drake_aigto.transcription import UNITS
 from drake_aigto.world import Scenario, SpaceWorld, TaskCost, World
 
@@ -177,6 +177,9 @@ def answer_facts(plan: Plan, world: World) -> Iterator[Fact]:
         elif abs(T - most) <= _AT_END * most:
             text = f"{T:.4g} s, its upper bound: a longer plan may cost less"
         yield "duration", text
+    if scenario.periodic is not None:
+        missed = max(replay.violations.get(HARD_GOAL, 0.0) for replay in plan.replay)
+        yield "repeats", f"to {missed:.0e} {_OF_SCALES}, from a start chosen by the plan"
     limits = (name for name in best.replay.violations if name not in plan.additions)
     yield from list_fact("limits", _misses(plan, limits))
     yield from list_fact("added", _additions(plan))

@@ -245,7 +245,7 @@ class Live:
         for i, (name, unit) in enumerate(zip(coordinate_names(world), world.units, strict=True)):
             yield _Slider(f"start {name} [{unit}]", "initial_position", i, low[i], high[i])
             yield _Slider(f"speed {name} [{unit}/s]", "initial_velocity", i, slow[i], fast[i])
-            if asked[i]:
+            if asked[i] and scenario.periodic is None:
                 yield _Slider(f"goal {name} [{unit}]", "goal_position", i, low[i], high[i])
         names = touch_names(world)
         for i, contact in enumerate(self._walls):

@@ -31,7 +31,7 @@ _SMALLEST, _LARGEST, _PARTS_OF_PI = 1e-2, 1e6, 12
 _SAME_ANGLE = 1e-6  # as scenarios have π [rad]
 # What a task asks for, shown beside its start and goal; weights are shown elsewhere.
 _SHOWN = (
-    *("hard_goal", "angles", "duration_range", "reference_times", "contact"),
+    *("hard_goal", "periodic", "angles", "duration_range", "reference_times", "contact"),
     *("position_lower", "position_upper", "velocity_lower", "velocity_upper"),
     *("control_lower", "control_upper", "control_norm"),
 )
@@ -85,6 +85,9 @@ def task_items(scenario: Scenario, world: World | None = None) -> list[str]:
         value, words = getattr(scenario, name), name.replace("_", " ")
         if name == "reference_times":
             words = f"a reference at {len(value)} times"
+        elif name == "periodic":
+            far = (f"{key} by {join_words(list(map(str, by)))}" for key, by in value.items())
+            words = f"periodic, advancing {join_words(list(far))}" if value else "periodic"
         elif isinstance(value, str):
             words = f"{value} {words}"
         elif value is not True:

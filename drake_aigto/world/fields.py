@@ -16,6 +16,8 @@ from drake_aigto.errors import ScenarioError
 _Held = TypeVar("_Held")
 _NEEDED = object()  # The default of a field that has none.
 
+# Whole numbers of steps are recognized up to this relative error: 1.0 / 0.005 is not 200 exactly.
+_STEP_TOLERANCE = 1e-9
 # Of the largest eigenvalue: what rounding makes of zero.
 _ROUNDING = 1e-12
 
@@ -212,6 +214,32 @@ class ArrayField(Generic[_Held]):
         """Checks and stores; a frozen dataclass calls this once, from ``__init__``."""
         is_default = value is self._default
         instance.__dict__[self._name] = value if is_default else self._check(self._name, value)
+
+
+def check_steps(duration: float, time_step: float) -> None:
+    """Refuses a duration that is no whole number of time steps.
+
+    Raises:
+        ScenarioError: it is not; says which ones fit.
+    """
+    steps = duration / time_step
+    if not math.isfinite(steps):
+        raise ScenarioError(
+            "time_step",
+            got=f"{time_step:g} s for a duration of {duration:g} s",
+            expected="a number of steps that can be counted",
+        )
+    if round(steps) >= 1 and abs(steps - round(steps)) <= _STEP_TOLERANCE * steps:
+        return
+    fewer, more = max(1, math.floor(steps)), math.ceil(steps)
+    durations = " or ".join(f"{n * time_step:.12g} s" for n in sorted({fewer, more}))
+    time_steps = " or ".join(f"{duration / n:.12g} s" for n in sorted({fewer, more}))
+    raise ScenarioError(
+        "duration",
+        got=f"{duration:.12g} s, which is {steps:.6g} steps of {time_step:.12g} s",
+        expected="a whole number of time steps",
+        remedy=f"The nearest that fit: duration {durations}, or time_step {time_steps}.",
+    )
 
 
 def check_counts(name: str, weighed_by: Mapping[str, Any], what: str) -> None:

@@ -157,7 +157,8 @@ def place_scenario(plant: MultibodyPlant, scenario: Scenario) -> Scenario:
     """Returns a scenario with all positions and weights as arrays, quaternions of unit length.
 
     Goals of joints that are not named are where these start; or of those that nothing weighs, where
-    frames are at their goals. Goals `by` a shift are so far from the start.
+    frames are at their goals. Goals `by` a shift are so far from the start. Of a motion that
+    repeats the goal is hard, as far from the start as it advances, with the velocity there.
 
     Raises:
         ScenarioError: a name is no joint or floating body of the model, or has another size.
@@ -170,6 +171,11 @@ def place_scenario(plant: MultibodyPlant, scenario: Scenario) -> Scenario:
         if isinstance(value := getattr(scenario, name), Named):
             changed[name] = _weigh(plant, name, value)
     goal = start
+    if scenario.periodic is not None:
+        goal = start + np.nan_to_num(find_advance(plant, scenario))
+        changed |= {"hard_goal": True} if not scenario.hard_goal else {}
+        if scenario.goal_velocity is None:
+            changed["goal_velocity"] = scenario.initial_velocity
     if scenario.frame_goals and isinstance(scenario.goal_position, Mapping):
         weights = np.asarray(changed.get("goal_weight", scenario.goal_weight))
         is_free = ~np.any(np.atleast_2d(weights), axis=0) * np.ones(plant.num_velocities())
@@ -182,6 +188,23 @@ def place_scenario(plant: MultibodyPlant, scenario: Scenario) -> Scenario:
         if found is not value:
             changed[name] = found
     return dataclasses.replace(scenario, **changed) if changed else scenario
+
+
+def find_advance(plant: MultibodyPlant, scenario: Scenario) -> Floats:
+    """Returns by how much a motion that repeats advances, (nq,); NaN where its start is free.
+
+    Raises:
+        ScenarioError: a name is no joint or floating body of the model, or has another size.
+    """
+    found = np.full(plant.num_positions(), np.nan)
+    for key, advance in (scenario.periodic or {}).items():
+        joint = _find(plant, "periodic", key)
+        first, size = joint.position_start(), joint.num_positions()
+        if size != joint.num_velocities():  # A body that floats; its attitude repeats.
+            first, size = first + 4, size - 4
+        numbers = np.array([np.nan if each is None else each for each in advance])
+        _fill(f"periodic[{key}]", found, first, size, numbers)
+    return found
 
 
 _WEIGHTS = ("goal_weight", "goal_velocity_weight", "position_weight", "velocity_weight")

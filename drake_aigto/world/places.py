@@ -83,6 +83,16 @@ def _as_place(name: str, value: Any) -> tuple[float, ...] | Pose | Shift:
     return Pose(tuple(place.tolist()), tuple(turn.tolist()))
 
 
+def as_advance(name: str, value: Any) -> tuple[float | None, ...]:
+    """Returns by how much a joint or a body advances per period; None where its start is free.
+
+    Raises:
+        ScenarioError: neither numbers nor null.
+    """
+    items = value if isinstance(value, list | tuple | np.ndarray) else [value]
+    return tuple(None if item is None else as_number(name, item) for item in items)
+
+
 def as_frame_goal(name: str, value: Any) -> FrameGoal:
     """Returns the goal of a frame, from its pose and a mapping of weights.
 
@@ -103,6 +113,35 @@ def as_frame_goal(name: str, value: Any) -> FrameGoal:
         expected = "one number for the turn, and one weight above 0"
         raise ScenarioError(f"{name}.weight", got=repr(value["weight"]), expected=expected)
     return FrameGoal(pose, weight)
+
+
+def check_repeats(goal: Any, speed_weight: Any, weight: Any) -> None:
+    """Refuses goals of a motion that repeats beside the start, to which it returns.
+
+    Args:
+        goal: of the position, as it is given.
+        speed_weight: of the final velocity.
+        weight: of positions that have no reference but the goal.
+
+    Raises:
+        ScenarioError: there is one.
+    """
+    if isinstance(goal, Named) and goal:
+        raise ScenarioError(
+            "goal_position",
+            got=f"{write_plain(goal)}, and periodic",
+            expected="none, as the motion ends where it starts, or advances from there",
+            remedy="Of what advances periodic says how far: {x: 0.4}.",
+        )
+    if np.any(speed_weight):
+        got = f"{write_plain(speed_weight)}, and periodic"
+        raise ScenarioError("goal_velocity_weight", got, "none, as v(T) = v(0)")
+    if np.any(weight):
+        raise ScenarioError(
+            "position_weight",
+            got="periodic, and no reference",
+            expected="reference_positions, as the goal moves with the start",
+        )
 
 
 def by_name(check: Callable[[str, Any], _Checked]) -> Callable[[str, Any], _Checked]:
@@ -165,11 +204,8 @@ EXTRAS = (
     *("reference_times", "reference_positions", "reference_velocities"),
     *("position_lower", "position_upper", "velocity_lower", "velocity_upper"),
     *("control_lower", "control_upper", "control_norm", "contact", "dry_friction"),
-    *("stiction_speed", "clearance", "frame_goals"),
+    *("stiction_speed", "clearance", "frame_goals", "periodic"),
 )
-
-# Whole numbers of steps are recognized up to this relative error: 1.0 / 0.005 is not 200 exactly.
-STEP_TOLERANCE = 1e-9
 
 Weight = ArrayField[Any]  # A float of one number, an array of several.
 Bound = ArrayField[float | Floats | None]
@@ -178,6 +214,7 @@ as_running = by_name(partial(as_weight, at_least=0.0))
 as_final = by_name(as_weight_matrix)
 as_positions = cast(Callable[[str, object], Floats], as_places)  # Names are replaced by numbers.
 as_clearance = as_mapping(partial(as_number, above=0.0, unit="m"), "{ball against left_wall: 0.05}")
+as_period = as_mapping(as_advance, "{x: 0.4}, or {} if all repeats")
 as_frames = as_mapping(as_frame_goal, "{hand: {xyz: [0.5, 0, 0.3], weight: {xyz: 100}}}")
 as_price = partial(as_weight, above=0.0)  # At zero no optimum is unique.
 

@@ -30,7 +30,7 @@ from drake_aigto.world.diagram import (
     hide_half_space_warning,
     scale_masses,
 )
-from drake_aigto.world.frames import place_scenario
+from drake_aigto.world.frames import find_advance, place_scenario
 from drake_aigto.world.limits import Limits, check_sizes
 from drake_aigto.world.material import scale_stiffness
 from drake_aigto.world.model_facts import FixableError, find_errors, gather
@@ -199,6 +199,13 @@ class PlantWorld(EquationsOfMotion):
             ScenarioError: a name is none of this world, or has another size.
         """
         return place_scenario(self.plant, scenario)
+
+    def find_advance(self, scenario: Scenario) -> Floats:
+        """Returns by how much a motion that repeats advances, (nv,); NaN where its start is free.
+
+        Turns in space repeat, and their start is free.
+        """
+        return self.in_tangent(find_advance(self.plant, scenario), np.array([np.nan]))
 
     def bounds(self, scenario: Scenario) -> Limits:
         """Returns within which bounds a motion has to stay: the model's and the scenario's.

@@ -26,6 +26,7 @@ from drake_aigto.world.fields import (
     check_bounds,
     check_counts,
     check_reference,
+    check_steps,
 )
 from drake_aigto.world.files import read_scenario, scenario_files, suggest
 from drake_aigto.world.model_fields import ModelFields, Named, as_globs
@@ -35,7 +36,6 @@ from drake_aigto.world.places import (
     EXTRAS,
     OPTIONAL,
     REQUIRED,
-    STEP_TOLERANCE,
     WEIGHTS,
     Angles,
     Bound,
@@ -46,9 +46,11 @@ from drake_aigto.world.places import (
     as_clearance,
     as_final,
     as_frames,
+    as_period,
     as_positions,
     as_price,
     as_running,
+    check_repeats,
     write_plain,
 )
 
@@ -86,10 +88,14 @@ class Scenario(ModelFields):
             others are at the model's default: numbers of a joint, or a pose (`place_scenario`).
         initial_velocity: v(0), shape (nv,).
         goal_position: where q(T) should be, the same, or {by: numbers} for so far from the start;
-            what is not named, where it starts.
+            what is not named, where it starts. Of a motion that is `periodic` it is known.
         goal_velocity: what v(T) should be, shape (nv,); None: zero where it is weighed, and free
             where the goal is hard.
         hard_goal: q(T) has to be the goal, and v(T) the `goal_velocity` that is given.
+        periodic: given, the motion repeats: v(T) = v(0), and q(T) = q(0) but for how far joints
+            advance, {x: 0.4}, or bodies that float, {body: [0.4, 0, null]} along the world's axes
+            [m, rad]; {} for none. q(0) and v(0) are free, and the given ones a guess, but for
+            positions that are named, by 0 as well; null names none. Not for rigid walls.
         angles: what the error of a hinge is, in each term: "exact", q − goal; "modulo", the nearest
             to zero of q − goal + 2πk, k any whole number; "chordal", 2 sin((q − goal)/2), whose
             square is 2 − 2 cos(q − goal).
@@ -145,9 +151,10 @@ class Scenario(ModelFields):
     model: str = DEFAULT_MODEL
     initial_position: ArrayField[Floats] = ArrayField(as_positions)
     initial_velocity: ArrayField[Floats] = ArrayField(as_vector)
-    goal_position: ArrayField[Floats] = ArrayField(as_positions)
+    goal_position: ArrayField[Floats] = ArrayField(as_positions, None)
     goal_velocity: Vector = ArrayField(as_vector, None)
     hard_goal: bool = False
+    periodic: ArrayField[Named[tuple[float | None, ...]] | None] = ArrayField(as_period, None)
     angles: Angles = "exact"
     duration: float = 1.0  # [s]
     time_step: float = 0.005  # [s]
@@ -191,6 +198,10 @@ class Scenario(ModelFields):
                 "model", got=repr(self.model), expected="a package:// URI or a path to a file"
             )
         checked: dict[str, Any] = {"model": str(self.model)}
+        if self.__dict__["goal_position"] is None:
+            if self.periodic is None:
+                raise ScenarioError("missing goal_position", remedy="It has no default.")
+            checked["goal_position"] = Named()
         for name, bounds in BOUNDS.items():
             value = getattr(self, name)
             if name not in OPTIONAL or value is not None:
@@ -202,7 +213,7 @@ class Scenario(ModelFields):
         if not isinstance(self.hard_goal, bool | np.bool_):
             raise ScenarioError("hard_goal", got=repr(self.hard_goal), expected="true or false")
         self.__dict__.update(checked, hard_goal=bool(self.hard_goal))
-        self._check_steps()
+        check_steps(self.duration, self.time_step)
         if not self.is_plain:
             self._check_task()
 
@@ -219,6 +230,9 @@ class Scenario(ModelFields):
                 remedy="The search starts from it.",
             )
         self._check_targets()
+        if self.periodic is not None:
+            weight = self.position_weight if self.reference_positions is None else 0.0
+            check_repeats(self.goal_position, self.goal_velocity_weight, weight)
         if self.contact == "compliant" and self.restitution != 1.0:
             raise ScenarioError(
                 "restitution",
@@ -226,6 +240,15 @@ class Scenario(ModelFields):
                 expected="none, as compliant walls lose what the model's dissipation takes",
                 remedy="Leave it out, or ask for contact: rigid.",
             )
+
+    def starting_at(self, state: Floats) -> Scenario:
+        """Returns the same of a motion that repeats from q and v, (nq + nv,); else this one."""
+        if self.periodic is None or np.array_equal(state, self.initial_state):
+            return self
+        q, v = np.split(state, [len(self.initial_position)])
+        goal = q + self.goal_position - self.initial_position
+        moved = dataclasses.replace(self, initial_position=q, initial_velocity=v)
+        return dataclasses.replace(moved, goal_position=goal, goal_velocity=v)
 
     def _check_targets(self) -> None:
         """Refuses a reference, or a velocity of the goal, that is not whole or not weighed."""
@@ -237,33 +260,12 @@ class Scenario(ModelFields):
         check_reference(self.reference_times, {name: getattr(self, name) for name, _ in given})
         for name, weight in given:
             check_counts(name, {weight: getattr(self, weight)}, "a weight")
-        if self.goal_velocity is None:
+        if self.goal_velocity is None or self.periodic is not None:
             return
         names = ["goal_velocity_weight", "hard_goal"]
         if self.reference_velocities is None:  # The way is weighed about the goal's.
             names.append("velocity_weight")
         check_counts("goal_velocity", {name: getattr(self, name) for name in names}, "one of these")
-
-    def _check_steps(self) -> None:
-        """Refuses a duration that is no whole number of time steps."""
-        steps = self.duration / self.time_step
-        if not math.isfinite(steps):
-            raise ScenarioError(
-                "time_step",
-                got=f"{self.time_step:g} s for a duration of {self.duration:g} s",
-                expected="a number of steps that can be counted",
-            )
-        if round(steps) >= 1 and abs(steps - round(steps)) <= STEP_TOLERANCE * steps:
-            return
-        fewer, more = max(1, math.floor(steps)), math.ceil(steps)
-        durations = " or ".join(f"{n * self.time_step:.12g} s" for n in sorted({fewer, more}))
-        time_steps = " or ".join(f"{self.duration / n:.12g} s" for n in sorted({fewer, more}))
-        raise ScenarioError(
-            "duration",
-            got=f"{self.duration:.12g} s, which is {steps:.6g} steps of {self.time_step:.12g} s",
-            expected="a whole number of time steps",
-            remedy=f"The nearest that fit: duration {durations}, or time_step {time_steps}.",
-        )
 
     @property
     def num_steps(self) -> int:
@@ -348,7 +350,8 @@ class Scenario(ModelFields):
                     expected=f"one of {', '.join(known)}",
                     hint=suggest(str(key), known),
                 )
-        missing = [name for name in REQUIRED if name not in data]
+        found = {*data, *(["goal_position"] if data.get("periodic") is not None else [])}
+        missing = [name for name in REQUIRED if name not in found]
         if missing:
             raise ScenarioError(
                 f"missing {', '.join(missing)}",

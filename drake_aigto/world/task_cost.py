@@ -86,6 +86,7 @@ class TaskCost(LockedArrays, ArrayRecord):
         times = np.zeros(1) if scenario.reference_times is None else scenario.reference_times
         goal, speed = scenario.goal_position, scenario.goal_velocity
         speed = np.zeros(n) if speed is None else speed
+        about = np.zeros(n) if scenario.periodic is not None else speed
         places, speeds = scenario.reference_positions, scenario.reference_velocities
         final = np.zeros((n, n))
         if not scenario.hard_goal:
@@ -107,7 +108,7 @@ class TaskCost(LockedArrays, ArrayRecord):
             is_chordal=is_hinge & (scenario.angles == "chordal"),
             times=times,
             positions=np.tile(goal, (len(times), 1)) if places is None else places,
-            velocities=np.tile(speed, (len(times), 1)) if speeds is None else speeds,
+            velocities=np.tile(about, (len(times), 1)) if speeds is None else speeds,
             subtract=world.subtract if world.num_positions != n else np.subtract,
             measure=world.measure if world.num_positions != n else np.subtract,
             frames=world.find_frames(scenario.frame_goals),

@@ -249,7 +249,7 @@ def steady(
     steps, x, order = motion.substeps, motion.states, motion.order
     about, _ = problem.resolve(motion.controls, steps, x, order)
     controller = _Correcting(world, motion, about.gains, problem.control_bounds)
-    found = None
+    scenario, found = scenario.starting_at(motion.states[0]), None
     if scenario.contact == "compliant":
         found = replay_with(EVENT_DRIVEN, world, scenario, controller)
     else:

@@ -121,6 +121,7 @@ class Guess:
         states: q and v at the times, shape (N + 1, 2n); None: those that the controls lead to.
         width: of contact where closing begins, in the unit of distances.
         touches: of rigid walls, if they are known.
+        start: q and v where controls begin, if the start is free, shape (2n,); None: as given.
     """
 
     times: Floats
@@ -128,6 +129,7 @@ class Guess:
     states: Floats | None = None
     width: float = 1.0
     touches: TouchSequence | None = None
+    start: Floats | None = None
 
     def sample(self, times: Floats) -> tuple[Floats, Floats | None]:
         """Returns controls to hold between times (K + 1,), and states at them."""
@@ -262,8 +264,8 @@ class Guesses:
             k = int(rng.uniform(0.0, 1.0 - _LAST_PUSH) * len(motion.controls))
             guess = self._push(motion.times[k:], self._world.split(motion.states[k]), rng)
             controls = np.vstack([motion.controls[:k], guess.controls])
-            return replace(guess, times=motion.times, controls=controls)
-        guess = self._perturb(motion, rng)
+            return replace(guess, times=motion.times, controls=controls, start=motion.states[0])
+        guess = replace(self._perturb(motion, rng), start=motion.states[0])
         return replace(guess, states=None, width=10 ** rng.uniform(*_NARROW))
 
     def _perturb(self, motion: ShootingResult, rng: np.random.Generator) -> Guess:
@@ -278,7 +280,8 @@ class Guesses:
             return self.extend(motion, rng.uniform(-0.5, 0.5) * self._measures.period, width)
         controls, states = as_is.sample(times)
         if kind == 1:
-            return Guess(times, controls + size * self._draw_controls(rng, times, begin, end))
+            controls = controls + size * self._draw_controls(rng, times, begin, end)
+            return Guess(times, controls, start=motion.states[0])
         assert states is not None
         s = np.clip((times - begin) / (end - begin), 0.0, 1.0)[:, np.newaxis]
         wave = np.sin(np.pi * s) * size * self._measures.position * rng.uniform(-1.0, 1.0, n)

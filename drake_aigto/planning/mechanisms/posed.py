@@ -35,6 +35,7 @@ from drake_aigto.planning.tracked import (
 from drake_aigto.shooting import (
     NO_TERMS,
     AddedTerms,
+    FreeStart,
     Phases,
     ShootingProblem,
     ShootingResult,
@@ -138,7 +139,8 @@ class PosedMechanism:
         self.search_steps = min(scenario.num_steps, options.search_steps)
         self._compiled = compiled or Compiled.of(world, scenario, self.law, additions)
         self.additions = self._compiled.additions
-        if isinstance(self.law, RigidLaw) or scenario.duration_range is not None:
+        is_free = scenario.duration_range is not None or scenario.periodic is not None
+        if isinstance(self.law, RigidLaw) or is_free:
             self._compiled.added.check_untimed()
         self.shooting = cache(self._pose)
 
@@ -151,6 +153,9 @@ class PosedMechanism:
         """Returns the task in this number of time steps."""
         T, free, bounds = self.scenario.duration, self.scenario.duration_range, self.bounds
         times, measures = np.linspace(0.0, T, num_steps + 1), self.measures
+        start = None
+        if self.scenario.periodic is not None:
+            free, start = free or (T, T), self._free_start
         return dataclasses.replace(
             ShootingProblem.of(
                 self.world, self.scenario, self.mechanism, times, self._compiled.added
@@ -160,7 +165,19 @@ class PosedMechanism:
             state_bounds=limit_states(self.world, bounds),
             least_distances=self.least_distances,
             phases=None if free is None else Phases.free(T, free),
+            free_start=start,
         )
+
+    @property
+    def _free_start(self) -> FreeStart:
+        """How far a motion that repeats may begin from the given start."""
+        world, x = self.world, self.scenario.initial_state
+        limits = limit_states(world, self.bounds)
+        n = world.num_velocities
+        q = world.in_tangent(x[: world.num_positions], np.zeros(1))
+        limits = limits - np.concatenate([q, x[world.num_positions :]])
+        limits[:, :n][:, np.isfinite(world.find_advance(self.scenario))] = 0.0
+        return FreeStart(limits, np.zeros(2 * n))
 
     def judge(self, origin: Origin, start: ShootingResult, found: ShootingResult) -> Candidate:
         """Returns the candidate of a motion: the simulation of its controls.
@@ -170,6 +187,7 @@ class PosedMechanism:
             start: the first motion.
             found: the result of shooting from it, in the scenario's time steps.
         """
+        scenario, (q, _) = self.ask(found), self.world.split(found.states[-1])
         simulated = self._simulate(found)
         replay, trajectory = simulated.replay, simulated.trajectory
         (cost, error), added = self._calc_cost(found), dict[str, float]()
@@ -185,7 +203,7 @@ class PosedMechanism:
             start_defects={BOUNDS: start.violation},
             trajectory=trajectory,
             cost=cost,
-            goal_error=float(self.task.goal_error(found.states[-1, : self.world.num_positions])),
+            goal_error=float(TaskCost.of(self.world, scenario).goal_error(q)),
             defects=simulated.defects,
             max_penetration=max_penetration(self.world, trajectory),
             contacts=find_contacts(self.world, trajectory),
@@ -207,9 +225,13 @@ class PosedMechanism:
         """Returns the problem that a motion is a result of."""
         return self.shooting(len(found.controls)).starting_from(found)
 
+    def ask(self, found: ShootingResult) -> Scenario:
+        """Returns the scenario, from where a motion begins."""
+        return self.scenario.starting_at(found.states[0])
+
     def _simulate(self, found: ShootingResult) -> Simulated:
         """Returns the simulation of a motion: its control alone, or with its feedback."""
-        world, scenario, mechanism = self.world, self.scenario, self._compiled.mechanism
+        world, scenario, mechanism = self.world, self.ask(found), self._compiled.mechanism
         motion, feedback = self.make_trajectory(found), None
         if found is not self.idle_motion:
             feedback = make_feedback(world, scenario, motion, mechanism=mechanism)
@@ -237,7 +259,7 @@ class PosedMechanism:
     def _simulate_alone(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
         """Returns the simulation of controls, its trajectory, and defects of the equations."""
         replay = found.replay or replay_event_driven(
-            self.world, self.scenario, found.times, found.controls
+            self.world, self.ask(found), found.times, found.controls
         )
         return replay, *self._trace(replay, found.times, found.controls)
 
@@ -283,8 +305,9 @@ class PosedMechanism:
         if not self.options.confirm:
             return candidate.own_replays
         motion, gains = candidate.trajectory, candidate.gains
-        feedback = Feedback(self.world, self.scenario, motion, gains) if gains else None
-        drake, *alone = confirm_in_drake(self.world, self.scenario, motion, feedback)
+        scenario = self.scenario.starting_at(motion.states[0])
+        feedback = Feedback(self.world, scenario, motion, gains) if gains else None
+        drake, *alone = confirm_in_drake(self.world, scenario, motion, feedback)
         own = candidate.own_replays
         return dataclasses.replace(
             own, drake=add_to_replay(drake, self.additions, motion), alone=(*own.alone, *alone)

@@ -189,7 +189,7 @@ class MechanismSearch(Search):
             self.tell(f"shooting in {self._aim.substeps} steps of order {self._aim.order}")
             wave = []
             for origin, motion in ((each.origin, each.result) for each in self.motions):
-                guess = Guess(motion.times, motion.controls, width=0.0)
+                guess = Guess(motion.times, motion.controls, width=0.0, start=motion.states[0])
                 wave.append(Proposal(origin, partial(self.task.close, guess, self._aim)))
             closed = zip(self.motions, self._close_at_once(wave), strict=True)
             again = [replace(old, result=new, rank=self.task.rank(new)) for old, new in closed]

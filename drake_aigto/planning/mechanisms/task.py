@@ -222,6 +222,8 @@ class MechanismTask(PosedMechanism):
         self, guess: Guess, options: ShootingOptions, is_patient: bool = True
     ) -> ShootingResult:
         problem = self.shooting(self.search_steps).lasting(float(guess.times[-1]))
+        if guess.start is not None:
+            problem = problem.beginning_at(guess.start)
         controls, states = guess.sample(problem.knot_times)
         found = problem.solve(controls, states, options)
         if states is None or not is_patient or self.is_of_use(found):
@@ -299,6 +301,7 @@ class MechanismTask(PosedMechanism):
             cooled = problem.starting_from(motion).solve(motion.controls, None, cooling)
             motion = min(motion, cooled, key=self.rank)
         if isinstance(self.world, SpaceWorld) and has_friction:
+            problem = problem.starting_from(motion)
             return settle(self.world, self.scenario, problem, motion, most)
         motion = halve_steps(problem, motion, most)
         is_done = motion.is_left or motion.violation > HOPELESS
