@@ -201,6 +201,22 @@ def test_a_controller_that_plans_again_refuses_motions_that_repeat() -> None:
         ModelPredictiveController(planner, period=0.01)
 
 
+def test_a_start_may_press_feet_and_is_at_bounds_to_rounding() -> None:
+    given = Scenario.named("quadruped/leap_up").to_plain() | {"periodic": {"body": [0.2, 0, None]}}
+    del given["goal_position"], given["goal_velocity_weight"]
+    given["initial_position"]["body"]["xyz"][2] -= 5e-3  # A gait steps down on them so.
+    world = SpaceWorld.from_scenario(Scenario.from_plain(given))
+    scenario = world.place(Scenario.from_plain(given))
+    advance = world.find_advance(scenario)
+    assert np.flatnonzero(np.isfinite(advance)).tolist() == [3, 4]
+    with pytest.raises(ScenarioError, match="overlap"):
+        world.check(dataclasses.replace(scenario, periodic=None))
+    bounded = ask(velocity_upper=WAY, velocity_lower=-1.0)
+    cart().bounds(cart().place(bounded).starting_at(np.array([0.1, WAY * (1 + 1e-15)])))
+    with pytest.raises(ScenarioError, match="initial_velocity"):
+        cart().bounds(cart().place(bounded).starting_at(np.array([0.1, WAY * (1 + 1e-5)])))
+
+
 def test_a_motion_from_another_guess_returns_to_its_own_start() -> None:
     planner = Planner(ask(), QUICK, cart())
     plan = planner.plan(initial_position=[0.3])

@@ -125,8 +125,8 @@ class Catch:
         self._answers = dict[bytes, Future[Caught | None]]()
         self.soon = max(period, SOON)
         self._waits = self.soon, _PART * scenario.duration, 0.0
-        asked = dataclasses.replace(scenario, duration_range=None, periodic=None)
-        if needs_shooting(world, asked):
+        asked = dataclasses.replace(scenario, duration_range=None)
+        if scenario.periodic is None and needs_shooting(world, asked):  # A gait goes on.
             planner = Planner(asked, _SEARCHED, world)
             self.task = make_horizon(planner, False, _ITERATIONS, period).hold()
         self._thread = open_thread(self)

@@ -20,6 +20,8 @@ from drake_aigto.world.scenario import Scenario
 
 _TURN = 2.0 * np.pi
 _TOUCHING = 1e-3  # Of a bound: a motion that is nearer is held back by it.
+# Of a bound: what rounding leaves of a start at it.
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,9 +135,12 @@ class Limits:
         }
         if scenario.goal_velocity is not None:
             asked["goal_velocity"] = scenario.goal_velocity, self.velocity
+        # Starts that plans choose at bounds are there to rounding.
+        slack = 0.0 if scenario.periodic is None else _ROUNDING
         for name, (value, bounds) in asked.items():
             for i, (number, lower, upper) in enumerate(zip(value, *bounds, strict=True)):
-                if not lower <= number <= upper:
+                off = slack * max(1.0, abs(number))
+                if not lower - off <= number <= upper + off:
                     raise ScenarioError(
                         f"{name}[{i}]",
                         got=f"{number:g}",

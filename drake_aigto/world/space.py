@@ -152,6 +152,8 @@ class SpaceWorld(SpaceCoordinates, World):
                 remedy="Ask for contact: compliant (--contact compliant).",
             )
         _ = self.springs
+        if scenario.periodic is not None:  # Where a plan of a gait begins, feet may be pressed.
+            return
         distances = self.calc_signed_distance(scenario.initial_position)
         sizes = self.geometry.shapes.bounds[self.geometry.pairs]
         smaller = np.min(np.where(sizes > 0, sizes, np.inf), axis=1)
