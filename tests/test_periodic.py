@@ -19,7 +19,7 @@ from drake_aigto.control import ModelPredictiveController
 from drake_aigto.dynamics import Tree
 from drake_aigto.errors import ControlError, ScenarioError
 from drake_aigto.kernels import borrow, kernel
-from drake_aigto.planning import PlanOptions
+from drake_aigto.planning import Feedback, PlanOptions
 from drake_aigto.shooting import (
     EXPAND,
     PENALIZE,
@@ -30,6 +30,7 @@ from drake_aigto.shooting import (
     make_memory,
     visit_bounds,
 )
+from drake_aigto.show import format_plan
 from drake_aigto.simulation import EVENT_DRIVEN
 from drake_aigto.world import SpaceWorld, World
 
@@ -240,3 +241,48 @@ def test_plans_keep_their_start_in_files_and_for_controllers(tmp_path: Path) -> 
         recording = EVENT_DRIVEN.simulate(cart(), again.scenario, controller.feedback, begin)
         state = np.concatenate([recording.positions[-1] - WAY, recording.velocities[-1]])
     np.testing.assert_allclose(state, start, atol=1e-4)
+
+
+def test_a_free_duration_is_chosen_with_the_start() -> None:
+    # At one speed w, ∫ (u² price + W (v − PACE)²) dt = (price d² w² + W (w − PACE)²) WAY / w, which
+    # is least where price d² w² + W w² = W PACE².
+    pace, weight = 0.5, 0.2
+    scenario = ask(
+        duration_range=(0.4, 2.0),
+        velocity_weight=weight,
+        reference_times=[0.0, 1.0],
+        reference_velocities=[[pace], [pace]],
+    )
+    plan = Planner(scenario, QUICK, cart()).plan()
+    assert plan.holds
+    speed = pace * np.sqrt(weight / (PRICE * DAMPING**2 + weight))
+    rate = PRICE * (DAMPING * speed) ** 2 + weight * (speed - pace) ** 2
+    assert plan.trajectory.velocities[0, 0] == pytest.approx(speed, rel=1e-2)
+    assert plan.trajectory.times[-1] == pytest.approx(WAY / speed, rel=1e-2)
+    assert plan.cost == pytest.approx(rate * WAY / speed, rel=1e-3)
+
+
+def test_a_hopper_hops_on_and_on() -> None:
+    given = Scenario.named("hopper/hop").to_plain()
+    for name in ("goal_position", "goal_weight", "goal_velocity_weight"):
+        del given[name]
+    given |= {
+        "periodic": {"along": 0.4},
+        "duration": 0.75,
+        "reference_times": [0.0, 0.375, 0.75],
+        "reference_positions": [[0.1, 0.5, 0, 0.5], [0.3, 0.8, 0, 0.1], [0.5, 0.5, 0, 0.5]],
+    }
+    options = PlanOptions(starts=8, renewals=8, finalists=1, seed=1)
+    plan = Planner(Scenario.from_plain(given), options).plan()
+    assert plan.holds and plan.reached
+    assert plan.best.contacts and np.ptp(plan.trajectory.positions[:, 1]) > 0.05
+    world, scenario, state = plan.find_world(), plan.scenario, plan.scenario.initial_state
+    way = scenario.goal_position - scenario.initial_position
+    np.testing.assert_allclose(way, [0.4, 0.0, 0.0, 0.0], atol=1e-12)
+    for _ in range(3):
+        begin = state[:4], state[4:]
+        feedback = Feedback(world, scenario, plan.trajectory)
+        recording = EVENT_DRIVEN.simulate(world, scenario, feedback, begin)
+        state = np.concatenate([recording.positions[-1] - way, recording.velocities[-1]])
+        np.testing.assert_allclose(state, scenario.initial_state, atol=2e-3)
+    assert "chosen by the plan" in format_plan(plan)
