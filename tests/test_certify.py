@@ -410,6 +410,14 @@ def test_what_has_no_bound_is_refused_by_name() -> None:
     prog, _ = program(lambda x: sym.sinh(x), 1)
     with pytest.raises(UnsupportedTermError, match="got Sinh in sinh"):
         certify(prog)
+    # What Drake folds to an infinite number has no sign that its reciprocal tells.
+    for scale in (-math.inf, math.inf):
+        prog, (x,) = box(1, -1.0, 1.0)
+        row = ExpressionConstraint([sym.exp(x) / scale + x], [0.0], [math.inf])
+        prog.AddConstraint(row, vars=row.vars())
+        assert not is_infeasible(prog)
+        with pytest.raises(UnsupportedTermError, match=r"got the number -?inf in"):
+            certify(prog)
     prog, x = program(lambda x: x, 1)
     prog.AddCost(lambda z: z[0] ** 2, vars=x)
     with pytest.raises(UnsupportedTermError, match="PyFunctionCost, whose formula Drake does not"):

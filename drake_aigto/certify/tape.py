@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from enum import IntEnum
 from typing import NamedTuple
@@ -149,7 +150,7 @@ class Formula:
         """Enters an expression, and returns the place of its value."""
         kind = e.get_kind()
         if kind == ExpressionKind.Constant:
-            return self.put(Operation.NUMBER, number=e.Evaluate())
+            return self.put(Operation.NUMBER, number=_number(e))
         if kind == ExpressionKind.Var:
             (variable,) = e.GetVariables()
             return self.put(Operation.VARIABLE, self._place[variable.get_id()])
@@ -232,9 +233,16 @@ class Formula:
         return self.put(Operation.MULTIPLY, above, self.put(Operation.RECIPROCAL, below))
 
 
+def _number(e: Expression) -> float:
+    value = e.Evaluate()
+    if math.isinf(value):
+        raise NoEnclosureError(f"the number {value:g}")
+    return value
+
+
 def _split_number(parts: Sequence[Expression], neutral: float) -> tuple[float, list[Expression]]:
     """Returns the number among some parts, of which Drake keeps one, and the others."""
-    numbers = [part.Evaluate() for part in parts if part.get_kind() == ExpressionKind.Constant]
+    numbers = [_number(part) for part in parts if part.get_kind() == ExpressionKind.Constant]
     others = [part for part in parts if part.get_kind() != ExpressionKind.Constant]
     return (numbers[0] if numbers else neutral), others
 
