@@ -5,7 +5,6 @@ Mixes are found by dynamic programming over variables, some of which are held.
 
 from __future__ import annotations
 
-import heapq
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from scipy.sparse import coo_array
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.box import NO_SYSTEM, BoxPolynomial, Order, add_means, make_lanes
 from drake_aigto.kernels import kernel
+from drake_aigto.linear import eliminate
 from drake_aigto.terms import TermBlock, copy_weights, stack_terms, with_own_numbers
 
 _MOST_READ = 4  # variables of a term
@@ -220,29 +220,10 @@ class Fusion:
 
     def _plan(self, free: Bools, rng: np.random.Generator) -> list[tuple[int, tuple[int, ...]]]:
         """Returns the variables in the order of their elimination, with their neighbors then."""
-        near: dict[int, set[int]] = {int(i): set() for i in np.flatnonzero(free)}
-        for scope in {each.variables for each in self._scopes}:
-            for i, j in itertools.permutations((i for i in scope if i in near), 2):
-                near[i].add(j)
+        scopes = {each.variables for each in self._scopes}
         luck = rng.random(free.size)
-        queue = [(len(others), luck[i], i) for i, others in near.items()]
-        heapq.heapify(queue)
-        order: list[tuple[int, set[int]]] = []
-        while queue:
-            count, _, i = heapq.heappop(queue)
-            if i not in near or count != len(near[i]):
-                continue
-            is_held = count > self._width
-            if is_held:
-                heapq.heappush(queue, (count, luck[i], i))
-                i = max(near, key=lambda j: (len(near[j]), luck[j]))
-            others = near.pop(i)
-            for j in others:
-                near[j] |= set() if is_held else others - {j}
-                near[j].discard(i)
-                heapq.heappush(queue, (len(near[j]), luck[j], j))
-            if not is_held:
-                order.append((i, others))
+        found = eliminate(scopes, np.flatnonzero(free).tolist(), self._width, luck.tolist())
+        order = [(i, others) for i, others, is_held in found if not is_held]
         kept = {i for i, _ in order}  # Some neighbors were held later.
         return [(i, tuple(sorted(others & kept))) for i, others in order]
 

@@ -16,13 +16,14 @@ from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.cells import CellSearch
-from drake_aigto.certify.cliques import MOST_VARIABLES, CliqueSearch, elimination
+from drake_aigto.certify.cliques import MOST_VARIABLES, CliqueSearch
 from drake_aigto.certify.contraction import narrowed
 from drake_aigto.certify.enclosures import SumOfFormulas
 from drake_aigto.certify.formulas import Formulas, read_formulas, tape_of, values_at, with_prices
 from drake_aigto.certify.scip import bound_by_scip
 from drake_aigto.certify.tape import Tape
 from drake_aigto.errors import OptionsError
+from drake_aigto.linear import eliminate
 
 # A point → a feasible one near it, if there is one.
 Improve = Callable[[Floats], Floats | None]
@@ -373,7 +374,12 @@ def _find_order(formulas: Formulas) -> list[tuple[int, ...]] | None:
     read = [each.variables for each in parts]
     if max(map(len, read), default=0) > MOST_VARIABLES:
         return None
-    return elimination(size, read, MOST_VARIABLES)
+    order = []
+    for i, others, is_held in eliminate(read, range(size), MOST_VARIABLES - 1, range(size)):
+        if is_held:
+            return None
+        order.append((i, *sorted(others)))
+    return order
 
 
 def _missing(formulas: Formulas) -> str:

@@ -15,7 +15,6 @@ known value of f hold no minimizer, and go; the others are halved.
 
 from __future__ import annotations
 
-import heapq
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -41,38 +40,6 @@ _FIRST_BINS = 16
 _SWEEPS = 2  # over all bins, before their cells are bounded
 _ENTRIES = 40  # of tables, which take as long as a cell of all variables
 _LARGE = 1e290  # Sums of what is larger would overflow.
-
-
-def elimination(
-    num_variables: int, cliques: Sequence[tuple[int, ...]], most: int
-) -> list[tuple[int, ...]] | None:
-    """Returns every variable, in the order of elimination, with its neighbors then.
-
-    The next one is one of the fewest neighbors. None if these are more than the most, with it.
-    """
-    beside: list[set[int]] = [set() for _ in range(num_variables)]
-    for clique in cliques:
-        for i in clique:
-            beside[i].update(clique)
-    queue = []
-    for i, others in enumerate(beside):
-        others.discard(i)
-        queue.append((len(others), i))
-    heapq.heapify(queue)
-    order, is_gone = [], [False] * num_variables
-    while queue:
-        degree, i = heapq.heappop(queue)
-        if is_gone[i] or degree != len(beside[i]):
-            continue
-        if degree >= most:
-            return None
-        is_gone[i] = True
-        order.append((i, *sorted(beside[i])))
-        for j in beside[i]:
-            beside[j] |= beside[i]
-            beside[j] -= {i, j}
-            heapq.heappush(queue, (len(beside[j]), j))
-    return order
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +72,7 @@ class CliqueSearch(BoundSearch):
     Args:
         formulas: the program, without rows; summands read up to three variables each.
         margin: as in `BoundSearch`.
-        order: variables with their neighbors, as `elimination` returns them.
+        order: every variable, in the order of elimination, with its neighbors then.
 
     Attributes:
         lower_bound: of f; at most the best value.

@@ -12,6 +12,7 @@ from .storage import Storage as Storage
 from .storage import as_order as as_order
 from .storage import choose_storage as choose_storage
 from .storage import count_fill as count_fill
+from .storage import eliminate as eliminate
 from .storage import factorize as factorize
 from .storage import find_entry as find_entry
 from .storage import make_pattern as make_pattern

@@ -9,7 +9,8 @@ any order of the unknowns; of another, small pivots may spoil them, which residu
 from __future__ import annotations
 
 import enum
-from collections.abc import Sequence
+import heapq
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -175,6 +176,45 @@ def minimum_degree(pattern: Pattern) -> Ints:
         first = first[np.argsort(_factorize(part, "MMD_AT_PLUS_A").perm_c)]
     last = last[np.argsort(degrees[last], kind="stable")]
     return np.argsort(np.concatenate([first, last]))
+
+
+def eliminate(
+    cliques: Iterable[Sequence[int]], variables: Iterable[int], width: int, luck: Sequence[float]
+) -> Iterator[tuple[int, set[int], bool]]:
+    """Yields variables by exact minimum degree, each with its neighbors then, and if it is held.
+
+    Where all of them have more neighbors than the width, one with the most is held: it goes, and
+    couples no others.
+
+    Args:
+        cliques: variables that are coupled with each other; those not asked for do not matter.
+        variables: those to eliminate.
+        width: the most neighbors.
+        luck: of each variable; of as many neighbors, the one with the least is next.
+    """
+    near: dict[int, set[int]] = {i: set() for i in variables}
+    for clique in cliques:
+        own = [i for i in clique if i in near]
+        for i in own:
+            near[i].update(own)
+    for i, others in near.items():
+        others.discard(i)
+    queue = [(len(others), luck[i], i) for i, others in near.items()]
+    heapq.heapify(queue)
+    while queue:
+        count, _, i = heapq.heappop(queue)
+        if i not in near or count != len(near[i]):
+            continue
+        is_held = count > width
+        if is_held:
+            heapq.heappush(queue, (count, luck[i], i))
+            i = max(near, key=lambda j: (len(near[j]), luck[j]))
+        others = near.pop(i)
+        for j in others:
+            near[j] |= set() if is_held else others - {j}
+            near[j].discard(i)
+            heapq.heappush(queue, (len(near[j]), luck[j], j))
+        yield i, others, is_held
 
 
 def count_fill(pattern: Pattern) -> int:
