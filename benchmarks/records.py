@@ -72,7 +72,7 @@ RECORDS: Mapping[str, str] = {
     "constrained_programs": f"python -m benchmarks.constrained_programs --workers 2 {_SOLVER}",
     "staged_programs": "python -m benchmarks.staged_programs --only push_bot --random 50 --seeds 1"
     " --workers 1",
-    "lifted_functions": "python -m benchmarks.lifted_functions --workers 2",
+    "lifted_functions": "python -m benchmarks.lifted_functions --workers 1",
     "peer_programs": "python -m benchmarks.peer_programs --seeds 0 --workers 2 --minutes 30",
     "loops": "python -m benchmarks.loops --count 2 --workers 2",
     "chain": "python -m benchmarks.chain --workers 2 --first-seed 100 --patience 20 --minutes 60"
