@@ -24,13 +24,12 @@ from drake_aigto.planning.mechanisms.closing import (
     Aim,
     close_gaps,
     find_tight,
-    keep_off,
     settle,
     steady,
 )
+from drake_aigto.planning.mechanisms.dips import find_deepest, keep_off
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, Measures
 from drake_aigto.planning.mechanisms.phases import (
-    find_deepest,
     in_order,
     is_closed,
     lay_onto,

@@ -11,7 +11,6 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw, ContactLaw, TreeMechanism
 from drake_aigto.planning.feedback import count_damper_steps
-from drake_aigto.planning.mechanisms.phases import find_lacks
 from drake_aigto.planning.search import scaled
 from drake_aigto.shooting import (
     IMPLICIT,
@@ -331,16 +330,6 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult, most: float) -
         substeps = motion.substeps * 2 ** (1 if has_friction else int(halvings))
         rungs = (WITH_FRICTION if has_friction else POLISH).rungs[-1:]
         options = dataclasses.replace(POLISH, rungs=rungs, substeps=min(substeps, MOST_SUBSTEPS))
-
-
-def keep_off(
-    world: World, problem: ShootingProblem, motion: ShootingResult, margin: float
-) -> ShootingProblem | None:
-    """Returns a motion's problem off walls that it dips into between knots; None: into none."""
-    if not np.isfinite(motion.cost):
-        return None
-    lacks = find_lacks(world, motion, margin)
-    return dataclasses.replace(problem, clearances=lacks) if np.max(lacks) > margin else None
 
 
 def settle(

@@ -11,9 +11,9 @@ import numpy as np
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact import Closed, Mode, RigidLaw, find_other_mode, read_mode
 from drake_aigto.planning.candidate import ChangeName
+from drake_aigto.planning.mechanisms.dips import Dip
 from drake_aigto.planning.mechanisms.phases import (
     CREEP,
-    Dip,
     find_slopes,
     in_order,
     is_closed,
