@@ -15,7 +15,7 @@ from drake_aigto.planning import Feedback
 from drake_aigto.simulation import replay_with
 from drake_aigto.world import SpaceWorld, scenario_summaries
 
-WHEELS = ["gymnasium_hopper/hop", "half_cheetah/leap"]
+WHEELS = ["gymnasium_hopper/hop", "half_cheetah/leap", "walker2d/step"]
 
 
 def test_a_model_of_a_package_that_is_absent_names_the_extra_that_brings_it(
