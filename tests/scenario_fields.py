@@ -1,4 +1,7 @@
-"""A task of two coordinates with every field of a scenario, none but restitution at its default."""
+"""A task of two coordinates with every field of a scenario, none but restitution at its default.
+
+But for `periodic`, which takes the place of a goal.
+"""
 
 from __future__ import annotations
 

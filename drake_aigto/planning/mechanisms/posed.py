@@ -187,7 +187,7 @@ class PosedMechanism:
             start: the first motion.
             found: the result of shooting from it, in the scenario's time steps.
         """
-        scenario, (q, _) = self.ask(found), self.world.split(found.states[-1])
+        scenario, (end, _) = self.ask(found), self.world.split(found.states[-1])
         simulated = self._simulate(found)
         replay, trajectory = simulated.replay, simulated.trajectory
         (cost, error), added = self._calc_cost(found), dict[str, float]()
@@ -203,7 +203,7 @@ class PosedMechanism:
             start_defects={BOUNDS: start.violation},
             trajectory=trajectory,
             cost=cost,
-            goal_error=float(TaskCost.of(self.world, scenario).goal_error(q)),
+            goal_error=float(TaskCost.of(self.world, scenario).goal_error(end)),
             defects=simulated.defects,
             max_penetration=max_penetration(self.world, trajectory),
             contacts=find_contacts(self.world, trajectory),
