@@ -41,7 +41,7 @@ _ROUGH = _make_config("runge_kutta5", 1e-12)
 _RESOLVED = 10.0
 _STIFF = _make_config("radau3", 1e-7)
 # Where friction sticks, Radau's rule would take steps of 30 ns. So the explicit rule is for stiff
-# walls, too, with at least so many steps in each contact.
+# walls, too, with at least this number of steps in each contact.
 _PER_CONTACT = 3.0
 # There no step is longer than this part of the simulated time, so that none passes over a touch.
 _LONGEST = 1 / 300

@@ -129,7 +129,9 @@ class RigidMechanismTask(PhasedTask):
             if dip is None or dip.depth < _DEEP * self.measures.length or is_full:
                 break
             guess, touches = motion, self.with_dip(motion, dip)
-        ends = [min(tried, key=self.rank), *(tried[:1] if self._has_corners else [])]
+        ends = [min(tried, key=self.rank)]
+        if self._has_corners and ends[0] is not tried[0]:
+            ends.append(tried[0])
         return self._switch(min(map(self._lift, ends), key=self.rank))
 
     def _lift(self, motion: ShootingResult) -> ShootingResult:
@@ -140,9 +142,10 @@ class RigidMechanismTask(PhasedTask):
         margin, lifted = _MARGIN * self.measures.length, motion
         clearances = np.zeros((len(motion.times), self.world.num_contacts))
         for _ in range(_MOST_LIFTS if self._has_corners else 1):
-            is_finite = np.isfinite(lifted.cost)
-            lacks = find_lacks(self.world, lifted, margin) if is_finite else clearances
-            if self.price(lifted) <= 2 * lifted.cost or not np.max(lacks) > margin:
+            if not np.isfinite(lifted.cost) or self.price(lifted) <= 2 * lifted.cost:
+                break
+            lacks = find_lacks(self.world, lifted, margin)
+            if np.max(lacks) <= margin:
                 break
             clearances = clearances + lacks
             problem = self.pose_phases(lifted.times, lifted.phases, clearances)
