@@ -98,7 +98,8 @@ def test_every_field_of_a_scenario_has_a_flag_that_changes_it() -> None:
 
 def test_a_flag_changes_how_far_a_motion_that_repeats_advances() -> None:
     words = ["plan", "hopper/gait", "--periodic", "{along: 0.3}"]
-    scenario = dataclasses.replace(Scenario.named("hopper/gait"), periodic={"along": 0.3})
+    change: dict[str, Any] = {"periodic": {"along": 0.3}}
+    scenario = dataclasses.replace(Scenario.named("hopper/gait"), **change)
     assert load_scenario(make_parser(words).parse_args(words)) == scenario
 
 
