@@ -32,8 +32,11 @@ WORLDS = (
     "finger_and_ball/roll",
     "finger_and_box/push",
     "finger_and_box/tip",
+    "planar_hand/turn",
     "puck/spin",
     "push_tee/to_pose",
+    "quadruped/leap_up",
+    "three_fingers/turn",
     *FROM_WHEELS,
 )
 MOST, MOST_IN_MUJOCO = (0.02, 0.1), (0.05, 0.3)  # [m], [rad]
