@@ -140,6 +140,20 @@ def test_what_costs_more_than_a_finalist_that_holds_is_left_before_it_meets_its_
 
 
 @pytest.mark.slow
+def test_a_motion_that_is_best_in_the_steps_of_the_search_is_polished_in_them() -> None:
+    """It has fewer of them than the scenario, and so have the distances that it keeps off walls."""
+    scenario = dataclasses.replace(
+        Scenario.named("cart_pole/rigid_06"),
+        goal_position=[0.04490026932956917, 3.224243271730047],
+        duration=1.602175676915813,
+        time_step=1.602175676915813 / 64,
+    )
+    plan = Planner(scenario, PlanOptions(renewals=0, seed=1, confirm=False)).plan()
+    assert plan.holds
+    assert plan.cost < 80
+
+
+@pytest.mark.slow
 def test_a_wall_that_would_be_grazed_is_passed_at_a_distance() -> None:
     scenario = Scenario.named("cart_pole/rigid_06")
     plan = Planner(dataclasses.replace(scenario, restitution=0.5), QUICK).plan()

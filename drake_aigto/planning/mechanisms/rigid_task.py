@@ -229,7 +229,7 @@ class RigidMechanismTask(PhasedTask):
         limit = scaled(_UNSETTLED, most)
         first = motion if is_as_is else self.shoot_phases(touches, motion, num_steps, FINE, limit)
         found = self.with_depth(self.refine_phases(first, most=limit))
-        clearances = np.zeros((len(found.times), self.world.num_contacts))
+        clearances = self._no_clearances(found)
         if self._has_corners and not found.is_left:  # It may only have cut one.
             found, clearances = self._clear(found, clearances)
         if scaled(_OTHER, self.price(motion)) < self.price(found) and self.price(motion) < most:
@@ -241,11 +241,14 @@ class RigidMechanismTask(PhasedTask):
             tried = found, *map(self.with_depth, others)
             best = min(tried, key=lambda each: (each.is_left, self.rank(each)))
             if best is not found:
-                found, clearances = best, 0 * clearances
+                found, clearances = best, self._no_clearances(best)
         if found.is_left or found.cost > limit:
             return found
         found, clearances = self._clear(found, clearances)
         return self.with_depth(self.settle_phases(found, clearances, most))
+
+    def _no_clearances(self, motion: ShootingResult) -> Floats:
+        return np.zeros((len(motion.times), self.world.num_contacts))
 
     def _clear(self, found: ShootingResult, clearances: Floats) -> tuple[ShootingResult, Floats]:
         """Returns a refined motion that clears its walls between knots, and by how much at them."""
