@@ -1,12 +1,13 @@
-"""Programs with rows that are proven in a few seconds of one thread: ours, SCIP's and Gurobi's.
+"""Programs that are proven in a few seconds of one thread: ours, SCIP's and Gurobi's.
 
-    python -m benchmarks.provers [--seconds 4] [--most 24] [--only HS] [--workers 1]
-        [--minutes 9] [--keep FILE]
+    python -m benchmarks.provers [--without-rows] [--seconds 4] [--most 24] [--only HS]
+        [--workers 1] [--minutes 9] [--keep FILE]
 
-All of `constrained_problems()` with up to 24 variables, a rule that was fixed before the first run.
-Proven is a gap of 1e-6, relative to max(1, |cost|), within the seconds of the processor, search for
-the answer included; wall time counts for nothing. A claim is wrong if a bound is above the known
-optimum by more than 1e-6. Gurobi runs where its package is, with the free licence that comes along.
+All of `constrained_problems()` with up to 24 variables, a rule that was fixed before the first run;
+without rows all such of `global_problems()`. Proven is a gap of 1e-6, relative to max(1, |cost|),
+within the seconds of the processor, search for the answer included; wall time counts for nothing. A
+claim is wrong if a bound is above the known optimum by more than 1e-6. Gurobi runs where it is
+installed, with the free licence that comes along; what is too large for that is not proven.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ import numpy as np
 from pydrake.solvers import MathematicalProgram
 
 from benchmarks.collections.constrained_programs import constrained_problems
-from benchmarks.collections.known_optimum import ConstrainedProblem
+from benchmarks.collections.global_functions import global_problems
+from benchmarks.collections.known_optimum import ConstrainedProblem, GlobalProblem
 from benchmarks.script import machine, read_flags, run_as, run_jobs
 from drake_aigto.certify import Operation, certify, read_formulas, write_sum
 from drake_aigto.errors import UnsupportedTermError
@@ -36,6 +38,7 @@ QUICK, SLOW = 0.1, 1.0  # [s]: what all peers prove in the first should take us 
 _LARGEST = 20  # variables of the programs that warm up
 _WARM_UP = AigoOptions(certify=True, cells=1000, rounds=1, starts=1)
 
+Problem = ConstrainedProblem | GlobalProblem
 Prover = Callable[[MathematicalProgram, float], tuple[float, float]]
 
 
@@ -59,17 +62,20 @@ class Outcome:
 def main() -> None:
     arguments = read_flags(
         __doc__,
+        without_rows=(False, "functions over boxes, in place of programs with rows"),
         only=("", "programs whose name has this in it"),
         seconds=(4.0, "of the processor, for each program"),
         most=(24, "variables"),
     )
     print(machine(), flush=True)
-    chosen = [each for each in problems().values() if each.num_variables <= arguments.most]
+    collection = problems(arguments.without_rows)
+    chosen = [each for each in collection.values() if each.num_variables <= arguments.most]
     names = [each.name for each in chosen if arguments.only in each.name]
+    work = partial(run, is_free=arguments.without_rows, seconds=arguments.seconds)
     found: dict[str, dict[str, Outcome]] = {}
-    for number, future in run_jobs(partial(run, seconds=arguments.seconds), names, arguments):
+    for number, future in run_jobs(work, names, arguments):
         found[names[number]] = future.result()
-        tell(problems()[names[number]], future.result())
+        tell(collection[names[number]], future.result())
     for prover in next(iter(found.values()), {}):
         own = [outcomes[prover] for outcomes in found.values()]
         print(
@@ -81,7 +87,7 @@ def main() -> None:
     print(f"proven by all peers in {QUICK:g} s, by us in more than {SLOW:g}: {late or 'none'}")
 
 
-def tell(problem: ConstrainedProblem, outcomes: dict[str, Outcome]) -> None:
+def tell(problem: Problem, outcomes: dict[str, Outcome]) -> None:
     """Prints a line for a program."""
     line = f"{problem.name:24} n = {problem.num_variables:2}"
     for prover, own in outcomes.items():
@@ -98,29 +104,30 @@ def is_late(outcomes: dict[str, Outcome]) -> bool:
 
 
 @cache
-def problems() -> dict[str, ConstrainedProblem]:
-    return {each.name: each for each in constrained_problems()}
+def problems(is_free: bool) -> dict[str, Problem]:
+    every = global_problems() if is_free else constrained_problems()
+    return {each.name: each for each in every}
 
 
 @cache
-def warm_up() -> None:
+def warm_up(is_free: bool) -> None:
     """Has all machine code compiled or loaded in this process, before anything is timed."""
-    for problem in {each.num_variables: each for each in problems().values()}.values():
+    for problem in {each.num_variables: each for each in problems(is_free).values()}.values():
         if problem.num_variables <= _LARGEST:
             AigoSolver(_WARM_UP).Solve(problem.prog())
 
 
-def run(name: str, *, seconds: float) -> dict[str, Outcome]:
+def run(name: str, *, is_free: bool, seconds: float) -> dict[str, Outcome]:
     """Runs all provers on a program."""
-    problem = problems()[name]
-    warm_up()
+    problem = problems(is_free)[name]
+    warm_up(is_free)
     provers: dict[str, Prover] = {"ours": ours, "SCIP": scip}
     if importlib.util.find_spec("gurobipy"):
         provers["Gurobi"] = gurobi
     return {each: judge(problem, provers[each], seconds) for each in provers}
 
 
-def judge(problem: ConstrainedProblem, prover: Prover, most: float) -> Outcome:
+def judge(problem: Problem, prover: Prover, most: float) -> Outcome:
     """Runs a prover for as many seconds of the processor."""
     prog, start = problem.prog(), time.process_time()
     try:
@@ -181,7 +188,10 @@ def gurobi(prog: MathematicalProgram, seconds: float) -> tuple[float, float]:
         model.setObjective(cost)
         model.setParam("Threads", 1)
         model.setParam("MIPGap", 0.5 * PROVEN)
-        model.optimize(lambda own, _: own.terminate() if time.process_time() > end else None)
+        try:
+            model.optimize(lambda own, _: own.terminate() if time.process_time() > end else None)
+        except gurobipy.GurobiError:  # The free licence is limited in size.
+            return np.inf, -np.inf
         cost, bound = (model.ObjVal if model.SolCount else np.inf), model.ObjBound
     return cost, bound
 
