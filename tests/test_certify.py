@@ -153,6 +153,28 @@ def test_a_bound_that_is_missing_is_derived_or_named() -> None:
     assert result.get_solver_details().lower_bound <= result.get_optimal_cost() + 1e-6
 
 
+@pytest.mark.parametrize(
+    ("cost", "row", "reason"),
+    [
+        (lambda x, y: x**3 + y**2, None, "x(0) has no lower bound"),
+        (lambda x, y: x**4 - x * y, None, "x(0) has no lower bound, x(1) has no lower bound"),
+        (lambda x, y: x**3 + y**2, (1.0, 1.0), "x(0) has no lower bound, x(1) has no upper bound"),
+        (lambda x, y: y**2 - sym.log(x), None, "x(0) has no upper bound"),
+    ],
+)
+def test_a_bound_that_no_cell_gives_far_out_is_named_before_a_search(
+    cost: Callable[..., Any], row: Any, reason: str
+) -> None:
+    prog, (x, y) = box(2, -np.inf, np.inf)
+    add_cost(prog, cost(x, y))
+    if row:
+        prog.AddLinearConstraint([row], [-3.0], [np.inf], [x, y])
+    found = certify(prog)
+    assert found.lower_bound == -math.inf
+    assert found.reason == reason
+    assert found.cells < 100  # 400,000, in minutes
+
+
 def linked(own: Callable[..., Any]) -> Callable[..., Any]:
     return lambda *x: sum(map(own, x)) + sum(a * b for a, b in itertools.pairwise(x))
 
@@ -387,6 +409,10 @@ def test_an_interruption_keeps_the_bound_so_far() -> None:
     found = certify(prog, progress=interrupt)
     assert found.reason == "interrupted: this is the bound so far"
     assert known <= found.lower_bound < math.inf
+    prog.AddVisualizationCallback(interrupt, prog.decision_variables())
+    details = AigoSolver(CERTIFY).Solve(prog).get_solver_details()
+    assert details.status == AigoStatus.INTERRUPTED
+    assert details.certificate.reason == found.reason
 
 
 @pytest.mark.parametrize(
@@ -410,6 +436,10 @@ def test_what_has_no_bound_is_refused_by_name() -> None:
     prog, _ = program(lambda x: sym.sinh(x), 1)
     with pytest.raises(UnsupportedTermError, match="got Sinh in sinh"):
         certify(prog)
+    prog, _ = program(lambda x: sym.if_then_else(x > 0.0, x, -x), 1)
+    with pytest.raises(UnsupportedTermError, match="got IfThenElse in"):
+        certify(prog)
+    assert not is_infeasible(prog)
     # What Drake folds to an infinite number has no sign that its reciprocal tells.
     for scale in (-math.inf, math.inf):
         prog, (x,) = box(1, -1.0, 1.0)
@@ -457,7 +487,9 @@ def test_programs_without_variables_or_costs_are_bounded_too() -> None:
     prog = MathematicalProgram()
     for own, least in ((prog, 0.0), (box(1)[0], 0.0)):
         for total in (least, least + 3.0):
-            assert certify(own).lower_bound == pytest.approx(total, abs=1e-9)
+            found = certify(own)
+            assert found.lower_bound == pytest.approx(total, abs=1e-9)
+            assert found.gap <= 1e-6 and not found.reason
             details = AigoSolver(CERTIFY).Solve(own).get_solver_details()
             assert details.status == AigoStatus.PROVEN
             own.AddCost(sym.Expression(3.0))
@@ -482,3 +514,6 @@ def test_few_rows_that_contradict_each_other_are_told_with_numbers() -> None:
     assert not explain_infeasibility(prog)
     prog.AddConstraint(x >= 3.0)
     assert explain_infeasibility(prog) == "x(0) has to be at least 3, and at most 2"
+    details = AigoSolver().Solve(prog).get_solver_details()
+    assert details.status == AigoStatus.CONTRADICTORY_BOUNDS
+    assert explain_infeasibility(prog) in str(details)

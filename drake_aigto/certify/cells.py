@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from abc import ABC, abstractmethod
 from typing import NamedTuple
@@ -24,6 +25,9 @@ _MOST_ROUNDS = 4  # over all sides of the whole
 _SPENT = 0.1  # of a side: a round over all sides that cuts off less is the last one
 # Such a round takes up to this number of cells, or this part of those that are left.
 _MOST_OF_ROUND, _PART_OF_ROUND = 5000, 0.5
+# Before all others so many cells without an end are bounded, which begin so far out.
+_MOST_PROBES, _FAR = 10, (2.0**10, 2.0**40, 2.0**160, 2.0**640)
+_MOST_PAIRED = 20  # sides without an end; of more, no two are looked at together
 
 
 class OpenCells(NamedTuple):
@@ -114,6 +118,9 @@ class CellSearch(BoundSearch):
     Args:
         formulas: the program.
         margin: as in `BoundSearch`.
+
+    Attributes:
+        hopeless: variables and their sides, 0 or 1, far out on which no cell has a bound.
     """
 
     def __init__(self, formulas: Formulas, margin: float) -> None:
@@ -133,6 +140,7 @@ class CellSearch(BoundSearch):
         self._left: list[int] = []
         self._found = self._sides
         self._settled = math.inf  # least bound of parts that were left alone
+        self.hopeless: tuple[tuple[int, int], ...] = ()
         low, high = self._outer[:, None].copy()
         self._open = OpenCells(low, high, np.array([-np.inf]), np.array([-1]), np.zeros(1))
 
@@ -141,6 +149,7 @@ class CellSearch(BoundSearch):
         end, self._scale = self.num_cells + min(count, _MOST_CELLS), scale
         if not self.num_cells:
             self.num_cells += 1
+            self._probe()
             self._open = self._bounded(self._open)
             return True
         if self._relaxation and self._rounds and self._open.bounds.size:
@@ -152,11 +161,37 @@ class CellSearch(BoundSearch):
             self._settle(float(np.min(self._open.bounds[is_over], initial=np.inf)))
             self._open = self._open.some(~is_over)
             size = self._open.bounds.size
-            if not size or size > _MOST_OPEN:
+            if not size or size > _MOST_OPEN or self._settled == -math.inf:
                 return False
             most = min(_MOST_AT_ONCE, max(1, end - self.num_cells), size)
             self._cut(min(most, max(_BATCH, size // _BATCH)))
         return True
+
+    def _probe(self) -> None:
+        """Settles the bound as −∞ if it is that far out in one or two variables.
+
+        Where no cell that goes on without an end has a bound, however far out it begins, none that
+        is cut out of it has. All other variables are in their middles.
+        """
+        sides = [tuple(side) for side in np.argwhere(np.isinf(self._outer.T)).tolist()]
+        pairs = itertools.combinations(sides if len(sides) <= _MOST_PAIRED else (), 2)
+        probes = [((i, s),) for i, s in sides] + [(a, b) for a, b in pairs if a[0] != b[0]]
+        ends = np.tile(middles(*self._outer), (len(_FAR), 2, len(probes), 1))
+        for k, probe in enumerate(probes):
+            for i, side in probe:
+                sign = 2 * side - 1
+                ends[:, side, k, i], ends[:, 1 - side, k, i] = sign * np.inf, sign * np.array(_FAR)
+        formulas = np.zeros(len(probes), dtype=np.int64)
+        ranges = enclose_all(self._tape, formulas, ends[0, 0], ends[0, 1], VALUE)[:, 0, 0]
+        for k in np.flatnonzero(ranges == -np.inf)[:_MOST_PROBES].tolist():
+            low, high = ends[:, 0, k], ends[:, 1, k]
+            nothing = np.full(len(_FAR), -np.inf)
+            cells = OpenCells(low, high, nothing, np.full(len(_FAR), -1), np.zeros(len(_FAR)))
+            if np.count_nonzero(self._bounded(cells).bounds == -np.inf) == len(_FAR):
+                self.hopeless = probes[k]
+                self._settle(-math.inf)
+                break
+        self.lowest_point = None
 
     def _settle(self, bound: float) -> None:
         """Takes note that what is left alone has this bound."""

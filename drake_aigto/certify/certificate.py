@@ -138,6 +138,7 @@ def certify(
     for name, limit in (("gap", gap), ("cells", cells), ("seconds", seconds)):
         if limit is not None and not limit > 0:
             raise OptionsError(name, got=limit, expected="a number above 0")
+    point = () if point is None and not prog.num_vars() else point
     known = None if point is None else np.asarray(point, dtype=float)
     if known is not None and (known.shape != (prog.num_vars(),) or np.any(np.isnan(known))):
         expected = f"shape ({prog.num_vars()},), no NaN"
@@ -150,7 +151,7 @@ def certify(
     try:
         return certifier.run(cells, certifier.check)
     except KeyboardInterrupt:
-        return replace(certifier.certificate(), reason="interrupted: this is the bound so far")
+        return certifier.interrupted()
 
 
 def _certify_with_scip(prog: MathematicalProgram, gap: float, seconds: float | None) -> Certificate:
@@ -314,6 +315,10 @@ class Certifier:
         """Returns how far the best cost is above a bound; 0 if there is no feasible point."""
         return 0.0 if bound == math.inf else relative_gap(self._best_cost, bound, self._scale)
 
+    def interrupted(self) -> Certificate:
+        """Returns the bound so far, after an interruption."""
+        return replace(self.certificate(), reason="interrupted: this is the bound so far")
+
     def certificate(self) -> Certificate:
         """Returns the bound so far."""
         formulas, search = self._formulas, self._search
@@ -336,7 +341,8 @@ class Certifier:
         if self._clock.is_over:
             return "the seconds allowed were used up: the bound depends on the clock"
         if bound == -math.inf:
-            return _missing(self._formulas) or "no lower end of the cost is known in some cell"
+            far = self._search.hopeless if isinstance(self._search, CellSearch) else ()
+            return _missing(self._formulas, far) or "no lower end of the cost is known in some cell"
         if isinstance(self._search, CellSearch) and self._search.is_over:
             return "cells are as small as numbers allow, or their number is"
         told = "the cells allowed were used up"
@@ -382,14 +388,10 @@ def _find_order(formulas: Formulas) -> list[tuple[int, ...]] | None:
     return order
 
 
-def _missing(formulas: Formulas) -> str:
-    """Returns which bounds are missing, or an empty string."""
-    sides = (("lower", formulas.lower), ("upper", formulas.upper))
-    names = [
-        f"{name} has no {side} bound"
-        for side, bounds in sides
-        for name, bound in zip(formulas.names, bounds.tolist(), strict=True)
-        if math.isinf(bound)
-    ]
+def _missing(formulas: Formulas, sides: Sequence[tuple[int, int]]) -> str:
+    """Returns which bounds are missing: at these sides of variables, else all; may be empty."""
+    bounds = formulas.lower, formulas.upper
+    every = [(i, k) for k in range(2) for i in np.flatnonzero(np.isinf(bounds[k])).tolist()]
+    names = [f"{formulas.names[i]} has no {('lower', 'upper')[k]} bound" for i, k in sides or every]
     more = f", and {len(names) - 3} more are missing" if len(names) > 3 else ""
     return ", ".join(names[:3]) + more

@@ -154,6 +154,8 @@ class Formula:
         if kind == ExpressionKind.Var:
             (variable,) = e.GetVariables()
             return self.put(Operation.VARIABLE, self._place[variable.get_id()])
+        if kind == ExpressionKind.IfThenElse:  # Its first argument is a formula of logic.
+            raise NoEnclosureError(kind.name)
         parts = operands(e)
         if kind in _FUNCTIONS:
             return self.put(_FUNCTIONS[kind], *map(self._enter, parts))

@@ -18,7 +18,7 @@ from pydrake.solvers import (
 )
 
 from drake_aigto.arrays import Floats
-from drake_aigto.certify import Certificate, is_infeasible, relative_gap
+from drake_aigto.certify import Certificate, explain_infeasibility, is_infeasible, relative_gap
 from drake_aigto.errors import OptionsError, check_counts, check_positive
 from drake_aigto.linear import Storage
 
@@ -138,6 +138,11 @@ class AigoStatus(enum.Enum):
         """
         return self if is_infeasible(prog) else AigoStatus.NO_FEASIBLE_POINT
 
+    def explain(self, prog: MathematicalProgram) -> str:
+        """Returns which rows or bounds contradict each other, if this says that some do."""
+        denies = (AigoStatus.INFEASIBLE, AigoStatus.CONTRADICTORY_BOUNDS)
+        return explain_infeasibility(prog) if self in denies else ""
+
 
 # All others are solutions.
 _DRAKE_STATUS = {
@@ -182,8 +187,8 @@ class AigoDetails:
             None where no box was shrunk.
         kkt_storage: the same of the local solver's; None where there was no polish of ours.
         certificate: a lower bound of the cost; None where it was neither asked for nor cheap.
-        conflict: rows that contradict each other, one a line, with what the others leave of each;
-            empty unless the program is infeasible, and ranges of rows prove it.
+        conflict: rows that contradict each other, one a line, with what the others leave of each,
+            or bounds that cross; empty unless the program is infeasible, and ranges prove it.
     """
 
     status: AigoStatus
@@ -220,10 +225,10 @@ class AigoDetails:
         return relative_gap(self.cost, self.lower_bound, self.certificate.scale)
 
     @classmethod
-    def of_nothing(cls, status: AigoStatus, x: Floats) -> AigoDetails:
+    def of_nothing(cls, status: AigoStatus, x: Floats, prog: MathematicalProgram) -> AigoDetails:
         """Returns details of a solve that did not start."""
-        nothing = np.zeros(x.size)
-        return cls(status, np.inf, 0, 0, 0, "none", x, nothing, (x, x), ())
+        nothing, conflict = np.zeros(x.size), status.explain(prog)
+        return cls(status, np.inf, 0, 0, 0, "none", x, nothing, (x, x), (), conflict=conflict)
 
     def __str__(self) -> str:
         """Returns the status, and the part that was searched where that is not all."""

@@ -10,7 +10,7 @@ from pydrake.solvers import GetProgramType, MathematicalProgram, ProgramType
 
 from drake_aigto.aigo import Box
 from drake_aigto.arrays import Floats
-from drake_aigto.certify import Certificate, Certifier, Method, explain_infeasibility, relative_gap
+from drake_aigto.certify import Certificate, Certifier, Method, relative_gap
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.solver.answers import FAR, Answers, CheckedPoint, Observer
 from drake_aigto.solver.boxes import BoxStage, Outside, make_first_box
@@ -144,13 +144,14 @@ class Solve:
                     self._answers.polish_as_given()
         except KeyboardInterrupt:
             status = AigoStatus.INTERRUPTED
-            self._certificate = self._certifier.certificate() if self._certifier else None
+            self._certificate = self._certifier.interrupted() if self._certifier else None
         except ContradictionError:  # Found by presolve, after ladders were gone up in vain.
             status = AigoStatus.CONTRADICTORY_BOUNDS.if_proven(self._program.source)
         best = self._answers.best
         if best is None:
             x = self._program.answer(self._first.center)
-            return x, np.inf, AigoDetails.of_nothing(status or AigoStatus.NOT_FINITE, x)
+            status = status or AigoStatus.NOT_FINITE
+            return x, np.inf, AigoDetails.of_nothing(status, x, self._program.source)
         return best.x, self._program.cost(best.x), self._details(best, status or self._judge(best))
 
     def _search(self) -> None:
@@ -366,8 +367,6 @@ class Solve:
         half_width, searched = np.full(size, np.nan), np.tile([[-np.inf], [np.inf]], size)
         half_width[program.kept] = first.half_width
         searched[:, program.kept] = self._outside.within(self._decades)
-        is_explained = status == AigoStatus.INFEASIBLE
-        conflict = explain_infeasibility(program.source) if is_explained else ""
         return AigoDetails(
             status=status,
             violation=best.violation,
@@ -388,5 +387,5 @@ class Solve:
             kkt_storage=self._answers.kkt_storage,
             cost=program.cost(best.x),
             certificate=self._certificate,
-            conflict=conflict,
+            conflict=status.explain(program.source),
         )

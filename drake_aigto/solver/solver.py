@@ -156,7 +156,7 @@ class AigoSolver(SolverInterface):
         except ContradictionError:
             x, cost = np.where(np.isfinite(guess), guess, 0.0), np.inf
             status = AigoStatus.CONTRADICTORY_BOUNDS.if_proven(prog)
-            details = AigoDetails.of_nothing(status, x)
+            details = AigoDetails.of_nothing(status, x, prog)
         filled = AigoProgramResult() if result is None else result
         fill_result(filled, prog, x, cost, details)
         return filled if result is None else None
