@@ -135,6 +135,13 @@ def test_ends_of_many_are_those_of_each(name: str) -> None:
     each = [walls.record(control).positions[-1].tolist() for control in controls]
     assert walls.find_ends(controls).tolist() == each
     assert walls.find_ends(controls[:0]).shape == (0, world.num_positions)
+    kick = np.array([0.5, -0.25])
+    kicked = Parabolas(
+        *(world.constant_dynamics, np.full(world.num_contacts, 0.7)),
+        *((start[0], start[1] + kick), times),
+    )
+    ends = walls.find_ends(controls, kicks=np.tile(kick, (len(controls), 1)))
+    assert ends.tolist() == kicked.find_ends(controls).tolist()
 
 
 @settings(max_examples=66)

@@ -7,6 +7,7 @@ from drake_aigto.planning.balls.arcs import Arcs, solve_in_arcs
 from drake_aigto.planning.balls.branching import find_grazes, find_insertions
 from drake_aigto.planning.balls.phases import Path, PhaseMotion, PhaseProblem, coarsen
 from drake_aigto.planning.balls.search import BallSearch
+from drake_aigto.planning.balls.shots import draw_shots
 from drake_aigto.planning.balls.task import BallTask, make_ball_task
 from drake_aigto.planning.balls.timeline import straight_path
 from drake_aigto.planning.candidate import (
@@ -123,6 +124,7 @@ __all__ = [
     "calc_divergence",
     "close_gaps",
     "coarsen",
+    "draw_shots",
     "drop",
     "find_deepest",
     "find_grazes",

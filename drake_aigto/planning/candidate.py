@@ -45,7 +45,7 @@ _WORDS: dict[ChangeName, str] = {
 
 # The proposers of the uncontrolled motion, of its contacts, and of a user's motion.
 NO_CONTROL, COASTING = "no control", "contacts of the motion without control"
-GIVEN = "the given guess"
+GIVEN, SHOT = "the given guess", "contacts of a shot"
 # A candidate whose rows are off by more than this part of the task's scales is no solution.
 LARGEST_DEFECT = 1e-6
 # What saves at most this part of what the uncontrolled motion costs is hardly better than that.

@@ -104,16 +104,21 @@ class Parabolas:
         """Returns v̇ without contact, shape (…, nv) [m/s²]."""
         return controls @ self._dynamics.gain.T + self._dynamics.drift
 
-    def find_ends(self, controls: Floats, times: Floats | None = None) -> Floats:
+    def find_ends(
+        self, controls: Floats, times: Floats | None = None, kicks: Floats | None = None
+    ) -> Floats:
         """Returns the positions that many controls (C, N, nu) lead to, shape (C, nq) [m].
 
-        Each may have times of its own, shape (C, N+1), from 0 to T [s].
+        Each may have times of its own, shape (C, N+1), from 0 to T [s], and a velocity that is
+        added at the start, shape (C, nv) [m/s].
         """
         states = np.empty((self._times.size, 2, len(self._start.q)))
         moments = states, np.empty(self._times.size, dtype=np.int64)
         log, ends = make_log(0, states.shape[2]), np.empty((len(controls), states.shape[2]))
         for c, accelerations in enumerate(self._calc_accelerations(controls)):
             knots, phase = self._times if times is None else times[c], copy_phase(self._start)
+            if kicks is not None:
+                phase.v[:] += kicks[c]
             roll_out(self._walls, self._rules, phase, knots, accelerations, *moments, log)
             ends[c] = phase.q
         return ends

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import cached_property
 from itertools import chain
 from typing import NamedTuple
@@ -105,20 +105,32 @@ class BranchingSearch(SequenceSearch):
         """Yields neighbors (`neighbors`) of good sequences, the best first, once for each."""
         self.tell(f"{len(self.by_sequence)} candidates; looking for others near the best")
         branched: set[TouchSequence] = set()
-        while len(branched) < self.task.options.branches:
-            least = min(candidate.replay.cost for candidate in self.by_sequence.values())
-            good = [
-                sequence
-                for sequence, candidate in self.by_sequence.items()
-                if sequence not in branched
-                and candidate.is_feasible
-                and candidate.replay.cost <= scaled(GOOD, least)
-            ]
-            if not good:
-                break
-            best = min(good, key=self.rank_of)
+        while len(branched) < self.task.options.branches and (good := self._list_good(branched)):
+            branched.add(good[0])
+            yield from self._branch(good[0])
+        yield from self.propose_far()
+        for _ in range(self.task.options.branches):
+            best = self._list_good(set())[0]
+            if best in branched:
+                return
             branched.add(best)
             yield from self._branch(best)
+
+    @abstractmethod
+    def propose_far(self) -> Iterator[Sequence[Proposal]]:
+        """Yields sequences that need not be near the best."""
+
+    def _list_good(self, branched: Collection[TouchSequence]) -> list[TouchSequence]:
+        """Returns good sequences that were not branched, the best first."""
+        least = min(candidate.replay.cost for candidate in self.by_sequence.values())
+        good = [
+            sequence
+            for sequence, candidate in self.by_sequence.items()
+            if sequence not in branched
+            and candidate.is_feasible
+            and candidate.replay.cost <= scaled(GOOD, least)
+        ]
+        return sorted(good, key=self.rank_of)
 
     def _branch(self, sequence: TouchSequence) -> Iterator[Sequence[Proposal]]:
         """Yields the neighbors of a sequence whose trial is good."""
@@ -132,16 +144,24 @@ class BranchingSearch(SequenceSearch):
             held = [kinds(each) for each, it in self.by_sequence.items() if it.is_confirmed]
             is_pulled = any(touch.contact in self._pulling for touch in other)
             is_new = (is_pulled or kinds(other) not in held) and not self.is_known(other)
-            if is_new and len(other) <= self._most_touches and self.task.fits(other):
-                tried = self._try(other, motion.path)
-                optima = map(self._optimum, self.by_sequence)
-                if tried and not self._is_among(tried.sequence, optima, SAME_END):
-                    # If long arcs sufficed, the trial was the polish.
-                    solved = tried if tried.is_of_arcs else None
-                    shown = Shown(self.centers[sequence], other, motion.path, solved)
-                    yield [propose(origin.changed(_change(sequence, other), sequence), shown)]
-                else:
-                    self._refused.append(other)
+            if is_new:
+                change = origin.changed(_change(sequence, other), sequence)
+                yield from self.propose_good(change, self.centers[sequence], other, motion.path)
+
+    def propose_good(
+        self, origin: Origin, center: Floats, sequence: TouchSequence, path: Path
+    ) -> Iterator[Sequence[Proposal]]:
+        """Yields the proposal of a sequence along a path if its trial is good, and new."""
+        if len(sequence) > self._most_touches or not self.task.fits(sequence):
+            return
+        tried = self._try(sequence, path)
+        optima = map(self._optimum, self.by_sequence)
+        if tried and not self._is_among(tried.sequence, optima, SAME_END):
+            # If long arcs sufficed, the trial was the polish.
+            solved = tried if tried.is_of_arcs else None
+            yield [propose(origin, Shown(center, sequence, path, solved))]
+        else:
+            self._refused.append(sequence)
 
     @cached_property
     def _pulling(self) -> frozenset[int]:

@@ -299,16 +299,24 @@ def least_flight_cost(world: World, scenario: Scenario) -> float:
 
     Without walls, and with a control that may change at any time, which then is affine in t:
 
-        d = goal − q₀ − T v₀ − ½ T² a₀,   G = M⁻¹ B,   J ≥ dᵀ (I/w_f + T³/(3 w_u) G Gᵀ)⁻¹ d
+        d = goal − q₀ − T v₀ − ½ T² a₀,   J ≥ dᵀ C⁻¹ d
+    """
+    if scenario.goal_weight == 0:
+        return 0.0
+    T = scenario.duration
+    way = scenario.goal_position - scenario.initial_position
+    way = way - T * scenario.initial_velocity - T**2 / 2 * world.constant_dynamics.drift
+    return float(way @ np.linalg.solve(calc_compliance(world, scenario), way))
+
+
+def calc_compliance(world: World, scenario: Scenario) -> Floats:
+    """Returns C = I/w_f + T³/(3 w_u) G Gᵀ with G = M⁻¹ B, shape (nv, nv).
+
+    A flight that ends d off the goal without control costs dᵀ C⁻¹ d with the best one. w_f > 0.
     """
     w_u, w_f, T = scenario.control_weight, scenario.goal_weight, scenario.duration
-    if w_f == 0:
-        return 0.0
-    dynamics = world.constant_dynamics
-    way = scenario.goal_position - scenario.initial_position
-    way = way - T * scenario.initial_velocity - T**2 / 2 * dynamics.drift
-    compliance = np.eye(way.size) / w_f + T**3 / (3 * w_u) * dynamics.gain @ dynamics.gain.T
-    return float(way @ np.linalg.solve(compliance, way))
+    gain = world.constant_dynamics.gain
+    return np.eye(len(gain)) / w_f + T**3 / (3 * w_u) * gain @ gain.T
 
 
 def unfolds(world: World, scenario: Scenario) -> bool:

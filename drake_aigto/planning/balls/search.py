@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from itertools import combinations, starmap
+from itertools import combinations, islice, starmap
 
 import numpy as np
 
@@ -21,8 +21,9 @@ from drake_aigto.planning.balls.branching import (
     propose,
 )
 from drake_aigto.planning.balls.phases import Path, PhaseMotion
+from drake_aigto.planning.balls.shots import draw_shots
 from drake_aigto.planning.balls.task import BallTask
-from drake_aigto.planning.candidate import COASTING, GIVEN, Candidate, Origin
+from drake_aigto.planning.candidate import COASTING, GIVEN, SHOT, Candidate, Origin
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.search import Proposal, Stopwatch, scaled
 from drake_aigto.planning.sequence_search import (
@@ -43,6 +44,8 @@ _CHATTER = 0.02
 _STEPS_PRICE = 1e-2
 # A candidate that costs at most this times the best may become the best.
 _PROMISING = 20.0
+# Shots that are looked at, and sequences of them that are tried, at most.
+_MOST_SHOTS, _MOST_TRIED = 100, 12
 
 
 class BallSearch(BranchingSearch):
@@ -249,6 +252,27 @@ class BallSearch(BranchingSearch):
                 yield [propose(*each)]
         if not (is_fast or (self.task.ladder and self.task.unfolds)):  # Boxes around it are a rung.
             yield from self._propose_uncontrolled()
+
+    def propose_far(self) -> Iterator[Sequence[Proposal]]:
+        """Yields sequences of the shots that promise least, where there is a block.
+
+        A motion past its corner that bounces off another face goes on elsewhere: it is no neighbor.
+        """
+        task, seen = self.task, set[tuple[tuple[int, bool], ...]]()
+        has_block = task.world.num_solids < task.world.num_contacts
+        if not (has_block and self._least_flight_cost > 0 and 0 < self.promise < np.inf):
+            return
+        shots = draw_shots(task.world, task.scenario, self.promise, task.coast_steps)
+        for shot in islice(shots, _MOST_SHOTS):
+            bounces = zip(shot.bounce_times, shot.bounce_contacts, strict=True)
+            sequence = tuple(starmap(Touch.bounce, bounces))
+            if (key := tuple(kinds(sequence))) not in seen:
+                seen.add(key)
+                if not self.is_known(sequence):
+                    path = shot.times, shot.positions
+                    yield from self.propose_good(Origin(SHOT), self._line, sequence, path)
+            if len(seen) >= _MOST_TRIED:
+                return
 
     def _propose_uncontrolled(self) -> Iterator[Sequence[Proposal]]:
         """Yields the contacts of the uncontrolled motion, if they may lead to another plan.
