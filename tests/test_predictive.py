@@ -363,6 +363,18 @@ def test_a_pole_that_nothing_disturbs_grazes_no_rigid_wall() -> None:
     assert run.replay.bounce_contacts == tuple(each.index for each in found.best.contacts)
 
 
+def test_what_whole_steps_lead_far_off_goes_on_at_a_rigid_wall() -> None:
+    """Whatever they led to was taken, and a pendulum that is kicked ended at 29 times the cost."""
+    planner = Planner(PENDULUM, PlanOptions(renewals=0, threads=1))
+    found = planner.plan()
+    controller = ModelPredictiveController(
+        planner, 0.02, "shrinking", surprise=np.inf, plan=found, iterations=5
+    )
+    kicked = Disturbance(kick=np.array([-0.3]), kick_time=0.4)
+    run = run_in_loop(controller, PENDULUM, planner.world, kicked)
+    assert run.cost < 2 * found.cost
+
+
 def test_a_mechanism_is_not_planned_for_from_inside_of_a_rigid_wall() -> None:
     planner = Planner(PENDULUM, PlanOptions(renewals=0))
     inside = np.array([-0.7, 0.0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -280,14 +280,19 @@ class RigidHorizon(_ShootingHorizon):
     def _close(
         self,
         left: Trajectory,
-        sequences: Iterable[TouchSequence],
+        sequences: Sequence[TouchSequence],
         options: ShootingOptions,
         found: list[ShootingResult],
     ) -> Iterator[PlannedMotion | None]:
-        """Yields the motions of descents, and appends what they led to, which may be none."""
-        for touches in sequences:
-            found.append(self._descend(left, touches, options))
-            yield self._read(found[-1], float(left.times[0]))
+        """Yields the motions of descents, and appends what they led to, which may be none.
+
+        First they close gaps; where whole steps that do so lead far off, what the controls lead to
+        may be nearer.
+        """
+        for closes_gaps in (True, False):
+            for touches in sequences:
+                found.append(self._descend(left, touches, options, closes_gaps))
+                yield self._read(found[-1], float(left.times[0]))
 
     def search(self, now: float, x: Floats) -> PlannedMotion | None:
         """Returns the best motion that boxes, renewals and neighbors lead to; None if none."""
@@ -314,7 +319,11 @@ class RigidHorizon(_ShootingHorizon):
         return self._read(self._descend(motion.later(now), apart, _MORE), now)
 
     def _descend(
-        self, left: Trajectory, touches: TouchSequence, options: ShootingOptions
+        self,
+        left: Trajectory,
+        touches: TouchSequence,
+        options: ShootingOptions,
+        closes_gaps: bool = True,
     ) -> ShootingResult:
         """Returns the best motion near a trajectory, with touches as times after its start.
 
@@ -329,7 +338,8 @@ class RigidHorizon(_ShootingHorizon):
         cost = dataclasses.replace(task.cost, times=task.cost.times - left.times[0])
         problem = dataclasses.replace(task, start=after[0], cost=cost)
         controls = left.controls[np.searchsorted(elapsed, middles) - 1]
-        found = problem.solve(controls, interpolate(times, elapsed, after), options)
+        states = interpolate(times, elapsed, after) if closes_gaps else None
+        found = problem.solve(controls, states, options)
         apart = keep_off(self.world, problem, found, _AT_WALL * self._task.scales.length)
         return found if apart is None else apart.solve(found.controls, found.states, options)
 
