@@ -123,6 +123,20 @@ def test_a_constrained_optimum_is_proven(make: Callable[[], Any], below: float) 
     assert least - below <= details.lower_bound <= least
 
 
+def test_more_cells_are_spent_without_being_asked_for_as_long_as_they_soon_prove_it() -> None:
+    prog, least = hs29()
+    details = AigoSolver().Solve(prog).get_solver_details()
+    assert details.status == AigoStatus.PROVEN
+    assert details.boxes == 0
+    assert 400 < details.certificate.cells < 2000
+    assert details.cost == pytest.approx(least, abs=1e-5)
+    options = AigoOptions(rounds=2, starts=2)
+    prog = planted_program(10, seed=0).prog()
+    details = AigoSolver(options).Solve(prog).get_solver_details()
+    assert details.status == AigoStatus.SOLVED
+    assert details.certificate.cells < 1300
+
+
 def test_what_rounding_may_leave_is_not_called_infeasible() -> None:
     """A row that holds at x = 0.3 alone, as 3 · 0.1 is rounded, and one that holds nowhere."""
     prog, (x,) = program(lambda x: x, 1)

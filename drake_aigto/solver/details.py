@@ -55,7 +55,8 @@ class AigoOptions:
             leads to lower ones. 0: none.
         certify: whether a lower bound of the cost (`drake_aigto.certify`) is raised until it proves
             the answer, and bounds the first box. Without it, programs of up to 100 variables are
-            bounded by 400 cells, which ends the search where they prove the answer.
+            bounded by 400 cells, and by up to 6,400 as long as twice as many leave a third of the
+            gap; there is no search where they prove the answer.
         cells: the most cells that bounds are taken of; 0, without `certify`: none, no bound.
         seconds: the most that these take in all; None: as long as it takes. The bound depends on
             the clock then, and `AigoDetails.certificate` says so.
