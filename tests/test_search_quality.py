@@ -17,6 +17,7 @@ from drake_aigto.shooting import ShootingOptions, Smoothing
 pytestmark = pytest.mark.slow
 SPINNER = Scenario.named("spinner/two_radians")
 BLOCK = "pushed_block/slide"
+QUICK = PlanOptions(confirm=False)
 
 
 @pytest.mark.parametrize(("angle", "most"), [(2.8, 4.9), (3.0, 4.9), (np.pi, 4.9)])
@@ -50,6 +51,23 @@ def test_a_payload_is_polished_to_its_own_cost_where_goals_weigh_much() -> None:
     )
     # Of three seeds; 0.13 to 0.17 with descents that end in parts of what goals weigh.
     assert plan(scenario, PlanOptions(seed=2, confirm=False)).cost < 0.083
+
+
+def test_an_unstable_motion_between_sharp_walls_is_polished_near_its_states() -> None:
+    """117.95 from its controls, which lead elsewhere as walls get sharper."""
+    shipped = Scenario.named("cart_pole/soft_10")
+    T, mass = 3.5824383326262828, 0.026953265276805718
+    scenario = dataclasses.replace(shipped, duration=T, time_step=T / 143, mass=mass)
+    found = plan(scenario, QUICK)
+    assert found.holds
+    assert found.cost < 101
+
+
+def test_steps_that_are_wary_do_not_come_first_in_a_polish() -> None:
+    """From wary ones, which stop far from where they began, this seed's plan cost 1864."""
+    found = plan(Scenario.named("cart_pole/dry"), dataclasses.replace(QUICK, seed=1))
+    assert found.holds
+    assert found.cost < 655
 
 
 def test_an_arm_hits_a_puck_where_gaps_can_not_be_closed_by_whole_steps(tmp_path: Path) -> None:

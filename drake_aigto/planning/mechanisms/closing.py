@@ -301,7 +301,8 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult, most: float) -
 
     Args:
         problem: in the motion's time steps.
-        motion: whose states are kept, and gaps between them closed, where steps change it.
+        motion: whose states are kept, and gaps between them closed, where steps or sharper walls
+            change it.
         most: what promises to cost more is left, if steps change it little, by that at least.
     """
     has_friction, options = problem.mechanism.has_friction, POLISH
@@ -311,11 +312,12 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult, most: float) -
     while True:
         problem = problem.starting_from(motion)
         # Under other steps or walls its controls would lead elsewhere.
-        is_unstable = problem.is_unstable(motion)
-        states = motion.states if is_unstable or error > _STEADY else None
+        unit = max(abs(motion.cost), problem.cost_scale)
+        off = max(error, abs(motion.exact_cost - motion.cost) / unit)
+        states = motion.states if off > _STEADY or problem.is_unstable(motion) else None
         # Its cost says little there until they are closed.
         limit = np.inf if states is not None else scaled(1 + error, most)
-        options = dataclasses.replace(options, is_wary=is_unstable, most_promised=limit)
+        options = dataclasses.replace(options, most_promised=limit)
         motion = close_gaps(problem, motion, motion.controls, states, options, motion.prices)
         is_over = motion.is_left or motion.violation > HOPELESS
         if is_over or motion.substeps >= MOST_SUBSTEPS:
