@@ -70,6 +70,22 @@ def test_steps_that_are_wary_do_not_come_first_in_a_polish() -> None:
     assert found.cost < 655
 
 
+def test_a_motion_that_misses_a_bound_by_little_is_not_priced_out() -> None:
+    """94.88 if bounds that closings miss are priced as they are."""
+    shipped = Scenario.named("cart_pole/soft_10")
+    changes = {
+        "initial_position": [0.71355033939802, -0.15012446861343384],
+        "initial_velocity": [-0.01044310371552912, 0.10137982569547506],
+        "goal_position": [-0.11777753444041156, 2.952162581384739],
+        "mass": 0.9544919350656612,
+        "material": {"*": {"stiffness": 199.910010511808}},
+    }
+    scenario = Scenario.from_plain({**shipped.to_plain(), **changes})
+    found = plan(scenario, QUICK)
+    assert found.holds
+    assert found.cost < 90.7
+
+
 def test_an_arm_hits_a_puck_where_gaps_can_not_be_closed_by_whole_steps(tmp_path: Path) -> None:
     found = plan(hit_puck(tmp_path), PlanOptions(renewals=0, starts=4, finalists=1))
     assert found.holds and found.best.contacts

@@ -36,6 +36,8 @@ from drake_aigto.world import SpaceWorld, World, find_anywhere
 # Price of violating bounds (relative to the state's scales) in the task's scale. As a violation may
 # save more than that, motions with a larger one than `_MUCH` rank after all others.
 _PRICE, _MUCH = 10.0, 1e-2
+# How often multipliers of bounds are updated where a penalty leaves a violation.
+_UPDATES = 3
 # Horizons of more periods than this are searched at half their length first.
 _LONG = 4.0
 # The factor by which costs fall at most as steps become shorter, which changes their order, and how
@@ -145,7 +147,25 @@ class MechanismTask(PosedMechanism):
         return type(self)(self.world, half, options, self._compiled)
 
     def close(self, guess: Guess, aim: Aim) -> ShootingResult:
-        """Returns the motion after a few steps from a guess."""
+        """Returns the motion after a few steps from a guess, and more if its bounds ask for them.
+
+        What a penalty leaves of a violation may be priced at many times what it costs to mend.
+        """
+        found = self._close_roughly(guess, aim)
+        is_off = POLISH.feasibility < found.violation <= HOPELESS
+        if not is_off or self.mechanism.has_friction or not found.cost <= aim.most:
+            return found
+        options = dataclasses.replace(
+            self._closing,
+            rungs=self._closing.rungs[-1:],
+            substeps=found.substeps,
+            order=found.order,
+            multiplier_updates=_UPDATES,
+        )
+        mended = self.pose_again(found).solve(found.controls, None, options, found.prices)
+        return min(found, mended, key=self.rank)
+
+    def _close_roughly(self, guess: Guess, aim: Aim) -> ShootingResult:
         options = begin_at(self._closing, guess.width)
         options = aim.limit(options, self._tells)
         (*wide, last), order = options.rungs, aim.order or options.order
