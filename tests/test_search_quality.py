@@ -86,6 +86,16 @@ def test_a_motion_that_misses_a_bound_by_little_is_not_priced_out() -> None:
     assert found.cost < 90.7
 
 
+def test_a_paddle_bats_once_where_a_motion_that_bats_twice_is_near() -> None:
+    """0.896 with two touches; without the second one a closing begins at three times that."""
+    scenario = dataclasses.replace(
+        Scenario.named("paddle/bat"), restitution=0.674036783280805, mass=0.025908392438485126
+    )
+    found = plan(scenario, QUICK)
+    assert found.holds
+    assert found.cost < 0.7303
+
+
 def test_an_arm_hits_a_puck_where_gaps_can_not_be_closed_by_whole_steps(tmp_path: Path) -> None:
     found = plan(hit_puck(tmp_path), PlanOptions(renewals=0, starts=4, finalists=1))
     assert found.holds and found.best.contacts

@@ -59,12 +59,11 @@ _SIMULATED = 1.01
 # Every second renewal is of the best motion, the others are of one of this many.
 _MOST_RENEWED = 4
 # Neighbors are tried of at most 3 of the best motions, which cost at most 1.5 times the best, and
-# of at most 6 per wave of proposals: along a wall the number of sequences has no bound.
-_MOST_BRANCHED, _PROMISING, _MOST_BRANCHES = 3, 1.5, 6
-# How many motions of half the duration are extended by a rest.
-_MOST_EXTENDED = 4
-# How many of the first touches of the uncontrolled motion are tried, beside all of them.
-_FIRST = 1, 2, 3
+# of at most 6 per wave of proposals: along a wall the number of sequences has no bound. Those with
+# a touch less may cost 4 times as much as others at first: something has to do what the touch did.
+_MOST_BRANCHED, _PROMISING, _MOST_BRANCHES, _DROPPED = 3, 1.5, 6, 4.0
+# Motions of half the duration that a rest extends; first touches without control, beside all.
+_MOST_EXTENDED, _FIRST = 4, (1, 2, 3)
 
 
 class Found(NamedTuple):
@@ -157,7 +156,7 @@ class MechanismSearch(Search):
         if self._rigid:
             touches = self._rigid.coasting
             ends = sorted({min(end, len(touches)) for end in (*_FIRST, len(touches))} - {0})
-            closes = (partial(self._bounce, touches[:end]) for end in ends)
+            closes = (partial(self._bounce, touches[:end], None) for end in ends)
             first = [Proposal(Origin(COASTING), close) for close in closes]
         yield [*given, *starts, *sharp, *first]
         if (shorter := self.task.shortened()) is not None:
@@ -233,10 +232,10 @@ class MechanismSearch(Search):
         """Closes a guess."""
         return Found(self.task.close(propose(), self._aim), parent)
 
-    def _bounce(self, touches: TouchSequence, parent: KeptMotion | None = None) -> Found:
+    def _bounce(self, touches: TouchSequence, parent: KeptMotion | None, by: float = 1.0) -> Found:
         """Closes touches; without a parent at any cost, as many of them begin at a high one."""
         assert self._rigid is not None
-        near, most = (parent.result, self._aim.most) if parent else (None, np.inf)
+        near, most = (parent.result, scaled(by, self._aim.most)) if parent else (None, np.inf)
         return Found(self._rigid.bounce(touches, near, most), parent)
 
     def close(self, wave: Sequence[Proposal]) -> None:
@@ -287,7 +286,8 @@ class MechanismSearch(Search):
             if key not in self._tried:
                 self._tried.add(key)
                 origin = motion.origin.changed(change, found.touches)
-                yield Proposal(origin, partial(self._bounce, touches, motion))
+                by = _DROPPED if change == "dropped" else 1.0
+                yield Proposal(origin, partial(self._bounce, touches, motion, by))
 
     def keep(self, origin: Origin, found: Found) -> None:
         """Keeps a motion if it is among the best, and no better one is near."""
