@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 from typing import Any
 
@@ -217,3 +218,19 @@ def test_what_a_model_has_nothing_of_is_refused(
 ) -> None:
     with pytest.raises(ControlError, match=message):
         ModelEstimate.of(World.from_scenario(scenario), scenario, unknown)
+
+
+def test_models_that_differ_in_walls_alone_are_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tick after a bounce off a wall that is unexpectedly near took 24 times the usual tick."""
+    scenario, read = Scenario.named("cart_pole/rigid_06"), list[int]()
+    known = ModelEstimate.of(World.from_scenario(scenario), scenario, ["mass", "walls"])
+    of_diagram = World.of_diagram
+
+    def count(world: World, *given: Any) -> World:
+        read.append(1)
+        return of_diagram(world, *given)
+
+    monkeypatch.setattr(World, "of_diagram", count)
+    moved = dataclasses.replace(known, values=np.array([1.01, 0.02, 0.03]))._build()
+    assert len(moved.models) == 7  # as it is, and with each of three numbers more and less
+    assert len(read) == 3  # with that mass, with more, and with less

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
@@ -154,8 +155,8 @@ class ModelEstimate:
     def _change(self, values: Floats) -> Model:
         """Returns the model with other parameters."""
         pairs = list(zip(self.parameters, values.tolist(), strict=True))
-        factors = {f"{p.kind}_factor": value for p, value in pairs if p.kind in _FACTORS}
-        world, scenario = Disturbance(**factors).apply(self.world, self.scenario)
+        factors = ((f"{p.kind}_factor", value) for p, value in pairs if p.kind in _FACTORS)
+        world, scenario = _scale(self.world, self.scenario, tuple(factors))
         force = np.zeros(world.num_velocities)
         for each, value in pairs:
             if each.kind == "walls" and value:
@@ -274,6 +275,14 @@ class ModelEstimate:
             values = self._usual + known.covariance @ self.sums[1] / known.noise
             known = dataclasses.replace(known, values=np.clip(values, lower, upper))
         return known
+
+
+# Models that differ in walls and forces alone have these in common; a plant is read for each.
+@lru_cache(maxsize=16)
+def _scale(world: World, scenario: Scenario, factors: tuple[tuple[str, float], ...]) -> Model:
+    """Returns the model with masses, friction and stiffness times factors."""
+    given: dict[str, Any] = dict(factors)
+    return Disturbance(**given).apply(world, scenario)
 
 
 def _list_parameters(

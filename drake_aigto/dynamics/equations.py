@@ -179,11 +179,15 @@ class EquationsOfMotion(Coordinates):
             replace(contact, signed_distance=contact.signed_distance - distance)
             for contact, distance in zip(self.contacts, distances.tolist(), strict=True)
         )
-        moved = replace(self, contacts=contacts)
-        vars(moved).update((name, vars(self)[name]) for name in _PLACELESS if name in vars(self))
+        moved = self._keep_placeless(replace(self, contacts=contacts))
         name = "constant_dynamics" if self.has_constant_dynamics else "constant_inertia"
         nearer = vars(moved)[name] = copy.copy(inertia)  # No derived attribute depends on φ(0).
         vars(nearer)["offset"] = read_only(inertia.offset - distances)
+        return moved
+
+    def _keep_placeless(self: _Self, moved: _Self) -> _Self:
+        """Returns the same between other walls, with what is compiled here and knows no place."""
+        vars(moved).update((name, vars(self)[name]) for name in _PLACELESS if name in vars(self))
         return moved
 
     @cached_property
