@@ -69,7 +69,7 @@ RECORDS: Mapping[str, str] = {
     "first_plans": "python -m benchmarks.first_plans",
     "start_time": f"python -m benchmarks.start_time --repeats 3 {_SPEED}",
     "global_functions": f"python -m benchmarks.global_functions --workers 2 --seeds 1 {_SOLVER}",
-    "constrained_programs": f"python -m benchmarks.constrained_programs --workers 2 {_SOLVER}",
+    "constrained_programs": f"python -m benchmarks.constrained_programs --workers 1 {_SOLVER}",
     "staged_programs": "python -m benchmarks.staged_programs --only push_bot --random 50 --seeds 1"
     " --workers 1",
     "lifted_functions": "python -m benchmarks.lifted_functions --workers 1",
