@@ -56,7 +56,9 @@ def test_contact_forces_are_those_of_drakes_continuous_plant(kinds: tuple[str, s
 
 
 @pytest.mark.parametrize(("eps", "slowing"), [(0.0, 0.0), (0.02, 0.0), (0.02, 5e-3)])
-@pytest.mark.parametrize("kinds", [*PAIRS, ("capsule", "capsule"), ("ball", "hull")], ids="-".join)
+@pytest.mark.parametrize(
+    "kinds", [*PAIRS, ("capsule", "capsule"), ("capsule", "box"), ("ball", "hull")], ids="-".join
+)
 def test_derivatives_of_forces_are_exact(
     kinds: tuple[str, str], eps: float, slowing: float
 ) -> None:
@@ -90,6 +92,35 @@ def test_two_capsules_are_as_far_apart_as_the_nearest_balls_on_their_axes() -> N
         assert nearest <= np.hypot(distance, 2 * half_step) + 1e-12
 
 
+def test_a_capsule_is_as_far_from_a_box_as_their_difference_is_from_zero() -> None:
+    """That is the convex hull of corners less ends of the axis, by which both part the soonest."""
+    bodies, rng, pierced = Bodies.of("capsule", "box"), np.random.default_rng(1), 0
+    ends = np.array([[0, 0, -0.15], [0, 0, 0.15]])
+    corners = np.array(list(itertools.product((-0.1, 0.1), (-0.15, 0.15), (-0.125, 0.125))))
+    for _ in range(150):
+        q, v = bodies.draw(rng)
+        bodies.push(q, v, eps=0.1)  # So wide that all are near.
+        (axis, box), (p, center) = bodies.room.rotations, bodies.room.places
+        points = (p + ends @ axis.T)[:, np.newaxis] - (center + corners @ box.T)
+        points = points.reshape(-1, 3)
+        distance = bodies.room.closest.distance[0] + 0.06
+        depth = np.max(ConvexHull(points).equations[:, 3])
+        if depth <= 0.0:
+            pierced += 1
+            assert distance == pytest.approx(depth, abs=1e-10)
+        else:
+            assert distance == pytest.approx(find_nearest(points), abs=1e-6)
+    assert 20 < pierced < 80
+
+
+def find_nearest(points: Floats) -> float:
+    """Returns how far the convex hull of points is from zero."""
+    # Σ w = 1 counts as a row with a large weight.
+    rows = np.vstack([points.T, np.full(len(points), 1e4)])
+    weights, _ = nnls(rows, [0.0, 0.0, 0.0, 1e4])
+    return float(np.linalg.norm(points.T @ weights))
+
+
 def test_a_ball_is_as_far_from_a_hull_as_the_nearest_mixture_of_its_corners() -> None:
     bodies, rng, insides = Bodies.of("ball", "hull"), np.random.default_rng(1), 0
     for _ in range(60):
@@ -102,11 +133,7 @@ def test_a_ball_is_as_far_from_a_hull_as_the_nearest_mixture_of_its_corners() ->
             insides += 1
             assert distance == pytest.approx(depth, abs=1e-12)
             continue
-        # Σ w = 1 counts as a row with a large weight.
-        rows = np.vstack([CORNERS.T, np.full(len(CORNERS), 1e4)])
-        weights, _ = nnls(rows, np.append(x, 1e4))
-        nearest = CORNERS.T @ weights
-        assert distance == pytest.approx(np.linalg.norm(x - nearest), abs=1e-6)
+        assert distance == pytest.approx(find_nearest(CORNERS - x), abs=1e-6)
     assert 0 < insides < 30
 
 

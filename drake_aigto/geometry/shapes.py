@@ -16,6 +16,7 @@ _PAIRS = {
     *((BALL, each) for each in (BALL, CAPSULE, BOX, CYLINDER, HULL, HALF_SPACE)),
     *((each, HALF_SPACE) for each in (CAPSULE, BOX, CYLINDER, HULL)),
     (CAPSULE, CAPSULE),
+    (CAPSULE, BOX),
 }
 
 

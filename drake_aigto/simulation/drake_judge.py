@@ -18,7 +18,7 @@ from drake_aigto.contact import (
     calc_time_to_wall,
     read_clearances,
 )
-from drake_aigto.geometry import BALL, CAPSULE, HULL
+from drake_aigto.geometry import BALL, BOX, CAPSULE, HULL
 from drake_aigto.simulation.compliant import find_depth, measure_steps, read_touches
 from drake_aigto.simulation.recording import Controller, Held, Impact, Recording, Rest, sample_steps
 from drake_aigto.simulation.simulator import SETTLED, calc_acceleration, start_plant
@@ -317,7 +317,7 @@ def find_touch_error(world: SpaceWorld, positions: Floats) -> float:
     pairs = {
         frozenset(pair.shapes): i
         for i, (pair, (a, b)) in enumerate(zip(world.pairs, kinds, strict=True))
-        if a == b == CAPSULE or (a, b) == (BALL, HULL)
+        if (a, b) in ((CAPSULE, CAPSULE), (CAPSULE, BOX), (BALL, HULL))
     }
     if not pairs:
         return 0.0

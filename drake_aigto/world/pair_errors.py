@@ -27,8 +27,8 @@ _INSTEAD = {
     "Ellipsoid": "ellipsoids by spheres",
 }
 _SOFT = (
-    " With contact: compliant, capsules meet spheres and each other; boxes, cylinders and meshes "
-    "spheres and half spaces."
+    " With contact: compliant, capsules meet spheres, boxes and each other; boxes, cylinders and "
+    "meshes spheres and half spaces."
 )
 _MOST_WORK = 30_000  # Samples of all distances, about a second's worth.
 
