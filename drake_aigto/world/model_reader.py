@@ -156,7 +156,7 @@ def _read_model(
         plant.set_gravity_enabled(instances[name], False)
     set_materials(plant, scene_graph, fields.material)
     keep_apart(plant, scene_graph, facts)
-    ends = add_ends(plant, scene_graph)
+    ends = add_ends(plant, scene_graph, in_space)
     try:
         plant.Finalize()
     except RuntimeError as error:

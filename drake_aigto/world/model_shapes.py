@@ -1,16 +1,21 @@
-"""Collision shapes of a parsed model: names, materials, ends of capsules, and pairs kept apart."""
+"""Collision shapes of a parsed model: names, materials, their ends, and pairs kept apart."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from pydrake.geometry import (
+    Box,
     Capsule,
     CollisionFilterDeclaration,
+    Convex,
     GeometryId,
     GeometrySet,
     HalfSpace,
+    Mesh,
     ProximityProperties,
     Role,
     RoleAssign,
@@ -20,13 +25,17 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.world.material import FRICTION
 from drake_aigto.world.model_facts import ModelFacts, fits
 from drake_aigto.world.model_fields import Material
 from drake_aigto.world.pair_errors import END, IN_PLANE, name_pair, refuse_pairs
 from drake_aigto.world.pairs import list_pairs, order_pair
+from drake_aigto.world.space_parts import MOST_CORNERS
 
+# Radius of spheres at corners, as a part of the shape's least size.
+_TINY = 1e-6
 # From an inspector and a pair of shapes to the same in order, or None if they can't be planned for.
 Order = Callable[[Any, tuple[GeometryId, GeometryId]], tuple[GeometryId, GeometryId] | None]
 
@@ -124,7 +133,7 @@ def choose_pairs(
 
 
 def keep_apart(plant: MultibodyPlant, scene_graph: SceneGraph, facts: ModelFacts) -> None:
-    """Keeps pairs of shapes from colliding, by their names; before capsules have ends."""
+    """Keeps pairs of shapes from colliding, by their names; before shapes have ends."""
     named = name_shapes(plant, scene_graph)
     shapes = {full.rpartition("::")[2]: each for each, (full, _) in named.items()}
     apart = [pair for pair in facts.apart if not set(pair) - set(shapes)]
@@ -148,50 +157,72 @@ def _exclude(
     scene_graph.collision_filter_manager().Apply(CollisionFilterDeclaration().ExcludeBetween(*sets))
 
 
-def add_ends(plant: MultibodyPlant, scene_graph: SceneGraph) -> dict[GeometryId, list[GeometryId]]:
-    """Adds a sphere at both ends of each capsule, as far as it may touch; returns them by capsule.
+def add_ends(
+    plant: MultibodyPlant, scene_graph: SceneGraph, in_space: bool
+) -> dict[GeometryId, list[GeometryId]]:
+    """Adds spheres where shapes touch half spaces, whatever their pose; returns them by shape.
 
-    A capsule touches a half space with its ends alone, whatever its pose.
+    These are a capsule's ends and, in space, corners of boxes and of convex hulls of meshes, where
+    spheres are tiny. Drake's own touch of such shapes is one corner, the lowest: on a face that
+    rests, that is another one all the time.
     """
     inspector: Any = scene_graph.model_inspector()
     found = {}
     for shape in inspector.GetAllGeometryIds(Role.kProximity):
-        capsule = inspector.GetShape(shape)
-        if not isinstance(capsule, Capsule):
+        places, radius = _list_ends(inspector, shape, in_space)
+        if not len(places):
             continue
         # What the inspector returns lives until the next shape is registered.
-        half, radius = capsule.length() / 2, capsule.radius()
         X_BG = RigidTransform(inspector.GetPoseInFrame(shape))
         properties = ProximityProperties(inspector.GetProximityProperties(shape))
         name = inspector.GetName(shape).rpartition("::")[2]
         found[shape] = [
             plant.RegisterCollisionGeometry(
                 plant.GetBodyFromFrameId(inspector.GetFrameId(shape)),
-                X_BG @ RigidTransform([0.0, 0.0, z]),
+                X_BG @ RigidTransform(place),
                 Sphere(radius),
                 f"{name}{END}{number}",
                 properties,
             )
-            for number, z in ((1, -half), (2, half))
+            for number, place in enumerate(places, 1)
         ]
     return found
 
 
+def _list_ends(inspector: Any, shape: GeometryId, in_space: bool) -> tuple[Floats, float]:
+    """Returns centers of spheres in a shape's frame, shape (n, 3) [m], and their radius [m]."""
+    solid = inspector.GetShape(shape)
+    if isinstance(solid, Capsule):
+        half = solid.length() / 2
+        return np.array([[0.0, 0.0, -half], [0.0, 0.0, half]]), float(solid.radius())
+    if in_space and isinstance(solid, Box):
+        size = np.asarray(solid.size())
+        radius = _TINY * float(np.min(size))
+        signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+        return signs * (size / 2 - radius), radius
+    if in_space and isinstance(solid, Convex | Mesh):
+        hull = inspector.GetConvexHull(shape)
+        if hull.num_vertices() <= MOST_CORNERS:
+            corners = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+            return corners, _TINY * float(np.min(np.ptp(corners, axis=0)))
+    return np.zeros((0, 3)), 0.0
+
+
 def choose_ends(scene_graph: SceneGraph, ends: dict[GeometryId, list[GeometryId]]) -> None:
-    """Lets the ends of a capsule touch the half spaces that it may touch, and the capsule all else.
+    """Lets the ends of a shape touch the half spaces that it may touch, and the shape all else.
 
     Args:
         scene_graph: whose plant is finalized.
-        ends: of each capsule.
+        ends: of each shape that has any.
     """
     inspector: Any = scene_graph.model_inspector()
     shapes = inspector.GetAllGeometryIds(Role.kProximity)
     walls = [each for each in shapes if isinstance(inspector.GetShape(each), HalfSpace)]
-    every_end = [end for pair in ends.values() for end in pair]
+    every_end = [end for its_ends in ends.values() for end in its_ends]
     _exclude(scene_graph, every_end, [each for each in shapes if each not in walls])
     meets = set(map(frozenset, inspector.GetCollisionCandidates()))
-    for capsule, pair in ends.items():
-        _exclude(scene_graph, pair, [w for w in walls if frozenset((capsule, w)) not in meets])
+    for shape, its_ends in ends.items():
+        _exclude(scene_graph, its_ends, [w for w in walls if frozenset((shape, w)) not in meets])
     _exclude(scene_graph, list(ends), walls)
 
 

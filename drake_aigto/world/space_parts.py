@@ -17,6 +17,7 @@ from pydrake.geometry import (
     GeometryId,
     HalfSpace,
     Mesh,
+    Role,
     SceneGraph,
     Shape,
     Sphere,
@@ -30,6 +31,7 @@ from drake_aigto.dynamics import PRISMATIC, QUATERNION, RPY, TRANSLATION, Coordi
 from drake_aigto.errors import ModelError
 from drake_aigto.geometry import BALL, BOX, CAPSULE, CYLINDER, HALF_SPACE, HULL, Shapes, can_meet
 from drake_aigto.world.material import impose_friction, read_frictions
+from drake_aigto.world.pair_errors import END
 
 _KINDS: dict[type[Shape], int] = {
     Sphere: BALL,
@@ -42,10 +44,10 @@ _KINDS: dict[type[Shape], int] = {
 }
 EXPECTED = (
     "Sphere against Sphere, Box, Capsule, Cylinder, Mesh or HalfSpace, "
-    "Capsule against Capsule or HalfSpace, Box, Cylinder or Mesh against HalfSpace"
+    "Capsule against Capsule, Box or HalfSpace, Box, Cylinder or Mesh against HalfSpace"
 )
 # All faces of a hull are looked at: of as many corners, before a ball and the ground, in 3 µs.
-_MOST_CORNERS = 64
+MOST_CORNERS = 64
 
 
 class ShapePair(NamedTuple):
@@ -65,12 +67,31 @@ class SpaceShapes(NamedTuple):
 def order_shapes(
     inspector: Any, pair: Sequence[GeometryId]
 ) -> tuple[GeometryId, GeometryId] | None:
-    """Returns a pair in the order of `geometry`, or None if its distance is not known."""
+    """Returns a pair in the order of `geometry`, or None if its distance is not known.
+
+    Raises:
+        ModelError: a convex hull has too many corners.
+    """
     first, second = pair
+    for shape in pair:
+        _check_corners(inspector, shape)
     kinds = [_KINDS.get(type(inspector.GetShape(shape)), -1) for shape in pair]
     if min(kinds) < 0 or not can_meet(*kinds):
         return None
     return (first, second) if kinds[0] <= kinds[1] else (second, first)
+
+
+def _check_corners(inspector: Any, shape: GeometryId) -> None:
+    if not isinstance(inspector.GetShape(shape), Convex | Mesh):
+        return
+    if (count := inspector.GetConvexHull(shape).num_vertices()) > MOST_CORNERS:
+        raise ModelError(
+            f"contact of {inspector.GetName(shape)}",
+            got=f"a mesh whose convex hull has {count} corners",
+            expected=f"{MOST_CORNERS} at most",
+            remedy="Simplify the mesh, as in Blender by Decimate or in MeshLab by Quadric Edge "
+            "Collapse; or replace it by spheres and boxes, or leave it out by ignored_shapes.",
+        )
 
 
 def read_shapes(
@@ -91,6 +112,8 @@ def read_shapes(
     shapes = [inspector.GetShape(shape) for shape in numbers]
     hulls = [_read_hull(inspector, shape) for shape in numbers]
     sizes = [_read_size(shape, faces) for shape, faces in zip(shapes, hulls, strict=True)]
+    wholes = [_find_whole(inspector, shape) for shape in numbers]
+    rooms = [_read_size(inspector.GetShape(each), _read_hull(inspector, each))[1] for each in wholes]
     kinds = [_KINDS[type(shape)] for shape in shapes]
     table = Shapes(
         bodies=np.array(links, dtype=np.int64),
@@ -98,7 +121,7 @@ def read_shapes(
         rotations=np.array([R for R, _ in poses]).reshape(-1, 3, 3),
         places=np.array([p for _, p in poses]).reshape(-1, 3),
         sizes=np.array([size for size, _ in sizes]).reshape(-1, 3),
-        bounds=np.array([bound for _, bound in sizes], dtype=float),
+        bounds=np.array(rooms, dtype=float),
         spans=np.cumsum([0, *map(len, hulls)]),
         faces=np.concatenate([np.zeros((0, 4, 3)), *hulls]),
     )
@@ -106,23 +129,21 @@ def read_shapes(
     return SpaceShapes(table, np.array(rows, dtype=np.int64).reshape(-1, 2))
 
 
-def _read_hull(inspector: Any, shape: GeometryId) -> Floats:
-    """Returns the faces of a shape's convex hull as `Shapes` has them; none of what is no mesh.
+def _find_whole(inspector: Any, shape: GeometryId) -> GeometryId:
+    """Returns the box or mesh that a shape is a corner of, which has its size; else the shape."""
+    name, end, _ = inspector.GetName(shape).partition(END)
+    if not end:
+        return shape
+    frame = inspector.GetFrameId(shape)
+    whole: GeometryId = inspector.GetGeometryIdByName(frame, Role.kProximity, name)
+    return shape if isinstance(inspector.GetShape(whole), Capsule) else whole
 
-    Raises:
-        ModelError: it has too many corners.
-    """
+
+def _read_hull(inspector: Any, shape: GeometryId) -> Floats:
+    """Returns the faces of a shape's convex hull as `Shapes` has them; none of what is no mesh."""
     if not isinstance(inspector.GetShape(shape), Convex | Mesh):
         return np.zeros((0, 4, 3))
     hull, faces = inspector.GetConvexHull(shape), []
-    if hull.num_vertices() > _MOST_CORNERS:
-        raise ModelError(
-            f"contact of {inspector.GetName(shape)}",
-            got=f"a mesh whose convex hull has {hull.num_vertices()} corners",
-            expected=f"{_MOST_CORNERS} at most",
-            remedy="Simplify the mesh, as in Blender by Decimate or in MeshLab by Quadric Edge "
-            "Collapse; or replace it by spheres and boxes, or leave it out by ignored_shapes.",
-        )
     corners = [hull.vertex(i) for i in range(hull.num_vertices())]
     for e in range(hull.num_elements()):
         face, normal = hull.element(e), hull.face_normal(e)
