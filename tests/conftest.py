@@ -33,9 +33,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+# Files whose tests compile longest: shooting in the plane and in space, the solver, certificates.
+COMPILING = ("mechanism_planner", "reaches", "tree_shooting", "presolve", "added_terms", "certify")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Puts first what compiles longest: one process does so while the others have other tests."""
-    items.sort(key=lambda item: item.path.stem != "test_mechanism_planner")
+    items.sort(key=lambda item: item.path.stem.removeprefix("test_") not in COMPILING)
 
 
 @pytest.fixture

@@ -262,6 +262,7 @@ def test_a_free_duration_is_chosen_with_the_start() -> None:
     assert plan.cost == pytest.approx(rate * WAY / speed, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_hopper_hops_on_and_on() -> None:
     given = Scenario.named("hopper/hop").to_plain()
     for name in ("goal_position", "goal_weight", "goal_velocity_weight"):

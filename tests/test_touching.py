@@ -16,7 +16,7 @@ from touching_bodies import CORNERS, Bodies, find_faces
 from drake_aigto import World
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import SLOWING
-from drake_aigto.errors import ModelError
+from drake_aigto.errors import ModelError, TrajectoryError
 from drake_aigto.simulation import find_touch_error, replay_drake, replay_event_driven
 from drake_aigto.world import SpaceWorld
 
@@ -185,6 +185,16 @@ def test_what_stands_on_a_face_stays_there(tmp_path: Path, is_mesh: bool) -> Non
         assert np.max(np.abs(moved)) < 1e-4
     assert isinstance(world, SpaceWorld)
     assert np.sum(world.calc_signed_distance(scenario.initial_position) < 0) == 4
+
+
+def test_a_motion_that_ends_early_may_be_due_to_edges_that_touch_at_a_point(tmp_path: Path) -> None:
+    can = "<cylinder><radius>0.05</radius><length>0.1</length></cylinder>"
+    text = ball_and_finger(shapes=collision("can", can))
+    place = {"thing": {"xyz": [0, 0, 0.0493]}, "x": -0.3, "z": 0.3}
+    scenario = make_scenario(tmp_path, text, initial_position=place)
+    world = World.from_scenario(scenario)
+    with pytest.raises(TrajectoryError, match=r"Of m::can with ground::floor, only the lowest"):
+        replay_event_driven(world, world.place(scenario), [0.0, 1.0], np.full((1, 3), 1e200))
 
 
 def test_a_mesh_of_too_many_corners_is_refused_with_what_to_do(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from drake_aigto.contact import (
     of_tree,
 )
 from drake_aigto.dynamics import turn_positions
+from drake_aigto.geometry import BALL, CAPSULE, HALF_SPACE
 from drake_aigto.kernels import borrow, borrowing, kernel
 from drake_aigto.simulation.recording import (
     Controller,
@@ -111,13 +112,21 @@ class Compliant:
                 self._room,
             )  # fmt: skip
             if not (step > 0 and np.isfinite(x).all() and len(blocks) * _BLOCK < _MOST_STEPS):
-                raise refuse_course(time)
+                raise refuse_course(time, self._list_edges())
             rows = self._room[:count].copy()
             rows[:, 0] += time
             blocks.append(rows)
             time = end if done == left else time + done
         times, rest = np.split(np.concatenate(blocks), [1], axis=1)
         return Rows(times[:, 0], *np.split(rest, 2, axis=1)), step
+
+    def _list_edges(self) -> list[str]:
+        """Returns the names of pairs in which an edge touches a half space."""
+        if not isinstance(world := self.world, SpaceWorld):
+            return []
+        kinds = world.geometry.shapes.kinds[world.geometry.pairs]
+        found = zip(world.pairs, kinds, strict=True)
+        return [pair.name for pair, (a, b) in found if b == HALF_SPACE and a not in (BALL, CAPSULE)]
 
     def calc_mean_forces(self, rows: Rows) -> Floats:
         """Returns the mean normal force of each contact over a motion, shape (m,) [N]."""

@@ -276,13 +276,22 @@ def sample_cubics(times: Floats, states: Floats) -> MotionSamples:
     return MotionSamples(at.ravel(), weights.ravel(), rows.reshape(-1, states.shape[1]))
 
 
-def refuse_course(time: float) -> TrajectoryError:
-    """Returns the error of a motion that can't be integrated beyond a time [s]."""
+def refuse_course(time: float, edges: Sequence[str] = ()) -> TrajectoryError:
+    """Returns the error of a motion that can't be integrated beyond a time [s].
+
+    Args:
+        time: how far it could be [s].
+        edges: names of pairs that touch at the lowest point of an edge alone.
+    """
+    jumping = (
+        f" Of {', '.join(edges)}, only the lowest point touches, which jumps where a flat face"
+    )
     return TrajectoryError(
         "the motion under this control",
         got=f"one that runs away, or goes ever faster, at {time:g} s",
         expected="one that can be integrated until the end",
-        remedy="Check the control's size.",
+        remedy="Check the control's size."
+        + (f"{jumping} lies on the ground: put spheres at its edge." if edges else ""),
     )
 
 

@@ -113,7 +113,9 @@ def read_shapes(
     hulls = [_read_hull(inspector, shape) for shape in numbers]
     sizes = [_read_size(shape, faces) for shape, faces in zip(shapes, hulls, strict=True)]
     wholes = [_find_whole(inspector, shape) for shape in numbers]
-    rooms = [_read_size(inspector.GetShape(each), _read_hull(inspector, each))[1] for each in wholes]
+    rooms = [
+        _read_size(inspector.GetShape(each), _read_hull(inspector, each))[1] for each in wholes
+    ]
     kinds = [_KINDS[type(shape)] for shape in shapes]
     table = Shapes(
         bodies=np.array(links, dtype=np.int64),
