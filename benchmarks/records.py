@@ -79,6 +79,7 @@ RECORDS: Mapping[str, str] = {
     f" {_SOLVER}",
     "certificates": "python -m benchmarks.certificates --worlds 20 --lossy 10 --workers 1",
     "provers": "python -m benchmarks.provers --workers 1",
+    "provers_without_rows": "python -m benchmarks.provers --without-rows --workers 1",
     "push_bot_bounds": "python -m benchmarks.push_bot_bounds",
     "loop_record": "python -m benchmarks.loop_record --only table1,corridor,room,floor,soft,block"
     " --workers 1 --minutes 24",
@@ -221,6 +222,7 @@ FIGURES: Mapping[str, Figure] = {
     "soak_lines": Figure("soak", r"(?s)\A(.*\S)"),
     "certificates_table": Figure("certificates", r"(?s)\A[^\n]*\n(.*\S)"),
     "provers_table": Figure("provers", r"(?s)^(ours: .*\S)"),
+    "provers_without_rows_table": Figure("provers_without_rows", r"(?s)^(ours: .*\S)"),
     "push_bot_bounds_table": Figure("push_bot_bounds", r"(?s)\A[^\n]*\n(.*\S)"),
     "peer_tables": Figure("peer_programs", r"(?s)^(payload: .*\S)"),
     "loops_tables": Figure("loops", r"(?s)\A(.*\S)"),
