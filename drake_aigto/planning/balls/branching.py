@@ -110,11 +110,11 @@ class BranchingSearch(SequenceSearch):
             yield from self._branch(good[0])
         yield from self.propose_far()
         for _ in range(self.task.options.branches):
-            best = self._list_good(set())[0]
-            if best in branched:
+            best = self._list_good(set())[:1]
+            if not best or best[0] in branched:
                 return
-            branched.add(best)
-            yield from self._branch(best)
+            branched.add(best[0])
+            yield from self._branch(best[0])
 
     @abstractmethod
     def propose_far(self) -> Iterator[Sequence[Proposal]]:
