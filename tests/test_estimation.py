@@ -65,7 +65,7 @@ def test_what_differs_from_the_model_is_found() -> None:
 
 
 @pytest.mark.parametrize("scenario", [BALL, Scenario.named("pendulum/off_the_wall")])
-@pytest.mark.parametrize("shift", [0.03, -0.03])
+@pytest.mark.parametrize("shift", [0.03, pytest.param(-0.03, marks=pytest.mark.slow)])
 def test_a_rigid_wall_is_as_near_as_it_is_said_to_be(scenario: Scenario, shift: float) -> None:
     world = World.from_scenario(scenario)
     truth = Disturbance(mass_factor=1.2, wall_shift=shift).apply(world, scenario)

@@ -170,7 +170,9 @@ def test_a_turn_in_space_is_filtered() -> None:
     assert np.linalg.norm(found[-1][:4]) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("name", ["floor/rebound", "room/bank_shot"])
+@pytest.mark.parametrize(
+    "name", ["floor/rebound", pytest.param("room/bank_shot", marks=pytest.mark.slow)]
+)
 def test_no_command_answers_a_bounce_with_what_was_before_it(name: str) -> None:
     """It would take 54 N for a moment: felt and filtered, a bounce is not at the same time."""
     rebound = plan(name)
@@ -182,7 +184,7 @@ def test_no_command_answers_a_bounce_with_what_was_before_it(name: str) -> None:
     assert loop.cost < 1.2 * rebound.cost
 
 
-@pytest.mark.parametrize("again", [False, True])
+@pytest.mark.parametrize("again", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_loop_costs_less_with_a_filter(again: bool) -> None:
     base, planner = plan("table1/1"), Planner(BALL)
     noise = Disturbance(noise=5e-3 * np.array([1.0, 10.0]))

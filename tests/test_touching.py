@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 from space_models import BOX, SPHERE, ball_and_finger, collision, make_scenario
 from touching_bodies import CORNERS, Bodies, find_faces
 
-from drake_aigto import World
+from drake_aigto import Scenario, World
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import SLOWING
 from drake_aigto.errors import ModelError, TrajectoryError
@@ -185,6 +185,8 @@ def test_what_stands_on_a_face_stays_there(tmp_path: Path, is_mesh: bool) -> Non
         assert np.max(np.abs(moved)) < 1e-4
     assert isinstance(world, SpaceWorld)
     assert np.sum(world.calc_signed_distance(scenario.initial_position) < 0) == 4
+    apart = Scenario(**(scenario.to_plain() | {"clearance": {"m::cube with ground::floor": 0.01}}))
+    assert np.sum(world.least_distances(apart) == 0.01) == 8
 
 
 def test_a_motion_that_ends_early_may_be_due_to_edges_that_touch_at_a_point(tmp_path: Path) -> None:

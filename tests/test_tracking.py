@@ -60,7 +60,11 @@ def end_among(plan: Plan, shift: float) -> tuple[Any, tuple[int, ...]]:
 
 
 @pytest.mark.parametrize(
-    "name", ["table1/1", pytest.param("room/bank_shot", marks=pytest.mark.slow), "floor/lossy"]
+    "name",
+    [
+        "table1/1",
+        *(pytest.param(each, marks=pytest.mark.slow) for each in ("room/bank_shot", "floor/lossy")),
+    ],
 )
 @pytest.mark.parametrize("shift", [0.01, pytest.param(-0.01, marks=pytest.mark.slow)])
 def test_a_wall_that_stands_nearer_or_farther_is_bounced_off(name: str, shift: float) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from fnmatch import fnmatchcase
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +15,7 @@ from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import suggest
 from drake_aigto.world.model_fields import Limited
+from drake_aigto.world.pair_errors import is_of_pair
 from drake_aigto.world.scenario import Scenario
 
 _TURN = 2.0 * np.pi
@@ -254,7 +254,8 @@ def find_least_distances(
     Args:
         world: of the contacts.
         reaches: R of each, 0 of all but such spheres, shape (m,) [m].
-        clearance: name of a pair, or a glob → the distance to keep [m].
+        clearance: name of a pair, also of shapes that touch with their ends, or a glob → the
+            distance to keep [m].
 
     Raises:
         ScenarioError: no pair has this name, or a box is passed on several sides, where the
@@ -263,7 +264,7 @@ def find_least_distances(
     names = [contact.name for contact in world.contacts]
     least, num_faces = np.full(len(names), -np.inf), world.are_of_one_solid.sum(axis=1)
     for glob, distance in clearance.items():
-        chosen = [i for i, name in enumerate(names) if fnmatchcase(name, glob)]
+        chosen = [i for i, name in enumerate(names) if is_of_pair(name, glob)]
         if not chosen:
             raise ScenarioError(
                 f"clearance: {glob!r}",

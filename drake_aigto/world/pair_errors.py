@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections import Counter
 from collections.abc import Sequence
+from fnmatch import fnmatchcase
 from typing import Any
 
 from pydrake.geometry import Box, GeometryId, HalfSpace, Role, SceneGraph, Sphere
@@ -155,6 +157,11 @@ def _cover(inspector: Any, pairs: list[Pair]) -> list[GeometryId]:
 def name_pair(inspector: Any, pair: Pair) -> str:
     """Returns the names of two shapes, capsules for their ends."""
     return " with ".join(inspector.GetName(shape).partition(END)[0] for shape in pair)
+
+
+def is_of_pair(name: str, glob: str) -> bool:
+    """Returns whether a pair's name, with or without numbers of ends, fits a glob."""
+    return fnmatchcase(name, glob) or fnmatchcase(re.sub(rf"{END}\d+", "", name), glob)
 
 
 def name_pairs(inspector: Any, pairs: list[Pair]) -> str:
