@@ -468,8 +468,7 @@ def test_pairs_without_a_distance_are_listed_at_once(tmp_path: Path) -> None:
     scenario = make_scenario(tmp_path, text, allow_ignored=["pairs"])
     world = World.from_scenario(scenario)
     assert [contact.name for contact in world.contacts] == [
-        f"m::{box}_end{corner} with ground::floor"
-        for box in ("hull", "tip")
-        for corner in range(1, 9)
+        "m::hull with ground::floor",
+        "m::tip with ground::floor",
     ]
     assert "contact of" in " ".join(world.ignored)

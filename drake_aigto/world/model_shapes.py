@@ -36,6 +36,9 @@ from drake_aigto.world.space_parts import MOST_CORNERS
 
 # Radius of spheres at corners, as a part of the shape's least size.
 _TINY = 1e-6
+# Shapes whose tree can't grow so deep that FCL builds it anew, where an infinite box is fatal: by
+# more than 10 beyond the logarithm of their number (`DynamicAABBTreeCollisionManager::setup`).
+_MOST_SHAPES = 14
 # From an inspector and a pair of shapes to the same in order, or None if they can't be planned for.
 Order = Callable[[Any, tuple[GeometryId, GeometryId]], tuple[GeometryId, GeometryId] | None]
 
@@ -164,12 +167,29 @@ def add_ends(
 
     These are a capsule's ends and, in space, corners of boxes and of convex hulls of meshes, where
     spheres are tiny. Drake's own touch of such shapes is one corner, the lowest: on a face that
-    rests, that is another one all the time.
+    rests, that is another one all the time. Where there would be too many shapes beside half spaces
+    that are not the world's own, which may end the process in Drake (its issue 19263), corners are
+    left as Drake has them.
     """
     inspector: Any = scene_graph.model_inspector()
+    shapes = inspector.GetAllGeometryIds(Role.kProximity)
+    walls = {each for each in shapes if isinstance(inspector.GetShape(each), HalfSpace)}
+    meets = {
+        shape
+        for pair in inspector.GetCollisionCandidates()
+        if len(walls & set(pair)) == 1
+        for shape in pair
+    }
+    ends = {each: _list_ends(inspector, each) for each in shapes}
+    solids = [each for each in shapes if not isinstance(inspector.GetShape(each), Capsule)]
+    corners = {each: ends[each] for each in solids if in_space and each in meets}
+    count = len(shapes) + sum(len(places) for places, _ in corners.values())
+    still = inspector.world_frame_id()
+    if count > _MOST_SHAPES and any(inspector.GetFrameId(wall) != still for wall in walls):
+        corners = {}
+    ends = {each: ends[each] for each in shapes if each not in solids} | corners
     found = {}
-    for shape in inspector.GetAllGeometryIds(Role.kProximity):
-        places, radius = _list_ends(inspector, shape, in_space)
+    for shape, (places, radius) in ends.items():
         if not len(places):
             continue
         # What the inspector returns lives until the next shape is registered.
@@ -189,18 +209,18 @@ def add_ends(
     return found
 
 
-def _list_ends(inspector: Any, shape: GeometryId, in_space: bool) -> tuple[Floats, float]:
+def _list_ends(inspector: Any, shape: GeometryId) -> tuple[Floats, float]:
     """Returns centers of spheres in a shape's frame, shape (n, 3) [m], and their radius [m]."""
     solid = inspector.GetShape(shape)
     if isinstance(solid, Capsule):
         half = solid.length() / 2
         return np.array([[0.0, 0.0, -half], [0.0, 0.0, half]]), float(solid.radius())
-    if in_space and isinstance(solid, Box):
+    if isinstance(solid, Box):
         size = np.asarray(solid.size())
         radius = _TINY * float(np.min(size))
         signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
         return signs * (size / 2 - radius), radius
-    if in_space and isinstance(solid, Convex | Mesh):
+    if isinstance(solid, Convex | Mesh):
         hull = inspector.GetConvexHull(shape)
         if hull.num_vertices() <= MOST_CORNERS:
             corners = np.array([hull.vertex(i) for i in range(hull.num_vertices())])

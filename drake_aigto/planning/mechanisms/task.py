@@ -149,11 +149,13 @@ class MechanismTask(PosedMechanism):
     def close(self, guess: Guess, aim: Aim) -> ShootingResult:
         """Returns the motion after a few steps from a guess, and more if its bounds ask for them.
 
-        What a penalty leaves of a violation may be priced at many times what it costs to mend.
+        What a penalty leaves of a violation may be priced at many times what it costs to mend. It is
+        mended where that price is more than all else: elsewhere it hardly changes an order.
         """
         found = self._close_roughly(guess, aim)
         is_off = POLISH.feasibility < found.violation <= HOPELESS
-        if not is_off or self.mechanism.has_friction or not found.cost <= aim.most:
+        is_dear = self.rank(found)[1] > scaled(2.0, found.cost)
+        if not (is_off and is_dear) or self.mechanism.has_friction or not found.cost <= aim.most:
             return found
         options = dataclasses.replace(
             self._closing,
