@@ -149,8 +149,8 @@ class MechanismTask(PosedMechanism):
     def close(self, guess: Guess, aim: Aim) -> ShootingResult:
         """Returns the motion after a few steps from a guess, and more if its bounds ask for them.
 
-        What a penalty leaves of a violation may be priced at many times what it costs to mend. It is
-        mended where that price is more than all else: elsewhere it hardly changes an order.
+        What a penalty leaves of a violation may be priced at many times what it costs to mend. It
+        is mended where that price is more than all else: elsewhere it hardly changes an order.
         """
         found = self._close_roughly(guess, aim)
         is_off = POLISH.feasibility < found.violation <= HOPELESS
