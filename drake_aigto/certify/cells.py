@@ -25,7 +25,8 @@ _MOST_ROUNDS = 4  # over all sides of the whole
 _SPENT = 0.1  # of a side: a round over all sides that cuts off less is the last one
 # Such a round takes up to this number of cells, or this part of those that are left.
 _MOST_OF_ROUND, _PART_OF_ROUND = 5000, 0.5
-# Before all others so many cells without an end are bounded, which begin so far out.
+# Where cells that go on without an end begin, and how many groups of them are bounded at most,
+# before any other cell.
 _MOST_PROBES, _FAR = 10, (2.0**10, 2.0**40, 2.0**160, 2.0**640)
 _MOST_PAIRED = 20  # sides without an end; of more, no two are looked at together
 

@@ -33,7 +33,7 @@ class Shapes(NamedTuple):
     # Radius of a ball; radius and half length of a capsule and a cylinder, along z; half sizes of a
     # box; shape (G, 3) [m]. A half space fills z < 0.
     sizes: Floats
-    bounds: Floats  # radii of spheres about their origins that hold them and more, shape (G,) [m]
+    bounds: Floats  # radii of spheres about their origins that hold them, shape (G,) [m]
     spans: Ints  # shape (G + 1,)
     faces: Floats  # three corners of each [m], and its unit normal outward, in G, (T, 4, 3)
 

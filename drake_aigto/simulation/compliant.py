@@ -124,8 +124,7 @@ class Compliant:
         """Returns the names of pairs in which an edge touches a half space."""
         if not isinstance(world := self.world, SpaceWorld):
             return []
-        kinds = world.geometry.shapes.kinds[world.geometry.pairs]
-        found = zip(world.pairs, kinds, strict=True)
+        found = zip(world.pairs, world.geometry.pair_kinds, strict=True)
         return [pair.name for pair, (a, b) in found if b == HALF_SPACE and a not in (BALL, CAPSULE)]
 
     def calc_mean_forces(self, rows: Rows) -> Floats:

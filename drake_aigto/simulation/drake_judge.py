@@ -313,10 +313,9 @@ def find_touch_error(world: SpaceWorld, positions: Floats) -> float:
         world: whose shapes overlap.
         positions: shape (K, nq).
     """
-    kinds = world.geometry.shapes.kinds[world.geometry.pairs]
     pairs = {
         frozenset(pair.shapes): i
-        for i, (pair, (a, b)) in enumerate(zip(world.pairs, kinds, strict=True))
+        for i, (pair, (a, b)) in enumerate(zip(world.pairs, world.geometry.pair_kinds, strict=True))
         if (a, b) in ((CAPSULE, CAPSULE), (CAPSULE, BOX), (BALL, HULL))
     }
     if not pairs:

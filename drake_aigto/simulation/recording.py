@@ -283,15 +283,15 @@ def refuse_course(time: float, edges: Sequence[str] = ()) -> TrajectoryError:
         time: how far it could be [s].
         edges: names of pairs that touch at the lowest point of an edge alone.
     """
-    jumping = (
-        f" Of {', '.join(edges)}, only the lowest point touches, which jumps where a flat face"
+    why = (
+        f" Of {', '.join(edges)}, only the lowest point touches, which jumps where a flat face "
+        "lies on the ground: put spheres at its edge."
     )
     return TrajectoryError(
         "the motion under this control",
         got=f"one that runs away, or goes ever faster, at {time:g} s",
         expected="one that can be integrated until the end",
-        remedy="Check the control's size."
-        + (f"{jumping} lies on the ground: put spheres at its edge." if edges else ""),
+        remedy="Check the control's size." + why * bool(edges),
     )
 
 

@@ -26,9 +26,9 @@ _PROVEN = 1e-6  # of the gap
 # Before the search, which may then be over, at most this part of all cells is spent: this number at
 # first, and twice as many as long as that leaves no more than the last part of the gap.
 _FIRST_SHARE, _FIRST_CELLS, _SLOW = 0.1, 1000, 0.9
-# Where no bound is asked for, programs of up to this number of variables have so many cells at
-# first, and twice as many, up to the second number, as long as that leaves a third of the gap: of
-# 104 programs with rows 89 are proven by these, 75 by 400 cells, in less time than by searches.
+# Where no bound is asked for: the most variables of a program that is bounded all the same, its
+# cells at first and at most, and the part of the gap that twice as many have to leave at most for
+# more. Of 104 programs with rows these prove 89, and 400 cells 75 in more time, search included.
 _PROVABLE, _FEW_CELLS, _MORE_CELLS, _STEEP = 100, 400, 6400, 1.0 / 3.0
 # At most this number times `starts` parts of the best point are moved, and this is a gain.
 _MOST_PARTS, _GAIN = 5, 1e-7

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from pydrake.geometry import (
@@ -167,31 +167,12 @@ def add_ends(
 
     These are a capsule's ends and, in space, corners of boxes and of convex hulls of meshes, where
     spheres are tiny. Drake's own touch of such shapes is one corner, the lowest: on a face that
-    rests, that is another one all the time. Where there would be too many shapes beside half spaces
-    that are not the world's own, which may end the process in Drake (its issue 19263), corners are
-    left as Drake has them.
+    rests, that is another one all the time.
     """
     inspector: Any = scene_graph.model_inspector()
-    shapes = inspector.GetAllGeometryIds(Role.kProximity)
-    walls = {each for each in shapes if isinstance(inspector.GetShape(each), HalfSpace)}
-    meets = {
-        shape
-        for pair in inspector.GetCollisionCandidates()
-        if len(walls & set(pair)) == 1
-        for shape in pair
-    }
-    ends = {each: _list_ends(inspector, each) for each in shapes}
-    solids = [each for each in shapes if not isinstance(inspector.GetShape(each), Capsule)]
-    corners = {each: ends[each] for each in solids if in_space and each in meets}
-    count = len(shapes) + sum(len(places) for places, _ in corners.values())
-    still = inspector.world_frame_id()
-    if count > _MOST_SHAPES and any(inspector.GetFrameId(wall) != still for wall in walls):
-        corners = {}
-    ends = {each: ends[each] for each in shapes if each not in solids} | corners
     found = {}
+    ends = _list_ends(inspector) | (_list_corners(inspector) if in_space else {})
     for shape, (places, radius) in ends.items():
-        if not len(places):
-            continue
         # What the inspector returns lives until the next shape is registered.
         X_BG = RigidTransform(inspector.GetPoseInFrame(shape))
         properties = ProximityProperties(inspector.GetProximityProperties(shape))
@@ -209,23 +190,49 @@ def add_ends(
     return found
 
 
-def _list_ends(inspector: Any, shape: GeometryId) -> tuple[Floats, float]:
-    """Returns centers of spheres in a shape's frame, shape (n, 3) [m], and their radius [m]."""
-    solid = inspector.GetShape(shape)
-    if isinstance(solid, Capsule):
-        half = solid.length() / 2
-        return np.array([[0.0, 0.0, -half], [0.0, 0.0, half]]), float(solid.radius())
-    if isinstance(solid, Box):
-        size = np.asarray(solid.size())
-        radius = _TINY * float(np.min(size))
-        signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-        return signs * (size / 2 - radius), radius
-    if isinstance(solid, Convex | Mesh):
-        hull = inspector.GetConvexHull(shape)
-        if hull.num_vertices() <= MOST_CORNERS:
+# Centers of spheres in a shape's frame, shape (n, 3) [m], and their radius [m].
+_Spheres: TypeAlias = tuple[Floats, float]
+
+
+def _list_ends(inspector: Any) -> dict[GeometryId, _Spheres]:
+    """Returns the ends of each capsule."""
+    found = {}
+    for shape in inspector.GetAllGeometryIds(Role.kProximity):
+        if isinstance(capsule := inspector.GetShape(shape), Capsule):
+            half = capsule.length() / 2
+            places = np.array([[0.0, 0.0, -half], [0.0, 0.0, half]])
+            found[shape] = places, float(capsule.radius())
+    return found
+
+
+def _list_corners(inspector: Any) -> dict[GeometryId, _Spheres]:
+    """Returns the corners of each box and mesh that may touch a half space.
+
+    None where there would be too many shapes beside half spaces that are not the world's own, which
+    may end the process in Drake (its issue 19263).
+    """
+    shapes = inspector.GetAllGeometryIds(Role.kProximity)
+    walls = {each for each in shapes if isinstance(inspector.GetShape(each), HalfSpace)}
+    pairs = map(set, inspector.GetCollisionCandidates())
+    near = set[GeometryId]().union(*(pair for pair in pairs if pair & walls))
+    found = {}
+    for shape in shapes:
+        solid = inspector.GetShape(shape)
+        if shape not in near:
+            continue
+        if isinstance(solid, Box):
+            size = np.asarray(solid.size())
+            radius = _TINY * float(np.min(size))
+            signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+            found[shape] = signs * (size / 2 - radius), radius
+        elif isinstance(solid, Convex | Mesh):
+            hull = inspector.GetConvexHull(shape)
             corners = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
-            return corners, _TINY * float(np.min(np.ptp(corners, axis=0)))
-    return np.zeros((0, 3)), 0.0
+            if len(corners) <= MOST_CORNERS:
+                found[shape] = corners, _TINY * float(np.min(np.ptp(corners, axis=0)))
+    count = len(shapes) + sum(len(places) for places, _ in found.values())
+    is_still = all(inspector.GetFrameId(wall) == inspector.world_frame_id() for wall in walls)
+    return found if is_still or count <= _MOST_SHAPES else {}
 
 
 def choose_ends(scene_graph: SceneGraph, ends: dict[GeometryId, list[GeometryId]]) -> None:

@@ -155,7 +155,7 @@ class SpaceWorld(SpaceCoordinates, World):
         if scenario.periodic is not None:  # Where a plan of a gait begins, feet may be pressed.
             return
         distances = self.calc_signed_distance(scenario.initial_position)
-        sizes = self.geometry.shapes.bounds[self.geometry.pairs]
+        sizes = self.geometry.radii[self.geometry.pairs]
         smaller = np.min(np.where(sizes > 0, sizes, np.inf), axis=1)
         worst = int(np.argmin(distances / smaller))
         if distances[worst] < -_OVERLAP * smaller[worst]:
@@ -247,7 +247,8 @@ class SpaceWorld(SpaceCoordinates, World):
 
         J = np.empty((0, self.num_contacts, self.num_velocities)) if J is None else J
         memory = memory or make_tree_memory(self.tree)
-        at = self.tree, *self.geometry, np.array(self.signs), list_rows(q)
+        shapes, pairs, _ = self.geometry
+        at = self.tree, shapes, pairs, np.array(self.signs), list_rows(q)
         return measure_pairs(*at, memory, make_closest(), J)
 
     def relate(self, q: Floats) -> tuple[Floats, Floats, Floats]:

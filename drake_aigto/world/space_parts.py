@@ -62,36 +62,23 @@ class SpaceShapes(NamedTuple):
 
     shapes: Shapes
     pairs: Ints  # which of them may touch, shape (P, 2)
+    radii: Floats  # of a sphere about each shape, or about the one that it is a corner of, (G,) [m]
+
+    @property
+    def pair_kinds(self) -> Ints:
+        """The kinds of both shapes of each pair, shape (P, 2)."""
+        return self.shapes.kinds[self.pairs]
 
 
 def order_shapes(
     inspector: Any, pair: Sequence[GeometryId]
 ) -> tuple[GeometryId, GeometryId] | None:
-    """Returns a pair in the order of `geometry`, or None if its distance is not known.
-
-    Raises:
-        ModelError: a convex hull has too many corners.
-    """
+    """Returns a pair in the order of `geometry`, or None if its distance is not known."""
     first, second = pair
-    for shape in pair:
-        _check_corners(inspector, shape)
     kinds = [_KINDS.get(type(inspector.GetShape(shape)), -1) for shape in pair]
     if min(kinds) < 0 or not can_meet(*kinds):
         return None
     return (first, second) if kinds[0] <= kinds[1] else (second, first)
-
-
-def _check_corners(inspector: Any, shape: GeometryId) -> None:
-    if not isinstance(inspector.GetShape(shape), Convex | Mesh):
-        return
-    if (count := inspector.GetConvexHull(shape).num_vertices()) > MOST_CORNERS:
-        raise ModelError(
-            f"contact of {inspector.GetName(shape)}",
-            got=f"a mesh whose convex hull has {count} corners",
-            expected=f"{MOST_CORNERS} at most",
-            remedy="Simplify the mesh, as in Blender by Decimate or in MeshLab by Quadric Edge "
-            "Collapse; or replace it by spheres and boxes, or leave it out by ignored_shapes.",
-        )
 
 
 def read_shapes(
@@ -112,10 +99,6 @@ def read_shapes(
     shapes = [inspector.GetShape(shape) for shape in numbers]
     hulls = [_read_hull(inspector, shape) for shape in numbers]
     sizes = [_read_size(shape, faces) for shape, faces in zip(shapes, hulls, strict=True)]
-    wholes = [_find_whole(inspector, shape) for shape in numbers]
-    rooms = [
-        _read_size(inspector.GetShape(each), _read_hull(inspector, each))[1] for each in wholes
-    ]
     kinds = [_KINDS[type(shape)] for shape in shapes]
     table = Shapes(
         bodies=np.array(links, dtype=np.int64),
@@ -123,29 +106,42 @@ def read_shapes(
         rotations=np.array([R for R, _ in poses]).reshape(-1, 3, 3),
         places=np.array([p for _, p in poses]).reshape(-1, 3),
         sizes=np.array([size for size, _ in sizes]).reshape(-1, 3),
-        bounds=np.array(rooms, dtype=float),
+        bounds=np.array([bound for _, bound in sizes], dtype=float),
         spans=np.cumsum([0, *map(len, hulls)]),
         faces=np.concatenate([np.zeros((0, 4, 3)), *hulls]),
     )
     rows = [[numbers[shape] for shape in pair.shapes] for pair in pairs]
-    return SpaceShapes(table, np.array(rows, dtype=np.int64).reshape(-1, 2))
+    radii = np.array([_read_radius(inspector, shape) for shape in numbers], dtype=float)
+    return SpaceShapes(table, np.array(rows, dtype=np.int64).reshape(-1, 2), radii)
 
 
-def _find_whole(inspector: Any, shape: GeometryId) -> GeometryId:
-    """Returns the box or mesh that a shape is a corner of, which has its size; else the shape."""
+def _read_radius(inspector: Any, shape: GeometryId) -> float:
+    """Returns the radius of a sphere about a shape, or about the solid that it is a corner of."""
     name, end, _ = inspector.GetName(shape).partition(END)
-    if not end:
-        return shape
-    frame = inspector.GetFrameId(shape)
-    whole: GeometryId = inspector.GetGeometryIdByName(frame, Role.kProximity, name)
-    return shape if isinstance(inspector.GetShape(whole), Capsule) else whole
+    if end:
+        frame = inspector.GetFrameId(shape)
+        whole: GeometryId = inspector.GetGeometryIdByName(frame, Role.kProximity, name)
+        shape = shape if isinstance(inspector.GetShape(whole), Capsule) else whole
+    return _read_size(inspector.GetShape(shape), _read_hull(inspector, shape))[1]
 
 
 def _read_hull(inspector: Any, shape: GeometryId) -> Floats:
-    """Returns the faces of a shape's convex hull as `Shapes` has them; none of what is no mesh."""
+    """Returns the faces of a shape's convex hull as `Shapes` has them; none of what is no mesh.
+
+    Raises:
+        ModelError: it has too many corners.
+    """
     if not isinstance(inspector.GetShape(shape), Convex | Mesh):
         return np.zeros((0, 4, 3))
     hull, faces = inspector.GetConvexHull(shape), []
+    if hull.num_vertices() > MOST_CORNERS:
+        raise ModelError(
+            f"contact of {inspector.GetName(shape)}",
+            got=f"a mesh whose convex hull has {hull.num_vertices()} corners",
+            expected=f"{MOST_CORNERS} at most",
+            remedy="Simplify the mesh, as in Blender by Decimate or in MeshLab by Quadric Edge "
+            "Collapse; or replace it by spheres and boxes, or leave it out by ignored_shapes.",
+        )
     corners = [hull.vertex(i) for i in range(hull.num_vertices())]
     for e in range(hull.num_elements()):
         face, normal = hull.element(e), hull.face_normal(e)
