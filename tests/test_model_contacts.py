@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from other_models import ARM, GANTRY, MESH, TRANSMISSION, make, write
+from space_models import SPHERE, ball_and_finger, collision, make_scenario
 
 from drake_aigto import Scenario, World, plan
 from drake_aigto.errors import ModelError
@@ -46,7 +47,7 @@ def test_masks_keep_capsules_apart_and_their_ends_from_floors(tmp_path: Path) ->
     model.write_text(text, encoding="utf-8")
     world = make(str(model), 3, ignored_shapes=())
     names = [contact.name for contact in world.contacts]
-    assert names == ["body0_geom0_end1 against floor", "body0_geom0_end2 against floor"]
+    assert names == ["body0_geom0 end 1 against floor", "body0_geom0 end 2 against floor"]
 
 
 def test_a_name_that_fits_two_shapes_is_refused_and_globs_take_both(tmp_path: Path) -> None:
@@ -66,7 +67,7 @@ def test_a_capsule_touches_a_floor_with_its_two_ends(tmp_path: Path) -> None:
     ends: dict[str, Any] = {"initial_position": [1.5, 0.0], "goal_position": [1.5, 0.1]}
     world = make(model, ignored_shapes=["rod"], **ends)
     names = [contact.name for contact in world.contacts]
-    assert names == ["stick_end1 against floor", "stick_end2 against floor"]
+    assert names == ["stick end 1 against floor", "stick end 2 against floor"]
     q = np.array([0.7, -0.4])
     elbow = np.array([-np.sin(0.7), 0.9 - np.cos(0.7)])
     tip = elbow + 0.5 * np.array([-np.sin(0.3), -np.cos(0.3)])
@@ -272,3 +273,26 @@ def test_links_that_several_joints_connect_do_not_touch_each_other(tmp_path: Pat
     model.write_text(text, encoding="utf-8")
     world = make(str(model), 4, ignored_shapes=(), goal_weight=np.ones(4), friction=0.0)
     assert [contact.name for contact in world.contacts] == ["a against d"]
+
+
+def test_a_tilted_ground_beside_many_shapes_is_where_it_is_beside_few(tmp_path: Path) -> None:
+    # On a link of its own, it ends the process in Drake from 14 shapes on.
+    skins = [collision(f"skin_end{k}", SPHERE, f"{0.1 * k} 0.2 0 0 0 0") for k in range(20)]
+    tilted = {
+        "<normal>0 0 1": "<normal>0 3 4",
+        "<static>": "<pose>0.3 0 -2 0.1 0.2 0.4</pose><static>",
+        '<link name="ground">': '<link name="ground"><pose>0 0 1 0.3 0 0</pose>',
+    }
+    few, many = {}, {}
+    for count, found in ((2, few), (20, many)):
+        text = ball_and_finger("".join(skins[:count]))
+        for plain, turned in tilted.items():
+            text = text.replace(plain, turned)
+        start = {"thing": {"xyz": [0.1, -0.2, 3.0], "rpy": [0.3, -0.5, 0.7]}}
+        world = World.from_scenario(make_scenario(tmp_path, text, initial_position=start))
+        names = [contact.name for contact in world.contacts]
+        q = np.array([0.8, 0.2, -0.4, np.sqrt(0.16), 0.1, -0.2, 3.0, 0.4, 0.3, 0.2])
+        found.update(zip(names, world.calc_signed_distance(q), strict=True))
+    assert few.keys() < many.keys()
+    assert "m::skin_end1 with ground::floor" in few
+    np.testing.assert_allclose([many[name] for name in few], list(few.values()), atol=1e-12)

@@ -15,7 +15,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.planning import Candidate
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence
-from drake_aigto.world import World
+from drake_aigto.world import World, find_link
 
 # Touches that are planned within this number of periods of now may have happened, or not yet.
 _NEAR = 2.0
@@ -326,10 +326,7 @@ def find_bounce(
 def find_bodies(world: World) -> list[list[set[str]]]:
     """Returns the names of both bodies that meet in each contact, plain and with their model's."""
     inspector, plant = world.scene_graph.model_inspector(), world.plant
-    bodies = [
-        [plant.GetBodyFromFrameId(inspector.GetFrameId(shape)) for shape in pair]
-        for pair in world.shapes
-    ]
+    bodies = [[find_link(plant, inspector, shape) for shape in pair] for pair in world.shapes]
     return [[{body.name(), str(body.scoped_name())} for body in pair] for pair in bodies]
 
 

@@ -22,6 +22,7 @@ from .model_fields import Material as Material
 from .model_fields import ModelFields as ModelFields
 from .model_reader import add_dry_friction as add_dry_friction
 from .model_reader import read_model as read_model
+from .pair_errors import find_link as find_link
 from .places import FrameGoal as FrameGoal
 from .places import Pose as Pose
 from .places import PoseWeight as PoseWeight

@@ -69,6 +69,7 @@ class ModelFacts:
         no_effort: joints whose actuator has the limit 0.
         joint_efforts: largest effort of joints, where the model has one, driven or not [N, N m].
         apart: pairs of shapes that may not touch.
+        planes: normals of those in whose place the text has marks, shape (3,) each.
         total_mass: of all links [kg]; None: as they are.
         refused: what can't be planned for: the word that allows to leave it out, what it is, and
             what is missing without it.
@@ -89,6 +90,7 @@ class ModelFacts:
     no_effort: set[str] = field(default_factory=set)
     joint_efforts: dict[str, float] = field(default_factory=dict)
     apart: list[tuple[str, str]] = field(default_factory=list)
+    planes: list[Floats] = field(default_factory=list)
     total_mass: float | None = None
     refused: list[tuple[str, str, str]] = field(default_factory=list)
     ignored: list[tuple[str, str, str]] = field(default_factory=list)

@@ -46,6 +46,7 @@ from drake_aigto.world.model_shapes import (
     leave_pairs_out,
     note_unlike_friction,
     set_materials,
+    set_planes,
 )
 from drake_aigto.world.model_text import read_model_text
 from drake_aigto.world.pairs import order_pair
@@ -154,6 +155,7 @@ def _read_model(
     instances = {plant.GetModelInstanceName(each): each for each in found}
     for name in pick(f"weightless in {path}", fields.weightless, instances):
         plant.set_gravity_enabled(instances[name], False)
+    set_planes(plant, scene_graph, facts.planes)
     set_materials(plant, scene_graph, fields.material)
     keep_apart(plant, scene_graph, facts)
     ends = add_ends(plant, scene_graph, in_space)

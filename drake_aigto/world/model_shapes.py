@@ -22,23 +22,29 @@ from pydrake.geometry import (
     SceneGraph,
     Sphere,
 )
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
+from pydrake.multibody.tree import BodyIndex, WeldJoint
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.world.material import FRICTION
 from drake_aigto.world.model_facts import ModelFacts, fits
 from drake_aigto.world.model_fields import Material
-from drake_aigto.world.pair_errors import END, IN_PLANE, name_pair, refuse_pairs
+from drake_aigto.world.pair_errors import (
+    END,
+    IN_PLANE,
+    MARK,
+    find_link,
+    name_pair,
+    name_shape,
+    refuse_pairs,
+)
 from drake_aigto.world.pairs import list_pairs, order_pair
 from drake_aigto.world.space_parts import MOST_CORNERS
 
 # Radius of spheres at corners, as a part of the shape's least size.
 _TINY = 1e-6
-# Shapes whose tree can't grow so deep that FCL builds it anew, where an infinite box is fatal: by
-# more than 10 beyond the logarithm of their number (`DynamicAABBTreeCollisionManager::setup`).
-_MOST_SHAPES = 14
 # From an inspector and a pair of shapes to the same in order, or None if they can't be planned for.
 Order = Callable[[Any, tuple[GeometryId, GeometryId]], tuple[GeometryId, GeometryId] | None]
 
@@ -74,10 +80,9 @@ def name_shapes(
     inspector: Any = scene_graph.model_inspector()
     found = {}
     for shape in inspector.GetAllGeometryIds(Role.kProximity):
-        full = inspector.GetName(shape).partition(END)[0]
+        full = name_shape(inspector, shape)
         model, _, name = full.rpartition("::")
-        body = plant.GetBodyFromFrameId(inspector.GetFrameId(shape))
-        found[shape] = full, f"{model}::{body.name()}::{name}"
+        found[shape] = full, f"{model}::{find_link(plant, inspector, shape).name()}::{name}"
     return found
 
 
@@ -160,6 +165,55 @@ def _exclude(
     scene_graph.collision_filter_manager().Apply(CollisionFilterDeclaration().ExcludeBetween(*sets))
 
 
+def set_planes(plant: MultibodyPlant, scene_graph: SceneGraph, normals: Sequence[Floats]) -> None:
+    """Puts half spaces where the text has marks: on the world, if it holds their link.
+
+    Beside a half space on a link, more than a dozen shapes may end the process in Drake (its issue
+    19263): a tree of boxes around them, which is built anew when it gets deep, takes no infinite
+    box.
+
+    Args:
+        plant: not finalized, with all welds.
+        scene_graph: its geometry.
+        normals: of the marked planes by number, in the frames of their marks, shape (3,) each.
+    """
+    inspector: Any = scene_graph.model_inspector()
+    poses = _find_still(plant)
+    for mark in inspector.GetAllGeometryIds(Role.kProximity):
+        name, _, number = inspector.GetName(mark).rpartition(MARK)
+        if not (name and number.isdigit() and normals):
+            continue
+        turn = RotationMatrix.MakeFromOneVector(normals[int(number)], 2)
+        body = plant.GetBodyFromFrameId(inspector.GetFrameId(mark))
+        X_BG = RigidTransform(inspector.GetPoseInFrame(mark)) @ RigidTransform(turn, np.zeros(3))
+        if body.index() in poses:
+            X_BG, body = poses[body.index()] @ X_BG, plant.world_body()
+        meets = set(map(frozenset, inspector.GetCollisionCandidates()))
+        shapes = inspector.GetAllGeometryIds(Role.kProximity)
+        apart = [each for each in shapes if frozenset((mark, each)) not in meets]
+        properties = ProximityProperties(inspector.GetProximityProperties(mark))
+        scene_graph.RemoveRole(plant.get_source_id(), mark, Role.kProximity)
+        wall = plant.RegisterCollisionGeometry(body, X_BG, HalfSpace(), name, properties)
+        _exclude(scene_graph, [wall], [each for each in apart if each != mark])
+
+
+def _find_still(plant: MultibodyPlant) -> dict[BodyIndex, RigidTransform]:
+    """Returns poses of the world and of links welded to it, before the plant is finalized."""
+    joints = (plant.get_joint(index) for index in plant.GetJointIndices())
+    welds = [joint for joint in joints if isinstance(joint, WeldJoint)]
+    poses = {plant.world_body().index(): RigidTransform()}
+    for _ in welds:
+        for weld in welds:
+            parent, child = weld.parent_body().index(), weld.child_body().index()
+            X_PF = weld.frame_on_parent().GetFixedPoseInBodyFrame()
+            X_PC = X_PF @ weld.X_FM() @ weld.frame_on_child().GetFixedPoseInBodyFrame().inverse()
+            if parent in poses:
+                poses.setdefault(child, poses[parent] @ X_PC)
+            elif child in poses:
+                poses[parent] = poses[child] @ X_PC.inverse()
+    return poses
+
+
 def add_ends(
     plant: MultibodyPlant, scene_graph: SceneGraph, in_space: bool
 ) -> dict[GeometryId, list[GeometryId]]:
@@ -206,11 +260,7 @@ def _list_ends(inspector: Any) -> dict[GeometryId, _Spheres]:
 
 
 def _list_corners(inspector: Any) -> dict[GeometryId, _Spheres]:
-    """Returns the corners of each box and mesh that may touch a half space.
-
-    None where there would be too many shapes beside half spaces that are not the world's own, which
-    may end the process in Drake (its issue 19263).
-    """
+    """Returns the corners of each box and mesh that may touch a half space."""
     shapes = inspector.GetAllGeometryIds(Role.kProximity)
     walls = {each for each in shapes if isinstance(inspector.GetShape(each), HalfSpace)}
     pairs = map(set, inspector.GetCollisionCandidates())
@@ -230,9 +280,7 @@ def _list_corners(inspector: Any) -> dict[GeometryId, _Spheres]:
             corners = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
             if len(corners) <= MOST_CORNERS:
                 found[shape] = corners, _TINY * float(np.min(np.ptp(corners, axis=0)))
-    count = len(shapes) + sum(len(places) for places, _ in found.values())
-    is_still = all(inspector.GetFrameId(wall) == inspector.world_frame_id() for wall in walls)
-    return found if is_still or count <= _MOST_SHAPES else {}
+    return found
 
 
 def choose_ends(scene_graph: SceneGraph, ends: dict[GeometryId, list[GeometryId]]) -> None:

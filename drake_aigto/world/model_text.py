@@ -13,6 +13,7 @@ from drake_aigto.world.files import read_xml
 from drake_aigto.world.mjcf import read_mjcf
 from drake_aigto.world.model_facts import MESHES, ModelFacts, read_numbers, read_range
 from drake_aigto.world.model_fields import ModelFields
+from drake_aigto.world.pair_errors import MARK
 
 _ROUNDING = 1e-12  # Of the largest moment of inertia.
 # What of an SDF's link changes its motion: the element, values that do not, and what is missing.
@@ -23,6 +24,9 @@ _LEFT_OUT = (
     ("velocity_decay", (), "the forces of damping"),
     ("fluid_added_mass", (), "inertia that is missing"),
 )
+# With this many shapes, Drake's tree of them bears a half space on a link, whose box is infinite.
+_MOST_SHAPES = 12
+_MARK_RADIUS = "1e-9"
 _KINDS = {"mujoco": "xml", "robot": "urdf", "sdf": "sdf"}
 
 
@@ -73,6 +77,7 @@ def read_model_text(
         _read_includes(root, path, packages, facts)
         _refuse_forces(root, path, facts)
         is_changed |= _prune_shapes(root, path, packages, facts)
+        is_changed |= _mark_planes(root, path, facts)
     else:
         return None, kind, facts
     is_changed |= _check_masses(root, path, facts)
@@ -213,6 +218,26 @@ def _prune_shapes(root: Element, path: Path, packages: PackageMap, facts: ModelF
                 _set_file(shape, facts.stub)
             is_changed = facts.is_bare = True
     return is_changed
+
+
+def _mark_planes(root: Element, path: Path, facts: ModelFacts) -> bool:
+    """Puts marks, tiny spheres, where planes are among many shapes (`set_planes`)."""
+    shapes = [shape for link in root.iter("link") for shape in link.findall("collision")]
+    planes = [shape for shape in shapes if shape.find("geometry/plane") is not None]
+    solids = [shape.find(f"geometry/{solid}") for shape in shapes for solid in ("box", "mesh")]
+    corners = 8 * sum(solid is not None for solid in solids)
+    uris = (include.findtext("uri", "") for include in root.iter("include"))
+    if len(shapes) + corners <= _MOST_SHAPES or any("://" not in uri for uri in uris):
+        return False
+    marked = [shape for shape in planes if shape.get("name")]
+    for shape in marked:
+        normal = shape.findtext("geometry/plane/normal", "0 0 1")
+        shape.set("name", f"{shape.get('name')}{MARK}{len(facts.planes)}")
+        facts.planes.append(read_numbers(path, normal, 3, "normal of a plane"))
+        for geometry in shape.findall("geometry"):
+            geometry.clear()
+            SubElement(SubElement(geometry, "sphere"), "radius").text = _MARK_RADIUS
+    return bool(marked)
 
 
 def _tell_materials_apart(root: Element) -> None:

@@ -12,13 +12,15 @@ from typing import Any
 
 from pydrake.geometry import Box, GeometryId, HalfSpace, Role, SceneGraph, Sphere
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import RigidBody
 
 from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import find_hinges
 from drake_aigto.world.model_facts import FixableError
 
-# Ends of a capsule, after its name.
-END = "_end"
+# Ends of a capsule, before their number and after its name; marks, before that of their plane.
+END = " end "
+MARK = " plane "
 # Shapes, and what collides in their place.
 _INSTEAD = {
     "Capsule": "capsules by spheres along their axes",
@@ -37,6 +39,25 @@ _MOST_WORK = 30_000  # Samples of all distances, about a second's worth.
 IN_PLANE = "Sphere against Box, HalfSpace or Sphere, or Capsule against HalfSpace"
 
 Pair = tuple[GeometryId, GeometryId]
+
+
+def name_shape(inspector: Any, shape: GeometryId) -> str:
+    """Returns the name of a shape, or of that whose end it is."""
+    return re.sub(rf"{END}\d+$", "", inspector.GetName(shape))
+
+
+def find_link(plant: MultibodyPlant, inspector: Any, shape: GeometryId) -> RigidBody:
+    """Returns the link that a shape is part of in the model, as a mark tells for a plane."""
+    frame, name = inspector.GetFrameId(shape), inspector.GetName(shape)
+    if frame == inspector.world_frame_id() and isinstance(inspector.GetShape(shape), HalfSpace):
+        every = inspector.GetAllGeometryIds()
+        marks = (
+            each
+            for each in every
+            if re.fullmatch(rf"{re.escape(name)}{MARK}\d+", inspector.GetName(each))
+        )
+        frame = next(map(inspector.GetFrameId, marks), frame)
+    return plant.GetBodyFromFrameId(frame)
 
 
 def explain_no_contact(scene_graph: SceneGraph, are_ignored: bool = False) -> str | None:
@@ -156,7 +177,7 @@ def _cover(inspector: Any, pairs: list[Pair]) -> list[GeometryId]:
 
 def name_pair(inspector: Any, pair: Pair) -> str:
     """Returns the names of two shapes, capsules for their ends."""
-    return " with ".join(inspector.GetName(shape).partition(END)[0] for shape in pair)
+    return " with ".join(name_shape(inspector, shape) for shape in pair)
 
 
 def is_of_pair(name: str, glob: str) -> bool:
@@ -166,7 +187,7 @@ def is_of_pair(name: str, glob: str) -> bool:
 
 def name_pairs(inspector: Any, pairs: list[Pair]) -> str:
     """Returns the names of pairs, grouped by shape, without the name of a model that all share."""
-    names = [tuple(inspector.GetName(shape).partition(END)[0] for shape in pair) for pair in pairs]
+    names = [tuple(name_shape(inspector, shape) for shape in pair) for pair in pairs]
     models = {name.rpartition("::")[0] for pair in names for name in pair} - {""}
     if len(models) == 1:
         names = [tuple(name.rpartition("::")[2] for name in pair) for pair in names]
@@ -192,6 +213,5 @@ def _group(links: list[frozenset[str]]) -> str:
 
 def _name_whole(plant: MultibodyPlant, inspector: Any, shape: GeometryId) -> str:
     """Returns the name of a shape with that of its link, which no other shape has."""
-    model, _, name = inspector.GetName(shape).partition(END)[0].rpartition("::")
-    body = plant.GetBodyFromFrameId(inspector.GetFrameId(shape))
-    return f"{model}::{body.name()}::{name}".removeprefix("::")
+    model, _, name = name_shape(inspector, shape).rpartition("::")
+    return f"{model}::{find_link(plant, inspector, shape).name()}::{name}".removeprefix("::")

@@ -22,7 +22,7 @@ from pydrake.symbolic import Expression
 from drake_aigto.arrays import Floats
 from drake_aigto.dynamics import Contact, evaluate, is_constant, tidy
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world.pair_errors import check_work
+from drake_aigto.world.pair_errors import check_work, find_link
 from drake_aigto.world.plant_reader import PlantReader
 
 # Where a scene graph keeps the restitution of a shape, if its maker put it there.
@@ -305,7 +305,7 @@ def _read_pair(
 
 def _name(plant: MultibodyPlant, inspector: Any, shape: GeometryId) -> str:
     """Returns the name of a shape's body, or its own where a body has several, as the world may."""
-    body = plant.GetBodyFromFrameId(inspector.GetFrameId(shape))
+    body = find_link(plant, inspector, shape)
     if body == plant.world_body() or len(plant.GetCollisionGeometriesForBody(body)) > 1:
         return inspector.GetName(shape).split("::")[-1]
     return body.name()

@@ -31,7 +31,7 @@ from drake_aigto.dynamics import PRISMATIC, QUATERNION, RPY, TRANSLATION, Coordi
 from drake_aigto.errors import ModelError
 from drake_aigto.geometry import BALL, BOX, CAPSULE, CYLINDER, HALF_SPACE, HULL, Shapes, can_meet
 from drake_aigto.world.material import impose_friction, read_frictions
-from drake_aigto.world.pair_errors import END
+from drake_aigto.world.pair_errors import name_shape
 
 _KINDS: dict[type[Shape], int] = {
     Sphere: BALL,
@@ -117,8 +117,8 @@ def read_shapes(
 
 def _read_radius(inspector: Any, shape: GeometryId) -> float:
     """Returns the radius of a sphere about a shape, or about the solid that it is a corner of."""
-    name, end, _ = inspector.GetName(shape).partition(END)
-    if end:
+    name = name_shape(inspector, shape)
+    if name != inspector.GetName(shape):
         frame = inspector.GetFrameId(shape)
         whole: GeometryId = inspector.GetGeometryIdByName(frame, Role.kProximity, name)
         shape = shape if isinstance(inspector.GetShape(whole), Capsule) else whole
