@@ -283,7 +283,7 @@ def test_a_tilted_ground_beside_many_shapes_is_where_it_is_beside_few(tmp_path: 
         "<static>": "<pose>0.3 0 -2 0.1 0.2 0.4</pose><static>",
         '<link name="ground">': '<link name="ground"><pose>0 0 1 0.3 0 0</pose>',
     }
-    few, many = {}, {}
+    few, many = dict[str, float](), dict[str, float]()
     for count, found in ((2, few), (20, many)):
         text = ball_and_finger("".join(skins[:count]))
         for plain, turned in tilted.items():

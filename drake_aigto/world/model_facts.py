@@ -90,7 +90,7 @@ class ModelFacts:
     no_effort: set[str] = field(default_factory=set)
     joint_efforts: dict[str, float] = field(default_factory=dict)
     apart: list[tuple[str, str]] = field(default_factory=list)
-    planes: list[Floats] = field(default_factory=list)
+    planes: list[list[float]] = field(default_factory=list)
     total_mass: float | None = None
     refused: list[tuple[str, str, str]] = field(default_factory=list)
     ignored: list[tuple[str, str, str]] = field(default_factory=list)

@@ -165,7 +165,9 @@ def _exclude(
     scene_graph.collision_filter_manager().Apply(CollisionFilterDeclaration().ExcludeBetween(*sets))
 
 
-def set_planes(plant: MultibodyPlant, scene_graph: SceneGraph, normals: Sequence[Floats]) -> None:
+def set_planes(
+    plant: MultibodyPlant, scene_graph: SceneGraph, normals: Sequence[list[float]]
+) -> None:
     """Puts half spaces where the text has marks: on the world, if it holds their link.
 
     Beside a half space on a link, more than a dozen shapes may end the process in Drake (its issue
