@@ -93,29 +93,26 @@ def _effort(h: Any, way: Any, before: Any, after: Any, pull: float) -> Any:
     ) ** 2 / h**3
 
 
-def first_flights(line: Line, wall: Wall) -> FlightFamily:
-    """Returns flights from the start to a wall, by the time and speed of the touch."""
-    h, a = sym.Variable("h"), sym.Variable("a")
-    y, v = wall.side * (line.position - wall.position), wall.side * line.velocity
-    return FlightFamily(_effort(h, -y, v, -a, -wall.side * line.drift), h, a)
+def flights_between(line: Line, one: Wall | None, other: Wall | None) -> FlightFamily:
+    """Returns flights from a wall, or the start, to a wall, or the end, which is None.
 
-
-def hops(line: Line, wall: Wall, other: Wall) -> FlightFamily:
-    """Returns flights from a wall to a wall, by how long they take and the speeds of touches."""
-    h, a, b = sym.Variable("h"), sym.Variable("a"), sym.Variable("b")
-    v, pull = wall.restitution * a, -wall.side * line.drift
-    if other is wall:
-        return FlightFamily((pull * h - v - b) ** 2 / h + 3.0 * (v - b) ** 2 / h, h, a, b)
-    return FlightFamily(_effort(h, abs(other.position - wall.position), v, b, pull), h, a, b)
-
-
-def last_flights(line: Line, wall: Wall) -> FlightFamily:
-    """Returns flights from a wall to the end, by the time and speed of the touch."""
-    t, a = sym.Variable("t"), sym.Variable("a")
-    pull, w, left = -wall.side * line.drift, line.weight, 1.0 - t
-    v = wall.restitution * a
-    miss = wall.side * (line.goal - wall.position) - v * left + 0.5 * pull * left**2
-    return FlightFamily(3.0 * w / (3.0 + w * left**3) * miss**2, t, a)
+    Their parameters are how long they take, and the speeds of touches before and after.
+    """
+    h, a, b = (sym.Variable(name) for name in "hab")
+    wall = one or other
+    assert wall is not None
+    pull, v = -wall.side * line.drift, wall.restitution * a
+    if one is None:
+        y, v = wall.side * (line.position - wall.position), wall.side * line.velocity
+        cost = _effort(h, -y, v, -b, pull)
+    elif other is None:
+        w, way = line.weight, wall.side * (line.goal - wall.position)
+        cost = 3.0 * w / (3.0 + w * h**3) * (way - v * h + 0.5 * pull * h**2) ** 2
+    elif other is wall:
+        cost = (pull * h - v - b) ** 2 / h + 3.0 * (v - b) ** 2 / h
+    else:
+        cost = _effort(h, abs(other.position - wall.position), v, b, pull)
+    return FlightFamily(cost, h, a, b)
 
 
 def direct_cost(line: Line) -> float:

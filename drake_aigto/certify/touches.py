@@ -33,14 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.certify.flights import (
-    FlightFamily,
-    Line,
-    direct_cost,
-    first_flights,
-    hops,
-    last_flights,
-)
+from drake_aigto.certify.flights import FlightFamily, Line, direct_cost, flights_between
 
 _FIRST_BINS = 16  # of times, and of speeds
 _MOST = 500_000  # edges of one level, and cells
@@ -52,12 +45,12 @@ _ROUNDING = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Touches of walls by their times and speeds.
+    """Touches of walls by their times and speeds, after the start and the end, which are points.
 
     An array of E edges has shape (2, E): the cells that they come from, and those that they go to.
 
     Attributes:
-        walls: which wall each is of (N,).
+        walls: which wall each is of; behind the last one, start and end (N,).
         low: least time and speed (N, 2).
         high: largest.
         slopes: p (N, 2).
@@ -94,20 +87,6 @@ class _Cells:
         )
 
 
-class _Costs(NamedTuple):
-    """Lower bounds of the costs of flights and rests.
-
-    Attributes:
-        starts: from the start to each cell (N,).
-        ends: from each cell to the end (N,).
-        edges: from one cell to another (E,).
-    """
-
-    starts: Floats
-    ends: Floats
-    edges: Floats
-
-
 class _Paths(NamedTuple):
     """Shortest paths through cells.
 
@@ -115,7 +94,7 @@ class _Paths(NamedTuple):
         least: cost of the shortest one.
         cells: of the shortest one by way of each cell (N,).
         edges: of the shortest one by way of each edge (E,).
-        followers: the next cell on the shortest path from each; −1: none (N,).
+        followers: the next cell on the shortest path from each (N,).
     """
 
     least: float
@@ -134,58 +113,52 @@ class _LineFlights:
 
     def __init__(self, line: Line, most: float) -> None:
         """Makes the formulas."""
-        self.most = most
-        self._pulls = np.array([-wall.side * line.drift for wall in line.walls])
-        self._sticks = np.array([wall.restitution == 0.0 for wall in line.walls])
-        self._first = [first_flights(line, wall) for wall in line.walls]
-        self._last = [last_flights(line, wall) for wall in line.walls]
-        self._hops = {
-            (i, j): hops(line, one, other)
-            for i, one in enumerate(line.walls)
-            for j, other in enumerate(line.walls)
+        self.most, places = most, [*enumerate(line.walls)]
+        self._pulls = np.array([-wall.side * line.drift for wall in line.walls] + [0.0] * 2)
+        self._sticks = np.array([wall.restitution == 0.0 for wall in line.walls] + [False] * 2)
+        start, self._end = len(places), len(places) + 1
+        self._flights = {
+            (i, j): flights_between(line, one, other)
+            for i, one in (*places, (start, None))
+            for j, other in (*places, (self._end, None))
+            if one or other
         }
 
-    def flat(self, cells: _Cells, edges: Ints) -> _Costs:
-        """Returns costs without slopes."""
-        count = cells.walls.size
-        costs = _Costs(np.empty(count), np.empty(count), np.empty(edges.shape[1]))
-        for found, kinds in ((costs.starts, self._first), (costs.ends, self._last)):
-            for wall, flights in enumerate(kinds):
-                own = cells.walls == wall
-                found[own] = flights.bound(cells.low[own], cells.high[own], self.most)
-        for own, flights in self._hops_of(cells, edges):
-            costs.edges[own] = flights.bound(*cells.boxes(edges[:, own]), self.most)
+    def flat(self, cells: _Cells, edges: Ints) -> Floats:
+        """Returns lower bounds of the costs of flights and rests (E,), without slopes."""
+        costs = np.full(edges.shape[1], np.inf)
+        for own, flights in self._flights_of(cells, edges):
+            costs[own] = flights.bound(*cells.boxes(edges[:, own]), self.most)
         rests = self._rests(cells, edges)
         sources, targets = edges[:, rests]
         time = np.maximum(cells.low[targets, 0] - cells.high[sources, 0], 0.0)
-        costs.edges[rests] = np.minimum(self._pulls[cells.walls[sources]], 0.0) ** 2 * time
+        costs[rests] = np.minimum(self._pulls[cells.walls[sources]], 0.0) ** 2 * time
         return costs
 
-    def sloped(self, cells: _Cells, edges: Ints, flat: _Costs) -> _Costs:
+    def sloped(self, cells: _Cells, edges: Ints, flat: Floats) -> Floats:
         """Returns costs with f + p'(z' − c') − p (z − c) in place of f."""
         gains, (sources, targets) = cells.gains, edges
-        costs = _Costs(
-            flat.starts - gains, flat.ends - gains, flat.edges - gains[sources] - gains[targets]
-        )
-        for found, sign, kinds in (
-            (costs.starts, 1.0, self._first),
-            (costs.ends, -1.0, self._last),
-        ):
-            for wall, flights in enumerate(kinds):
-                own = np.flatnonzero((cells.walls == wall) & np.isfinite(found))
-                slopes = sign * cells.slopes[own]
-                bounds = flights.expand(cells.low[own], cells.high[own], slopes)
-                found[own] = np.fmax(found[own], bounds)
-        for own, flights in self._hops_of(cells, edges):
-            own = own[np.isfinite(costs.edges[own])]
-            bounds = _expand_hops(flights, cells, edges[:, own])
-            costs.edges[own] = np.fmax(costs.edges[own], bounds)
+        costs = flat - gains[sources] - gains[targets]
+        for own, flights in self._flights_of(cells, edges):
+            own = own[np.isfinite(costs[own])]
+            costs[own] = np.fmax(costs[own], self._expand(flights, cells, edges[:, own]))
         return costs
 
-    def _hops_of(self, cells: _Cells, edges: Ints) -> Iterator[tuple[Ints, FlightFamily]]:
-        """Yields the edges from one wall to another that are not rests."""
+    def _expand(self, flights: FlightFamily, cells: _Cells, edges: Ints) -> Floats:
+        """Returns bounds of f + p'(z' − c') − p (z − c) of flights between cells (E,)."""
+        (sources, targets), (p, q) = edges, cells.slopes[edges]
+        q = np.where(cells.walls[targets, None] == self._end, p, q)  # There, z' is c'.
+        low, high = cells.boxes(edges)
+        found = flights.expand(low, high, np.column_stack([q[:, 0], -p[:, 1], q[:, 1]]))
+        # With t' = t + h: q (t' − c') − p (t − c) = q (h − m) + q (m − c' + c) + (q − p) (t − c).
+        middles, half = cells.middles[:, 0], 0.5 * (cells.high - cells.low)[sources, 0]
+        moved = 0.5 * (low + high)[:, 0] - middles[targets] + middles[sources]
+        return found + q[:, 0] * moved - np.abs(q[:, 0] - p[:, 0]) * half
+
+    def _flights_of(self, cells: _Cells, edges: Ints) -> Iterator[tuple[Ints, FlightFamily]]:
+        """Yields the edges from one place to another that are not rests."""
         (first, second), moves = cells.walls[edges], ~self._rests(cells, edges)
-        for (i, j), flights in self._hops.items():
+        for (i, j), flights in self._flights.items():
             yield np.flatnonzero(moves & (first == i) & (second == j)), flights
 
     def _rests(self, cells: _Cells, edges: Ints) -> Bools:
@@ -193,7 +166,7 @@ class _LineFlights:
         (first, second), (before, after) = cells.walls[edges], cells.may_rest[edges]
         return (before | self._sticks[first]) & (first == second) & after
 
-    def without_gain(self, cells: _Cells, edges: Ints, flat: _Costs) -> _Cells:
+    def without_gain(self, cells: _Cells, edges: Ints, flat: Floats) -> _Cells:
         """Returns cells with slopes so small that no cycle lowers the cost of a path.
 
         Only what may take no time leads back. What leads to a cell that way costs no less then than
@@ -202,7 +175,7 @@ class _LineFlights:
         sources, targets = edges
         back = cells.low[targets, 0] <= cells.high[sources, 0]
         costs = np.full(cells.walls.size, np.inf)
-        np.minimum.at(costs, targets[back], flat.edges[back])
+        np.minimum.at(costs, targets[back], flat[back])
         gains = cells.gains
         parts = np.divide(
             0.499 * costs, gains, out=np.ones_like(gains), where=gains > 0.499 * costs
@@ -212,30 +185,16 @@ class _LineFlights:
     def with_slopes(self, cells: _Cells, walls: Ints, touches: Floats) -> _Cells:
         """Returns cells with p: the slope of the cost to go at a cell's middle.
 
-        The next touches are of walls (N,), −1 where the end comes next, at times and speeds (N, 2).
+        The next touches are of walls (N,), or the end, at times and speeds (N, 2).
         """
         found, own = np.zeros_like(cells.low), cells.middles
         time = touches[:, 0] - own[:, 0]
-        for wall, flights in enumerate(self._last):
-            at = np.flatnonzero((cells.walls == wall) & (walls < 0))
-            found[at] = flights.slopes(own[at])
-        for (i, j), flights in self._hops.items():
+        for (i, j), flights in self._flights.items():
             at = np.flatnonzero((cells.walls == i) & (walls == j) & (time > 0.0))
             along = flights.slopes(np.column_stack([time, own[:, 1], touches[:, 1]])[at])
             found[at] = np.column_stack([-along[:, 0], along[:, 1]])
         found[cells.may_rest] = 0.0
         return replace(cells, slopes=found)
-
-
-def _expand_hops(flights: FlightFamily, cells: _Cells, edges: Ints) -> Floats:
-    """Returns bounds of f + p'(z' − c') − p (z − c) of flights between cells (E,)."""
-    (sources, targets), (p, q) = edges, cells.slopes[edges]
-    low, high = cells.boxes(edges)
-    found = flights.expand(low, high, np.column_stack([q[:, 0], -p[:, 1], q[:, 1]]))
-    # With t' = t + h: q (t' − c') − p (t − c) = q (h − m) + q (m − c' + c) + (q − p) (t − c).
-    middles, half = cells.middles[:, 0], 0.5 * (cells.high - cells.low)[sources, 0]
-    moved = 0.5 * (low + high)[:, 0] - middles[targets] + middles[sources]
-    return found + q[:, 0] * moved - np.abs(q[:, 0] - p[:, 0]) * half
 
 
 def bound_line(line: Line, most: float) -> float:
@@ -263,11 +222,12 @@ def _search(line: Line, most: float) -> float:
         if max(edges.shape[1], cells.walls.size) > _MOST:
             break
         flat = walls.flat(cells, edges)
-        first = _find_paths(edges, flat)
+        first = _find_paths(edges, flat, cells.walls.size)
         left = np.flatnonzero(first.edges <= most)
-        edges, flat = edges[:, left], flat._replace(edges=flat.edges[left])
+        edges, flat = edges[:, left], flat[left]
         cells = walls.without_gain(cells, edges, flat)
-        paths = _find_paths(edges, walls.sloped(cells, edges, flat))
+        sloped = walls.sloped(cells, edges, flat)
+        paths = _find_paths(edges, sloped, cells.walls.size)
         if first.least > paths.least:
             paths = paths._replace(least=first.least, followers=first.followers)
         least = min(enough, paths.least)
@@ -287,28 +247,25 @@ def _first_cells(line: Line, most: float) -> _Cells:
     speeds = times * fastest * (1.0 + 1e-9)
     low = np.array([(t, a) for t in times[:-1] for a in speeds[:-1]])
     high = np.array([(t, a) for t in times[1:] for a in speeds[1:]])
-    count = len(line.walls)
-    return _Cells(
-        np.repeat(np.arange(count), len(low)),
-        np.tile(low, (count, 1)),
-        np.tile(high, (count, 1)),
-        np.zeros((count * len(low), 2)),
-    )
+    count, ends = len(line.walls), np.array([(0.0, 0.0), (1.0, 0.0)])
+    walls = np.array([count, count + 1, *np.repeat(np.arange(count), len(low))])
+    low, high = (np.vstack([ends, np.tile(each, (count, 1))]) for each in (low, high))
+    return _Cells(walls, low, high, np.zeros_like(low))
 
 
-def _find_paths(edges: Ints, costs: _Costs) -> _Paths:
-    """Returns the shortest paths by way of some edges."""
-    kept = np.flatnonzero(np.isfinite(costs.edges))
-    (sources, targets), weights = edges[:, kept], costs.edges[kept]
-    before = _relax(costs.starts, sources, targets, weights)
-    after = _relax(costs.ends, targets, sources, weights)
-    followers = np.full(after.size, -1)
+def _find_paths(edges: Ints, costs: Floats, count: int) -> _Paths:
+    """Returns the shortest paths from the first one of N cells to the second, by way of edges."""
+    kept = np.flatnonzero(np.isfinite(costs))
+    (sources, targets), weights = edges[:, kept], costs[kept]
+    before, after = (np.where(np.arange(count) == end, 0.0, np.inf) for end in range(2))
+    before = _relax(before, sources, targets, weights)
+    after = _relax(after, targets, sources, weights)
+    followers = np.ones(count, dtype=np.int64)
     onward = weights + after[targets] <= after[sources] + _ROUNDING * np.abs(after[sources])
     followers[sources[onward]] = targets[onward]
     through = np.full(edges.shape[1], np.inf)
     through[kept] = before[sources] + weights + after[targets]
-    least = float(np.min(costs.starts + after, initial=math.inf))
-    return _Paths(least, before + after, through, followers)
+    return _Paths(float(after[0]), before + after, through, followers)
 
 
 def _relax(values: Floats, sources: Ints, targets: Ints, weights: Floats) -> Floats:
@@ -326,19 +283,19 @@ def _relax(values: Floats, sources: Ints, targets: Ints, weights: Floats) -> Flo
 
 def _cut(walls: _LineFlights, cells: _Cells, edges: Ints, paths: _Paths) -> tuple[_Cells, Ints]:
     """Returns both halves of the cells that are left, and the edges between them."""
-    most = walls.most * (1.0 + 1e-12)
-    alive, left = np.flatnonzero(paths.cells <= most), np.flatnonzero(paths.edges <= most)
-    followers, middles = paths.followers[alive], cells.middles
-    place = np.full(cells.walls.size, -1)
-    place[alive] = 2 * np.arange(alive.size)
-    low, high = (np.repeat(ends[alive], 2, axis=0) for ends in (cells.low, cells.high))
-    (times, speeds), widths = middles[alive].T, (cells.high - cells.low)[alive]
-    flights = np.where(followers < 0, 1.0, middles[followers, 0]) - times
+    most, counts = walls.most * (1.0 + 1e-12), np.where(cells.high[:, 1] > 0.0, 2, 1)
+    is_left, left = paths.cells <= most, np.flatnonzero(paths.edges <= most)
+    counts[~is_left] = 0
+    alive, place = np.repeat(np.arange(counts.size), counts), np.cumsum(counts) - counts
+    low, high, middles, nexts = cells.low[alive], cells.high[alive], cells.middles, paths.followers
+    (times, speeds), widths = middles.T, cells.high - cells.low
+    flights = middles[nexts, 0] - times
     axes = (2.0 * speeds * widths[:, 0] < flights * widths[:, 1]).astype(np.int64)
-    high[place[alive], axes] = low[place[alive] + 1, axes] = middles[alive, axes]
-    parts = _Cells(np.repeat(cells.walls[alive], 2), low, high, np.zeros_like(low))
-    next_walls = np.where(followers < 0, -1, cells.walls[followers])
-    next_touches = np.repeat(middles[followers], 2, axis=0)
-    parts = walls.with_slopes(parts, np.repeat(next_walls, 2), next_touches)
+    whole = np.flatnonzero(counts == 2)
+    first, own = place[whole], axes[whole]
+    high[first, own] = low[first + 1, own] = middles[whole, own]
+    parts = _Cells(cells.walls[alive], low, high, np.zeros_like(low))
+    parts = walls.with_slopes(parts, cells.walls[nexts[alive]], middles[nexts[alive]])
     pairs = np.indices((2, 2)).reshape(2, 1, -1)
-    return parts, (place[edges[:, left]][..., None] + pairs).reshape(2, -1)
+    is_pair = np.all(pairs < counts[edges[:, left]][..., None], axis=0)
+    return parts, (place[edges[:, left]][..., None] + pairs)[:, is_pair]
