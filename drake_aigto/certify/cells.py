@@ -245,15 +245,15 @@ class CellSearch(BoundSearch):
         low, high, bounds, cuts, places = cells
         lowest, enough = np.inf, self.enough(self.least, self._scale)
         for c in np.flatnonzero(bounds <= enough):
-            found = relaxation.bound(low[c], high[c], self.least)
+            bound, x, cut = relaxation.bound(low[c], high[c], self.least)
             self.num_cells += relaxation.effort
-            bounds[c] = max(bounds[c], found.bound)
+            bounds[c] = max(bounds[c], bound)
             if bounds[c] < lowest:
-                lowest, self.lowest_point = bounds[c], found.x
+                lowest, self.lowest_point = bounds[c], x
             if not self._is_bent:
-                cuts[c], places[c] = found.cut
+                cuts[c], places[c] = cut
             if self._is_free:
-                self.offer(found.x, self.value(found.x))
+                self.offer(x, self.value(x))
 
     def _cut_widest(self, cells: OpenCells) -> None:
         """Has cells without a cut be cut in the middle of their longest side, if it has one."""

@@ -76,14 +76,11 @@ def _narrow_both(jets: Floats, operation: int, y: Interval, a: int, b: int) -> b
     if operation == Operation.MULTIPLY:
         is_left = narrow(jets, a, _quotient(y, at(jets, b, 0)))
         return is_left and narrow(jets, b, _quotient(y, at(jets, a, 0)))
-    # One of two is y, and the other one on its side of it.
-    is_max = operation == Operation.MAX
-    side = (-np.inf, y[1]) if is_max else (y[0], np.inf)
-    is_left = narrow(jets, a, side) and narrow(jets, b, side)
-    first, second = at(jets, a, 0), at(jets, b, 0)
-    if first[1] < y[0] if is_max else first[0] > y[1]:
+    # The larger one of two is y.
+    is_left = narrow(jets, a, (-np.inf, y[1])) and narrow(jets, b, (-np.inf, y[1]))
+    if at(jets, a, 0)[1] < y[0]:
         is_left = is_left and narrow(jets, b, y)
-    if second[1] < y[0] if is_max else second[0] > y[1]:
+    if at(jets, b, 0)[1] < y[0]:
         is_left = is_left and narrow(jets, a, y)
     return is_left
 
@@ -130,12 +127,7 @@ def _go_back(jets: Floats, entry: int, operation: int, a: int, b: int, p: float)
         high = real_power((abs(y[1]), abs(y[1])), root)
         least = low[0] if y[0] >= 0.0 else -low[1]
         return narrow(jets, a, (least, high[1] if y[1] >= 0.0 else -high[0]))
-    if (
-        operation == Operation.ADD
-        or operation == Operation.MULTIPLY
-        or operation == Operation.MAX
-        or operation == Operation.MIN
-    ):
+    if operation == Operation.ADD or operation == Operation.MULTIPLY or operation == Operation.MAX:
         return _narrow_both(jets, operation, y, a, b)
     return narrow(jets, a, _inverse(operation, y, p))
 

@@ -138,8 +138,6 @@ def function_value(operation: int, a: int, b: int, p: float, jets: Floats) -> In
         return times(x, at(jets, b, 0))
     if operation == Operation.MAX:
         return max(x[0], at(jets, b, 0)[0]), max(x[1], at(jets, b, 0)[1])
-    if operation == Operation.MIN:
-        return min(x[0], at(jets, b, 0)[0]), min(x[1], at(jets, b, 0)[1])
     return derivatives(operation, x, b, p, VALUE)[0]
 
 
@@ -188,25 +186,17 @@ def _copy(jets: Floats, to: int, of: int, count: int) -> None:
 
 
 @inner
-def _take_larger(jets: Floats, to: int, a: int, b: int, sign: float, size: int, count: int) -> None:
-    """Fills an entry with the larger of two, or with sign −1 the smaller one."""
+def _take_larger(jets: Floats, to: int, a: int, b: int, size: int, count: int) -> None:
+    """Fills an entry with the larger of two."""
     first, second = at(jets, a, 0), at(jets, b, 0)
-    is_a = first[0] > second[1] if sign > 0.0 else first[1] < second[0]
-    is_b = second[0] > first[1] if sign > 0.0 else second[1] < first[0]
-    if is_a or is_b:
-        _copy(jets, to, a if is_a else b, count)
-    else:
-        for place in range(1, count):
-            both, other = at(jets, a, place), at(jets, b, place)
-            is_slope = place <= size
-            put(
-                jets,
-                to,
-                place,
-                (min(both[0], other[0]), max(both[1], other[1])) if is_slope else (-np.inf, np.inf),
-            )
-    for end in range(2):
-        jets[to, 0, end] = sign * max(sign * jets[a, 0, end], sign * jets[b, 0, end])
+    if first[0] > second[1] or second[0] > first[1]:
+        _copy(jets, to, a if first[0] > second[1] else b, count)
+        return
+    put(jets, to, 0, (max(first[0], second[0]), max(first[1], second[1])))
+    for place in range(1, count):
+        both, other = at(jets, a, place), at(jets, b, place)
+        slope = min(both[0], other[0]), max(both[1], other[1])
+        put(jets, to, place, slope if place <= size else (-np.inf, np.inf))
 
 
 @inner
@@ -250,9 +240,8 @@ def enclose(tape: Tape, formula: int, low: Floats, high: Floats, order: int, jet
                 put(jets, k, place, plus(at(jets, a, place), at(jets, b, place)))
         elif operation == Operation.MULTIPLY:
             _multiply(jets, k, a, b, size, order)
-        elif operation == Operation.MAX or operation == Operation.MIN:
-            sign = 1.0 if operation == Operation.MAX else -1.0
-            _take_larger(jets, k, a, b, sign, size, count)
+        elif operation == Operation.MAX:
+            _take_larger(jets, k, a, b, size, count)
         else:
             x = at(jets, a, 0)
             if (

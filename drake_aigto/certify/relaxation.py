@@ -7,7 +7,6 @@ only its multipliers are used, by which bounds are proven (`relaxation_kernels`)
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,7 @@ from drake_aigto.certify.tape import JointTape, Operation
 
 _LEAVES = (Operation.NUMBER, Operation.VARIABLE)
 _SUMS = (Operation.ADD, Operation.SHIFT, Operation.SCALE)
-_OF_TWO = (Operation.MULTIPLY, Operation.MAX, Operation.MIN)
+_OF_TWO = (Operation.MULTIPLY, Operation.MAX)
 _MOST_ITERATIONS = 2000
 _INNER = 0.2  # A side is cut at no less than this part of it.
 # Beyond it the dual simplex of HiGHS may go on for ever from the basis of another cell.
@@ -102,21 +101,6 @@ def _sum(a: float, b: float, towards: float) -> float:
     return math.nextafter(a + b, towards) if a and b else a + b
 
 
-@dataclass(frozen=True, eq=False)
-class Relaxed:
-    """What a relaxation says of a cell.
-
-    Attributes:
-        bound: of the cost; ∞ if there is no feasible point that costs less than the cutoff.
-        x: the variables where the relaxation is least (n,).
-        cut: the variable to cut, and where; −1: none stands out.
-    """
-
-    bound: float
-    x: Floats
-    cut: tuple[int, float] = (-1, 0.0)
-
-
 class Relaxation:
     """Linear programs that bound a program over cells, each started from the last one's basis.
 
@@ -153,34 +137,36 @@ class Relaxation:
         from scipy.optimize._highspy import _core as highs
 
         self._core, self._highs = highs, highs._Highs()
-        for name, value in (
-            ("output_flag", False),
-            ("presolve", "off"),
-            ("solver", "simplex"),
-            ("threads", 1),
-            ("simplex_iteration_limit", _MOST_ITERATIONS),
-        ):
+        options = {"output_flag": False, "presolve": "off", "solver": "simplex", "threads": 1}
+        options |= {"simplex_iteration_limit": _MOST_ITERATIONS}
+        for name, value in options.items():
             self._highs.setOptionValue(name, value)
         self._basis: Any = None
         self.effort = 1 + self._functions.size // 4 + size // 4
 
-    def bound(self, low: Floats, high: Floats, cutoff: float) -> Relaxed:
+    def bound(
+        self, low: Floats, high: Floats, cutoff: float
+    ) -> tuple[float, Floats, tuple[int, float]]:
         """Bounds the cost over a cell, which is narrowed in place.
 
         Args:
             low: its lower ends (n,).
             high: its upper ends.
             cutoff: a known value of the cost, above which a bound is of no interest.
+
+        Returns:
+            The bound, ∞ if there is no feasible point that costs less than the cutoff; where the
+            relaxation is least (n,); the variable to cut, −1 if none stands out, and where.
         """
-        nothing, root = Relaxed(np.inf, np.clip(0.0, low, high)), self.structure.joint.roots[0]
+        nothing, root = (np.inf, np.clip(0.0, low, high), (-1, 0.0)), self.structure.joint.roots[0]
         if not self._fill(low, high, cutoff):
             return nothing
         bound, w, y = self._solve(root, 1.0)
         if bound == np.inf:
             return nothing
-        bound = max(bound, float(self.cell.ranges[root, 0, 0]))
         x = np.clip(w[: low.size], low, high)
-        return Relaxed(bound, x, self._choose_cut(w, y, x, low, high))
+        bound = max(bound, float(self.cell.ranges[root, 0, 0]))
+        return bound, x, self._choose_cut(w, y, x, low, high)
 
     def tighten(self, i: int, low: Floats, high: Floats, cutoff: float) -> bool:
         """Narrows a cell, in place, to the ends of a variable; returns if anything is left."""
@@ -202,24 +188,12 @@ class Relaxation:
         cell, solver, highs = self.cell, self._highs, self._core
         box, cost = cell.box, np.zeros(cell.box.shape[1])
         cost[column] = sign
-        solver.passModel(
-            box.shape[1],
-            cell.lower.size,
-            cell.values.size,
-            int(highs.MatrixFormat.kRowwise),
-            int(highs.ObjSense.kMinimize),
-            0.0,
-            cost,
-            box[0],
-            box[1],
-            cell.lower,
-            cell.upper,
-            self._starts,
-            self._columns,
-            cell.values,
-            self._integrality,
-        )
-        numbers = np.concatenate((box[0], box[1], cell.lower, cell.upper))
+        sizes = box.shape[1], cell.lower.size, cell.values.size
+        kinds = int(highs.MatrixFormat.kRowwise), int(highs.ObjSense.kMinimize)
+        matrix = self._starts, self._columns, cell.values
+        ends = *box, cell.lower, cell.upper
+        solver.passModel(*sizes, *kinds, 0.0, cost, *ends, *matrix, self._integrality)
+        numbers = np.concatenate(ends)
         is_moderate = np.max(np.abs(numbers), where=np.isfinite(numbers), initial=0.0) < _LARGE
         if self._basis is not None and is_moderate:
             solver.setBasis(self._basis)

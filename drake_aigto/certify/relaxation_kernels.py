@@ -153,7 +153,7 @@ def _put_function(structure: Structure, cell: LinearProgram, k: int) -> None:
 
 @inner
 def _put_pair(structure: Structure, cell: LinearProgram, k: int) -> None:
-    """Fills the rows of a product, or of the larger or smaller one of two."""
+    """Fills the rows of a product, or of the larger one of two."""
     tape, row, box = structure.joint.tape, structure.first[k], cell.box
     operation, i, j = tape.operations[k], tape.a[k], tape.b[k]
     for n in range(ROWS_OF_TWO):
@@ -165,13 +165,10 @@ def _put_pair(structure: Structure, cell: LinearProgram, k: int) -> None:
             ends = (corner[0], np.inf) if is_below else (-np.inf, corner[1])
             _put_row(structure, cell, row + n, (b, a), ends)
             continue
-        sign = 1.0 if operation == Operation.MAX else -1.0
         one, other = (i, j) if n % 2 == 0 else (j, i)
         # max(a, b) − a is b − a at most, or 0.
-        ahead = up(box[1, other] - box[0, one]) if sign > 0.0 else up(box[1, one] - box[0, other])
-        more = 0.0 if n < 2 else max(0.0, ahead)
-        is_below = (n < 2) == (sign > 0.0)
-        ends = (sign * more, np.inf) if is_below else (-np.inf, sign * more)
+        ahead = max(0.0, up(box[1, other] - box[0, one]))
+        ends = (0.0, np.inf) if n < 2 else (-np.inf, ahead)
         _put_row(structure, cell, row + n, (1.0, 0.0) if one == i else (0.0, 1.0), ends)
 
 

@@ -6,20 +6,32 @@ this package, but with its extra `scip`.
 
 from __future__ import annotations
 
-import functools
 import math
-import operator
 from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
+from operator import mul
 from typing import Any
 
 import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.formulas import Formulas, Summand, formula_of
-from drake_aigto.certify.tape import Entry, Operation
+from drake_aigto.certify.tape import Operation
 from drake_aigto.errors import OptionsError, UnsupportedTermError
 
 _LARGE = 1e20  # infinite to SCIP
+# Operations on entries before them.
+_ARITHMETIC: Mapping[Operation, Callable[[list[Any], int, int, float], Any]] = {
+    Operation.NUMBER: lambda _, a, b, p: p,
+    Operation.SHIFT: lambda own, a, b, p: own[a] + p,
+    Operation.SCALE: lambda own, a, b, p: p * own[a],
+    Operation.ADD: lambda own, a, b, p: own[a] + own[b],
+    Operation.MULTIPLY: lambda own, a, b, p: own[a] * own[b],
+    Operation.RECIPROCAL: lambda own, a, b, p: 1.0 / own[a],
+    # Of a number, SCIP would make an expression of degree 0.
+    Operation.POWER: lambda own, a, b, p: reduce(mul, [own[a]] * b) if b < 4 else own[a] ** b,
+    Operation.REAL_POWER: lambda own, a, b, p: own[a] ** p,
+}
 
 
 def _scip() -> Any:
@@ -100,42 +112,18 @@ def write_sum(
         UnsupportedTermError: a function that it lacks, by name.
     """
     values: list[Any] = []
-    for entry in formula_of(parts, range(len(x))):
-        values.append(_apply(entry, values, x, functions))
+    for number, a, b, p in formula_of(parts, range(len(x))):
+        operation = Operation(number)
+        if operation in functions:
+            values.append(functions[operation](values[a]))
+        elif operation == Operation.VARIABLE:
+            values.append(x[a])
+        elif operation in _ARITHMETIC:
+            values.append(_ARITHMETIC[operation](values, a, b, p))
+        else:
+            raise UnsupportedTermError(
+                "the prover has no such function",
+                got=operation.name.lower(),
+                remedy="Use the package's own prover.",
+            )
     return 0.0 * x[0] + values[-1]
-
-
-def _apply(
-    entry: Entry,
-    values: Sequence[Any],
-    x: Sequence[Any],
-    functions: Mapping[Operation, Callable[[Any], Any]],
-) -> Any:
-    operation, a, b, p = Operation(entry[0]), *entry[1:]
-    if operation in functions:
-        return functions[operation](values[a])
-    match operation:
-        case Operation.NUMBER:
-            return p
-        case Operation.VARIABLE:
-            return x[a]
-        case Operation.SHIFT:
-            return values[a] + p
-        case Operation.SCALE:
-            return p * values[a]
-        case Operation.ADD:
-            return values[a] + values[b]
-        case Operation.MULTIPLY:
-            return values[a] * values[b]
-        case Operation.RECIPROCAL:
-            return 1.0 / values[a]
-        case Operation.POWER:
-            # Of a number, SCIP would make an expression of degree 0.
-            return functools.reduce(operator.mul, [values[a]] * b) if b < 4 else values[a] ** b
-        case Operation.REAL_POWER:
-            return values[a] ** p
-    raise UnsupportedTermError(
-        "the prover has no such function",
-        got=operation.name.lower(),
-        remedy="Use the package's own prover.",
-    )

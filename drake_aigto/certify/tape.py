@@ -38,10 +38,9 @@ class Operation(IntEnum):
     COS = 12
     ABS = 13
     MAX = 14
-    MIN = 15
-    TANH = 16
-    ATAN = 17
-    X_LOG = 18  # a log a, 0 at 0
+    TANH = 15
+    ATAN = 16
+    X_LOG = 17  # a log a, 0 at 0
 
 
 # Operation, a, b and p.
@@ -94,7 +93,7 @@ class NoEnclosureError(Exception):
 
 _FUNCTIONS = {
     getattr(ExpressionKind, name): Operation[name.upper()]
-    for name in ("Exp", "Log", "Sin", "Cos", "Abs", "Tanh", "Atan", "Max", "Min")
+    for name in ("Exp", "Log", "Sin", "Cos", "Abs", "Tanh", "Atan", "Max")
 }
 
 
@@ -159,6 +158,9 @@ class Formula:
         parts = operands(e)
         if kind in _FUNCTIONS:
             return self.put(_FUNCTIONS[kind], *map(self._enter, parts))
+        if kind == ExpressionKind.Min:
+            negative = [self._scaled(self._enter(part), -1.0) for part in parts]
+            return self._scaled(self.put(Operation.MAX, *negative), -1.0)
         if kind == ExpressionKind.Add:
             return self._sum(parts)
         if kind == ExpressionKind.Mul:
