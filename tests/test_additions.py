@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from phase_solutions import MET, solve
 from pydrake.solvers import LorentzConeConstraint
-from pydrake.symbolic import sin
+from pydrake.symbolic import exp, sin
 from replay_worlds import shipped_world
 
 from drake_aigto.errors import AigtoError, ProgramError, UnsupportedTermError
@@ -193,6 +193,14 @@ def square(t: RigidTranscription) -> None:
     t.prog().AddConstraint(q**2 - q**3 <= -1.0).evaluator().set_description("square")
 
 
+def beyond_the_disc(t: RigidTranscription) -> None:
+    """Ranges of the rows leave boxes; cells of these, and numbers, tell why there is no motion."""
+    u = [t.input(k)[0] / 10.0 for k in range(3, 8)]
+    ball, wide = sum(each * each for each in u) <= 1.2, exp(sum(u)) >= 12.2
+    t.prog().AddConstraint(ball).evaluator().set_description("ball")
+    t.prog().AddConstraint(wide).evaluator().set_description("wide")
+
+
 def changing_bounds(t: RigidTranscription) -> None:
     (bounds,) = (
         each.evaluator()
@@ -231,6 +239,7 @@ def removing(t: RigidTranscription) -> None:
             "contradict each other: got 'nonpenetration' on q(9); 'constraint on q(9)' on q(9)",
         ),
         (square, "contradict each other: got 'square' on q(9); 'constraint on q(9)' on q(9),"),
+        (beyond_the_disc, "'wide' on u(3), u(4), u(5), u(6), u(7); 'ball' on u(3), u(4)"),
         (lambda t: t.state(21), "state(21): got knot 21, expected one of 0 … 20"),
         (lambda t: t.state(-1), "state(-1): got knot -1, expected one of 0 … 20"),
         (lambda t: t.input(20), "input(20): got knot 20, expected one of 0 … 19"),

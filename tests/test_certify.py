@@ -377,3 +377,25 @@ def test_few_rows_that_contradict_each_other_are_told_with_numbers() -> None:
     details = AigoSolver().Solve(prog).get_solver_details()
     assert details.status == AigoStatus.CONTRADICTORY_BOUNDS
     assert explain_infeasibility(prog) in str(details)
+
+
+def test_rows_that_cells_alone_prove_to_contradict_each_other_are_told_with_numbers() -> None:
+    """Where Σ x_i ≥ 2.5, Σ x_i² ≥ 1.25; ranges of either row say nothing of the other."""
+    prog, x = program(lambda *x: (x[0] - 0.3) ** 2, 5)
+    prog.AddConstraint(x[0] * x[2] <= 3.0)
+    wrong = [prog.AddConstraint(sum(x) >= 2.5), prog.AddConstraint(sum(a * a for a in x) <= 1.2)]
+    for row, name in zip(wrong, ("sum", "ball"), strict=True):
+        row.evaluator().set_description(name)
+    prog.AddConstraint(sym.exp(x[1]) <= 2.6)
+    assert not is_infeasible(prog)
+    assert is_infeasible(prog, cells=100)
+    text = explain_infeasibility(prog, cells=1000)
+    assert len(text.splitlines()) == 2
+    assert re.search(r"'ball'.* has to be in \[-inf, 1.2\], and is in \[1.2[45]\d*, 20\]", text)
+    assert re.search(r"'sum'.* has to be in \[-inf, -2.5\], and is in \[-2.4[45]\d*, ", text)
+    details = AigoSolver().Solve(prog).get_solver_details()
+    assert details.status == AigoStatus.INFEASIBLE
+    assert "'ball'" in str(details) and "'sum'" in str(details)
+    prog.RemoveConstraint(wrong[0])
+    assert not is_infeasible(prog, cells=100)
+    assert not explain_infeasibility(prog, cells=100)

@@ -2,10 +2,10 @@
 
 from drake_aigto.certify import intervals
 from drake_aigto.certify.certificate import Certificate, Certifier, Method, certify, relative_gap
-from drake_aigto.certify.contraction import explain_infeasibility, is_infeasible
 from drake_aigto.certify.enclosures import enclose_all
 from drake_aigto.certify.flights import Line, Wall
 from drake_aigto.certify.formulas import formula_of, read_formulas
+from drake_aigto.certify.infeasibility import explain_infeasibility, is_infeasible
 from drake_aigto.certify.plans import PlanBound, bound_plans, fold, out_of_reach
 from drake_aigto.certify.relaxation import Relaxation
 from drake_aigto.certify.relaxation_kernels import safe_bound

@@ -175,7 +175,7 @@ class Certifier:
     """Bounds of one program, which may be gone on with.
 
     Args:
-        prog: as in `certify`.
+        prog: as in `certify`, or its formulas.
         gap: as in `certify`.
         seconds: as in `certify`, of all runs.
         progress: as in `certify`.
@@ -190,14 +190,14 @@ class Certifier:
     @_quiet
     def __init__(
         self,
-        prog: MathematicalProgram,
+        prog: MathematicalProgram | Formulas,
         gap: float = 1e-6,
         seconds: float | None = None,
         progress: Progress | None = None,
     ) -> None:
         """Chooses a method by the program's structure."""
         self._clock = _Clock(seconds, progress)
-        self._asked = read_formulas(prog)
+        self._asked = prog if isinstance(prog, Formulas) else read_formulas(prog)
         self._formulas, is_feasible = narrowed(self._asked)
         formulas, self._gap = self._formulas, gap
         self._search: Search | None = None

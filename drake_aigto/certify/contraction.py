@@ -1,7 +1,5 @@
 """Parts of a box that cannot meet rows, cut off by going forward and backward along their tapes.
 
-Where nothing is left, a few rows that contradict each other are named, with numbers.
-
 Forward, every entry of a formula gets its range. Backward, from lower ≤ f ≤ upper on, what an
 operation may give tells what its arguments may be, down to the variables (HC4: Benhamou, Goualard,
 Granvilliers & Puget 1999, "Revising hull and box consistency"). All of it is rounded outward.
@@ -10,15 +8,13 @@ Granvilliers & Puget 1999, "Revising hull and box consistency"). All of it is ro
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.arrays import Floats
-from drake_aigto.certify.enclosures import VALUE, SumOfFormulas, at, enclose, make_scratch, put
-from drake_aigto.certify.formulas import BoundedFormula, Formulas, join, read_formulas, tape_of
+from drake_aigto.certify.enclosures import VALUE, at, enclose, make_scratch, put
+from drake_aigto.certify.formulas import Formulas, join
 from drake_aigto.certify.intervals import (
     Interval,
     exponential,
@@ -32,14 +28,10 @@ from drake_aigto.certify.intervals import (
     widened,
 )
 from drake_aigto.certify.tape import JointTape, Operation
-from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.kernels import inner, kernel
-from drake_aigto.terms import evaluator_label, shown
 
 _GAIN = 0.1  # of a side: a sweep over all rows that cuts off less is the last one
 _MOST_SWEEPS = 10
-
-Rows = tuple[BoundedFormula, ...]
 
 
 @inner
@@ -203,56 +195,3 @@ def narrowed(formulas: Formulas) -> tuple[Formulas, bool]:
     if is_left and formulas.rows:
         is_left = bool(contract_box(joint, low, high, lower, upper))
     return (replace(formulas, lower=lower, upper=upper) if is_left else formulas), is_left
-
-
-def is_infeasible(prog: MathematicalProgram) -> bool:
-    """Returns whether ranges of rows prove that no point within the bounds meets them all."""
-    try:
-        return not narrowed(read_formulas(prog))[1]
-    except UnsupportedTermError:
-        return False
-
-
-def explain_infeasibility(prog: MathematicalProgram) -> str:
-    """Returns which rows contradict each other, one a line; empty if ranges do not prove that.
-
-    None of them may be left out, or the others are no longer known to contradict each other.
-    """
-    try:
-        formulas = read_formulas(prog)
-    except UnsupportedTermError:
-        return ""
-    crossed = np.flatnonzero(formulas.lower > formulas.upper).tolist()
-    if crossed:
-        i = crossed[0]
-        low, high = formulas.lower[i], formulas.upper[i]
-        return f"{formulas.names[i]} has to be at least {low:g}, and at most {high:g}"
-    if narrowed(formulas)[1]:
-        return ""
-    rows = _fewest(formulas.rows, lambda rows: not narrowed(replace(formulas, rows=rows))[1])
-    return "\n".join(_describe(row, formulas, rows) for row in rows)
-
-
-def _fewest(rows: Rows, contradict: Callable[[Rows], bool]) -> Rows:
-    """Returns rows of which none may be left out; halves, quarters and so on are tried first."""
-    size = max(1, len(rows) // 2)
-    while True:
-        place = 0
-        while place < len(rows):
-            others = rows[:place] + rows[place + size :]
-            rows, place = (others, place) if contradict(others) else (rows, place + size)
-        if size == 1:
-            return rows
-        size //= 2
-
-
-def _describe(row: BoundedFormula, formulas: Formulas, rows: Sequence[BoundedFormula]) -> str:
-    """Returns what a row asks for, and what the other ones leave it."""
-    asked = f"{shown(row.expression)} has to be in [{row.lower:g}, {row.upper:g}]"
-    others = tuple(each for each in rows if each is not row)
-    left, is_left = narrowed(replace(formulas, rows=others))
-    size = formulas.lower.size
-    cost = SumOfFormulas(tape_of([(row,)], size), [range(size)])
-    low, high = cost.range(left.lower, left.upper)
-    found = f", and is in [{low:g}, {high:g}] where the others hold" if is_left else ""
-    return f"{evaluator_label(row.binding)}: {asked}{found}"

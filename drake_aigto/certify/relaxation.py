@@ -221,6 +221,7 @@ class Relaxation:
         self, w: Floats, y: Floats, x: Floats, low: Floats, high: Floats
     ) -> tuple[int, float]:
         """Returns the variable that the functions farthest from their columns read, and where."""
+        y = y if np.any(y) else np.ones_like(y)  # Of a cost that does not vary, all rows matter.
         own = violations(self.structure, self.cell, self._functions, w, y)
         width = high - low
         shares = self._reads * np.where(np.isfinite(width), width, 1.0)

@@ -11,7 +11,7 @@ from pydrake.solvers import Binding, MathematicalProgram
 
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial, ParametricPolynomial
-from drake_aigto.certify import is_infeasible
+from drake_aigto.certify import explain_infeasibility, is_infeasible
 from drake_aigto.terms import parse_costs
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Additions, Bounds, Transcription, check_together
@@ -20,6 +20,7 @@ _LOG = logging.getLogger(__name__)
 
 # Programs that are kept, at most: motions past a block have its faces at different knots.
 _MOST_KEPT = 32
+_CELLS = 1000  # of a proof that what users added contradicts itself
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +108,9 @@ class ProgramSolution:
 
 
 def check_added_rows(prog: MathematicalProgram, additions: Additions) -> None:
-    """Refuses what users added if intervals show that it contradicts itself or bounds.
+    """Refuses what users added if it is proven that it contradicts itself or bounds.
 
-    The program's own rows are left out: they couple all knots, which intervals make little of.
+    The program's own rows are left out: they couple all knots, which a proof makes little of.
 
     Raises:
         ProgramError: it does.
@@ -129,11 +130,16 @@ def check_added_rows(prog: MathematicalProgram, additions: Additions) -> None:
         if read & {variable.get_id() for variable in each.variables()}
     ]
 
-    def leaves_points(constraints: Sequence[Binding]) -> bool:
+    def program(constraints: Sequence[Binding]) -> MathematicalProgram:
         some = MathematicalProgram()
-        some.AddDecisionVariables(prog.decision_variables())
+        own = {variable.get_id(): variable for each in constraints for variable in each.variables()}
+        some.AddDecisionVariables([*own.values()])
         for each in constraints:
             some.AddConstraint(each.evaluator(), each.variables())
-        return not is_infeasible(some)
+        return some
 
-    check_together([*rows, *bounds], leaves_points)
+    check_together(
+        [*rows, *bounds],
+        lambda some: not is_infeasible(program(some), _CELLS),
+        lambda some: explain_infeasibility(program(some), _CELLS),
+    )

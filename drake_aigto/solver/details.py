@@ -139,10 +139,15 @@ class AigoStatus(enum.Enum):
         """
         return self if is_infeasible(prog) else AigoStatus.NO_FEASIBLE_POINT
 
-    def explain(self, prog: MathematicalProgram) -> str:
-        """Returns which rows or bounds contradict each other, if this says that some do."""
+    def explain(self, prog: MathematicalProgram, cells: int = 0) -> str:
+        """Returns which rows or bounds contradict each other, if this says that some do.
+
+        Args:
+            prog: the program.
+            cells: which proved it; 0: ranges of rows did.
+        """
         denies = (AigoStatus.INFEASIBLE, AigoStatus.CONTRADICTORY_BOUNDS)
-        return explain_infeasibility(prog) if self in denies else ""
+        return explain_infeasibility(prog, 2 * cells) if self in denies else ""
 
 
 # All others are solutions.
@@ -189,7 +194,7 @@ class AigoDetails:
         kkt_storage: the same of the local solver's; None where there was no polish of ours.
         certificate: a lower bound of the cost; None where it was neither asked for nor cheap.
         conflict: rows that contradict each other, one a line, with what the others leave of each,
-            or bounds that cross; empty unless the program is infeasible, and ranges prove it.
+            or bounds that cross; empty unless that is proven, whatever the cost.
     """
 
     status: AigoStatus

@@ -368,6 +368,7 @@ class Solve:
 
     def _details(self, best: CheckedPoint, status: AigoStatus) -> AigoDetails:
         first, program, boxes = self._outside.box, self._program, self._boxes
+        found = self._certificate
         n, size = best.x.size, program.given.lower.size
         half_width, searched = np.full(size, np.nan), np.tile([[-np.inf], [np.inf]], size)
         half_width[program.kept] = first.half_width
@@ -391,6 +392,6 @@ class Solve:
             box_storage=boxes.storage,
             kkt_storage=self._answers.kkt_storage,
             cost=program.cost(best.x),
-            certificate=self._certificate,
-            conflict=status.explain(program.source),
+            certificate=found,
+            conflict=status.explain(program.source, found.cells if found else 0),
         )

@@ -62,9 +62,16 @@ def check_linear(prog: MathematicalProgram, names: Collection[str]) -> None:
 
 
 def check_together(
-    constraints: Sequence[Binding], may_be_feasible: Callable[[Sequence[Binding]], bool]
+    constraints: Sequence[Binding],
+    may_be_feasible: Callable[[Sequence[Binding]], bool],
+    explain: Callable[[Sequence[Binding]], str] = lambda _: "",
 ) -> None:
     """Refuses constraints that are known to be infeasible.
+
+    Args:
+        constraints: all of them.
+        may_be_feasible: whether some of them may be met.
+        explain: says with numbers why some can't be.
 
     Raises:
         ProgramError: they leave none; the message has few that contradict each other.
@@ -80,7 +87,7 @@ def check_together(
         "constraints contradict each other",
         got=_describe(kept),
         expected="some motion that meets all of them",
-        remedy="Relax or leave out one.",
+        remedy="\n".join(filter(None, ["Relax or leave out one.", explain(kept)])),
     )
 
 
