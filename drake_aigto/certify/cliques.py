@@ -5,18 +5,18 @@ points c_k. A function of x_i alone may be moved from one summand to another, so
 
     f(x) = Σ_p [f_p(x) − Σ_i s_pik (x_i − c_k)] + Σ_i Σ_p s_pik (x_i − c_k),     x_i in bin k,
 
-whatever numbers s are. With s_pik = ∂f_p/∂x_i at c_k and the best neighbors of bin k, no summand
-has a slope where it matters, so that the sum of their minima over a cell is off by what falls with
-its width squared. Dynamic programming along a junction tree adds these minima up: exactly, and for
-every bin the least of all sums with it, its min-marginal (Wainwright & Jordan 2008, "Graphical
-Models, Exponential Families, and Variational Inference", ch. 8). Bins whose min-marginal is above a
-known value of f hold no minimizer, and go; the others are halved.
+whatever numbers s are. With s_pik = ∂f_p/∂x_i at c_k and, of other variables, the best known point,
+no summand has a slope where it matters, so that the sum of their minima over a cell is off by what
+falls with its width squared. Dynamic programming along a junction tree adds these minima up:
+exactly, and for every bin the least of all sums with it, its min-marginal (Wainwright & Jordan
+2008, "Graphical Models, Exponential Families, and Variational Inference", ch. 8). Bins whose
+min-marginal is above a known value of f hold no minimizer, and go; the others are halved.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,8 +92,6 @@ class CliqueSearch(BoundSearch):
         self._starts = _FIRST_BINS * np.arange(lower.size + 1)
         self._low, self._high = edges[:, :-1].ravel(), edges[:, 1:].ravel()
         self._points = 0.5 * self._low + 0.5 * self._high  # c
-        # Of each group's bins, where its formula's variables are best, as far as is known.
-        self._partners: dict[Group, Floats] = {}
         # Of bins that were bounded, the least sum with each, until they are halved.
         self._marginals: Floats | None = None
         self.lower_bound, self._lowest = -np.inf, np.inf  # of f, feasible or not
@@ -192,10 +190,7 @@ class CliqueSearch(BoundSearch):
         return may_hold_minima(rise, bend, np.array([self._low, self._high]), outer)
 
     def _narrow(self, keep: Bools, times: int) -> None:
-        """Leaves some bins, each as many times; they inherit the neighbors of their own."""
-        for group, points in self._partners.items():
-            kept_points = points[keep[group.bins(self._starts)[-1]]]
-            self._partners[group] = np.repeat(kept_points, times, axis=0)
+        """Leaves some bins, each as many times."""
         kept = np.add.reduceat(keep, self._starts[:-1], dtype=np.int64)
         self._starts = np.concatenate([[0], np.cumsum(times * kept)])
         self._low, self._high = (np.repeat(ends[keep], times) for ends in (self._low, self._high))
@@ -222,12 +217,9 @@ class CliqueSearch(BoundSearch):
         return tables
 
     def _slopes(self, group: Group) -> Floats:
-        """Returns s: a formula's slope along a variable, at each bin and its neighbors (S,)."""
+        """Returns s: a formula's slope along a variable, at each bin and the best point (S,)."""
         of, local, own = group.bins(self._starts)
-        points, rows = (
-            self._partners.get(group, self.best[group.variables[of]]),
-            np.arange(own.size),
-        )
+        points, rows = self.best[group.variables[of]], np.arange(own.size)
         points[rows, local] = self._points[own]
         found = enclose_all(self._tape, group.formulas[of], points, points, GRADIENT)
         slopes = np.mean(found[rows, 1 + local], axis=-1)
@@ -264,7 +256,7 @@ class CliqueSearch(BoundSearch):
         return min(map(self._rank.__getitem__, variables))
 
     def _pass_down(self) -> Floats:
-        """Fills min-marginals and the best neighbors, and returns the points of the best bins."""
+        """Fills min-marginals, and returns the points of the best bins."""
         order = self._order
         marginals: list[Floats] = [np.empty(0)] * len(order)
         chosen = np.zeros(len(order), dtype=np.int64)
@@ -285,26 +277,7 @@ class CliqueSearch(BoundSearch):
             at = tuple(chosen[list(clique[1:])])
             chosen[clique[0]] = np.argmin(sums[(slice(None), *at)])
         self._marginals = np.concatenate(marginals)
-        for group in self._coupled:
-            found = (points for k in group.formulas for points in self._best_points(k))
-            self._partners[group] = np.concatenate(list(found))
         return self._points[self._starts[:-1] + chosen]
-
-    def _best_points(self, formula: int) -> Iterator[Floats]:
-        """Yields for each variable of a formula the points of its bins' best neighbors.
-
-        All variables of the formula (·, m); values in the variable's own column do not matter.
-        """
-        variables, home = self._variables[formula], self._home[formula]
-        clique, sums = self._order[home], self._sums[home]
-        for i in variables:
-            flat = np.moveaxis(sums, clique.index(i), 0)
-            best = np.argmin(flat.reshape(len(flat), -1), axis=1)
-            others = [j for j in clique if j != i]
-            places = dict(zip(others, np.unravel_index(best, flat.shape[1:]), strict=True))
-            yield np.column_stack(
-                [self._points[self._starts[j] + places.get(j, 0 * best)] for j in variables]
-            )
 
 
 def _sum(a: Floats, b: Floats) -> Floats:
