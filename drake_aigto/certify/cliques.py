@@ -5,7 +5,7 @@ points c_k. A function of x_i alone may be moved from one summand to another, so
 
     f(x) = Σ_p [f_p(x) − Σ_i s_pik (x_i − c_k)] + Σ_i Σ_p s_pik (x_i − c_k),     x_i in bin k,
 
-whatever numbers s are. With s_pik = ∂f_p/∂x_i at c_k and, of other variables, the best known point,
+whatever numbers s are. With s_pik = ∂f_p/∂x_i at c_k and, of others, the lowest known point,
 no summand has a slope where it matters, so that the sum of their minima over a cell is off by what
 falls with its width squared. Dynamic programming along a junction tree adds these minima up:
 exactly, and for every bin the least of all sums with it, its min-marginal (Wainwright & Jordan
@@ -95,6 +95,7 @@ class CliqueSearch(BoundSearch):
         # Of bins that were bounded, the least sum with each, until they are halved.
         self._marginals: Floats | None = None
         self.lower_bound, self._lowest = -np.inf, np.inf  # of f, feasible or not
+        self._lowest_known = self._near = self.best
         self.is_empty = False
         self._drop_by_slopes()
 
@@ -132,15 +133,18 @@ class CliqueSearch(BoundSearch):
         if self.is_empty or self.lower_bound >= enough or size > count * _ENTRIES:
             return False
         self.num_cells += 1 + size // _ENTRIES
-        best = np.repeat(self.best, np.diff(self._starts))
+        self._near = self._lowest_known if self._lowest < self.least else self.best
+        near = np.repeat(self._near, np.diff(self._starts))
         points = 0.5 * self._low + 0.5 * self._high
-        self._points = np.where((self._low <= best) & (best <= self._high), best, points)
+        self._points = np.where((self._low <= near) & (near <= self._high), near, points)
         self._pass_up(self._fill())
         if math.isfinite(self._total):
             bound = self._total - self._rounding
             self.lower_bound = max(self.lower_bound, min(bound, self.least))
             self.lowest_point = self._pass_down()
-            self._lowest = min(self._lowest, self.value(self.lowest_point))
+            value = self.value(self.lowest_point)
+            if value < self._lowest:
+                self._lowest, self._lowest_known = value, self.lowest_point
             return True
         # Nothing is known of any bin where a cell has no bound.
         self._marginals = np.full(self._low.size, self._total)
@@ -217,9 +221,9 @@ class CliqueSearch(BoundSearch):
         return tables
 
     def _slopes(self, group: Group) -> Floats:
-        """Returns s: a formula's slope along a variable, at each bin and the best point (S,)."""
+        """Returns s: slopes of formulas at each bin, and at the lowest point of others (S,)."""
         of, local, own = group.bins(self._starts)
-        points, rows = self.best[group.variables[of]], np.arange(own.size)
+        points, rows = self._near[group.variables[of]], np.arange(own.size)
         points[rows, local] = self._points[own]
         found = enclose_all(self._tape, group.formulas[of], points, points, GRADIENT)
         slopes = np.mean(found[rows, 1 + local], axis=-1)

@@ -7,7 +7,6 @@ Granvilliers & Puget 1999, "Revising hull and box consistency"). All of it is ro
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +24,6 @@ from drake_aigto.certify.intervals import (
     reciprocal,
     times,
     up,
-    widened,
 )
 from drake_aigto.certify.tape import JointTape, Operation
 from drake_aigto.kernels import inner, kernel
@@ -94,12 +92,6 @@ def _inverse(operation: int, y: Interval, p: float) -> Interval:
         return exponential(y)
     if operation == Operation.X_LOG:  # x log x ≥ x − 1
         return 0.0, up(1.0 + max(y[1], 0.0))
-    if operation == Operation.TANH:
-        low = math.atanh(y[0]) if -1.0 < y[0] < 1.0 else -np.inf
-        return widened(low, math.atanh(y[1]) if -1.0 < y[1] < 1.0 else np.inf)
-    if operation == Operation.ATAN:
-        low = math.tan(y[0]) if abs(y[0]) < 1.57 else -np.inf
-        return widened(low, math.tan(y[1]) if abs(y[1]) < 1.57 else np.inf)
     return -np.inf, np.inf
 
 
@@ -125,18 +117,6 @@ def _go_back(jets: Floats, entry: int, operation: int, a: int, b: int, p: float)
 
 
 @inner
-def has_narrowed(low: Floats, high: Floats, old_low: Floats, old_high: Floats) -> bool:
-    """Returns whether a side of a box is now shorter by a tenth, and makes the old box the same."""
-    is_shorter = False
-    for i in range(low.size):
-        cut = (low[i] - old_low[i]) + (old_high[i] - high[i])
-        is_shorter |= cut > _GAIN * (old_high[i] - old_low[i])
-        is_shorter |= math.isinf(old_high[i] - old_low[i]) and cut > 0.0
-        old_low[i], old_high[i] = low[i], high[i]
-    return is_shorter
-
-
-@inner
 def _contract_once(
     joint: JointTape, lower: Floats, upper: Floats, low: Floats, high: Floats, jets: Floats
 ) -> bool:
@@ -157,24 +137,18 @@ def _contract_once(
 
 @inner
 def contract(
-    joint: JointTape,
-    lower: Floats,
-    upper: Floats,
-    low: Floats,
-    high: Floats,
-    jets: Floats,
-    old: Floats,
+    joint: JointTape, lower: Floats, upper: Floats, low: Floats, high: Floats, jets: Floats
 ) -> bool:
     """Narrows a box low ≤ x ≤ high (n,), in place, to where all formulas may be within bounds (R,).
 
-    Fills jets, as `make_scratch` returns them, with the ranges of entries; `old` is room (2, n).
-    Returns whether anything is left; if not, the box says nothing.
+    Fills jets, as `make_scratch` returns them, with the ranges of entries. Returns whether anything
+    is left; if not, the box says nothing.
     """
-    old[0], old[1] = low, high
     for _ in range(_MOST_SWEEPS):
+        width = high - low
         if not _contract_once(joint, lower, upper, low, high, jets):
             return False
-        if not has_narrowed(low, high, old[0], old[1]):
+        if not np.any(high - low < (1.0 - _GAIN) * width):
             break
     return True
 
@@ -183,7 +157,7 @@ def contract(
 def contract_box(joint: JointTape, lower: Floats, upper: Floats, low: Floats, high: Floats) -> bool:
     """Narrows a box in place, as `contract` does, and returns whether anything is left."""
     jets = make_scratch(joint.tape, low.size, VALUE)
-    return contract(joint, lower, upper, low, high, jets, np.empty((2, low.size)))
+    return contract(joint, lower, upper, low, high, jets)
 
 
 def narrowed(formulas: Formulas) -> tuple[Formulas, bool]:

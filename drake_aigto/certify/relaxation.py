@@ -125,7 +125,6 @@ class Relaxation:
             structure.upper.copy(),
             np.empty((2, num_columns)),
             np.empty((num_columns, 1, 2)),
-            np.empty((2, size)),
         )
         self._functions = np.flatnonzero(np.diff(structure.first) > 1)
         self._reads = _readers(structure, size)[self._functions]

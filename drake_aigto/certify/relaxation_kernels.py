@@ -68,7 +68,6 @@ class LinearProgram(NamedTuple):
         upper: shape (M,).
         box: ends of columns (2, E).
         ranges: of the tape's entries (E, 1, 2).
-        old: room (2, n).
     """
 
     values: Floats
@@ -76,7 +75,6 @@ class LinearProgram(NamedTuple):
     upper: Floats
     box: Floats
     ranges: Floats
-    old: Floats
 
 
 @inner
@@ -192,7 +190,7 @@ def relax(
         cell: filled.
     """
     operations, first, last, numbers, _ = structure.joint.tape
-    if not contract(structure.joint, lower, upper, low, high, cell.ranges, cell.old):
+    if not contract(structure.joint, lower, upper, low, high, cell.ranges):
         return False
     for k in range(operations.size):
         if structure.first[k + 1] - structure.first[k] > 1:
