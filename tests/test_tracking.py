@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,9 +18,11 @@ from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto import Plan, Planner, PlanOptions, Scenario, TrackingController, World
+from drake_aigto.contact import contact_law, make_mechanism
 from drake_aigto.control import Disturbance, run_in_loop
 from drake_aigto.errors import ControlError, ModelError
-from drake_aigto.planning import MechanismTask, Sweep
+from drake_aigto.planning import Feedback, MechanismTask, Sweep
+from drake_aigto.shooting import ShootingProblem
 from drake_aigto.simulation import make_simulator, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 
@@ -193,6 +197,22 @@ def test_gains_are_those_of_the_discrete_riccati_equation() -> None:
     still = Trajectory(np.linspace(0, 0.8, 9), none + 0.9, none, none[1:], none, none[1:])
     (phase,) = Sweep(drop_ball(), scenario, still).run()
     np.testing.assert_allclose(phase.gains, solve_riccati(0.1, 8, 2.0, weights), rtol=1e-6)
+
+
+def test_gains_of_friction_are_those_of_the_motion_whatever_steps_a_plan_is_made_in() -> None:
+    scenario = Scenario.named("hopper/hop")
+    world, n = World.from_scenario(scenario), 4
+    told = json.loads(Path(__file__).with_name("shipped_motions.json").read_text("utf-8"))
+    times, controls = (np.array(told["hopper/hop"][key]) for key in ("control_times", "controls"))
+    mechanism = make_mechanism(world, contact_law(world, scenario))
+    problem = ShootingProblem.of(world, scenario, mechanism, times)
+    states = problem.simulate(controls, 128).states
+    none = np.zeros((len(times), world.num_contacts))
+    motion = Trajectory(times, states[:, :n], states[:, n:], controls, none, none[1:])
+    (phase,) = Feedback(world, scenario, motion, period=0.01).phases
+    exact = problem.linearize(controls, 512, 1e-3, states).gains
+    off, size = (np.linalg.norm(each, axis=(1, 2)) for each in (phase.gains - exact, exact))
+    assert np.max(off / size) < 0.1
 
 
 def test_where_a_state_is_not_finite_the_plan_plays_on_and_no_nan_leaves_a_port() -> None:

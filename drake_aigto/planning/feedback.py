@@ -258,7 +258,8 @@ class Feedback(Controller):
             problem = ShootingProblem.of(world, scenario, mechanism, times)
             whole = count_damper_steps(world, trajectory.positions[0], self.longest_hold)
             steps = -(-max(_SOFT_SUBSTEPS, whole) // parts)
-            exact, steps = problem.resolve(u, steps, states)
+            is_exact = period is not None and mechanism.has_friction
+            exact, steps = problem.resolve(u, steps, states, is_exact=is_exact)
             self._transitions = exact.transitions
             gains = problem.linearize(u, steps, smoothing, states).gains
             self.phases = [FeedbackPhase(times, states, u, gains)]

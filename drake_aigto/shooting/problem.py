@@ -137,26 +137,33 @@ class ShootingProblem(OptimalControlProblem):
         return self._start(controls, states, options).linearize()
 
     def resolve(
-        self, controls: Floats, substeps: int, states: Floats | None = None, order: int = 4
+        self,
+        controls: Floats,
+        substeps: int,
+        states: Floats | None = None,
+        order: int = 4,
+        is_exact: bool = False,
     ) -> tuple[MotionExpansion, int]:
         """Returns the problem about a motion, and the number of steps that resolve its friction.
 
-        Bodies in space that stick have stiff friction: in steps that are too long errors grow by
-        powers of ten where those of the motion fade. So steps are halved until their transitions
-        agree. In the plane friction follows the steps.
+        Bodies that stick have stiff friction: in steps that are too long errors grow by powers of
+        ten where those of the motion fade. So steps are halved until their transitions agree. In
+        the plane friction follows the steps, which are halved only where it has to be exact.
 
         Args:
             controls: see `linearize`, as for states and order.
-            substeps: Runge-Kutta steps between knots, at least; in the plane all there are.
+            substeps: Runge-Kutta steps between knots, at least.
             states: of the motion.
             order: of steps.
+            is_exact: whether steps are halved in the plane, too.
 
         Raises:
             ProgramError: from `linearize`.
         """
         known: Floats | float = np.nan
+        is_exact = is_exact or isinstance(self.mechanism, TreeMechanism)
         while True:
-            is_last = substeps >= _MOST_SUBSTEPS or not isinstance(self.mechanism, TreeMechanism)
+            is_last = substeps >= _MOST_SUBSTEPS or not is_exact
             try:
                 found = self.linearize(controls, substeps, 0.0, states, order)
             except ProgramError:  # Errors exceed all numbers.
