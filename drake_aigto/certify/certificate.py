@@ -54,7 +54,6 @@ class Method(enum.Enum):
     ROWS = "rows that leave nothing of the bounds"
     SCIP = "SCIP, by floating point with tolerances: not rigorous"
     SUM = "the sum of what each summand is at least"
-    NONE = "no bound"
 
 
 @dataclass(frozen=True, eq=False)

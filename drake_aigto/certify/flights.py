@@ -64,8 +64,8 @@ class FlightFamily:
     def __init__(self, cost: sym.Expression, *variables: sym.Variable) -> None:
         """Makes the formula."""
         formula = Formula()
-        formula.add({variable.get_id(): i for i, variable in enumerate(variables)}, cost)
-        self._tape = make_tape([formula.finish()])
+        places = {variable.get_id(): i for i, variable in enumerate(variables)}
+        self._tape = make_tape([formula.entries(formula.enter(places, cost))])
 
     def slopes(self, at: Floats) -> Floats:
         """Returns the gradient of the cost at points (E, m), 0 where it has none."""

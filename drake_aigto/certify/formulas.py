@@ -205,8 +205,8 @@ def formula_of(parts: Sequence[Summand], variables: Sequence[int]) -> list[Entry
         UnsupportedTermError: one has a function without an enclosure, by name.
     """
     formula = Formula()
-    _add_all(formula, parts, {variable: k for k, variable in enumerate(variables)})
-    return formula.finish()
+    places = {variable: k for k, variable in enumerate(variables)}
+    return formula.entries(_enter_sum(formula, parts, places))
 
 
 def tape_of(sums: Iterable[Sequence[Summand]], num_variables: int) -> Tape:
@@ -227,15 +227,13 @@ def join(
     formula, places = Formula(is_nested), {i: i for i in range(num_variables)}
     for i in range(num_variables):
         formula.put(Operation.VARIABLE, i)
-    roots = []
-    for parts in sums:
-        _add_all(formula, parts, places)
-        roots.append(formula.pop())
-    return JointTape(make_tape([formula.entries]), np.array(roots, dtype=np.int64))
+    roots = [_enter_sum(formula, parts, places) for parts in sums]
+    return JointTape(make_tape([formula.entries()]), np.array(roots, dtype=np.int64))
 
 
-def _add_all(formula: Formula, parts: Sequence[Summand], places: Index) -> None:
+def _enter_sum(formula: Formula, parts: Sequence[Summand], places: Index) -> int:
     """Adds summands; index of a variable in the program ↦ its place among the formula's."""
+    found = -1
     # Summands of one binding are added again, as powers of one variable are bounded together.
     for _, alike in itertools.groupby(
         parts, lambda part: id(part if part.target or part.factor != 1.0 else part.binding)
@@ -244,7 +242,7 @@ def _add_all(formula: Formula, parts: Sequence[Summand], places: Index) -> None:
         total = sum((part.expression for part in others), first.expression)
         own = {i: places[j] for i, j in first.index.items() if j in places}
         try:
-            formula.add(own, total, first.factor, first.target)
+            place = formula.enter(own, total, first.factor, first.target)
         except NoEnclosureError as error:
             raise UnsupportedTermError(
                 f"{evaluator_label(first.binding)} can't be bounded",
@@ -252,6 +250,8 @@ def _add_all(formula: Formula, parts: Sequence[Summand], places: Index) -> None:
                 expected="sums, products, quotients, powers, roots, exp, log, sin, cos, tan, "
                 "tan⁻¹, tanh, |x|, max and min",
             ) from None
+        found = place if found < 0 else formula.put(Operation.ADD, found, place)
+    return formula.put(Operation.NUMBER) if found < 0 else found
 
 
 def values_at(tape: Tape, x: Floats, order: int = VALUE) -> Floats:

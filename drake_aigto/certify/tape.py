@@ -98,7 +98,7 @@ _FUNCTIONS = {
 
 
 class Formula:
-    """A sum of expressions as entries of a tape, each made once.
+    """Expressions as entries of a tape, each made once.
 
     Args:
         is_nested: whether powers of one variable are written as Horner does.
@@ -108,16 +108,12 @@ class Formula:
         """Starts empty."""
         self._place: Index = {}
         self._known: dict[Entry, int] = {}
-        self._last: int | None = None
         self._is_nested = is_nested
 
-    @property
-    def entries(self) -> list[Entry]:
-        """All of them, in their order."""
-        return list(self._known)
-
-    def add(self, place_of: Index, e: Expression, factor: float = 1.0, target: float = 0.0) -> None:
-        """Adds factor · (e − target) to the sum, of variables in these places of the formula.
+    def enter(
+        self, place_of: Index, e: Expression, factor: float = 1.0, target: float = 0.0
+    ) -> int:
+        """Returns the place of factor · (e − target), of variables in these places of the formula.
 
         Raises:
             NoEnclosureError: it has a function without an enclosure.
@@ -125,21 +121,14 @@ class Formula:
         self._place = place_of
         place = self._enter(e)
         place = self.put(Operation.SHIFT, place, 0, -target) if target else place
-        place = self._scaled(place, factor)
-        self._last = place if self._last is None else self.put(Operation.ADD, self._last, place)
+        return self._scaled(place, factor)
 
-    def pop(self) -> int:
-        """Returns the entry of the sum, 0 if it is empty, and begins a new one."""
-        last = self.put(Operation.NUMBER) if self._last is None else self._last
-        self._last = None
-        return last
-
-    def finish(self) -> list[Entry]:
-        """Returns the entries, that of the sum last."""
-        last, entries = self.pop(), self.entries
-        if last < len(entries) - 1:
-            entries.append((int(Operation.SHIFT), last, 0, 0.0))
-        return entries
+    def entries(self, last: int = -1) -> list[Entry]:
+        """Returns all entries in their order, a certain one last."""
+        found = list(self._known)
+        if 0 <= last < len(found) - 1:
+            found.append((int(Operation.SHIFT), last, 0, 0.0))
+        return found
 
     def put(self, operation: Operation, a: int = 0, b: int = 0, number: float = 0.0) -> int:
         """Returns the place of an entry, which is new or known."""
