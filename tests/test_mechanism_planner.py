@@ -314,7 +314,7 @@ def test_a_search_ends_once_its_patience_would_find_less_than_one_better_motion(
             chances.append(self.chance)
 
     chances: list[float] = []
-    scenario, options = Scenario.named("acrobot/swing_up"), PlanOptions(patience=96)
+    scenario, options = Scenario.named("acrobot/swing_up"), PlanOptions(patience=192)
     search = Watched(MechanismTask(World.from_scenario(scenario), scenario, options))
     search.explore()
     assert 1 < len(chances) < options.renewals / 8

@@ -272,22 +272,28 @@ def close_gaps(
     """Returns the local optimum near states and controls of a motion.
 
     The first one that costs hardly more than the motion counts, or the best: near its states, where
-    gaps between them are closed by whole steps or by wary ones, or near its controls alone. In
+    gaps between them are closed by whole steps or by wary ones, or near its controls alone. In the
+    plane they are also closed in the last rung at once, without prices: the controls of one rung
+    let an unstable motion fall in the next, and penalties that have grown bar its way back. In
     space, contact may get lost as gaps are closed, so controls and wary steps come first, unless
     steps are of another order, where controls fail, and what costs more does not count at once.
     Others are as in `ShootingProblem.solve`.
     """
-    ways, most = [(states, options)], scaled(_HARDLY, motion.cost)
+    ways, most = [(states, options, prices)], scaled(_HARDLY, motion.cost)
     if states is not None:
-        alone, wary = (None, options), (states, dataclasses.replace(options, is_wary=True))
+        wary = states, dataclasses.replace(options, is_wary=True), prices
+        alone = None, options, prices
         in_space = isinstance(problem.mechanism, TreeMechanism)
         if in_space and options.order == motion.order:
             ways = [alone, wary, *ways]
         else:
-            ways, most = [*ways, wary, alone], motion.cost if in_space else most
+            at_once = states, dataclasses.replace(options, rungs=options.rungs[-1:]), None
+            is_other = not in_space and (len(options.rungs) > 1 or prices is not None)
+            ways = [*ways, *([at_once] if is_other else []), wary, alone]
+            most = motion.cost if in_space else most
     tried = []
     for way in ways:
-        found = problem.solve(controls, *way, prices)
+        found = problem.solve(controls, *way)
         if found.violation <= HOPELESS and found.cost <= most:
             return found
         tried.append(found)

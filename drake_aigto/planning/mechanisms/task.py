@@ -10,6 +10,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw, RigidLaw, calc_dissipation
+from drake_aigto.planning.feedback import calc_divergence
 from drake_aigto.planning.mechanisms.closing import (
     COOLING,
     FINER,
@@ -38,8 +39,9 @@ from drake_aigto.world import SpaceWorld, World, find_anywhere
 _PRICE, _MUCH = 10.0, 1e-2
 # How often multipliers of bounds are updated where a penalty leaves a violation.
 _UPDATES = 3
-# Horizons of more periods than this are searched at half their length first.
-_LONG = 4.0
+# Horizons of more periods than this are searched at half their length first: of all tasks, and of
+# those with a goal at an unstable equilibrium, where errors of whole motions grow most.
+_LONG, _LONG_IF_UNSTABLE = 4.0, 1.5
 # The factor by which costs fall at most as steps become shorter, which changes their order, and how
 # many times as many finalists are polished for that: without friction; with it; and in space, where
 # motions are ranked after few iterations. With friction, 63 finalists of 15 plans of a hopper, a
@@ -139,7 +141,8 @@ class MechanismTask(PosedMechanism):
         push, which take their time.
         """
         scenario, step = self.scenario, self.scenario.time_step
-        is_long = scenario.duration > _LONG * self.measures.period
+        periods = _LONG_IF_UNSTABLE if calc_divergence(self.world, scenario) else _LONG
+        is_long = scenario.duration > periods * self.measures.period
         if scenario.duration_range is not None or not is_long or "push" in self.guesses.starts:
             return None
         half = dataclasses.replace(scenario, duration=step * max(2, scenario.num_steps // 2))
