@@ -145,6 +145,15 @@ class ModelEstimate:
         return np.sqrt(np.diag(self.covariance))
 
     @property
+    def wall_doubts(self) -> Floats:
+        """Standard deviations of where each contact's wall stands; 0: not estimated, (m,) [m]."""
+        doubts = np.zeros(self.world.num_contacts)
+        for each, off in zip(self.parameters, self.deviations, strict=True):
+            if each.kind == "walls":
+                doubts[each.which] = off
+        return doubts
+
+    @property
     def _usual(self) -> Floats:
         return np.array([each.usual for each in self.parameters])
 

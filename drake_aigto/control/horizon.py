@@ -118,6 +118,10 @@ class Horizon(ABC):
         """Restitution that walls are planned with; None where that is no number."""
         return self.scenario.restitution if self.is_rigid else None
 
+    def wary(self: AnyHorizon, doubts: Floats) -> AnyHorizon:
+        """Returns the same task, where walls are known so well [m], shape (m,)."""
+        return self
+
     @property
     def _step(self) -> float:
         """Time step of a motion [s]."""

@@ -247,6 +247,7 @@ class Horizons:
         """
         own, aside = self._find_learned(known)
         aimed = reference.aim(own if iterations is None else own.within(iterations), now)
+        aimed = aimed if known is None else aimed.wary(known.wall_doubts)
         aside = aimed if aside is own else reference.aim(aside, now)
         is_ending = aimed.is_over(now + max(self._period, SOON))
         return aimed, aside, self._hold(aimed) if is_ending else None
