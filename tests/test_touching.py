@@ -10,14 +10,21 @@ import pytest
 from pydrake.multibody.tree import ModelInstanceIndex
 from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
-from space_models import BOX, SPHERE, ball_and_finger, collision, make_scenario
+from space_models import BOX, GROUND, SPHERE, ball_and_finger, collision, make_scenario
 from touching_bodies import CORNERS, Bodies, find_faces
 
 from drake_aigto import Scenario, World
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import SLOWING
 from drake_aigto.errors import ModelError, TrajectoryError
-from drake_aigto.simulation import find_touch_error, replay_drake, replay_event_driven
+from drake_aigto.simulation import (
+    EDGES,
+    calc_edge_overlap,
+    calc_lacks,
+    find_touch_error,
+    replay_drake,
+    replay_event_driven,
+)
 from drake_aigto.world import SpaceWorld
 
 # Drake finds how deep these are in each other in closed form; of two capsules, and of a ball and a
@@ -164,12 +171,19 @@ def test_a_mesh_touches_what_its_convex_hull_touches(tmp_path: Path) -> None:
     np.testing.assert_allclose(of_mesh, of_box, atol=1e-6)  # Corners, in any order.
 
 
+TABLE = "<box><size>1 1 0.1</size></box>"
+
+
+@pytest.mark.parametrize("on_table", [False, True])
 @pytest.mark.parametrize("is_mesh", [False, True])
-def test_what_stands_on_a_face_stays_there(tmp_path: Path, is_mesh: bool) -> None:
+def test_what_stands_on_a_face_stays_there(tmp_path: Path, is_mesh: bool, on_table: bool) -> None:
     """Drake's own touch, the lowest corner, is another one all the time: no motion can be found."""
     corners = np.array(list(itertools.product((-0.05, 0.05), repeat=3)))
     shape = write_mesh(tmp_path / "cube.obj", corners) if is_mesh else BOX
     text = ball_and_finger(shapes=collision("cube", shape))
+    if on_table:
+        table = collision("floor", TABLE, "0 0 -0.05 0 0 0")
+        text = text.replace(collision("floor", GROUND), table)
     sunk = 0.3 * 9.81 / 4 / 1000  # Four corners, each of two shapes' 2000 N/m.
     pose = {"xyz": [0, 0, 0.05 - sunk], "rpy": [0.0, 0.0, 0.4]}
     scenario = make_scenario(tmp_path, text, initial_position={"thing": pose, "x": -0.3, "z": 0.3})
@@ -186,7 +200,30 @@ def test_what_stands_on_a_face_stays_there(tmp_path: Path, is_mesh: bool) -> Non
     assert isinstance(world, SpaceWorld)
     assert np.sum(world.calc_signed_distance(scenario.initial_position) < 0) == 4
     apart = Scenario(**(scenario.to_plain() | {"clearance": {"m::cube with ground::floor": 0.01}}))
-    assert np.sum(world.least_distances(apart) == 0.01) == 8
+    assert np.sum(world.least_distances(apart) == 0.01) == (16 if on_table else 8)
+
+
+def test_edges_that_cross_are_no_touch_and_said_to_be_so(tmp_path: Path) -> None:
+    """Boxes meet with their corners, and here edges alone cross at right angles."""
+    text = ball_and_finger(shapes=collision("cube", BOX)).replace(
+        collision("floor", GROUND), collision("floor", TABLE, "0 0 0 0.7853981633974483 0 0")
+    )
+    top, half = (0.5 + 0.05) * np.sqrt(0.5), 0.05 * np.sqrt(2)
+    depth = 0.004
+    for above in (depth, -depth):
+        pose = {"xyz": [0, 0.45 * np.sqrt(0.5), top + half - above], "rpy": [0.0, np.pi / 4, 0.0]}
+        start = {"thing": pose, "x": -0.3, "z": 1.3}
+        scenario = make_scenario(tmp_path, text, initial_position=start)
+        world = World.from_scenario(scenario)
+        scenario = world.place(scenario)
+        q = scenario.initial_position
+        assert np.all(world.calc_signed_distance(q)[1:] > 0)
+        assert calc_edge_overlap(world, np.array([q])) == pytest.approx(max(above, 0.0), abs=1e-9)
+        replay = replay_drake(world, scenario, [0.0, 1e-3], np.zeros((1, 3)))
+        assert (EDGES in replay.broken) == (above > 0)
+        apart = Scenario(**(scenario.to_plain() | {"clearance": {"m::cube with ground::*": 0.01}}))
+        lacks = calc_lacks(world, apart, np.array([q]))
+        assert np.max(lacks) == pytest.approx(0.01 + above, abs=1e-9)
 
 
 def test_a_motion_that_ends_early_may_be_due_to_edges_that_touch_at_a_point(tmp_path: Path) -> None:

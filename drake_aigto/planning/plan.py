@@ -19,7 +19,7 @@ from drake_aigto.planning.candidate import HARDLY, Candidate, Replays, Veto
 from drake_aigto.planning.feedback import Feedback
 from drake_aigto.planning.options import SearchOptions
 from drake_aigto.planning.tracked import confirm_in_drake, perturb, replay_own
-from drake_aigto.simulation import BOUNDS, CLEARANCE, HARD_GOAL, Arrival, Replay, confirms
+from drake_aigto.simulation import BOUNDS, CLEARANCE, EDGES, HARD_GOAL, Arrival, Replay, confirms
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import largest_defect
 from drake_aigto.world import Fingerprint, Scenario, World
@@ -150,7 +150,8 @@ class Plan:
     def additions(self) -> tuple[str, ...]:
         """Names of costs and constraints of users (`Planner.transcription`)."""
         named = {**self.best.added_costs, **self.best.replay.violations}
-        return tuple(name for name in named if name not in (BOUNDS, HARD_GOAL, CLEARANCE))
+        own = BOUNDS, HARD_GOAL, CLEARANCE, EDGES
+        return tuple(name for name in named if name not in own)
 
     @property
     def cost(self) -> float:

@@ -34,11 +34,13 @@ from .simulator import set_stiffness as set_stiffness
 from .simulator import start_plant as start_plant
 from .verdict import BOUNDS as BOUNDS
 from .verdict import CLEARANCE as CLEARANCE
+from .verdict import EDGES as EDGES
 from .verdict import HARD_GOAL as HARD_GOAL
 from .verdict import MOST_GROWTH as MOST_GROWTH
 from .verdict import NOTHING as NOTHING
 from .verdict import Growth as Growth
 from .verdict import calc_compliance_error as calc_compliance_error
+from .verdict import calc_edge_overlap as calc_edge_overlap
 from .verdict import calc_excess as calc_excess
 from .verdict import calc_growth as calc_growth
 from .verdict import calc_lacks as calc_lacks

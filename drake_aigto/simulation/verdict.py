@@ -26,6 +26,7 @@ from drake_aigto.simulation.rigid import calc_slide
 from drake_aigto.world import Limits, Scales, Scenario, TaskCost, World
 
 BOUNDS, HARD_GOAL, CLEARANCE = "bounds", "hard goal", "clearance"
+EDGES = "edges that cross"
 # What counts as nothing in a simulation, as a part of the task's scales: 2 mm in a task of a meter.
 NOTHING = 2e-3
 # Two simulators, or a robot and its model, differ by more than this part of the scales anywhere.
@@ -59,9 +60,27 @@ def calc_excess(world: World, scenario: Scenario, positions: Floats, velocities:
 
 
 def calc_lacks(world: World, scenario: Scenario, positions: Floats) -> Floats:
-    """Returns by how much φ of contacts falls below the scenario's least at most, shape (m,)."""
-    lacks = world.least_distances(scenario) - world.calc_signed_distance(np.array(positions))
+    """Returns by how much φ of contacts falls below the scenario's least at most, shape (m,).
+
+    Corners of solids lack what these do, whose edges may be nearer to each other.
+    """
+    q, least = np.array(positions), world.least_distances(scenario)
+    lacks = least - world.calc_signed_distance(q)
+    for numbers, distances in zip(
+        world.solid_corners, world.calc_solid_distances(q).T, strict=True
+    ):
+        whole = least[numbers] - distances[:, np.newaxis]
+        lacks[:, numbers] = np.maximum(lacks[:, numbers], whole)
     return np.asarray(np.max(lacks, axis=0).clip(min=0.0))
+
+
+def calc_edge_overlap(world: World, positions: Floats) -> float:
+    """Returns how much deeper solids overlap than their corners, at most [m]: edges cross."""
+    q = np.array(positions)
+    depths = np.maximum(0.0, -world.calc_signed_distance(q))
+    of_corners = [np.max(depths[:, numbers], axis=1) for numbers in world.solid_corners]
+    beyond = -world.calc_solid_distances(q).T - np.array(of_corners)
+    return float(np.max(beyond, initial=0.0))
 
 
 def narrow_bounds(bounds: Limits, states: Floats, excess: Floats) -> Limits:
@@ -122,13 +141,16 @@ def calc_violations(
     """Returns by how much a motion misses bounds and clearances, and its end a hard goal, by name.
 
     Each is the largest of all coordinates, in parts of `state_scales`, or of all pairs, in parts of
-    the task's length; nothing of a plain task in a model without limits. Positions and velocities
-    are shape (K, n), the start the first.
+    the task's length; nothing of a plain task in a model without limits. Solids that meet by their
+    corners miss what their edges overlap beyond that. Positions and velocities are shape (K, n),
+    the start the first.
     """
-    if scenario.is_plain and not world.limits.are_any:
-        return {}
-    bounds, units = world.bounds(scenario), state_scales(world, scenario)
     missed: dict[str, float] = {}
+    if world.solid_corners:
+        missed[EDGES] = calc_edge_overlap(world, positions) / Scales.of(world, scenario).length
+    if scenario.is_plain and not world.limits.are_any:
+        return missed
+    bounds, units = world.bounds(scenario), state_scales(world, scenario)
     if np.any(np.isfinite(np.hstack([bounds.position, bounds.velocity]))):
         excess = calc_excess(world, scenario, positions, velocities)
         missed[BOUNDS] = float(np.max(excess / units))

@@ -222,8 +222,8 @@ def add_ends(
     """Adds spheres where shapes touch half spaces, whatever their pose; returns them by shape.
 
     These are a capsule's ends and, in space, corners of boxes and of convex hulls of meshes, where
-    spheres are tiny. Drake's own touch of such shapes is one corner, the lowest: on a face that
-    rests, that is another one all the time.
+    spheres are tiny, which touch boxes and meshes, too. Drake's own touch of such shapes is one
+    corner, the lowest: on a face that rests, that is another one all the time.
     """
     inspector: Any = scene_graph.model_inspector()
     found = {}
@@ -262,11 +262,11 @@ def _list_ends(inspector: Any) -> dict[GeometryId, _Spheres]:
 
 
 def _list_corners(inspector: Any) -> dict[GeometryId, _Spheres]:
-    """Returns the corners of each box and mesh that may touch a half space."""
+    """Returns the corners of each box and mesh that may touch a half space, a box or a mesh."""
     shapes = inspector.GetAllGeometryIds(Role.kProximity)
-    walls = {each for each in shapes if isinstance(inspector.GetShape(each), HalfSpace)}
+    flat = {s for s in shapes if isinstance(inspector.GetShape(s), Box | Convex | HalfSpace | Mesh)}
     pairs = map(set, inspector.GetCollisionCandidates())
-    near = set[GeometryId]().union(*(pair for pair in pairs if pair & walls))
+    near = set[GeometryId]().union(*(pair for pair in pairs if pair <= flat))
     found = {}
     for shape in shapes:
         solid = inspector.GetShape(shape)
@@ -286,7 +286,9 @@ def _list_corners(inspector: Any) -> dict[GeometryId, _Spheres]:
 
 
 def choose_ends(scene_graph: SceneGraph, ends: dict[GeometryId, list[GeometryId]]) -> None:
-    """Lets the ends of a shape touch the half spaces that it may touch, and the shape all else.
+    """Lets the ends of a shape touch what it may touch with them, and the shape all else.
+
+    Ends of capsules touch half spaces; corners boxes and meshes, too, if these have corners.
 
     Args:
         scene_graph: whose plant is finalized.
@@ -294,13 +296,14 @@ def choose_ends(scene_graph: SceneGraph, ends: dict[GeometryId, list[GeometryId]
     """
     inspector: Any = scene_graph.model_inspector()
     shapes = inspector.GetAllGeometryIds(Role.kProximity)
-    walls = [each for each in shapes if isinstance(inspector.GetShape(each), HalfSpace)]
-    every_end = [end for its_ends in ends.values() for end in its_ends]
-    _exclude(scene_graph, every_end, [each for each in shapes if each not in walls])
+    walls = {each for each in shapes if isinstance(inspector.GetShape(each), HalfSpace)}
+    solids = {each for each in ends if not isinstance(inspector.GetShape(each), Capsule)}
     meets = set(map(frozenset, inspector.GetCollisionCandidates()))
     for shape, its_ends in ends.items():
-        _exclude(scene_graph, its_ends, [w for w in walls if frozenset((shape, w)) not in meets])
-    _exclude(scene_graph, list(ends), walls)
+        flat = walls | solids if shape in solids else walls
+        met = {each for each in flat if frozenset((shape, each)) in meets}
+        _exclude(scene_graph, its_ends, [each for each in shapes if each not in met])
+        _exclude(scene_graph, [shape], list(met))
 
 
 def leave_pairs_out(scene_graph: SceneGraph, order: Order, facts: ModelFacts) -> None:

@@ -14,6 +14,7 @@ from drake_aigto.world.mjcf import read_mjcf
 from drake_aigto.world.model_facts import MESHES, ModelFacts, read_numbers, read_range
 from drake_aigto.world.model_fields import ModelFields
 from drake_aigto.world.pair_errors import MARK
+from drake_aigto.world.space_parts import MOST_CORNERS
 
 _ROUNDING = 1e-12  # Of the largest moment of inertia.
 # What of an SDF's link changes its motion: the element, values that do not, and what is missing.
@@ -224,8 +225,12 @@ def _mark_planes(root: Element, path: Path, facts: ModelFacts) -> bool:
     """Puts marks, tiny spheres, where planes are among many shapes (`set_planes`)."""
     shapes = [shape for link in root.iter("link") for shape in link.findall("collision")]
     planes = [shape for shape in shapes if shape.find("geometry/plane") is not None]
-    solids = [shape.find(f"geometry/{solid}") for shape in shapes for solid in ("box", "mesh")]
-    corners = 8 * sum(solid is not None for solid in solids)
+    corners = sum(
+        count
+        for solid, count in (("box", 8), ("mesh", MOST_CORNERS))
+        for shape in shapes
+        if shape.find(f"geometry/{solid}") is not None
+    )
     uris = (include.findtext("uri", "") for include in root.iter("include"))
     if len(shapes) + corners <= _MOST_SHAPES or any("://" not in uri for uri in uris):
         return False

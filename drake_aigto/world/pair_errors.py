@@ -31,13 +31,14 @@ _INSTEAD = {
     "Ellipsoid": "ellipsoids by spheres",
 }
 _SOFT = (
-    " With contact: compliant, capsules meet spheres, boxes and each other; boxes, cylinders and "
-    "meshes spheres and half spaces."
+    " With contact: compliant, capsules meet spheres, boxes and each other; boxes and meshes spheres, "
+    "half spaces and each other; cylinders spheres and half spaces."
 )
 _MOST_WORK = 30_000  # Samples of all distances, about a second's worth.
 
 IN_PLANE = "Sphere against Box, HalfSpace or Sphere, or Capsule against HalfSpace"
 
+_WITH = " with "
 Pair = tuple[GeometryId, GeometryId]
 
 
@@ -181,8 +182,11 @@ def name_pair(inspector: Any, pair: Pair) -> str:
 
 
 def is_of_pair(name: str, glob: str) -> bool:
-    """Returns whether a pair's name, with or without numbers of ends, fits a glob."""
-    return fnmatchcase(name, glob) or fnmatchcase(re.sub(rf"{END}\d+", "", name), glob)
+    """Returns whether a pair's name, with or without numbers of ends, either way, fits a glob."""
+    whole = re.sub(rf"{END}\d+", "", name)
+    return any(
+        fnmatchcase(each, glob) for each in (name, whole, _WITH.join(whole.split(_WITH)[::-1]))
+    )
 
 
 def name_pairs(inspector: Any, pairs: list[Pair]) -> str:

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from pydrake.geometry import GeometryId, SceneGraph
+from pydrake.geometry import Box, Convex, GeometryId, Mesh, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant, Propeller
 from pydrake.symbolic import Expression, MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
@@ -34,6 +34,7 @@ from drake_aigto.world.space_parts import (
     SpaceShapes,
     broadcast_rows,
     find_angles,
+    find_whole,
     list_rows,
     order_shapes,
     read_shapes,
@@ -154,7 +155,11 @@ class SpaceWorld(SpaceCoordinates, World):
         _ = self.springs
         if scenario.periodic is not None:  # Where a plan of a gait begins, feet may be pressed.
             return
-        distances = self.calc_signed_distance(scenario.initial_position)
+        start = np.array(scenario.initial_position)
+        distances = self.calc_signed_distance(start)
+        whole = self.calc_solid_distances(start[np.newaxis])[0]
+        for numbers, distance in zip(self.solid_corners, whole, strict=True):
+            distances[numbers] = np.minimum(distances[numbers], distance)
         sizes = self.geometry.radii[self.geometry.pairs]
         smaller = np.min(np.where(sizes > 0, sizes, np.inf), axis=1)
         worst = int(np.argmin(distances / smaller))
@@ -176,6 +181,38 @@ class SpaceWorld(SpaceCoordinates, World):
     def reaches(self) -> Floats:
         """Zero: distances are those of surfaces, shape (m,)."""
         return np.zeros(self.num_contacts)
+
+    @cached_property
+    def _solids(self) -> dict[frozenset[GeometryId], list[int]]:
+        """Boxes and meshes that meet by their corners, and which contacts these are."""
+        inspector: Any = self.scene_graph.model_inspector()
+        found: dict[frozenset[GeometryId], list[int]] = {}
+        for number, pair in enumerate(self.shapes):
+            wholes = frozenset(find_whole(inspector, shape) for shape in pair)
+            flat = [isinstance(inspector.GetShape(each), Box | Convex | Mesh) for each in wholes]
+            if wholes != frozenset(pair) and all(flat):
+                found.setdefault(wholes, []).append(number)
+        return found
+
+    @property
+    def solid_corners(self) -> tuple[list[int], ...]:
+        """Of each two boxes or meshes that meet by their corners, which contacts these are."""
+        return tuple(self._solids.values())
+
+    def calc_solid_distances(self, q: Floats) -> Floats:
+        """Returns distances of such solids, by Drake, edges too, (K, S) [m], at q (K, nq)."""
+        root = self.diagram.CreateDefaultContext()
+        graph = self.scene_graph.GetMyContextFromRoot(root)
+        of_plant = self.plant.GetMyContextFromRoot(root)
+        found = np.empty((len(q), len(self._solids)))
+        for row, distances in zip(q, found, strict=True):
+            self.plant.SetPositions(of_plant, row)
+            query: Any = self.scene_graph.get_query_output_port().Eval(graph)
+            distances[:] = [
+                query.ComputeSignedDistancePairClosestPoints(*pair).distance
+                for pair in self._solids
+            ]
+        return found
 
     def find_frames(self, goals: Named[FrameGoal]) -> FrameGoals | None:
         """Returns goals of frames, checked; None: there are none."""

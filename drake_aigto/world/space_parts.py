@@ -44,7 +44,8 @@ _KINDS: dict[type[Shape], int] = {
 }
 EXPECTED = (
     "Sphere against Sphere, Box, Capsule, Cylinder, Mesh or HalfSpace, "
-    "Capsule against Capsule, Box or HalfSpace, Box, Cylinder or Mesh against HalfSpace"
+    "Capsule against Capsule, Box or HalfSpace, Box or Mesh against Box, Mesh or HalfSpace, "
+    "Cylinder against HalfSpace"
 )
 # All faces of a hull are looked at: of as many corners, before a ball and the ground, in 3 µs.
 MOST_CORNERS = 64
@@ -115,13 +116,20 @@ def read_shapes(
     return SpaceShapes(table, np.array(rows, dtype=np.int64).reshape(-1, 2), radii)
 
 
+def find_whole(inspector: Any, shape: GeometryId) -> GeometryId:
+    """Returns the shape that has this one as an end or a corner; itself if it is none."""
+    name = name_shape(inspector, shape)
+    if name == inspector.GetName(shape):
+        return shape
+    frame = inspector.GetFrameId(shape)
+    found: GeometryId = inspector.GetGeometryIdByName(frame, Role.kProximity, name)
+    return found
+
+
 def _read_radius(inspector: Any, shape: GeometryId) -> float:
     """Returns the radius of a sphere about a shape, or about the solid that it is a corner of."""
-    name = name_shape(inspector, shape)
-    if name != inspector.GetName(shape):
-        frame = inspector.GetFrameId(shape)
-        whole: GeometryId = inspector.GetGeometryIdByName(frame, Role.kProximity, name)
-        shape = shape if isinstance(inspector.GetShape(whole), Capsule) else whole
+    whole = find_whole(inspector, shape)
+    shape = shape if isinstance(inspector.GetShape(whole), Capsule) else whole
     return _read_size(inspector.GetShape(shape), _read_hull(inspector, shape))[1]
 
 

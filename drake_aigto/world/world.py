@@ -123,6 +123,15 @@ class World(PlantWorld):
         )._within_reach()
 
     @property
+    def solid_corners(self) -> tuple[list[int], ...]:
+        """None: no two solids touch each other with their corners."""
+        return ()
+
+    def calc_solid_distances(self, q: Floats) -> Floats:
+        """Returns no distance, shape (K, 0), at q (K, nq)."""
+        return np.empty((len(q), 0))
+
+    @property
     def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
         """The sphere and the shape that it touches, of each contact, in the scene graph."""
         return tuple(each.face.shapes for each in self._reachable)
