@@ -155,7 +155,8 @@ def _read_model(
     instances = {plant.GetModelInstanceName(each): each for each in found}
     for name in pick(f"weightless in {path}", fields.weightless, instances):
         plant.set_gravity_enabled(instances[name], False)
-    set_planes(plant, scene_graph, facts.planes)
+    with hear_drake():  # Of half spaces and deformable bodies.
+        set_planes(plant, scene_graph, facts.planes)
     set_materials(plant, scene_graph, fields.material)
     keep_apart(plant, scene_graph, facts)
     ends = add_ends(plant, scene_graph, in_space)

@@ -31,8 +31,8 @@ _INSTEAD = {
     "Ellipsoid": "ellipsoids by spheres",
 }
 _SOFT = (
-    " With contact: compliant, capsules meet spheres, boxes and each other; boxes and meshes spheres, "
-    "half spaces and each other; cylinders spheres and half spaces."
+    " With contact: compliant, capsules meet spheres, boxes and each other; boxes and meshes "
+    "spheres, half spaces and each other; cylinders spheres and half spaces."
 )
 _MOST_WORK = 30_000  # Samples of all distances, about a second's worth.
 
