@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
@@ -23,6 +24,8 @@ from drake_aigto.errors import OptionsError, check_counts, check_positive
 from drake_aigto.linear import Storage
 
 PolishName = Literal["newton", "ipopt", "snopt", "none"]
+
+_MOST_CELLS = 20_000  # of each proof that some rows contradict each other
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,12 +145,17 @@ class AigoStatus(enum.Enum):
     def explain(self, prog: MathematicalProgram, cells: int = 0) -> str:
         """Returns which rows or bounds contradict each other, if this says that some do.
 
+        Nothing, if that takes too many cells, or is interrupted.
+
         Args:
             prog: the program.
             cells: which proved it; 0: ranges of rows did.
         """
         denies = (AigoStatus.INFEASIBLE, AigoStatus.CONTRADICTORY_BOUNDS)
-        return explain_infeasibility(prog, 2 * cells) if self in denies else ""
+        with suppress(KeyboardInterrupt):
+            most = min(2 * cells, _MOST_CELLS)
+            return explain_infeasibility(prog, most) if self in denies else ""
+        return ""
 
 
 # All others are solutions.
