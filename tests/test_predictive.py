@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import threading
 from functools import cache
 from typing import Any
 
@@ -274,6 +275,8 @@ def test_a_search_in_a_thread_is_taken_at_its_tick_and_runs_are_the_same_again()
     assert switch.time == pytest.approx(0.74)
     assert end > 0
     assert end == again
+    # Drake keeps controllers, but no thread is left of theirs.
+    assert not [each for each in threading.enumerate() if each.name.startswith("search")]
 
 
 def test_a_state_inside_of_a_rigid_wall_is_not_planned_from() -> None:

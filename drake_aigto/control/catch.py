@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from concurrent.futures import Future
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from threading import Lock
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.horizon import Horizon, open_thread
+from drake_aigto.control.horizon import Horizon
 from drake_aigto.control.mechanism_horizon import make_horizon
 from drake_aigto.control.ports import predict
 from drake_aigto.control.touches import PlannedMotion
@@ -34,6 +35,28 @@ _PART = 0.25
 _BRAKE = 0.2
 # Motions that are remembered: the last one, which may be asked for anew, and the next.
 _KEPT = 4
+
+
+class Beside:
+    """Calls beside a loop, one at a time, each in a thread that ends with it.
+
+    One thread for all would stay: Drake keeps a controller after its Diagram is gone.
+    """
+
+    def __init__(self) -> None:
+        """Runs nothing yet."""
+        self._is_free = Lock()
+
+    def submit(self, call: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Returns what a call is going to return."""
+        thread = ThreadPoolExecutor(1, "search")
+        found = thread.submit(self._run, call, arguments)
+        thread.shutdown(wait=False)
+        return found
+
+    def _run(self, call: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        with self._is_free:
+            return call(*arguments)
 
 
 class Caught(NamedTuple):
@@ -129,7 +152,7 @@ class Catch:
         if scenario.periodic is None and needs_shooting(world, asked):  # A gait goes on.
             planner = Planner(asked, _SEARCHED, world)
             self.task = make_horizon(planner, False, _ITERATIONS, period).hold()
-        self._thread = open_thread(self)
+        self._thread = Beside()
 
     def begin(self, asked: Floats, time: float, end: float, x: Floats, u: Floats) -> Floats:
         """Returns what is asked for soon before a plan's end: a motion from where u leads then.

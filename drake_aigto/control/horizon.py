@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import weakref
 from abc import ABC, abstractmethod
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 import numpy as np
@@ -355,13 +353,6 @@ def _polish(
     if solved is None:
         return None
     return PlannedMotion(solved.trajectory, task.cost(solved), solved.sequence)
-
-
-def open_thread(owner: object) -> ThreadPoolExecutor:
-    """Returns a thread beside a loop, which begins nothing more once its owner is gone."""
-    thread = ThreadPoolExecutor(1, "search")
-    weakref.finalize(owner, thread.shutdown, wait=False, cancel_futures=True)
-    return thread
 
 
 def check_planner(planner: Planner) -> None:

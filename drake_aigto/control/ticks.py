@@ -11,9 +11,9 @@ import numpy as np
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.catch import SOON, Bridge, Catch, Law
+from drake_aigto.control.catch import SOON, Beside, Bridge, Catch, Law
 from drake_aigto.control.estimation import ModelEstimate
-from drake_aigto.control.horizon import Horizon, check_planner, open_thread
+from drake_aigto.control.horizon import Horizon, check_planner
 from drake_aigto.control.mechanism_horizon import make_horizon
 from drake_aigto.control.ports import Sample, TickStatus
 from drake_aigto.control.touches import PlannedMotion, SeenBounces
@@ -303,7 +303,7 @@ class Searches:
         self._period, self._margin, self._surprise = period, margin, surprise
         self._every, self._ticks, self._waits = every, ticks, waits
         if ticks is not None:
-            self._thread = open_thread(self)
+            self._thread = Beside()
 
     def choose(self, before: TickMemory, question: TickQuestion) -> TickChoice:
         """Returns the plan from now on, and why it is that."""
