@@ -58,7 +58,7 @@ def test_feet_are_where_mujoco_has_them(name: str) -> None:
         data.qpos[np.concatenate([each.qposadr for each in moving])] = q
         mujoco.mj_kinematics(model, data)
         for contact, distance in zip(world.contacts, world.calc_signed_distance(q), strict=True):
-            name, _, end = contact.name.partition(" with ")[0].partition("_end")
+            name, _, end = contact.name.partition(" with ")[0].partition(" end ")
             geom = data.geom(name.rpartition("::")[2])
             radius, half, _ = model.geom(geom.name).size
             side = -half if end == "1" else half

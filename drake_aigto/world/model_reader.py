@@ -133,13 +133,13 @@ def _read_model(
 ) -> ReadModel:
     path = find_model(model)
     packages = find_packages(path, fields.packages)
-    text, kind, facts = read_model_text(path, fields, packages, stub=stub)
+    text, kind, facts = read_model_text(path, fields, packages, 1.0, stub, in_space)
     if facts.total_mass is not None:
         plant = MultibodyPlant(time_step=0.0)
         _parse(plant, path, packages, text, kind)
         mass = sum(body.default_mass() for body in _list_bodies(plant)[1:])
         scale = facts.total_mass / mass
-        text, kind, facts = read_model_text(path, fields, packages, scale, stub)
+        text, kind, facts = read_model_text(path, fields, packages, scale, stub, in_space)
     builder = DiagramBuilder()
     # Continuous, since every discrete contact model loses energy.
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)

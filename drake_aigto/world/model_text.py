@@ -27,6 +27,7 @@ _LEFT_OUT = (
 )
 # With this many shapes, Drake's tree of them bears a half space on a link, whose box is infinite.
 _MOST_SHAPES = 12
+_ENDS, _CORNERS = {"capsule": 2}, {"box": 8, "mesh": MOST_CORNERS}
 _MARK_RADIUS = "1e-9"
 _KINDS = {"mujoco": "xml", "robot": "urdf", "sdf": "sdf"}
 
@@ -37,6 +38,7 @@ def read_model_text(
     packages: PackageMap,
     mass_scale: float = 1.0,
     stub: Path | None = None,
+    in_space: bool = False,
 ) -> tuple[str | None, str, ModelFacts]:
     """Returns the text that Drake's parser should read, its kind, and the facts beside it.
 
@@ -48,6 +50,7 @@ def read_model_text(
         packages: where files of package:// URIs are.
         mass_scale: of all masses of an MJCF.
         stub: a mesh in place of those that are read else (`ModelFacts`).
+        in_space: whether boxes and meshes get shapes at their corners (`add_ends`).
 
     Raises:
         ModelError: the file is no model, something that changes the physics can't be planned for,
@@ -78,7 +81,7 @@ def read_model_text(
         _read_includes(root, path, packages, facts)
         _refuse_forces(root, path, facts)
         is_changed |= _prune_shapes(root, path, packages, facts)
-        is_changed |= _mark_planes(root, path, facts)
+        is_changed |= _mark_planes(root, path, facts, in_space)
     else:
         return None, kind, facts
     is_changed |= _check_masses(root, path, facts)
@@ -221,18 +224,15 @@ def _prune_shapes(root: Element, path: Path, packages: PackageMap, facts: ModelF
     return is_changed
 
 
-def _mark_planes(root: Element, path: Path, facts: ModelFacts) -> bool:
+def _mark_planes(root: Element, path: Path, facts: ModelFacts, in_space: bool) -> bool:
     """Puts marks, tiny spheres, where planes are among many shapes (`set_planes`)."""
+    ends = _ENDS | (_CORNERS if in_space else {})
     shapes = [shape for link in root.iter("link") for shape in link.findall("collision")]
     planes = [shape for shape in shapes if shape.find("geometry/plane") is not None]
-    corners = sum(
-        count
-        for solid, count in (("box", 8), ("mesh", MOST_CORNERS))
-        for shape in shapes
-        if shape.find(f"geometry/{solid}") is not None
-    )
+    kinds = [(each.find(f"geometry/{kind}"), n) for each in shapes for kind, n in ends.items()]
+    count = len(shapes) + sum(n for found, n in kinds if found is not None)
     uris = (include.findtext("uri", "") for include in root.iter("include"))
-    if len(shapes) + corners <= _MOST_SHAPES or any("://" not in uri for uri in uris):
+    if count <= _MOST_SHAPES or any("://" not in uri for uri in uris):
         return False
     marked = [shape for shape in planes if shape.get("name")]
     for shape in marked:
