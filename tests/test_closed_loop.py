@@ -83,7 +83,7 @@ def test_without_disturbance_a_plan_keeps_its_promise_off_a_stiff_wall() -> None
 def test_the_record_is_of_what_a_diagram_does() -> None:
     diagram, plant = close_loop(POLE.model, make_controller())
     simulator = Simulator(diagram)
-    simulator.get_mutable_integrator().set_target_accuracy(1e-6)
+    simulator.get_mutable_integrator().set_target_accuracy(1e-8)
     context = set_start(plant, simulator.get_mutable_context(), POLE)
     simulator.AdvanceTo(KICK.kick_time)
     plant.SetVelocities(context, plant.GetVelocities(context) + KICK.kick)

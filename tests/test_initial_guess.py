@@ -17,7 +17,7 @@ PENDULUM = Scenario.named("pendulum/off_the_wall")
 
 @pytest.mark.parametrize(
     ("name", "share"),
-    [("cart_pole/soft_06", 0.95), pytest.param("cart_pole/rigid_10", 1.0, marks=pytest.mark.slow)],
+    [("cart_pole/soft_10", 0.95), pytest.param("cart_pole/rigid_10", 1.0, marks=pytest.mark.slow)],
 )
 def test_a_motion_that_is_known_is_led_on(name: str, share: float) -> None:
     """One start alone finds less."""
