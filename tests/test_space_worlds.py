@@ -468,7 +468,7 @@ def test_pairs_without_a_distance_are_listed_at_once(tmp_path: Path) -> None:
     scenario = make_scenario(tmp_path, text, allow_ignored=["pairs"])
     world = World.from_scenario(scenario)
     corners = {
-        frozenset((f"m::{box} end {k + 1}", other))
+        frozenset((f"m::{box} corner {k + 1}", other))
         for box, met in (("hull", "tip"), ("tip", "hull"))
         for k in range(8)
         for other in ("ground::floor", f"m::{met}")

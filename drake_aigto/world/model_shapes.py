@@ -32,6 +32,7 @@ from drake_aigto.world.material import FRICTION
 from drake_aigto.world.model_facts import ModelFacts, fits
 from drake_aigto.world.model_fields import Material
 from drake_aigto.world.pair_errors import (
+    CORNER,
     END,
     IN_PLANE,
     MARK,
@@ -233,12 +234,13 @@ def add_ends(
         X_BG = RigidTransform(inspector.GetPoseInFrame(shape))
         properties = ProximityProperties(inspector.GetProximityProperties(shape))
         name = inspector.GetName(shape).rpartition("::")[2]
+        name += END if isinstance(inspector.GetShape(shape), Capsule) else CORNER
         found[shape] = [
             plant.RegisterCollisionGeometry(
                 plant.GetBodyFromFrameId(inspector.GetFrameId(shape)),
                 X_BG @ RigidTransform(place),
                 Sphere(radius),
-                f"{name}{END}{number}",
+                f"{name}{number}",
                 properties,
             )
             for number, place in enumerate(places, 1)

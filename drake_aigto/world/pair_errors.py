@@ -18,8 +18,9 @@ from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import find_hinges
 from drake_aigto.world.model_facts import FixableError
 
-# Ends of a capsule, before their number and after its name; marks, before that of their plane.
-END = " end "
+# In names, before a number: ends of a capsule, corners of a solid, marks of a plane.
+END, CORNER = " end ", " corner "
+_ENDS = rf"({END}|{CORNER})\d+"
 MARK = " plane "
 # Shapes, and what collides in their place.
 _INSTEAD = {
@@ -43,8 +44,8 @@ Pair = tuple[GeometryId, GeometryId]
 
 
 def name_shape(inspector: Any, shape: GeometryId) -> str:
-    """Returns the name of a shape, or of that whose end it is."""
-    return re.sub(rf"{END}\d+$", "", inspector.GetName(shape))
+    """Returns the name of a shape, or of that whose end or corner it is."""
+    return re.sub(f"{_ENDS}$", "", inspector.GetName(shape))
 
 
 def find_link(plant: MultibodyPlant, inspector: Any, shape: GeometryId) -> RigidBody:
@@ -183,7 +184,7 @@ def name_pair(inspector: Any, pair: Pair) -> str:
 
 def is_of_pair(name: str, glob: str) -> bool:
     """Returns whether a pair's name, with or without numbers of ends, either way, fits a glob."""
-    whole = re.sub(rf"{END}\d+", "", name)
+    whole = re.sub(_ENDS, "", name)
     return any(
         fnmatchcase(each, glob) for each in (name, whole, _WITH.join(whole.split(_WITH)[::-1]))
     )
