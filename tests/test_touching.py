@@ -17,6 +17,7 @@ from drake_aigto import Scenario, World
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import SLOWING
 from drake_aigto.errors import ModelError, TrajectoryError
+from drake_aigto.show import question_facts
 from drake_aigto.simulation import (
     EDGES,
     calc_edge_overlap,
@@ -199,6 +200,8 @@ def test_what_stands_on_a_face_stays_there(tmp_path: Path, is_mesh: bool, on_tab
         assert np.max(np.abs(moved)) < 1e-4
     assert isinstance(world, SpaceWorld)
     assert np.sum(world.calc_signed_distance(scenario.initial_position) < 0) == 4
+    listed = " ".join(dict(question_facts(scenario, world))["pairs"].split())
+    assert "m::cube corners with ground::floor" in listed and listed.count("–") == 1 + on_table
     apart = Scenario(**(scenario.to_plain() | {"clearance": {"m::cube with ground::floor": 0.01}}))
     assert np.sum(world.least_distances(apart) == 0.01) == (16 if on_table else 8)
 

@@ -62,6 +62,7 @@ from .text import cost_text as cost_text
 from .text import describe_difference as describe_difference
 from .text import length_text as length_text
 from .text import miss_text as miss_text
+from .text import question_facts as question_facts
 from .text import run_texts as run_texts
 from .text import task_items as task_items
 from .views import add_verdict as add_verdict

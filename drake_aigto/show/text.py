@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from functools import cache
@@ -265,17 +267,24 @@ def question_facts(
     mass = [] if scenario.mass is None else [f"mass {scenario.mass:g} kg"]
     items = [*task_items(scenario, world), *mass, *law_items(scenario, world)]
     yield "scenario", join_items([*items, span])
-    # Of several contacts, each has its letter, and its restitution if the model has one.
-    owns = (contact.restitution for contact in world.contacts)
-    pairs = [
-        f"{letter(i)} {name}" + ("" if own is None else f" (restitution {own:g})")
-        for i, (name, own) in enumerate(zip(contact_names(world), owns, strict=True))
-    ]
-    yield from list_fact("pairs", pairs if len(pairs) > 1 else ())
+    yield from list_fact("pairs", _list_pairs(world) if world.num_contacts > 1 else ())
     yield from list_fact("friction", friction_items(scenario, world))
     yield from list_fact("control", world.limits.control_items(world.plant, scenario))
     yield from list_fact("left out", world.ignored)
     yield from list_fact("notes", world.notes)
+
+
+def _list_pairs(world: World) -> Iterator[str]:
+    """Yields contacts with their letters, and their restitution if the model has one.
+
+    Those of all corners of a solid, or of both ends of a capsule, are one item.
+    """
+    names = [re.sub(r" (end|corner) \d+\b", r" \1s", name) for name in contact_names(world)]
+    items = enumerate((n, c.restitution) for n, c in zip(names, world.contacts, strict=True))
+    for (name, own), alike in itertools.groupby(items, key=lambda item: item[1]):
+        letters = [letter(number) for number, _ in alike]
+        ends = "–".join(dict.fromkeys((letters[0], letters[-1])))
+        yield f"{ends} {name}" + ("" if own is None else f" (restitution {own:g})")
 
 
 def list_fact(label: str, items: Iterable[str]) -> Iterator[tuple[str, str]]:

@@ -155,8 +155,7 @@ def _read_model(
     instances = {plant.GetModelInstanceName(each): each for each in found}
     for name in pick(f"weightless in {path}", fields.weightless, instances):
         plant.set_gravity_enabled(instances[name], False)
-    with hear_drake():  # Of half spaces and deformable bodies.
-        set_planes(plant, scene_graph, facts.planes)
+    set_planes(plant, scene_graph, facts.planes)
     set_materials(plant, scene_graph, fields.material)
     keep_apart(plant, scene_graph, facts)
     ends = add_ends(plant, scene_graph, in_space)
@@ -182,7 +181,11 @@ def _read_model(
     builder.ExportOutput(scene_graph.get_query_output_port(), "query")
     ignored = tuple(dict.fromkeys(f"{what}: {cost}" for _, what, cost in facts.ignored))
     told = ignored, tuple(facts.notes), facts.is_bare
-    return ReadModel(builder.Build(), friction, facts.efforts, *told)
+    diagram = builder.Build()
+    if facts.planes:
+        with hear_drake():  # It warns once that no half space touches deformable bodies.
+            diagram.CreateDefaultContext()
+    return ReadModel(diagram, friction, facts.efforts, *told)
 
 
 def add_dry_friction(
