@@ -225,19 +225,7 @@ def bound_velocities(program: OpenProgram) -> None:
 EITHER = pytest.mark.parametrize("name", [SOFT, pytest.param(RIGID, marks=pytest.mark.slow)])
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        SOFT,
-        pytest.param(
-            RIGID,
-            marks=[
-                pytest.mark.slow,
-                pytest.mark.xfail(reason="between the scenario's bounds 105 is found, not 93"),
-            ],
-        ),
-    ],
-)
+@pytest.mark.parametrize("name", [SOFT, pytest.param(RIGID, marks=pytest.mark.slow)])
 def test_constraints_of_every_knot_are_met_as_the_scenarios_bounds_are(name: str) -> None:
     # A dozen searches end in one of several optima, here in the same.
     bounded = make_planner(name, 1, velocity_lower=-FASTEST, velocity_upper=FASTEST).plan()

@@ -5,18 +5,18 @@ points c_k. A function of x_i alone may be moved from one summand to another, so
 
     f(x) = Σ_p [f_p(x) − Σ_i s_pik (x_i − c_k)] + Σ_i Σ_p s_pik (x_i − c_k),     x_i in bin k,
 
-whatever numbers s are. With s_pik = ∂f_p/∂x_i at c_k and, of others, the lowest known point,
-no summand has a slope where it matters, so that the sum of their minima over a cell is off by what
-falls with its width squared. Dynamic programming along a junction tree adds these minima up:
-exactly, and for every bin the least of all sums with it, its min-marginal (Wainwright & Jordan
-2008, "Graphical Models, Exponential Families, and Variational Inference", ch. 8). Bins whose
-min-marginal is above a known value of f hold no minimizer, and go; the others are halved.
+whatever numbers s are. With s_pik = ∂f_p/∂x_i at c_k and the best neighbors of bin k, no summand
+has a slope where it matters, so that the sum of their minima over a cell is off by what falls with
+its width squared. Dynamic programming along a junction tree adds these minima up: exactly, and for
+every bin the least of all sums with it, its min-marginal (Wainwright & Jordan 2008, "Graphical
+Models, Exponential Families, and Variational Inference", ch. 8). Bins whose min-marginal is above a
+known value of f hold no minimizer, and go; the others are halved.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,10 +92,11 @@ class CliqueSearch(BoundSearch):
         self._starts = _FIRST_BINS * np.arange(lower.size + 1)
         self._low, self._high = edges[:, :-1].ravel(), edges[:, 1:].ravel()
         self._points = 0.5 * self._low + 0.5 * self._high  # c
+        # Of each group's bins, where its formula's variables are best, as far as is known.
+        self._partners: dict[Group, Floats] = {}
         # Of bins that were bounded, the least sum with each, until they are halved.
         self._marginals: Floats | None = None
         self.lower_bound, self._lowest = -np.inf, np.inf  # of f, feasible or not
-        self._lowest_known = self._near = self.best
         self.is_empty = False
         self._drop_by_slopes()
 
@@ -133,18 +134,15 @@ class CliqueSearch(BoundSearch):
         if self.is_empty or self.lower_bound >= enough or size > count * _ENTRIES:
             return False
         self.num_cells += 1 + size // _ENTRIES
-        self._near = self._lowest_known if self._lowest < self.least else self.best
-        near = np.repeat(self._near, np.diff(self._starts))
+        best = np.repeat(self.best, np.diff(self._starts))
         points = 0.5 * self._low + 0.5 * self._high
-        self._points = np.where((self._low <= near) & (near <= self._high), near, points)
+        self._points = np.where((self._low <= best) & (best <= self._high), best, points)
         self._pass_up(self._fill())
         if math.isfinite(self._total):
             bound = self._total - self._rounding
             self.lower_bound = max(self.lower_bound, min(bound, self.least))
             self.lowest_point = self._pass_down()
-            value = self.value(self.lowest_point)
-            if value < self._lowest:
-                self._lowest, self._lowest_known = value, self.lowest_point
+            self._lowest = min(self._lowest, self.value(self.lowest_point))
             return True
         # Nothing is known of any bin where a cell has no bound.
         self._marginals = np.full(self._low.size, self._total)
@@ -194,7 +192,10 @@ class CliqueSearch(BoundSearch):
         return may_hold_minima(rise, bend, np.array([self._low, self._high]), outer)
 
     def _narrow(self, keep: Bools, times: int) -> None:
-        """Leaves some bins, each as many times."""
+        """Leaves some bins, each as many times; they inherit the neighbors of their own."""
+        for group, points in self._partners.items():
+            kept_points = points[keep[group.bins(self._starts)[-1]]]
+            self._partners[group] = np.repeat(kept_points, times, axis=0)
         kept = np.add.reduceat(keep, self._starts[:-1], dtype=np.int64)
         self._starts = np.concatenate([[0], np.cumsum(times * kept)])
         self._low, self._high = (np.repeat(ends[keep], times) for ends in (self._low, self._high))
@@ -221,9 +222,12 @@ class CliqueSearch(BoundSearch):
         return tables
 
     def _slopes(self, group: Group) -> Floats:
-        """Returns s: slopes of formulas at each bin, and at the lowest point of others (S,)."""
+        """Returns s: a formula's slope along a variable, at each bin and its neighbors (S,)."""
         of, local, own = group.bins(self._starts)
-        points, rows = self._near[group.variables[of]], np.arange(own.size)
+        points, rows = (
+            self._partners.get(group, self.best[group.variables[of]]),
+            np.arange(own.size),
+        )
         points[rows, local] = self._points[own]
         found = enclose_all(self._tape, group.formulas[of], points, points, GRADIENT)
         slopes = np.mean(found[rows, 1 + local], axis=-1)
@@ -260,7 +264,7 @@ class CliqueSearch(BoundSearch):
         return min(map(self._rank.__getitem__, variables))
 
     def _pass_down(self) -> Floats:
-        """Fills min-marginals, and returns the points of the best bins."""
+        """Fills min-marginals and the best neighbors, and returns the points of the best bins."""
         order = self._order
         marginals: list[Floats] = [np.empty(0)] * len(order)
         chosen = np.zeros(len(order), dtype=np.int64)
@@ -281,7 +285,26 @@ class CliqueSearch(BoundSearch):
             at = tuple(chosen[list(clique[1:])])
             chosen[clique[0]] = np.argmin(sums[(slice(None), *at)])
         self._marginals = np.concatenate(marginals)
+        for group in self._coupled:
+            found = (points for k in group.formulas for points in self._best_points(k))
+            self._partners[group] = np.concatenate(list(found))
         return self._points[self._starts[:-1] + chosen]
+
+    def _best_points(self, formula: int) -> Iterator[Floats]:
+        """Yields for each variable of a formula the points of its bins' best neighbors.
+
+        All variables of the formula (·, m); values in the variable's own column do not matter.
+        """
+        variables, home = self._variables[formula], self._home[formula]
+        clique, sums = self._order[home], self._sums[home]
+        for i in variables:
+            flat = np.moveaxis(sums, clique.index(i), 0)
+            best = np.argmin(flat.reshape(len(flat), -1), axis=1)
+            others = [j for j in clique if j != i]
+            places = dict(zip(others, np.unravel_index(best, flat.shape[1:]), strict=True))
+            yield np.column_stack(
+                [self._points[self._starts[j] + places.get(j, 0 * best)] for j in variables]
+            )
 
 
 def _sum(a: Floats, b: Floats) -> Floats:
