@@ -17,6 +17,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto import (
     ModelPredictiveController,
+    Plan,
     Planner,
     PlanOptions,
     Scenario,
@@ -352,16 +353,22 @@ def calc_spent(run: ClosedLoopRun, until: float) -> float:
     return float(np.trapezoid(rates, motion[0]))
 
 
-@pytest.mark.slow
-def test_a_pole_that_nothing_disturbs_grazes_no_rigid_wall() -> None:
-    """A motion that is in a wall between its knots alone promised less, and ended at 106."""
+def stand_between_walls(
+    disturbance: Disturbance | None = None, **options: Any
+) -> tuple[Plan, ClosedLoopRun]:
+    """Returns a plan between rigid walls, and a loop that begins with it and searches no more."""
     asked = Scenario.named("cart_pole/rigid_06")
     planner = Planner(asked, PlanOptions(threads=1))
     found = planner.plan()
-    controller = ModelPredictiveController(
-        planner, 0.02, "shrinking", surprise=np.inf, plan=found, feedback_period=0.005
-    )
-    run = run_in_loop(controller, asked, planner.world)
+    given = {"surprise": np.inf, "plan": found, **options}
+    controller = ModelPredictiveController(planner, 0.02, "shrinking", **given)
+    return found, run_in_loop(controller, asked, planner.world, disturbance)
+
+
+@pytest.mark.slow
+def test_a_pole_that_nothing_disturbs_grazes_no_rigid_wall() -> None:
+    """A motion that is in a wall between its knots alone promised less, and ended at 106."""
+    found, run = stand_between_walls(feedback_period=0.005)
     assert run.cost < 1.01 * found.cost
     assert run.replay.bounce_contacts == tuple(each.index for each in found.best.contacts)
 
@@ -369,13 +376,7 @@ def test_a_pole_that_nothing_disturbs_grazes_no_rigid_wall() -> None:
 @pytest.mark.slow
 def test_a_wall_that_is_nearer_than_anyone_knew_is_not_hit_in_passing() -> None:
     """The plan passes a wall by 0.3 mm; 6 cm nearer that was hit, and the pole ended at 174."""
-    asked = Scenario.named("cart_pole/rigid_06")
-    planner = Planner(asked, PlanOptions(threads=1))
-    found = planner.plan()
-    controller = ModelPredictiveController(
-        planner, 0.02, "shrinking", surprise=np.inf, plan=found, estimate=["walls"]
-    )
-    run = run_in_loop(controller, asked, planner.world, Disturbance(wall_shift=0.06))
+    found, run = stand_between_walls(Disturbance(wall_shift=0.06), estimate=["walls"])
     assert run.cost < 1.1 * found.cost
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from functools import cache
@@ -19,7 +18,7 @@ from drake_aigto.errors import ScenarioError
 from drake_aigto.planning import Candidate
 from drake_aigto.progress import list_some
 from drake_aigto.simulation import Arrival, PlannedContact, Replay
-from drake_aigto.world import Scenario, World, scenario_names
+from drake_aigto.world import Scenario, World, name_alike, scenario_names
 
 WIDTH = 100
 # Below it, in the task's scale, a cost is 0 but for rounding; no percentage of it says anything.
@@ -279,7 +278,7 @@ def _list_pairs(world: World) -> Iterator[str]:
 
     Those of all corners of a solid, or of both ends of a capsule, are one item.
     """
-    names = [re.sub(r" (end|corner) \d+\b", r" \1s", name) for name in contact_names(world)]
+    names = map(name_alike, contact_names(world))
     items = enumerate((n, c.restitution) for n, c in zip(names, world.contacts, strict=True))
     for (name, own), alike in itertools.groupby(items, key=lambda item: item[1]):
         letters = [letter(number) for number, _ in alike]

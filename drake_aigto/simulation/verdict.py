@@ -64,13 +64,7 @@ def calc_lacks(world: World, scenario: Scenario, positions: Floats) -> Floats:
 
     Corners of solids lack what these do, whose edges may be nearer to each other.
     """
-    q, least = np.array(positions), world.least_distances(scenario)
-    lacks = least - world.calc_signed_distance(q)
-    for numbers, distances in zip(
-        world.solid_corners, world.calc_solid_distances(q).T, strict=True
-    ):
-        whole = least[numbers] - distances[:, np.newaxis]
-        lacks[:, numbers] = np.maximum(lacks[:, numbers], whole)
+    lacks = world.least_distances(scenario) - world.calc_gaps(np.array(positions))
     return np.asarray(np.max(lacks, axis=0).clip(min=0.0))
 
 

@@ -23,6 +23,7 @@ from .model_fields import ModelFields as ModelFields
 from .model_reader import add_dry_friction as add_dry_friction
 from .model_reader import read_model as read_model
 from .pair_errors import find_link as find_link
+from .pair_errors import name_alike as name_alike
 from .places import FrameGoal as FrameGoal
 from .places import Pose as Pose
 from .places import PoseWeight as PoseWeight

@@ -179,7 +179,12 @@ def _cover(inspector: Any, pairs: list[Pair]) -> list[GeometryId]:
 
 def name_pair(inspector: Any, pair: Pair) -> str:
     """Returns the names of two shapes, capsules for their ends."""
-    return " with ".join(name_shape(inspector, shape) for shape in pair)
+    return _WITH.join(name_shape(inspector, shape) for shape in pair)
+
+
+def name_alike(name: str) -> str:
+    """Returns what contacts of all ends or corners of a shape are called, of one of them."""
+    return re.sub(_ENDS, lambda end: f"{end[1].rstrip()}s", name)
 
 
 def is_of_pair(name: str, glob: str) -> bool:

@@ -155,11 +155,7 @@ class SpaceWorld(SpaceCoordinates, World):
         _ = self.springs
         if scenario.periodic is not None:  # Where a plan of a gait begins, feet may be pressed.
             return
-        start = np.array(scenario.initial_position)
-        distances = self.calc_signed_distance(start)
-        whole = self.calc_solid_distances(start[np.newaxis])[0]
-        for numbers, distance in zip(self.solid_corners, whole, strict=True):
-            distances[numbers] = np.minimum(distances[numbers], distance)
+        (distances,) = self.calc_gaps(np.array([scenario.initial_position]))
         sizes = self.geometry.radii[self.geometry.pairs]
         smaller = np.min(np.where(sizes > 0, sizes, np.inf), axis=1)
         worst = int(np.argmin(distances / smaller))

@@ -131,6 +131,13 @@ class World(PlantWorld):
         """Returns no distance, shape (K, 0), at q (K, nq)."""
         return np.empty((len(q), 0))
 
+    def calc_gaps(self, q: Floats) -> Floats:
+        """Returns φ of contacts, of corners that of their solids if it is less, (K, m) [m]."""
+        gaps = np.array(self.calc_signed_distance(q))
+        for corners, gap in zip(self.solid_corners, self.calc_solid_distances(q).T, strict=True):
+            gaps[:, corners] = np.minimum(gaps[:, corners], gap[:, np.newaxis])
+        return gaps
+
     @property
     def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
         """The sphere and the shape that it touches, of each contact, in the scene graph."""
