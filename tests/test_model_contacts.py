@@ -296,3 +296,11 @@ def test_a_tilted_ground_beside_many_shapes_is_where_it_is_beside_few(tmp_path: 
     assert few.keys() < many.keys()
     assert "m::skin_end1 with ground::floor" in few
     np.testing.assert_allclose([many[name] for name in few], list(few.values()), atol=1e-12)
+
+
+@pytest.mark.parametrize("normal", ["0 0 0", "0 1"])
+def test_a_plane_among_many_shapes_needs_a_normal(tmp_path: Path, normal: str) -> None:
+    skins = "".join(collision(f"skin{k}", SPHERE, f"{0.1 * k} 0 0 0 0 0") for k in range(12))
+    text = ball_and_finger(skins).replace("0 0 1</normal>", f"{normal}</normal>")
+    with pytest.raises(ModelError, match=f"the normal of plane 'floor' in .*got '{normal}'"):
+        World.from_scenario(make_scenario(tmp_path, text))

@@ -16,7 +16,7 @@ from touching_bodies import CORNERS, Bodies, find_faces
 from drake_aigto import Scenario, World
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import SLOWING
-from drake_aigto.errors import ModelError, TrajectoryError
+from drake_aigto.errors import ModelError, ScenarioError, TrajectoryError
 from drake_aigto.show import question_facts
 from drake_aigto.simulation import (
     EDGES,
@@ -227,6 +227,8 @@ def test_edges_that_cross_are_no_touch_and_said_to_be_so(tmp_path: Path) -> None
         apart = Scenario(**(scenario.to_plain() | {"clearance": {"m::cube with ground::*": 0.01}}))
         lacks = calc_lacks(world, apart, np.array([q]))
         assert np.max(lacks) == pytest.approx(0.01 + above, abs=1e-9)
+        with pytest.raises(ScenarioError, match=r"too near \(ground::floor with m::cube\)"):
+            world.check(apart)
 
 
 def test_a_motion_that_ends_early_may_be_due_to_edges_that_touch_at_a_point(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import suggest
 from drake_aigto.world.model_fields import Limited
-from drake_aigto.world.pair_errors import is_of_pair
+from drake_aigto.world.pair_errors import is_of_pair, name_whole
 from drake_aigto.world.scenario import Scenario
 
 _TURN = 2.0 * np.pi
@@ -266,11 +266,12 @@ def find_least_distances(
     for glob, distance in clearance.items():
         chosen = [i for i, name in enumerate(names) if is_of_pair(name, glob)]
         if not chosen:
+            known = list(dict.fromkeys(map(name_whole, names)))
             raise ScenarioError(
                 f"clearance: {glob!r}",
                 got="no pair of this name that can touch",
-                expected=f"one of {', '.join(names)}" if names else "a model with contacts",
-                hint=suggest(glob, names),
+                expected=f"one of {', '.join(known)}" if known else "a model with contacts",
+                hint=suggest(glob, known),
             )
         for i in chosen:
             if num_faces[i] > 1:
@@ -285,18 +286,17 @@ def find_least_distances(
     return least
 
 
-def check_clearance(world: EquationsOfMotion, least: Floats, q: Floats) -> None:
-    """Refuses a start whose φ are below the least ones, shape (m,) [m].
+def check_clearance(world: EquationsOfMotion, lacks: Floats) -> None:
+    """Refuses a start whose contacts lack some distance to the least ones, shape (m,) [m].
 
     Raises:
         ScenarioError: one is; says which.
     """
-    lacks = least - world.calc_signed_distance(q)
     if np.any(lacks > 0):
         i = int(np.argmax(lacks))
         raise ScenarioError(
             "initial_position",
-            got=f"{lacks[i]:.3g} m too near ({world.contacts[i].name})",
+            got=f"{lacks[i]:.3g} m too near ({name_whole(world.contacts[i].name)})",
             expected="one that keeps the scenario's clearance",
             remedy="Start farther away, or ask for less clearance.",
         )

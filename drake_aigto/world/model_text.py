@@ -237,8 +237,12 @@ def _mark_planes(root: Element, path: Path, facts: ModelFacts, in_space: bool) -
     marked = [shape for shape in planes if shape.get("name")]
     for shape in marked:
         normal = shape.findtext("geometry/plane/normal", "0 0 1")
-        shape.set("name", f"{shape.get('name')}{MARK}{len(facts.planes)}")
-        facts.planes.append(read_numbers(path, normal, 3, "normal of a plane"))
+        name = shape.get("name")
+        what = f"the normal of plane {name!r}"
+        if not any(numbers := read_numbers(path, normal, 3, what)):
+            raise ModelError(f"{what} in {path}", got=repr(normal), expected="a direction")
+        shape.set("name", f"{name}{MARK}{len(facts.planes)}")
+        facts.planes.append(numbers)
         for geometry in shape.findall("geometry"):
             geometry.clear()
             SubElement(SubElement(geometry, "sphere"), "radius").text = _MARK_RADIUS

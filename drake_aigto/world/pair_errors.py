@@ -20,7 +20,7 @@ from drake_aigto.world.model_facts import FixableError
 
 # In names, before a number: ends of a capsule, corners of a solid, marks of a plane.
 END, CORNER = " end ", " corner "
-_ENDS = rf"({END}|{CORNER})\d+"
+_ENDS = rf"({END}|{CORNER})\d+(?= with | against |$)"
 MARK = " plane "
 # Shapes, and what collides in their place.
 _INSTEAD = {
@@ -45,7 +45,7 @@ Pair = tuple[GeometryId, GeometryId]
 
 def name_shape(inspector: Any, shape: GeometryId) -> str:
     """Returns the name of a shape, or of that whose end or corner it is."""
-    return re.sub(f"{_ENDS}$", "", inspector.GetName(shape))
+    return name_whole(inspector.GetName(shape))
 
 
 def find_link(plant: MultibodyPlant, inspector: Any, shape: GeometryId) -> RigidBody:
@@ -187,9 +187,14 @@ def name_alike(name: str) -> str:
     return re.sub(_ENDS, lambda end: f"{end[1].rstrip()}s", name)
 
 
+def name_whole(name: str) -> str:
+    """Returns a contact's name without numbers of ends and corners."""
+    return re.sub(_ENDS, "", name)
+
+
 def is_of_pair(name: str, glob: str) -> bool:
     """Returns whether a pair's name, with or without numbers of ends, either way, fits a glob."""
-    whole = re.sub(_ENDS, "", name)
+    whole = name_whole(name)
     return any(
         fnmatchcase(each, glob) for each in (name, whole, _WITH.join(whole.split(_WITH)[::-1]))
     )

@@ -23,7 +23,7 @@ from drake_aigto.world.material import SpringMaterial, combine_springs
 from drake_aigto.world.model_facts import find_errors
 from drake_aigto.world.model_fields import Named
 from drake_aigto.world.model_shapes import choose_pairs
-from drake_aigto.world.pair_errors import explain_no_contact
+from drake_aigto.world.pair_errors import explain_no_contact, name_whole
 from drake_aigto.world.places import FrameGoal
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.space_parts import (
@@ -161,7 +161,7 @@ class SpaceWorld(SpaceCoordinates, World):
         worst = int(np.argmin(distances / smaller))
         if distances[worst] < -_OVERLAP * smaller[worst]:
             raise ScenarioError(
-                f"initial_position: {self.pairs[worst].name}",
+                f"initial_position: {name_whole(self.pairs[worst].name)}",
                 got=f"bodies that overlap by {-distances[worst]:.3g} m",
                 expected=f"no more than {_OVERLAP * smaller[worst]:.3g} m",
                 remedy="Start them apart, or exclude the pair by ignored_shapes.",

@@ -332,7 +332,8 @@ class World(PlantWorld):
         self._check_contacts(scenario)
         least = self.least_distances(scenario)
         if scenario.periodic is None:  # Else the plan's verdict says how nearly its start has it.
-            check_clearance(self, least, scenario.initial_position)
+            (gaps,) = self.calc_gaps(np.array([scenario.initial_position]))
+            check_clearance(self, least - gaps)
 
     def _check_contacts(self, scenario: Scenario) -> None:
         """Refuses a law of contact that shapes lack, and places against or inside of these."""
