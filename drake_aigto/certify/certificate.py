@@ -40,7 +40,7 @@ _LEAST_SCALE = 1e-290
 # Cells are settled at this part of the required gap.
 _MARGIN = 0.5
 _TOLERANCE = 1e-6  # of rows, at points that are found
-
+_INTERRUPTED = "interrupted: this is the bound so far"
 
 # What overflows is infinite, and ∞ − ∞ says nothing: no claim rests on either.
 _quiet = np.errstate(over="ignore", invalid="ignore")
@@ -150,7 +150,7 @@ def certify(
     try:
         return certifier.run(cells, certifier.check)
     except KeyboardInterrupt:
-        return certifier.interrupted()
+        return certifier.certificate(is_interrupted=True)
 
 
 def _certify_with_scip(prog: MathematicalProgram, gap: float, seconds: float | None) -> Certificate:
@@ -201,29 +201,24 @@ class Certifier:
         formulas, self._gap = self._formulas, gap
         self._search: Search | None = None
         self._method = Method.SUM if is_feasible else Method.ROWS
-        order = _find_order(formulas)
+        order, size = _find_order(formulas), formulas.lower.size
         # Of programs with rows, whose prices are those of the last point with this cost.
         self._order, self._priced_cost = order if formulas.rows else None, math.inf
         self._floor, self._num_cells = -math.inf, 0
         if is_feasible and order is not None and not formulas.rows:
             self._method = Method.CLIQUES
             self._search = CliqueSearch(formulas, _MARGIN * gap, order)
-        elif is_feasible and formulas.lower.size:
+        elif is_feasible and size:
             self._method, self._search = Method.CELLS, CellSearch(formulas, _MARGIN * gap)
         # With rows, two of simpler programs are added before it, once a point is known.
-        self._searches = [] if self._search is None else [self._search]
-        size = formulas.lower.size
-        self._cost = (
-            SumOfFormulas(tape_of([formulas.summands], size), [range(size)])
-            if self._search is None
-            else self._search.cost
-        )
+        self._searches = [self._search] if self._search else []
+        self._cost = SumOfFormulas(tape_of([formulas.summands], size), [range(size)])
         least, most = self._cost.range(formulas.lower, formulas.upper)
         self.least_sum = least if is_feasible else math.inf
         # The variation of the cost over the bounds, if that is below 1 in its own unit.
         width = most - self.least_sum
         self._scale = max(min(1.0, width), _LEAST_SCALE) if math.isfinite(width) else 1.0
-        self._best, self._best_cost = np.full(formulas.lower.size, np.nan), math.inf
+        self._best, self._best_cost = np.full(size, np.nan), math.inf
 
     @_quiet
     def offer(self, x: Floats) -> None:
@@ -314,14 +309,9 @@ class Certifier:
         """Returns how far the best cost is above a bound; 0 if there is no feasible point."""
         return 0.0 if bound == math.inf else relative_gap(self._best_cost, bound, self._scale)
 
-    def interrupted(self) -> Certificate:
-        """Returns the bound so far, after an interruption."""
-        return replace(self.certificate(), reason="interrupted: this is the bound so far")
-
-    def certificate(self) -> Certificate:
-        """Returns the bound so far."""
-        formulas, search = self._formulas, self._search
-        bound = self._bound
+    def certificate(self, is_interrupted: bool = False) -> Certificate:
+        """Returns the bound so far, which an interruption may have ended."""
+        formulas, search, bound = self._formulas, self._search, self._bound
         hull = None if search is None else search.hull
         return Certificate(
             lower_bound=bound,
@@ -329,7 +319,7 @@ class Certifier:
             scale=self._scale,
             method=Method.CLIQUES if -math.inf < bound == self._floor else self._method,
             cells=self._num_cells,
-            reason=self._reason(bound),
+            reason=_INTERRUPTED if is_interrupted else self._reason(bound),
             best=self._best,
             hull=np.array([formulas.lower, formulas.upper]) if hull is None else hull,
         )

@@ -1,4 +1,9 @@
-"""Cheapest flights between walls under a constant force, and bounds of their costs."""
+"""Cheapest flights between walls under a constant force, and bounds of their costs.
+
+In unit time, and along y = side (x − wall), one from (0, v) to (Δ, v') in time h against the pull γ
+costs (v' − v + γh)²/h + 3 (2Δ − (v + v')h)²/h³, and one to the end, with the goal at y = G,
+3w/(3 + wh³) (G − vh + γh²/2)².
+"""
 
 from __future__ import annotations
 
@@ -87,10 +92,8 @@ class FlightFamily:
 
 
 def _effort(h: Any, way: Any, before: Any, after: Any, pull: float) -> Any:
-    """Returns ∫ (ÿ + γ)² dt of the cheapest flight."""
-    return (after - before + pull * h) ** 2 / h + 3.0 * (
-        2.0 * way - (before + after) * h
-    ) ** 2 / h**3
+    miss = 2.0 * way - (before + after) * h
+    return (after - before + pull * h) ** 2 / h + 3.0 * miss**2 / h**3
 
 
 def flights_between(line: Line, one: Wall | None, other: Wall | None) -> FlightFamily:

@@ -1,29 +1,25 @@
 """Lower bounds of plans between rigid walls, over all controls and all numbers of bounces.
 
 A mass that walls across its axes push along these alone is as many masses on a line. On one, in
-unit time, with ∫ ẍ² priced at 1, the goal at w, and k(τ) = 3w/(3 + wτ³):
+unit time, with ∫ ẍ² priced at 1 and the goal at w, a flight with time τ left costs k(τ) D² or more,
+k = 3w/(3 + wτ³), with D the distance from the goal to where the uncontrolled motion ends.
 
-- Without walls, the cost is at least k(1) D², with D the distance from the goal to where the
-  uncontrolled motion ends.
-- Elastic walls are mirrors: any motion is a flight without walls to one of the goal's images, so
-  that D is the distance to the nearest image.
-- Beside one other wall it touches nothing, which is a flight; or it touches the wall first at time
-  s and speed a. Up to there, a cubic is the cheapest motion:
+- Elastic walls are mirrors: D is the distance to the nearest of the goal's images.
+- Beside one other wall it flies, or touches the wall first at time s and speed a, at no less than
 
-      3(2p + (v − a)s)²/s³ + (a + v)²/s
+      3(2p + (v − a)s)²/s³ + (a + v)²/s + k(1 − s)(g − ea(1 − s))²:
 
-  and with τ = 1 − s left it costs no less than a flight, k(τ)(g − eaτ)², as touching the wall again
-  is never cheaper ("Why the optima are exact" in the documentation). Branch and bound over (s, a)
-  bounds the least. Between two walls, and under a constant force, `touches` bounds it.
+  a cubic up to there and a flight from there on, as touching again is never cheaper ("Why the
+  optima are exact" in the documentation). Branch and bound over (s, a) bounds the least.
+- Between two walls, and under a constant force, `touches` bounds it.
 
-Elastic walls are mirrors, whatever they couple: walls askew, and like masses that touch. Let all
-masses be alike, so that a touch without loss mirrors the motion at its plane n·q + d = 0: that of a
-wall, or q_j − q_i = 0. Where all planes are parallel or meet at angles π/k, they cut space into
-copies of the room, each a mirror image of the next (Coxeter 1934, Ann. Math. 35:588): a
-kaleidoscope. A motion unfolds to a flight without walls to one of the goal's images; and of all
-images of two places of the room, these places themselves are nearest to each other (Humphreys 1990,
-"Reflection Groups and Coxeter Groups", 1.12). So the nearest image of the goal is as far from where
-the uncontrolled motion ends as the goal is from that place, folded into the room.
+Let all masses be alike, so that a touch without loss mirrors the motion at its plane n·q + d = 0:
+that of a wall, however askew, or q_j − q_i = 0. Where all planes are parallel or meet at angles
+π/k, they cut space into copies of the room, each a mirror image of the next (Coxeter 1934, Ann.
+Math. 35:588). A motion unfolds to a flight to one of the goal's images; of all images of two places
+of the room, these places themselves are nearest to each other (Humphreys 1990, "Reflection Groups
+and Coxeter Groups", 1.12). So D is the goal's distance from where the uncontrolled motion ends,
+folded into the room.
 
 That no motion meets a hard goal is proven by how far bounded controls bring a mass at all. Along an
 axis that walls push along on their own, accelerations are within [a, b], whatever the control.

@@ -1,18 +1,12 @@
 """Lower bounds of motions between walls under a constant force, for any number of touches.
 
-In unit time, and along y = side (x − wall), the cheapest flight from (0, v) to (Δ, v') in time h
-against the pull γ costs
-
-    (v' − v + γh)²/h + 3 (2Δ − (v + v')h)²/h³,
-
-and to the end, with the goal at y = G, 3w/(3 + wh³) (G − vh + γh²/2)². A motion is a path through
-its touches, each a point (time, speed before it) of its wall. These planes are cut into cells, and
-an edge from one cell to another is the least cost of a flight between any two of their points.
-Hence no motion costs less than the shortest path from the start to the end. Its edges contain all
-that is needed: times, speeds and numbers of touches are bounded at once. Cells and edges that no
-path below a known cost goes through are dropped, the others are halved. A cheap flight is nearly
-straight, 2Δ ≈ (v + v')h, which changes by some 2v for each unit of time, and by h for each one of
-speed: a cell is cut along what changes it more.
+A motion is a path through its touches, each a point (time, speed before it) of its wall. These
+planes are cut into cells, and an edge from one cell to another is the least cost of a flight
+(`flights`) between any two of their points. Hence no motion costs less than the shortest path from
+the start to the end: times, speeds and numbers of touches are bounded at once. Cells and edges that
+no path below a known cost goes through are dropped, the others are halved. A cheap flight over Δ in
+time h is nearly straight, 2Δ ≈ (v + v')h, which changes by some 2v for each unit of time, and by h
+for each one of speed: a cell is cut along what changes it more.
 
 So that a path gains little by leaving a cell elsewhere than it came, each cell has a slope p, near
 that of the cost to go. Edges cost f + p'(z' − c') − p (z − c), with z, z'

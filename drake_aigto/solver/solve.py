@@ -145,7 +145,8 @@ class Solve:
                     self._answers.polish_as_given()
         except KeyboardInterrupt:
             status = AigoStatus.INTERRUPTED
-            self._certificate = self._certifier.interrupted() if self._certifier else None
+            if self._certifier:
+                self._certificate = self._certifier.certificate(is_interrupted=True)
         except ContradictionError:  # Found by presolve, after ladders were gone up in vain.
             status = AigoStatus.CONTRADICTORY_BOUNDS.if_proven(self._program.source)
         best = self._answers.best
