@@ -24,7 +24,7 @@ from drake_aigto.planning import Feedback
 from drake_aigto.simulation import replay_with
 from drake_aigto.world import TaskCost
 
-FROM_WHEELS = ("gymnasium_hopper/hop", "half_cheetah/leap", "walker2d/step")
+FROM_WHEELS = ("dm_cheetah/leap", "gymnasium_hopper/hop", "half_cheetah/leap", "walker2d/step")
 WORLDS = (
     "arm_and_box/push",
     "drone/deliver",

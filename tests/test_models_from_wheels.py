@@ -15,7 +15,7 @@ from drake_aigto.planning import Feedback
 from drake_aigto.simulation import replay_with
 from drake_aigto.world import SpaceWorld, scenario_summaries
 
-WHEELS = ["gymnasium_hopper/hop", "half_cheetah/leap", "walker2d/step"]
+WHEELS = ["dm_cheetah/leap", "gymnasium_hopper/hop", "half_cheetah/leap", "walker2d/step"]
 
 
 def test_a_model_of_a_package_that_is_absent_names_the_extra_that_brings_it(
@@ -46,7 +46,7 @@ def read(name: str) -> tuple[SpaceWorld, Scenario, Any]:
 
 @pytest.mark.filterwarnings("ignore:compiler attribute")
 @pytest.mark.parametrize("name", WHEELS)
-def test_feet_are_where_mujoco_has_them(name: str) -> None:
+def test_bodies_are_as_far_apart_as_mujoco_has_them(name: str) -> None:
     world, scenario, model = read(name)
     mujoco: Any = pytest.importorskip("mujoco")
     data: Any = mujoco.MjData(model)
@@ -60,10 +60,14 @@ def test_feet_are_where_mujoco_has_them(name: str) -> None:
         for contact, distance in zip(world.contacts, world.calc_signed_distance(q), strict=True):
             name, _, end = contact.name.partition(" with ")[0].partition(" end ")
             geom = data.geom(name.rpartition("::")[2])
-            radius, half, _ = model.geom(geom.name).size
-            side = -half if end == "1" else half
-            height = geom.xpos[2] + side * geom.xmat.reshape(3, 3)[2, 2] - radius
-            assert distance == pytest.approx(height, abs=1e-9)
+            if end:  # Of a capsule, with a half space.
+                radius, half, _ = model.geom(geom.name).size
+                side = -half if end == "1" else half
+                true = geom.xpos[2] + side * geom.xmat.reshape(3, 3)[2, 2] - radius
+            else:
+                other = data.geom(contact.name.rpartition("::")[2])
+                true = mujoco.mj_geomDistance(model, data, geom.id, other.id, 9.0, None)
+            assert distance == pytest.approx(true, abs=1e-9)
 
 
 @pytest.mark.slow  # 30 CPU s each, compiled.
