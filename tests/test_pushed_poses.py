@@ -1,0 +1,48 @@
+"""Random starts of the T of benchmarks/space.py, and what a T covers of its goal."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.space import cover, draw_pose
+from drake_aigto import World
+from drake_aigto.arrays import Bools, Floats
+
+GOAL = np.array([0.1, -0.2, 0.7])
+
+
+def is_in_tee(points: Floats, pose: Floats) -> Bools:
+    """Returns which of points (n, 2) are in the T at a pose."""
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    x, y = ((points - pose[:2]) @ np.array([[cos, -sin], [sin, cos]])).T
+    bar = np.maximum(np.abs(x) / 0.06, np.abs(y - 0.02571) / 0.015) <= 1.0
+    stem = np.maximum(np.abs(x) / 0.015, np.abs(y + 0.03429) / 0.045) <= 1.0
+    return np.logical_or(bar, stem)
+
+
+@pytest.mark.parametrize(
+    "moved",
+    [(0.0, 0.0, 0.0), (0.02, -0.03, 1.0), (0.0, 0.0, np.pi), (-0.01, 0.01, 0.2), (1.0, 0.0, 0.0)],
+)
+def test_what_a_tee_covers_is_the_share_of_points_in_both(moved: tuple[float, ...]) -> None:
+    pose = GOAL + np.array(moved)
+    points = GOAL[:2] + np.random.default_rng(0).uniform(-0.1, 0.1, (100_000, 2))
+    inside = is_in_tee(points, GOAL)
+    share = np.sum(inside & is_in_tee(points, pose)) / np.sum(inside)
+    assert cover(pose, GOAL) == pytest.approx(share, abs=0.01)
+    assert cover(pose + np.array([0.0, 0.0, 2.0 * np.pi]), GOAL) == pytest.approx(cover(pose, GOAL))
+
+
+def test_poses_are_drawn_where_diffusion_policy_draws_them() -> None:
+    scenarios = [draw_pose(seed) for seed in range(4)]
+    assert scenarios[0].to_plain() == draw_pose(0).to_plain()
+    for drawn in scenarios:
+        world = World.from_scenario(drawn)
+        scenario = world.place(drawn)
+        start, goal = scenario.initial_position, scenario.goal_position
+        assert np.all((start[3:] >= 0.05) & (start[3:] <= 0.45))
+        assert abs(goal[2] - start[2]) <= np.pi
+        edge = start[:2] + 0.04071 * np.array([-np.sin(start[2]), np.cos(start[2])])
+        assert np.all((edge >= 0.1) & (edge <= 0.4))
+        assert np.min(world.calc_signed_distance(start)) > 0.0
