@@ -234,8 +234,9 @@ def test_a_ladder_to_a_point_too_dear_is_given_up() -> None:
     tables, none = make_penalty_tables(nlp), np.empty(0, dtype=np.int64)
     ladder = PenaltyLadder(nlp, tables, center, half_width, none, np.zeros(nlp.num_rows, bool))
     whole = ladder.climb(center, 0.01, 1e3)
-    cut = ladder.climb(center, 0.01, 1e3, most=whole.cost - 10.0)
-    assert cut.steps < whole.steps and not cut.is_nearly_feasible
+    near, far = (ladder.climb(center, 0.01, 1e3, most=whole.cost - d) for d in (0.1, 10.0))
+    assert far.steps < near.steps < whole.steps
+    assert not near.is_nearly_feasible and not far.is_nearly_feasible
 
 
 PLANAR = planar_problems()

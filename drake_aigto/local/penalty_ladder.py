@@ -32,6 +32,8 @@ _RELAXED_LESS, _PENALIZED_MORE = 0.3, 5.6
 _STEPS, _FIRST_STEPS, _LAST_STEPS = 12, 20, 20
 _ROUGH, _FINE = 1e5, 1e7  # weights
 _LAST_WEIGHT, _LAST_RELAXATIONS = 1e8, (2e-5, 2e-6, 2e-7)
+# A cost that is this part above the most that is of use is given up between these two weights.
+_ABOVE = 0.05
 # A residual of scaled rows that the last weight does not mend any more; and that of an end.
 _HOPELESS, _FEASIBLE = 1e-3, 1e-4
 
@@ -174,7 +176,8 @@ class PenaltyLadder:
             targets[self._relaxed] = rung.relaxation * self.sizes[self._relaxed]
             steps, cost = descend(self._tables, program, targets, rung, iterate, rows)
             total, residual = total + steps, self._residual(rows)
-            if rung.weight >= _FINE and cost > most:
+            above = 0.0 if rung.weight >= _FINE else _ABOVE * abs(most)
+            if rung.weight >= _ROUGH and cost > most + above:
                 residual = np.inf
                 break
             if rung.weight == _LAST_WEIGHT and not residual <= _HOPELESS:
