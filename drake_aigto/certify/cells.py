@@ -136,7 +136,7 @@ class CellSearch(BoundSearch):
         self._relaxation = None if is_small else Relaxation(formulas)
         sides = formulas.upper - formulas.lower
         self._sides = np.where((sides > 0.0) & np.isfinite(sides), sides, 1.0)
-        self._rounds = _MOST_ROUNDS if self._relaxation else 0
+        self._rounds = _MOST_ROUNDS if formulas.rows else 0
         # Variables that a round has not come to yet, and the sides that it found.
         self._left: list[int] = []
         self._found = self._sides
