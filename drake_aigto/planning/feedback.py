@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import AnyMechanism, contact_law, make_mechanism
+from drake_aigto.contact import AnyMechanism, TreeMechanism, contact_law, make_mechanism
 from drake_aigto.planning.options import needs_shooting
 from drake_aigto.planning.riccati import FeedbackPhase, Sweep
 from drake_aigto.planning.stretches import (
@@ -25,7 +25,7 @@ from drake_aigto.planning.stretches import (
     is_at_rest_on,
     touches_walls,
 )
-from drake_aigto.shooting import ShootingProblem
+from drake_aigto.shooting import IMPLICIT, ShootingProblem
 from drake_aigto.simulation import Controller, Growth, Held, calc_growth, tangent_scales
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scales, Scenario, TaskCost, World
@@ -256,12 +256,16 @@ class Feedback(Controller):
                 smoothing = _ON_PLANTS
             times, states, u = _refine(world, trajectory, parts)
             problem = ShootingProblem.of(world, scenario, mechanism, times)
-            whole = count_damper_steps(world, trajectory.positions[0], self.longest_hold)
-            steps = -(-max(_SOFT_SUBSTEPS, whole) // parts)
+            whole, order = _SOFT_SUBSTEPS, 4
+            if isinstance(mechanism, TreeMechanism) and mechanism.has_friction:
+                order = IMPLICIT  # It is stiff.
+            else:
+                least = count_damper_steps(world, trajectory.positions[0], self.longest_hold)
+                whole = max(whole, least)
             is_exact = period is not None and mechanism.has_friction
-            exact, steps = problem.resolve(u, steps, states, is_exact=is_exact)
+            exact, steps = problem.resolve(u, -(-whole // parts), states, order, is_exact)
             self._transitions = exact.transitions
-            gains = problem.linearize(u, steps, smoothing, states).gains
+            gains = problem.linearize(u, steps, smoothing, states, order).gains
             self.phases = [FeedbackPhase(times, states, u, gains)]
 
     @property
