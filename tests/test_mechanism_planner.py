@@ -122,6 +122,26 @@ def test_what_simulations_contradict_gives_way_to_what_was_left_out_for_it(
     assert veto.candidate.cost == first.cost
 
 
+def test_a_finalist_whose_simulation_costs_far_more_lets_the_next_one_have_its_turn(
+    cart_pole: Planner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judge, judged = MechanismTask.judge, list[float]()
+
+    def wreck_the_first(*arguments: Any) -> Candidate:
+        found = judge(*arguments)
+        if found.is_idle:
+            return found
+        judged.append(found.replay.cost)
+        times = 3 if len(judged) == 1 else 1
+        replay = dataclasses.replace(found.replay, cost=times * found.replay.cost)
+        return dataclasses.replace(found, cost=times * found.cost, replay=replay)
+
+    monkeypatch.setattr(MechanismTask, "judge", wreck_the_first)
+    plan = cart_pole.plan()
+    assert len(judged) == 2
+    assert plan.best.replay.cost == judged[1] < 3 * judged[0]
+
+
 def test_a_hard_goal_is_met_in_both_simulations() -> None:
     scenario = Scenario.named("acrobot/swing_up")
     scenario = dataclasses.replace(scenario, hard_goal=True, goal_velocity=[0.0, 0.0])

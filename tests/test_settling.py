@@ -32,7 +32,7 @@ class Problem:
         return motion(cost, options.substeps, is_left=cost > min(wide.most, options.most_promised))
 
 
-def motion(cost: float, substeps: int, is_left: bool = False) -> Any:
+def motion(cost: float, substeps: int, is_left: bool = False, is_converged: bool = False) -> Any:
     return SimpleNamespace(
         controls=np.zeros((1, 1)),
         states=None,
@@ -42,6 +42,7 @@ def motion(cost: float, substeps: int, is_left: bool = False) -> Any:
         substeps=substeps,
         order=IMPLICIT,
         is_left=is_left,
+        is_converged=is_converged,
         violation=0.0,
         replay=None,
     )
@@ -76,6 +77,47 @@ def test_steps_are_halved_as_long_as_that_lowers_the_cost_by_more_than_a_hundred
     assert found.cost == best
     asked = [(each.substeps, each.order) for each in problem.asked]
     assert asked == [(count, IMPLICIT) for count in steps]
+
+
+@pytest.mark.parametrize(
+    ("share", "steps"), [(1.005, [4]), (0.995, [4]), (1.03, [4, 8]), (1.2, [4, 8])]
+)
+def test_what_costs_as_much_under_the_law_needs_no_shorter_steps(
+    share: float, steps: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def simulate(_: Any, __: Any, ___: Any, found: Any) -> Any:
+        return SimpleNamespace(**{**vars(found), "exact_cost": share * found.cost})
+
+    monkeypatch.setattr("drake_aigto.planning.mechanisms.closing.steady", simulate)
+    nothing, problem = cast(Any, None), cast(Any, Problem([COST]))
+
+    def solve(_: Any, __: Any, options: Any, ___: Any) -> Any:
+        problem.asked.append(options)
+        return motion(COST, options.substeps, is_converged=True)
+
+    problem.solve = solve
+    found = settle(nothing, nothing, problem, motion(COST, 4), np.inf)
+    assert found.exact_cost == share * COST
+    assert [each.substeps for each in problem.asked] == steps
+
+
+@pytest.mark.parametrize(
+    ("exact", "best", "steps"),
+    [([400.0, 390.0, 2.0], 390.0, [4, 8]), ([400.0, 150.0, 2.0, 2.0], 2.0, [4, 8, 16, 32])],
+)
+def test_what_the_law_wrecks_has_more_steps_while_they_halve_its_cost(
+    exact: list[float], best: float, steps: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = iter(exact)
+
+    def simulate(_: Any, __: Any, ___: Any, found: Any) -> Any:
+        return SimpleNamespace(**{**vars(found), "exact_cost": next(left)})
+
+    monkeypatch.setattr("drake_aigto.planning.mechanisms.closing.steady", simulate)
+    nothing, problem = cast(Any, None), cast(Any, Problem([COST]))
+    found = settle(nothing, nothing, problem, motion(COST, 4), np.inf)
+    assert found.exact_cost == best
+    assert [each.substeps for each in problem.asked] == steps
 
 
 @pytest.mark.parametrize(

@@ -95,8 +95,9 @@ _EXACT, MOST_SUBSTEPS = 1e-3, 64
 # A motion that halved steps change by less is steady: its controls reproduce it closely.
 _STEADY = 0.1
 # In space steps are short enough where halving them lowers the cost under the exact law by no more
-# than this part of it.
-_FALLS = 0.01
+# than this part of it, or where it is as near to that in its own. One that the law wrecks is worth
+# more steps while halving them leaves no more than this part of its cost.
+_FALLS, _RECOVERS = 0.01, 0.5
 # Costs fall by up to this factor after the first pass in space.
 _LEFT = 1.2
 # Motions that cost more than this times as much in halved steps have lost contact, and are left.
@@ -349,8 +350,9 @@ def settle(
 ) -> ShootingResult:
     """Returns the local optimum near a motion in space, corrected under the exact law (`steady`).
 
-    Its steps are halved until that lowers its cost under that law no more. Each time contact is
-    hardly smoothed first: with the sharp law at once, a drone slipped off, for 1.4.
+    Its steps are halved until that lowers its cost under that law no more, or it costs as much in
+    its steps. Each time contact is hardly smoothed first: with the sharp law at once, a drone
+    slipped off, for 1.4.
 
     Args:
         world: its shapes touch with friction.
@@ -373,12 +375,16 @@ def settle(
         if is_over or motion.violation > HOPELESS:
             return best or motion
         found = steady(world, scenario, problem, motion)
-        falls = best is None or _rank_settled(found) < _rank_settled(best, 1 - _FALLS)
+        lost = _WRECKED * max(motion.cost, _EXACT * problem.cost_scale)
+        part = 1 - _FALLS if best is None or best.exact_cost <= lost else _RECOVERS
+        falls = best is None or _rank_settled(found) < _rank_settled(best, part)
         if best is None or _rank_settled(found) < _rank_settled(best):
             best = found
-        if not falls or motion.substeps >= MOST_SUBSTEPS:
+        # To first order, the optimum in the shortest steps is as far off as this motion there.
+        off = abs(found.exact_cost - motion.cost)
+        is_exact = motion.is_converged and off <= _FALLS * abs(motion.cost)
+        if is_exact or not falls or motion.substeps >= MOST_SUBSTEPS:
             return best
-        lost = _WRECKED * max(motion.cost, _EXACT * problem.cost_scale)
         promised = min(most, lost, np.inf if _rank_settled(best)[0] else best.exact_cost)
         rungs = tuple(each._replace(most=min(lost, scaled(_LEFT, promised))) for each in IN_SPACE)
         options = dataclasses.replace(

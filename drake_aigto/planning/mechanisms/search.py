@@ -177,8 +177,7 @@ class MechanismSearch(Search):
             if is_free or options.patience * self.chance < 1:
                 break
             self.tell(f"renewal {first} of {options.renewals}; the best costs {cost:.6g}")
-            last = min(first + _WAVE, options.renewals)
-            yield [self._draw(number) for number in range(first, last)]
+            yield [self._draw(each) for each in range(first, min(first + _WAVE, options.renewals))]
             self._resolve()
 
     def _resolve(self) -> None:
@@ -291,12 +290,11 @@ class MechanismSearch(Search):
 
     def keep(self, origin: Origin, found: Found) -> None:
         """Keeps a motion if it is among the best, and no better one is near."""
-        result, parent = found
-        self._num_of_use += self.task.is_of_use(result)
-        motion = KeptMotion(origin, result, self.task.rank(result))
+        self._num_of_use += self.task.is_of_use(found.result)
+        motion = KeptMotion(origin, found.result, self.task.rank(found.result))
         self.searches += 1
         if np.isfinite(motion.cost):
-            self.motions = keep(self.motions, motion, parent, self._scales)
+            self.motions = keep(self.motions, motion, found.parent, self._scales)
 
     def judge(self) -> None:
         """Polishes and judges the best motions."""
@@ -332,10 +330,12 @@ class MechanismSearch(Search):
                 continue
             self._polished.append(motion)
             count, polished = len(self._candidates), self._polish(motion)
-            rank = self.task.rank(polished)
+            rank, judged = self.task.rank(polished), self._candidates[count:]
+            most = scaled(max(_BROKEN, self.task.polish_ratio), motion.cost)
             is_broken = rank > (motion.rank[0], scaled(_BROKEN, motion.cost))
+            is_broken |= any(each.replay.cost > most for each in judged)
             self._num_broken += is_broken
-            if not is_broken and all(each.is_confirmed for each in self._candidates[count:]):
+            if not is_broken and all(each.is_confirmed for each in judged):
                 self._known += [motion, KeptMotion(motion.origin, polished, rank)]
         if self._far and not self._holding:
             far, self._far = self._far, []
