@@ -120,18 +120,18 @@ def push_from_poses(arguments: argparse.Namespace) -> int:
     jobs = range(arguments.poses)
     print(f"pose  {'covered':>8}{'in plan':>9}{'m away':>8}{'rad':>7}{'CPU s':>7}")
     found = run_all(partial(push, renewals=arguments.renewals), jobs, arguments)
-    for pose, (covered, planned, far, turn, holds, seconds) in enumerate(found):
+    for pose, covered, planned, far, turn, holds, seconds in found:
         row = f"{pose:4}{100 * covered:8.2f} %{100 * planned:7.2f} %{far:8.3f}{turn:7.2f}"
         print(f"{row}{seconds:7.1f}{'' if holds else '  does not hold'}")
-    shares, seconds = np.array([each[0] for each in found]), [each[-1] for each in found]
+    shares, seconds = np.array([each[1] for each in found]), [each[-1] for each in found]
     met = int(np.sum(shares >= COVERED))
     print(f"{met} of {len(found)} cover {COVERED:.0%} on Drake's plant, ", end="")
     print(f"CPU seconds: median {np.median(seconds):.1f}, at most {max(seconds):.1f}")
     return 0 if met >= 0.9 * arguments.poses else 1
 
 
-def push(pose: int, *, renewals: int) -> tuple[float, float, float, float, bool, float]:
-    """Returns coverages on Drake's plant and in the plan, m and rad to go, holds, CPU seconds."""
+def push(pose: int, *, renewals: int) -> tuple[int, float, float, float, float, bool, float]:
+    """Returns the pose, coverages in Drake and in the plan, m and rad to go, holds, CPU seconds."""
     scenario = draw_pose(pose)
     world = World.from_scenario(scenario)
     planner = Planner(scenario, PlanOptions(renewals=renewals, finalists=1), world)
@@ -142,7 +142,8 @@ def push(pose: int, *, renewals: int) -> tuple[float, float, float, float, bool,
     ends = in_drake.positions[-1], plan.trajectory.positions[-1]
     covered, planned = (cover(each[:3], goal) for each in ends)
     off = goal - planner.scenario.initial_position[:3]
-    return covered, planned, float(np.hypot(*off[:2])), abs(float(off[2])), plan.holds, spent.cpu
+    far, turn = float(np.hypot(*off[:2])), abs(float(off[2]))
+    return pose, covered, planned, far, turn, plan.holds, spent.cpu
 
 
 @cache
@@ -154,7 +155,8 @@ def _compile() -> None:
 
 def draw_pose(seed: int) -> Scenario:
     """Returns push_tee from a random start, as the module says; the T turns the shorter way."""
-    rng, plain = np.random.default_rng(seed), Scenario.named("push_tee/to_pose").to_plain()
+    rng, shipped = np.random.default_rng(seed), Scenario.named("push_tee/to_pose")
+    world, plain = World.from_scenario(shipped), shipped.to_plain()
     bar_to_center = 0.04071  # From the bar's outer edge, by which they place the T [m].
 
     def place(x: float, y: float, angle: float) -> dict[str, float]:
@@ -168,11 +170,8 @@ def draw_pose(seed: int) -> Scenario:
     plain |= {"goal_position": place(0.256, 0.256, np.pi / 4), "duration": 3.0, "time_step": 0.06}
     while True:
         disc = dict(zip(("disc_x", "disc_y"), rng.uniform(0.05, 0.45, 2), strict=True))
-        drawn = Scenario.from_plain({**plain, "initial_position": tee | disc})
-        world = World.from_scenario(drawn)
-        placed = world.place(drawn)
-        if min(world.calc_signed_distance(placed.initial_position)) > 0.0:
-            return drawn
+        if min(world.calc_signed_distance(np.array([*tee.values(), *disc.values()]))) > 0.0:
+            return Scenario.from_plain({**plain, "initial_position": tee | disc})
 
 
 def cover(pose: Floats, goal: Floats) -> float:

@@ -35,7 +35,7 @@ def test_what_a_tee_covers_is_the_share_of_points_in_both(moved: tuple[float, ..
 
 
 def test_poses_are_drawn_where_diffusion_policy_draws_them() -> None:
-    scenarios = [draw_pose(seed) for seed in range(4)]
+    scenarios = [draw_pose(seed) for seed in (0, 1, 2, 14)]
     assert scenarios[0].to_plain() == draw_pose(0).to_plain()
     for drawn in scenarios:
         world = World.from_scenario(drawn)
