@@ -21,6 +21,7 @@ from drake_aigto.shooting import IMPLICIT, ShootingOptions, ShootingProblem, Smo
 from drake_aigto.world import Scenario, TaskCost, World
 
 STICTION = 2  # Which of the numbers of friction the stiction speed is.
+GIVE = 4  # Which of the numbers of contacts tells how far springs give.
 STIFFNESS, DISSIPATION, SMOOTHING = 200.0, 0.3, 0.1
 read = cache(build)
 
@@ -333,3 +334,38 @@ def test_finer_steps_than_friction_asks_for_leave_it_as_it_is() -> None:
         problem.fit_mechanism(count).frictions[:, STICTION], frictions[:, STICTION]
     )
     assert np.all(problem.fit_mechanism(count - 1).frictions[:, STICTION] > frictions[:, STICTION])
+
+
+def test_springs_from_afar_push_as_hard_as_springs_that_are_less_wide() -> None:
+    scenario = Scenario.named("pushed_block/slide")
+    world = World.from_scenario(scenario)
+    problem = MechanismTask(world, scenario, PlanOptions()).shooting(40)
+    own, fitted = problem.mechanism, problem.fit_mechanism(8)
+    assert isinstance(own, Mechanism)
+    soft = replace(own, mechanics=fitted)
+    gives = fitted.contacts[:, GIVE]
+    np.testing.assert_array_equal(fitted.contacts[:, :GIVE], own.contacts[:, :GIVE])
+    assert np.all((gives > 0) & np.isfinite(gives)) and np.all(np.isinf(own.contacts[:, GIVE]))
+    q, none = world.place(scenario).initial_position, np.zeros(world.num_actuators)
+    q = q + world.calc_signed_distance(q)[0] * np.eye(3)[0]  # The pusher touches the block.
+    assert abs(world.calc_signed_distance(q)[0]) < 1e-12
+    state = np.concatenate([q, np.zeros(3)])
+
+    def calc_push(mechanism: Mechanism, eps: float) -> float:
+        """Returns the acceleration along the contact, less that without smoothing."""
+        free, _ = mechanism.calc_acceleration(state, none)
+        v, _ = mechanism.calc_acceleration(state, none, eps)
+        return float(world.calc_contact_jacobian(q)[0] @ (v - free))
+
+    g = float(gives[0])
+    pushes = [calc_push(soft, times * g) for times in (0.5, 1.0, 10.0)]
+    np.testing.assert_allclose(pushes, [0.5 * pushes[1], pushes[1], pushes[1]], rtol=1e-6)
+    assert calc_push(own, 10 * g) > 9 * pushes[1]
+    np.testing.assert_array_equal(
+        soft.calc_acceleration(state, none)[0], own.calc_acceleration(state, none)[0]
+    )
+    _, slopes = soft.calc_acceleration(state, none, 10 * g)
+    for j in range(6):
+        moved = 1e-6 * np.eye(6)[j]
+        ends = [soft.calc_acceleration(state + way * moved, none, 10 * g)[0] for way in (-1, 1)]
+        np.testing.assert_allclose(slopes[:, j], (ends[1] - ends[0]) / 2e-6, rtol=1e-5, atol=1e-5)

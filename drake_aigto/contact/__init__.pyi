@@ -56,6 +56,7 @@ from .motion import read_clearances as read_clearances
 from .motion import support as support
 from .tables import COEFFICIENT as COEFFICIENT
 from .tables import SOURCE as SOURCE
+from .tables import Load as Load
 from .tables import Mechanics as Mechanics
 from .tables import MechanicsMemory as MechanicsMemory
 from .tables import TreeMechanics as TreeMechanics

@@ -8,6 +8,7 @@ from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact.laws import calc_deeper, calc_share, find_gap
 from drake_aigto.contact.tables import (
     COEFFICIENT,
+    GIVE,
     PACE,
     RADIUS,
     SOURCE,
@@ -16,7 +17,7 @@ from drake_aigto.contact.tables import (
     Mechanics,
     MechanicsMemory,
 )
-from drake_aigto.kernels import borrowing, kernel
+from drake_aigto.kernels import borrow, borrowing, kernel
 
 
 @borrowing
@@ -170,6 +171,8 @@ def _push(mechanics: Mechanics, x: Floats, eps: float, memory: MechanicsMemory) 
         rate *= lever
         root = np.sqrt(distance * distance + eps * eps)
         stiffness, brake = contacts[i, 0], 1.0 - contacts[i, 1] * rate
+        if eps > contacts[i, GIVE]:
+            stiffness *= contacts[i, GIVE] / eps
         if stiffness == 0.0 or brake <= 0.0 or root == 0.0:
             continue
         # Without cancellation where nothing touches.
@@ -319,3 +322,11 @@ def _differentiate_friction(mechanics: Mechanics, x: Floats, memory: MechanicsMe
                 slopes[c, j] += by_position * along
                 slopes[n + c, j] += by_velocity * along
         row, turn = row + n, turn + n * n
+
+
+@kernel
+def accelerate_once(
+    mechanics: Mechanics, x: Floats, u: Floats, eps: float, memory: MechanicsMemory
+) -> None:
+    """Computes v̇ and its derivatives, called by Python."""
+    accelerate(borrow(mechanics), x, u, eps, True, borrow(memory))

@@ -10,16 +10,18 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints, read_only
-from drake_aigto.contact.acceleration import accelerate, evaluate_tape
+from drake_aigto.contact.acceleration import accelerate_once, evaluate_tape
 from drake_aigto.contact.laws import ContactLaw, RigidLaw
 from drake_aigto.contact.tables import (
     COEFFICIENT,
+    GIVE,
     SOURCE,
     SPIN,
     FrictionTerm,
+    Load,
     Mechanics,
-    MechanicsMemory,
     Row,
+    calc_gives,
     copy_writable,
     fit_to_steps,
     list_friction,
@@ -27,7 +29,6 @@ from drake_aigto.contact.tables import (
 )
 from drake_aigto.dynamics import EquationsOfMotion
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.kernels import borrow, kernel
 from drake_aigto.terms import Factor, FunctionKind, Term, expression_terms
 from drake_aigto.world import World
 
@@ -176,7 +177,7 @@ class Mechanism:
     """Dynamics of a mechanism between compliant walls, as arrays that can be pickled.
 
         M(q) v̇ + h(q, v) = B u + Σ_i J_i(q)ᵀ f_i − Σ_r T_r(q)ᵀ c_r N_r σ(s_r / w_r)
-        f = k p(−φ) max(0, 1 − d φ̇),    p(y) = (y + √(y² + ε²)) / 2
+        f = k p(−φ) max(0, 1 − d φ̇),    p(y) = (y + √(y² + ε²)) / 2,    k min(1, g/ε) for k
 
     That is Hunt and Crossley's force as Drake's point contact has it, with max(0, −φ) smoothed over
     a length ε [m]; at ε = 0 it is the law itself. Of the faces of one solid only that one pushes
@@ -201,12 +202,12 @@ class Mechanism:
         Raises:
             UnsupportedTermError: an equation is no sum of products of powers, sin and cos.
         """
-        contacts, frictions = np.zeros((world.num_contacts, 4)), list_friction(world, law)
+        contacts, frictions = np.zeros((world.num_contacts, 5)), list_friction(world, law)
         if isinstance(law, RigidLaw):
             contacts[:, 2] = law.restitution
         else:
             contacts[:, 0], contacts[:, 1] = law.stiffness, law.dissipation
-            contacts[:, 3] = law.reaches
+            contacts[:, 3], contacts[:, GIVE] = law.reaches, np.inf
         tables = Mechanics(
             *_read_tape(world, isinstance(law, RigidLaw), frictions),
             actuation=world.actuation,
@@ -238,7 +239,7 @@ class Mechanism:
 
     @property
     def contacts(self) -> Floats:
-        """Laws of contacts, see `Mechanics`, shape (m, 4)."""
+        """Laws of contacts, see `Mechanics`, shape (m, 5)."""
         return self.mechanics.contacts
 
     @property
@@ -251,10 +252,15 @@ class Mechanism:
         """Whether a smoothing ε changes anything: without compliance and friction, it does not."""
         return bool(np.any(self.contacts[:, 0] > 0) or len(self.frictions))
 
-    def fit(self, step: float, duration: float, speed: float) -> Mechanics:
-        """Returns the tables for Runge-Kutta steps of a length [s], see `fit_to_steps`."""
+    def fit(
+        self, step: float, duration: float, speed: float, load: Load | None = None
+    ) -> Mechanics:
+        """Returns the tables for Runge-Kutta steps of a length [s] (`fit_to_steps`) and a load."""
         fitted = fit_to_steps(self.frictions, step, duration, speed)
-        return self.mechanics._replace(frictions=fitted)
+        contacts = self.contacts.copy()
+        if load is not None:
+            contacts[:, GIVE] = calc_gives(contacts[:, 0], *self._read_kicks(load.q), load.force)
+        return self.mechanics._replace(contacts=contacts, frictions=fitted)
 
     def subtract(self, state: Floats, before: Floats) -> Floats:
         """Returns the difference of two states, shape (2n,)."""
@@ -287,7 +293,7 @@ class Mechanism:
         """
         memory = make_mechanics_memory(self.mechanics)
         x, u = np.array(state, dtype=float), np.array(control, dtype=float)
-        _accelerate(self.mechanics, x, u, float(smoothing), memory)
+        accelerate_once(self.mechanics, x, u, float(smoothing), memory)
         return memory.acceleration[0], memory.slopes.T
 
     def calc_inertia(self, q: Floats) -> tuple[Floats, Floats]:
@@ -308,16 +314,19 @@ class Mechanism:
 
         That is Σ |T_i| μ_i N_i with N = |J M⁻¹ h| / (J M⁻¹ Jᵀ), whether it touches or not.
         """
-        (n, m), of = (len(q), self.num_contacts), self.mechanics
-        mass, bias = self.calc_inertia(q)
-        first = n * (n + 1) // 2 + n + m
-        J = self.calc_sums(q)[first : first + m * n].reshape(m, n)
-        kicks, friction = np.linalg.solve(mass, J.T), np.zeros(m)
-        for term in of.frictions:
-            if term[SOURCE] >= 0 and of.contacts[int(term[SOURCE]), 0] == 0:
+        (kicks, mobility), friction = self._read_kicks(q), np.zeros(self.num_contacts)
+        for term in self.frictions:
+            if term[SOURCE] >= 0 and self.contacts[int(term[SOURCE]), 0] == 0:
                 friction[int(term[SOURCE])] = term[COEFFICIENT]
-        loads = np.abs(bias @ kicks) / np.maximum(np.einsum("ij,ji->i", J, kicks), _IMMOBILE)
+        loads = np.abs(self.calc_inertia(q)[1] @ kicks) / mobility
         return np.asarray((friction * loads) @ np.abs(self._read_tangents(q)))
+
+    def _read_kicks(self, q: Floats) -> tuple[Floats, Floats]:
+        """Returns M⁻¹ Jᵀ of contacts, shape (n, m), and J M⁻¹ Jᵀ of each, shape (m,) [1/kg]."""
+        n, m = len(q), self.num_contacts
+        J = self.calc_sums(q)[n * (n + 1) // 2 + n + m :][: m * n].reshape(m, n)
+        kicks: Floats = np.asarray(np.linalg.solve(self.calc_inertia(q)[0], J.T), dtype=float)
+        return kicks, np.maximum(np.einsum("ij,ji->i", J, kicks), _IMMOBILE)
 
     def _read_tangents(self, q: Floats) -> Floats:
         """Returns T of contacts with friction, zero of others, shape (m, n)."""
@@ -389,10 +398,3 @@ def _contract(bends: Sequence[Sum], places: Sequence[Sequence[int]], n: int) -> 
             twice = len(bends) < n * n and i != j
             found[whole] = found.get(whole, 0.0) + (2 if twice else 1) * coefficient
     return found
-
-
-@kernel
-def _accelerate(
-    mechanics: Mechanics, x: Floats, u: Floats, eps: float, memory: MechanicsMemory
-) -> None:
-    accelerate(borrow(mechanics), x, u, eps, True, borrow(memory))

@@ -10,7 +10,7 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.contact.laws import CompliantLaw, ContactLaw
 from drake_aigto.contact.mechanism import Mechanism
-from drake_aigto.contact.tables import TreeMechanics, TreeMechanicsMemory
+from drake_aigto.contact.tables import Load, TreeMechanics, TreeMechanicsMemory
 from drake_aigto.contact.touching import SLOWING, TouchTable, push
 from drake_aigto.dynamics import Tree, move_tree, place, push_tree
 from drake_aigto.geometry import Shapes, place_shapes
@@ -130,7 +130,7 @@ class TreeMechanism:
 
     # Nothing is rigid: no contact is held or hit, or is bounded by its distance or beside edges.
     num_contacts = 0
-    frictions, contacts, edges = (np.zeros(shape) for shape in ((0, 1), (0, 4), (0, 0)))
+    frictions, contacts, edges = (np.zeros(shape) for shape in ((0, 1), (0, 5), (0, 0)))
 
     @classmethod
     def of(cls, tree: Tree, touch: TouchTable | None = None) -> TreeMechanism:
@@ -174,13 +174,16 @@ class TreeMechanism:
         """Whether a smoothing ε changes anything."""
         return bool(len(self.touch.pairs) or np.any(self.tree.friction > 0))
 
-    def fit(self, step: float, duration: float, speed: float) -> TreeMechanics:
+    def fit(
+        self, step: float, duration: float, speed: float, load: Load | None = None
+    ) -> TreeMechanics:
         """Returns the tables for Runge-Kutta steps of a length [s], see `fit_to_steps`.
 
         Args:
             step: of time [s].
             duration: of the whole task, T [s].
             speed: of contacts [m/s], which those of a tree do not need.
+            load: not needed either, as weights limit what pushes from afar.
         """
         tree = self.tree
         masses = tree.calc_mass_matrix(self.tree.unturned)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from drake_aigto.arrays import ArrayRecord, Bools, Floats, Ints, LockedArrays, read_only
-from drake_aigto.contact import AnyMechanism
+from drake_aigto.contact import AnyMechanism, Load
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.tables import CHOOSE, FLOW, START
@@ -287,13 +287,17 @@ class OptimalControlProblem:
 
         Its shape is (nu,).
         """
+        inverse = np.abs(np.linalg.pinv(self.mechanism.actuation))
+        return inverse @ self._load.force + np.finfo(float).tiny
+
+    @cached_property
+    def _load(self) -> Load:
         n, T = self.mechanism.num_velocities, np.ptp(self.times)
         q = self.start[: self.mechanism.num_positions]
         mass, bias = self.mechanism.calc_inertia(q)
-        inverse = np.abs(np.linalg.pinv(self.mechanism.actuation))
         force = np.abs(mass) @ self.scales[:n] / T**2 + np.abs(bias)
         force += self.mechanism.calc_drag(q) + self.mechanism.damping * self.scales[n:]
-        return inverse @ force + np.finfo(float).tiny
+        return Load(q, force)
 
     @cached_property
     def layout(self) -> StageLayout:
@@ -307,7 +311,7 @@ class OptimalControlProblem:
         Implicit steps resolve friction, whatever their length.
         """
         step, duration, speed = self._measure_steps(substeps)
-        return self.mechanism.fit(0.0 if is_implicit else step, duration, speed)
+        return self.mechanism.fit(0.0 if is_implicit else step, duration, speed, self._load)
 
     def _measure_steps(self, substeps: int) -> tuple[float, float, float]:
         """Returns the longest step [s], the duration [s], and a speed of contacts [m/s]."""
