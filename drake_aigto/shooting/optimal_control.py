@@ -199,6 +199,8 @@ class OptimalControlProblem:
         slowest: with phases, least speed of impacts [m/s].
         duration: of the whole task if the knots are only its end, so that friction stays the same
             [s]; 0: they are all of it.
+        softens: whether springs that are smoothed push no harder than the task takes
+            (`contact.tables.calc_gives`).
         added: costs and constraints of users.
         free_start: with phases, where the start may be, and the hard goal with it; None: `start`.
 
@@ -221,6 +223,7 @@ class OptimalControlProblem:
     least_distances: Floats | None = None
     slowest: float = 0.0
     duration: float = 0.0
+    softens: bool = False
     added: AddedTerms = NO_TERMS
     free_start: FreeStart | None = None
 
@@ -311,7 +314,8 @@ class OptimalControlProblem:
         Implicit steps resolve friction, whatever their length.
         """
         step, duration, speed = self._measure_steps(substeps)
-        return self.mechanism.fit(0.0 if is_implicit else step, duration, speed, self._load)
+        load = self._load if self.softens else None
+        return self.mechanism.fit(0.0 if is_implicit else step, duration, speed, load)
 
     def _measure_steps(self, substeps: int) -> tuple[float, float, float]:
         """Returns the longest step [s], the duration [s], and a speed of contacts [m/s]."""

@@ -9,7 +9,14 @@ from typing import TypeVar
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import AnyMechanism, ContactLaw, RigidLaw, contact_law, make_mechanism
+from drake_aigto.contact import (
+    AnyMechanism,
+    CompliantLaw,
+    ContactLaw,
+    RigidLaw,
+    contact_law,
+    make_mechanism,
+)
 from drake_aigto.planning.candidate import (
     NO_CONTROL,
     Candidate,
@@ -162,6 +169,7 @@ class PosedMechanism:
             ),
             scales=np.concatenate([measures.position, measures.velocity]),
             length=measures.length,
+            softens=isinstance(self.law, CompliantLaw) and self.law.has_friction,
             state_bounds=limit_states(self.world, bounds),
             least_distances=self.least_distances,
             phases=None if free is None else Phases.free(T, free),
