@@ -212,7 +212,11 @@ class Certifier:
             self._method, self._search = Method.CELLS, CellSearch(formulas, _MARGIN * gap)
         # With rows, two of simpler programs are added before it, once a point is known.
         self._searches = [self._search] if self._search else []
-        self._cost = SumOfFormulas(tape_of([formulas.summands], size), [range(size)])
+        self._cost = (
+            self._search.cost
+            if self._search
+            else SumOfFormulas(tape_of([formulas.summands], size), [range(size)])
+        )
         least, most = self._cost.range(formulas.lower, formulas.upper)
         self.least_sum = least if is_feasible else math.inf
         # The variation of the cost over the bounds, if that is below 1 in its own unit.

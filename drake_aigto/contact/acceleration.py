@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.contact.laws import calc_deeper, calc_share, find_gap
+from drake_aigto.contact.laws import calc_deeper, calc_share, calc_stiffness, find_gap
 from drake_aigto.contact.tables import (
     COEFFICIENT,
     GIVE,
@@ -170,9 +170,8 @@ def _push(mechanics: Mechanics, x: Floats, eps: float, memory: MechanicsMemory) 
         distance, lever = find_gap(contacts[i, 3], sums[phi + i])
         rate *= lever
         root = np.sqrt(distance * distance + eps * eps)
-        stiffness, brake = contacts[i, 0], 1.0 - contacts[i, 1] * rate
-        if eps > contacts[i, GIVE]:
-            stiffness *= contacts[i, GIVE] / eps
+        stiffness = calc_stiffness(contacts[i, 0], contacts[i, GIVE], eps)
+        brake = 1.0 - contacts[i, 1] * rate
         if stiffness == 0.0 or brake <= 0.0 or root == 0.0:
             continue
         # Without cancellation where nothing touches.

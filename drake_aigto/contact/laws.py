@@ -215,6 +215,12 @@ def find_gap(reach: float, distance: float) -> tuple[float, float]:
 
 
 @borrowing
+def calc_stiffness(stiffness: float, give: float, width: float) -> float:
+    """Returns the stiffness of a spring that is smoothed over a width, k min(1, g / w) [N/m]."""
+    return stiffness * (give / width) if width > give else stiffness
+
+
+@borrowing
 def calc_deeper(reach: float, radius: float, gap: float) -> float:
     """Returns δ at a distance ψ of surfaces (`CompliantLaw`) [m]."""
     return _deepen(1.0 / reach if reach > 0.0 else 0.0, radius, gap)

@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.contact.laws import calc_stiffness
 from drake_aigto.dynamics import add_cross_force, cross_motion
 from drake_aigto.dynamics import dot as power
 from drake_aigto.geometry import (
@@ -200,9 +201,8 @@ def _push_pair(
         speed[k] += V[3 + k]
     width = eps * law[SHARE]
     rate, (depth, by_distance) = dot(n, speed), find_depth(distance, width)
-    stiffness, brake = law[STIFFNESS], 1.0 - law[DISSIPATION] * rate
-    if width > law[GIVE]:
-        stiffness *= law[GIVE] / width
+    stiffness = calc_stiffness(law[STIFFNESS], law[GIVE], width)
+    brake = 1.0 - law[DISSIPATION] * rate
     normal = stiffness * depth * brake
     if normal <= 0.0 or brake <= 0.0:
         return

@@ -169,6 +169,7 @@ class PosedMechanism:
             ),
             scales=np.concatenate([measures.position, measures.velocity]),
             length=measures.length,
+            # Springs that stand in for rigid walls are as soft as they should be.
             softens=isinstance(self.law, CompliantLaw) and self.law.has_friction,
             state_bounds=limit_states(self.world, bounds),
             least_distances=self.least_distances,
