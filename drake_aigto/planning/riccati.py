@@ -50,7 +50,7 @@ class FeedbackPhase(LockedArrays, ArrayRecord):
 
     @cached_property
     def state(self) -> PiecewisePolynomial:
-        """q(t) and v(t), shape (nq + n, 1): as those of a trajectory."""
+        """Positions and velocities over time, of shape (nq + n, 1), as those of a trajectory."""
         n = self.gains.shape[2] // 2
         q, v = self.states[:, :-n], self.states[:, -n:]
         none = np.zeros((len(self.times), 0))
