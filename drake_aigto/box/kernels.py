@@ -24,7 +24,7 @@ from drake_aigto.arrays import Floats, Ints, Records
 from drake_aigto.box.functions import factor_mean, trigonometric_means
 from drake_aigto.box.lanes import Lanes
 from drake_aigto.box.tapes import MEAN, ONES
-from drake_aigto.kernels import inner, kernel
+from drake_aigto.kernels import borrowing, inner, kernel
 from drake_aigto.linear import Pattern, find_entry
 from drake_aigto.terms import FunctionKind
 
@@ -72,7 +72,7 @@ NO_SYSTEM = System(
 )
 
 
-@inner
+@borrowing
 def _choose(lanes: Records, weights: Floats, at: int, last: int, chosen: Ints) -> tuple[int, int]:
     """Fills chosen with the lanes from `at` on, up to `last`, that are not off.
 
@@ -88,7 +88,7 @@ def _choose(lanes: Records, weights: Floats, at: int, last: int, chosen: Ints) -
     return count, at
 
 
-@inner
+@borrowing
 def _load_arguments(
     arguments: Records,
     tape: Any,
@@ -115,7 +115,7 @@ def _load_arguments(
     return row
 
 
-@inner
+@borrowing
 def _load_functions(
     functions: Records,
     tape: Any,
@@ -126,12 +126,15 @@ def _load_functions(
     center: Floats,
     half_width: Floats,
     parts: Floats,
+    waves: Floats,
     rows: Floats,
     row: int,
 ) -> int:
     """Sets the rows of a tape's functions, from `row` on; returns the next row.
 
-    Without derivatives of the tape, those of functions are left out.
+    Without derivatives of the tape, those of functions are left out. The last cosine and sine of
+    each variable are kept, with scale, offset and exponent behind them (n, 15): copies of a chain
+    read those of one stage many times.
     """
     num_needed = _PARTS if tape.first_slope < after.first_slope else 1
     for f in range(tape.first_function, after.first_function):
@@ -139,17 +142,51 @@ def _load_functions(
         is_pair = it.kind == _COSINE
         for k in range(count):
             i = variables[it.variable, k]
+            if is_pair:
+                _keep_waves(it, i, center[i], half_width[i], parts, waves, transcendental)
+                for part in range(num_needed):
+                    rows[row + part, k] = waves[i, part]
+                    rows[row + _PARTS + part, k] = waves[i, _PARTS + part]
+                continue
             box = center[i], half_width[i]
             _fill_parts(it.kind, it.exponent, it.scale, it.offset, *box, parts, transcendental)
             for part in range(num_needed):
-                rows[row + part, k] = parts[part]
-            for part in range(_PARTS, _PARTS + (num_needed if is_pair else 0)):
                 rows[row + part, k] = parts[part]
         row += 2 * _PARTS if is_pair else _PARTS
     return row
 
 
 @inner
+def _make_waves(num_variables: int, transcendental: bool | None) -> Floats:
+    """Returns room for `_keep_waves`, if that is called, with nothing kept: no scale is 0."""
+    if transcendental is None:
+        return np.empty((0, 2 * _PARTS + 3))
+    waves = np.empty((num_variables, 2 * _PARTS + 3))
+    waves[:, 2 * _PARTS] = 0.0
+    return waves
+
+
+@borrowing
+def _keep_waves(
+    it: Any,
+    i: int,
+    center: float,
+    half_width: float,
+    parts: Floats,
+    waves: Floats,
+    transcendental: bool | None,
+) -> None:
+    """Has the means of a variable's cosine and sine in row i of `waves`, with what they are of."""
+    end, scale, offset, exponent = 2 * _PARTS, it.scale, it.offset, it.exponent
+    if waves[i, end] == scale and waves[i, end + 1] == offset and waves[i, end + 2] == exponent:
+        return
+    _fill_parts(_COSINE, exponent, scale, offset, center, half_width, parts, transcendental)
+    for part in range(end):
+        waves[i, part] = parts[part]
+    waves[i, end], waves[i, end + 1], waves[i, end + 2] = scale, offset, exponent
+
+
+@borrowing
 def _fill_parts(
     kind: int,
     exponent: int,
@@ -167,7 +204,7 @@ def _fill_parts(
         trigonometric_means(exponent, scale, offset, center, half_width, parts)
 
 
-@inner
+@borrowing
 def _load_coefficients(
     coefficients: Floats,
     num_terms: int,
@@ -192,7 +229,7 @@ def _load_coefficients(
     return row + num_terms
 
 
-@inner
+@borrowing
 def _run(operations: Records, tape: Any, after: Any, count: int, rows: Floats) -> None:
     """Runs operations in the first lanes of rows (rows, lanes)."""
     for o in range(tape.first_operation, after.first_operation):
@@ -206,7 +243,7 @@ def _run(operations: Records, tape: Any, after: Any, count: int, rows: Floats) -
                 rows[to, k] = factor * rows[a, k] * rows[b, k]
 
 
-@inner
+@borrowing
 def _add_entry(pattern: Pattern | None, band: Floats, i: int, j: int, value: float) -> None:
     """Adds to entry (i, j) of a matrix, a band if it has no pattern."""
     if pattern is None:  # An argument of its own, for then Numba leaves out the other case.
@@ -215,7 +252,7 @@ def _add_entry(pattern: Pattern | None, band: Floats, i: int, j: int, value: flo
         band[find_entry(pattern, i, j), 0] += value
 
 
-@inner
+@borrowing
 def _add_slopes(
     slopes: Records,
     tape: Any,
@@ -247,7 +284,7 @@ def _add_slopes(
                 _add_entry(pattern, band, i, j, rows[row, k])
 
 
-@inner
+@borrowing
 def _add_penalties(
     penalties: Floats | None,
     slopes: Records,
@@ -258,34 +295,45 @@ def _add_penalties(
     count: int,
     rows: Floats,
     places: Ints,
+    own: Floats,
     gradient: Floats,
     band: Floats,
     pattern: Pattern | None,
 ) -> None:
     """Adds first derivatives of the lanes' penalties to the gradient, and their squares to W.
 
-    Nothing where there are none; otherwise as `_add_slopes`, which adds nothing then.
+    Nothing where there are none; otherwise as `_add_slopes`, which adds nothing then. λ, ρ and one
+    slope times ρ of the lanes are written to `own` (3, lanes).
     """
     if penalties is None:
         return
+    is_curved = False
+    for k in range(count):
+        copy = lanes[chosen[k]].copy
+        own[0, k], own[1, k] = penalties[0, copy], penalties[1, copy]
+        is_curved |= own[1, k] != 0.0
     for s in range(tape.first_slope, after.first_slope):
         slope = slopes[s]
         row, variable, unknown = slope.row, slope.variable, slope.unknown
         for k in range(count):
             if places[variable, k] >= 0:
-                first = penalties[0, lanes[chosen[k]].copy]
-                gradient[places[variable, k] + unknown] += first * rows[row, k]
+                gradient[places[variable, k] + unknown] += own[0, k] * rows[row, k]
+        if not is_curved:
+            continue
+        for k in range(count):
+            own[2, k] = own[1, k] * rows[row, k]
         for t in range(tape.first_slope, s + 1):
             other = slopes[t]
+            other_row, other_variable, other_unknown = other.row, other.variable, other.unknown
             for k in range(count):
-                i, j = places[variable, k] + unknown, places[other.variable, k] + other.unknown
-                if min(places[variable, k], places[other.variable, k]) >= 0:
-                    second = penalties[1, lanes[chosen[k]].copy]
-                    value = second * rows[row, k] * rows[other.row, k]
+                place, other_place = places[variable, k], places[other_variable, k]
+                if min(place, other_place) >= 0:
+                    i, j = place + unknown, other_place + other_unknown
+                    value = own[2, k] * rows[other_row, k]
                     _add_entry(pattern, band, i, j, 2.0 * value if i == j and t < s else value)
 
 
-@inner
+@borrowing
 def _add_curvatures(
     curvatures: Records,
     tape: Any,
@@ -334,7 +382,8 @@ def add_means(
     """
     lanes, tapes, most_lanes = tables.lanes, tables.tapes, tables.most_lanes
     rows, factors = np.empty((tables.most_rows, most_lanes)), np.empty(most_lanes)
-    parts = np.empty(2 * _PARTS)
+    parts, own = np.empty(2 * _PARTS), np.empty((3, most_lanes))
+    waves = _make_waves(center.size, tables.transcendental)
     chosen, ends = np.empty(most_lanes, np.int64), np.empty(most_lanes, np.int64)
     variables = np.empty((tables.most_variables, most_lanes), np.int64)
     values[:] = 0.0
@@ -356,7 +405,7 @@ def add_means(
             )
             row = _load_functions(
                 *(tables.functions, tape, after, tables.transcendental, variables, count),
-                *(center, half_width, parts, rows, row),
+                *(center, half_width, parts, waves, rows, row),
             )
             row = _load_coefficients(
                 tables.coefficients, tape.num_terms, lanes, chosen, count, factors, rows, row
@@ -384,7 +433,7 @@ def add_means(
                 )
             _add_penalties(
                 *(system.penalties, tables.slopes, tape, after, lanes, chosen, count, rows),
-                *(variables, system.gradient, band, pattern),
+                *(variables, own, system.gradient, band, pattern),
             )
             _add_curvatures(
                 tables.curvatures, tape, after, count, rows, variables, factors, band, pattern

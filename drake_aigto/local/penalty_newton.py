@@ -20,7 +20,7 @@ from scipy.sparse import coo_array
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.box import NO_SYSTEM, Lanes, Order, System, add_means, make_lanes
-from drake_aigto.kernels import borrow, inner, kernel
+from drake_aigto.kernels import borrow, borrowing, inner, kernel
 from drake_aigto.linear import factorize_band, narrow_band, solve_band
 from drake_aigto.local.nlp import PolynomialNlp
 
@@ -138,7 +138,7 @@ class PenaltyRung(NamedTuple):
     tolerance: float
 
 
-@inner
+@borrowing
 def _inactive(program: PenaltyProgram, weight: float, multipliers: Floats, i: int) -> float:
     """Returns r below which a row neither costs nor curves; −∞ of one that is to be at ε."""
     if not program.is_upper[i]:
@@ -175,13 +175,13 @@ def _merit(
     return total, cost
 
 
-@inner
+@borrowing
 def _slack(bounds: Floats, side: int, i: int, x: float) -> float:
     """Returns the distance of a variable x from a bound, below 0 beyond it."""
     return x - bounds[side, i] if side == 0 else bounds[side, i] - x
 
 
-@inner
+@borrowing
 def _add_bounds(
     program: PenaltyProgram, iterate: PenaltyIterate, barrier: float, system: System
 ) -> None:
@@ -211,7 +211,7 @@ def _factorize(program: PenaltyProgram, hessian: Floats, factor: Floats, shift: 
     return shift
 
 
-@inner
+@borrowing
 def _longest(program: PenaltyProgram, x: Floats, step: Floats) -> float:
     """Returns the part of a step, up to 1, that leaves slacks room."""
     length = 1.0
@@ -222,7 +222,7 @@ def _longest(program: PenaltyProgram, x: Floats, step: Floats) -> float:
     return length
 
 
-@inner
+@borrowing
 def _moved(multiplier: float, slack: float, change: float, barrier: float) -> float:
     """Returns a bound's multiplier after a full Newton step that changes its slack."""
     step = barrier / slack - multiplier - multiplier / slack * change
@@ -231,7 +231,7 @@ def _moved(multiplier: float, slack: float, change: float, barrier: float) -> fl
     return multiplier + step
 
 
-@inner
+@borrowing
 def _move(
     program: PenaltyProgram, iterate: PenaltyIterate, barrier: float, step: Floats, to: Floats
 ) -> None:
