@@ -17,7 +17,7 @@ from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInert
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_aigto import Plan, Planner, PlanningError, Scenario, World
-from drake_aigto.errors import OptionsError, TrajectoryError
+from drake_aigto.errors import ModelError, OptionsError, TrajectoryError
 from drake_aigto.planning import (
     BALL_LADDER,
     Aim,
@@ -44,6 +44,25 @@ def cart_pole() -> Planner:
 @pytest.fixture(scope="module")
 def plan(cart_pole: Planner) -> Plan:
     return Planner(cart_pole.scenario, PlanOptions(), cart_pole.world).plan()
+
+
+@pytest.mark.parametrize("name", ["cart_pole/soft_06", "spinner/two_radians", "puck/spin"])
+def test_contact_that_steps_cannot_resolve_is_refused_with_the_stiffness_that_they_can(
+    name: str,
+) -> None:
+    material: Any = {"*": {"stiffness": 2e9}}
+    stiff = dataclasses.replace(Scenario.named(name), material=material)
+    with pytest.raises(ModelError, match=r"a stiffness of 1e\+09 N/m.*at most") as refused:
+        Planner(stiff, QUICK).plan()
+    assert refused.value.remedy is not None and "contact: rigid" in refused.value.remedy
+    # What is said to be possible is searched.
+    most = float(str(refused.value.expected).split()[2])
+    material = {"*": {"stiffness": 2 * most}}
+    soft = dataclasses.replace(stiff, material=material)
+    task = Planner(soft, QUICK).task
+    assert isinstance(task, MechanismTask)
+    none = np.zeros((1, task.world.num_actuators))
+    assert np.isfinite(task.close(Guess(np.array([0.0, soft.duration]), none), Aim()).cost)
 
 
 @pytest.mark.parametrize(

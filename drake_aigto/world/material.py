@@ -29,7 +29,7 @@ _UNGIVEN = {
     STIFFNESS: (
         "so Drake's default, which hardly rebounds",
         "Give both shapes theirs, in the model or by the scenario's material: {'*': {stiffness: "
-        "2e9}}: 2e9 N/m for a nearly rigid wall, less for a soft one.",
+        "2e9}}: 2e9 N/m for contact: rigid, far less for compliant contact, such as 1e4.",
     ),
     DISSIPATION: (
         "so Drake's default, 50 s/m",

@@ -10,6 +10,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw, ContactLaw, TreeMechanism
+from drake_aigto.errors import ModelError
 from drake_aigto.planning.feedback import count_damper_steps
 from drake_aigto.planning.search import scaled
 from drake_aigto.shooting import (
@@ -92,6 +93,10 @@ _FROM_AFAR = tuple(Smoothing(each, 15, 1e-2) for each in (1.0, 0.3, 0.1, 0.03, 0
 
 # Runge-Kutta steps of a finalist are halved until cost and end change by this part of their scales.
 _EXACT, MOST_SUBSTEPS = 1e-3, 64
+# So are those that resolve contact in searches: with more, a finalist's last steps would turn by
+# 2 rad or more, and be unstable. A puck that an arm strikes in 0.8 s takes 127 CPU seconds through
+# contact of 1e6 N/m, in 84 steps; through 1e7 N/m there was no plan in 260.
+_MOST_RESOLVING = int(2 * MOST_SUBSTEPS / _RESOLVING_STEP)
 # A motion that halved steps change by less is steady: its controls reproduce it closely.
 _STEADY = 0.1
 # In space steps are short enough where halving them lowers the cost under the exact law by no more
@@ -162,23 +167,39 @@ def find_closing(
         q: the start, shape (n,).
         time_step: between knots [s].
         is_aimed: whether the goal is hard.
+
+    Raises:
+        ModelError: a contact is too stiff to be searched in steps that resolve it.
     """
     if world.dry_friction is not None and not _meets_in_space(world):
         return DRY
     options = AIMED if is_aimed else COARSE
     if not isinstance(law, CompliantLaw):
         return options
-    # By how much the fastest oscillation of contacts at q on their springs turns [rad].
+    # By how much oscillations of contacts at q on their springs turn [rad].
     J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)
     distances = world.calc_signed_distance(q)
     _, _, levers = law.find_gaps(distances, np.zeros_like(distances))
     mobility = np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T)) * levers**2
-    turn = time_step * float(np.sqrt(np.max(law.stiffness * mobility, initial=0.0)))
+    turns = time_step * np.sqrt(law.stiffness * mobility)
+    substeps = max(1, int(np.ceil(np.max(turns, initial=0.0) / _RESOLVING_STEP)))
+    if substeps > _MOST_RESOLVING:
+        worst = int(np.argmax(turns))
+        k, turn = law.stiffness[worst], turns[worst]
+        bounce = np.pi * time_step / turn
+        most = 0.95 * k * (_MOST_RESOLVING * _RESOLVING_STEP / turn) ** 2  # Is rounded.
+        raise ModelError(
+            f"compliant contact of {world.contacts[worst].name}",
+            f"a stiffness of {k:.2g} N/m, which throws bodies back in {bounce:.1g} s",
+            f"at most {most:.2g} N/m, of both shapes in series, in steps of {time_step:.2g} s",
+            "Make it softer by the scenario's material; or take contact: rigid, for walls and "
+            "bodies in a plane.",
+        )
     if law.has_friction:
-        substeps = max(options.substeps, int(np.ceil(turn / _RESOLVING_STEP)))
+        substeps = max(options.substeps, substeps)
         options = dataclasses.replace(options, rungs=_FROM_AFAR, substeps=substeps)
     elif not is_aimed:
-        options = dataclasses.replace(NEAR, substeps=max(1, int(np.ceil(turn / _RESOLVING_STEP))))
+        options = dataclasses.replace(NEAR, substeps=substeps)
     return _resolve_dampers(options, world, q, time_step)
 
 
