@@ -15,8 +15,17 @@ from trees import AXIS, add_body, attach, sample_state
 
 from drake_aigto import Planner, Scenario
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import TreeMechanism
+from drake_aigto.contact import (
+    TreeMechanics,
+    TreeMechanicsMemory,
+    TreeMechanism,
+    accelerate_at_once,
+    accelerate_bodies,
+    begin_bodies,
+    make_mechanics_memory,
+)
 from drake_aigto.dynamics import Tree
+from drake_aigto.kernels import borrow, kernel
 from drake_aigto.planning import MechanismTask, PlanOptions
 from drake_aigto.shooting import (
     IMPLICIT,
@@ -182,6 +191,50 @@ def test_steps_of_a_turning_body_are_of_fourth_order() -> None:
     first, second = (np.abs(end - ends[-1]).max() for end in ends[:2])
     assert 10 < first / second < 24
     assert np.isclose(np.linalg.norm(ends[0][:4]), 1.0, atol=1e-14)
+
+
+@kernel
+def answer(
+    mechanics: TreeMechanics,
+    q: Floats,
+    v: Floats,
+    u: Floats,
+    is_at_once: bool,
+    memory: TreeMechanicsMemory,
+) -> Floats:
+    """Returns ∂v̇/∂v and v̇, shape (n, n + 1), in one go or where q was placed before."""
+    mechanics, memory, n = borrow(mechanics), borrow(memory), v.size
+    found = np.zeros((n, n + 1))
+    if is_at_once:
+        begin_bodies(mechanics, q, 0.01, memory)
+        accelerate_at_once(mechanics, q, -v, u, 0.01, memory)
+        accelerate_at_once(mechanics, q, v, u, 0.01, memory)
+    else:
+        accelerate_bodies(mechanics, q, v, u, 0.01, True, memory)
+    for i in range(n):
+        found[i, n] = memory.acceleration[0, i]
+        for j in range(n):
+            found[i, j] = memory.tree.slopes[i, n + j]
+    return found
+
+
+@pytest.mark.parametrize("name", ["arm_and_box/push", "quadruped/leap_up"])
+def test_velocities_change_alone_to_the_same_bits(name: str) -> None:
+    scenario = Scenario.named(name)
+    world = SpaceWorld.from_scenario(scenario)
+    scenario, rng = world.place(scenario), np.random.default_rng(0)
+    mechanism = MechanismTask(world, scenario, PlanOptions()).mechanism
+    assert isinstance(mechanism, TreeMechanism)
+    mechanics = mechanism.fit(0.01, 1.0, 1.0)
+    q = scenario.initial_position
+    for _ in range(3):
+        q = world.add(q, rng.uniform(-0.02, 0.02, world.num_velocities))
+        v, u = rng.uniform(-1, 1, world.num_velocities), rng.uniform(-1, 1, world.num_actuators)
+        whole, alone = (
+            answer(mechanics, q, v, u, at_once, make_mechanics_memory(mechanics))
+            for at_once in (False, True)
+        )
+        np.testing.assert_array_equal(alone, whole)
 
 
 def test_the_error_of_implicit_steps_falls_with_their_length() -> None:

@@ -11,7 +11,7 @@ from pydrake.symbolic import Expression
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact.laws import CompliantLaw, ContactLaw, calc_tangents
-from drake_aigto.contact.touching import TouchRoom, TouchTable, make_touch_room
+from drake_aigto.contact.touch_tables import TouchRoom, TouchTable, make_touch_room
 from drake_aigto.dynamics import Tree, TreeMemory, make_tree_memory
 from drake_aigto.kernels import chosen
 from drake_aigto.world import World

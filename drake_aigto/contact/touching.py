@@ -22,72 +22,28 @@ changes: degrees of freedom, which may be many, count once for all of them.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.arrays import Floats
 from drake_aigto.contact.laws import calc_stiffness
-from drake_aigto.dynamics import add_cross_force, cross_motion
-from drake_aigto.dynamics import dot as power
-from drake_aigto.geometry import (
-    Closest,
-    Shapes,
-    cross,
-    dot,
-    find_closest,
-    is_apart,
-    make_closest,
-    place_shapes,
+from drake_aigto.contact.touch_tables import (
+    DISSIPATION,
+    FRICTION,
+    GIVE,
+    SHARE,
+    SLOWING,
+    STICTION,
+    STIFFNESS,
+    TouchRoom,
+    TouchTable,
 )
+from drake_aigto.dynamics import ALL_SLOPES, BY_SPEED, NO_SLOPES, add_cross_force, cross_motion
+from drake_aigto.dynamics import dot as power
+from drake_aigto.geometry import cross, dot, find_closest, is_apart, place_shapes
 from drake_aigto.kernels import borrowing
 
-# Columns of `TouchTable.law`.
-STIFFNESS, DISSIPATION, FRICTION, STICTION, SHARE, GIVE, SLOWING = range(7)
 # Beyond this many widths ε a depth is below e⁻³² ε: no contact.
 _FAR = 32.0
-
-
-class TouchTable(NamedTuple):
-    """Pairs of shapes that may touch, P of them, on the bodies of a tree with n velocities.
-
-    Couples are two bodies, A and B, that have pairs; there are W of them.
-    """
-
-    shapes: Shapes
-    pairs: Ints  # shapes A and B of each, A's kind the lower number, shape (P, 2)
-    law: Floats  # k [N/m], d [s/m], μ, v_s [m/s], share, g [m], and a of each pair, shape (P, 7)
-    couples: Ints  # that of each pair, shape (P,)
-    # Degrees of freedom that move A or B but not both; of couple i from starts[i] to starts[i + 1].
-    starts: Ints  # shape (W + 1,)
-    chain: Ints
-    signs: Floats  # 1 for A, −1 for B
-    carries: Bools  # whether degree of freedom j moves the axis of i, [j, i], shape (n, n)
-
-
-class TouchRoom(NamedTuple):
-    """Room for an evaluation of all pairs."""
-
-    rotations: Floats  # of shapes in the world, shape (G, 3, 3)
-    places: Floats  # of the same, shape (G, 3) [m]
-    closest: Closest  # of one pair
-    speeds: Floats  # velocities of A relative to B, shape (W, 6)
-    wrenches: Floats  # F of couples, shape (W, 6)
-    by_move: Floats  # K, transposed, shape (W, 6, 6)
-    by_speed: Floats  # G, transposed, shape (W, 6, 6)
-    vectors: Floats  # v, f, ∂f/∂f_n, and others, shape (8, 3)
-    by_vectors: Floats  # ∂f/∂v and ∂f/∂n of one pair, shape (2, 3, 3)
-    moves: Floats  # δF of one pair by six moves, shape (6, 6)
-    motions: Floats  # of one degree of freedom, shape (5, 6)
-    found: Floats  # φ, f_n, and C, of each pair, shape (P, 5); f_n is 0 of pairs that do not touch
-
-
-def make_touch_room(table: TouchTable) -> TouchRoom:
-    """Returns room for an evaluation."""
-    G, W = len(table.shapes.kinds), len(table.starts) - 1
-    sizes = (W, 6), (W, 6), (W, 6, 6), (W, 6, 6), (8, 3), (2, 3, 3), (6, 6), (5, 6)
-    rooms = [np.zeros(size) for size in (*sizes, (len(table.pairs), 5))]
-    return TouchRoom(np.tile(np.eye(3), (G, 1, 1)), np.zeros((G, 3)), make_closest(), *rooms)
 
 
 @borrowing
@@ -155,20 +111,66 @@ def push(
         force: Jᵀ f is added, shape (n,).
         slopes: ∂(Jᵀ f)/∂(q, v) is added, in the tangent space, shape (n, 2n).
     """
+    asked = ALL_SLOPES if has_slopes else NO_SLOPES
     place_shapes(table.shapes, poses, room.rotations, room.places)
     for w in range(table.starts.size - 1):
         _begin_couple(table, w, S, v, room)
     for pair in range(table.pairs.shape[0]):
-        room.found[pair, 1] = 0.0
-        if meet(table, pair, _FAR * eps * table.law[pair, SHARE], room):
-            _push_pair(table, pair, eps, pace, has_slopes, room)
+        if _place_pair(table, pair, eps, room):
+            _push_pair(table, pair, eps, pace, asked, room)
+    _add_couples(table, S, v, asked, room, force, slopes)
+
+
+@borrowing
+def place_pairs(table: TouchTable, poses: Floats, eps: float, room: TouchRoom) -> None:
+    """Computes what poses decide alone, for `push_at_once` at any velocities."""
+    place_shapes(table.shapes, poses, room.rotations, room.places)
+    for pair in range(table.pairs.shape[0]):
+        _place_pair(table, pair, eps, room)
+
+
+@borrowing
+def push_at_once(
+    table: TouchTable, S: Floats, v: Floats, eps: float, pace: float, room: TouchRoom,
+    force: Floats, slopes: Floats,
+) -> None:  # fmt: skip
+    """Does what `push` does, with derivatives by v alone, after `place_pairs`."""
+    for w in range(table.starts.size - 1):
+        _begin_couple(table, w, S, v, room)
+    for pair in range(table.pairs.shape[0]):
+        if room.found[pair, 0] < np.inf:
+            _push_pair(table, pair, eps, pace, BY_SPEED, room)
+    _add_couples(table, S, v, BY_SPEED, room, force, slopes)
+
+
+@borrowing
+def _place_pair(table: TouchTable, pair: int, eps: float, room: TouchRoom) -> bool:
+    """Computes φ, C and n of a pair, and returns whether it is near enough to push."""
+    near, found = room.closest, room.found[pair]
+    found[0], found[1] = np.inf, 0.0
+    if not meet(table, pair, _FAR * eps * table.law[pair, SHARE], room):
+        return False
+    found[0] = near.distance[0]
+    for k in range(3):
+        found[2 + k], found[5 + k] = near.foot[k] + found[0] * near.n[k] / 2, near.n[k]
+    return True
+
+
+@borrowing
+def _add_couples(
+    table: TouchTable, S: Floats, v: Floats, asked: int, room: TouchRoom, force: Floats,
+    slopes: Floats,
+) -> None:  # fmt: skip
+    """Adds Jᵀ f of all couples, and the derivatives asked for."""
     for w in range(table.starts.size - 1):
         F = room.wrenches[w]
         if F[3] == 0.0 and F[4] == 0.0 and F[5] == 0.0:
             continue
         for a in range(table.starts[w], table.starts[w + 1]):
             force[table.chain[a]] += table.signs[a] * power(S[table.chain[a]], F)
-        if has_slopes:
+        if asked == BY_SPEED:
+            _spread_by_speed(table, w, S, room, slopes)
+        elif asked == ALL_SLOPES:
             _spread(table, w, S, v, room, slopes)
 
 
@@ -188,14 +190,12 @@ def _begin_couple(table: TouchTable, w: int, S: Floats, v: Floats, room: TouchRo
 
 @borrowing
 def _push_pair(
-    table: TouchTable, pair: int, eps: float, pace: float, has_slopes: bool, room: TouchRoom
+    table: TouchTable, pair: int, eps: float, pace: float, asked: int, room: TouchRoom
 ) -> None:
     """Adds the wrench of one pair, whose closest points are known."""
-    law, near, found, w = table.law[pair], room.closest, room.found[pair], table.couples[pair]
+    law, found, w = table.law[pair], room.found[pair], table.couples[pair]
     speed, f, unit, slip = room.vectors[0], room.vectors[1], room.vectors[2], room.vectors[3]
-    n, distance, V, C = near.n, near.distance[0], room.speeds[w], found[2:]
-    for k in range(3):
-        C[k] = near.foot[k] + distance * n[k] / 2
+    distance, C, n, V = found[0], found[2:], found[5:], room.speeds[w]
     cross(V, C, speed)
     for k in range(3):
         speed[k] += V[3 + k]
@@ -204,9 +204,10 @@ def _push_pair(
     stiffness = calc_stiffness(law[STIFFNESS], law[GIVE], width)
     brake = 1.0 - law[DISSIPATION] * rate
     normal = stiffness * depth * brake
+    found[1] = 0.0
     if normal <= 0.0 or brake <= 0.0:
         return
-    found[0], found[1] = distance, normal
+    found[1] = normal
     for k in range(3):
         slip[k] = speed[k] - rate * n[k]
     change = law[SLOWING] * normal
@@ -217,7 +218,7 @@ def _push_pair(
     for k in range(3):
         f[k] = normal * (n[k] - drag * slip[k])
     _add_moments(C, f, room.wrenches[w])
-    if has_slopes:
+    if asked != NO_SLOPES:
         by_normal = drag
         if change > law[STICTION]:
             by_normal -= (drag + bend * squares) * (change / slow) ** 2
@@ -225,7 +226,7 @@ def _push_pair(
             unit[k] = n[k] - by_normal * slip[k]
         by_rate = -stiffness * depth * law[DISSIPATION]
         law_slopes = stiffness * by_distance * brake, by_rate, normal, drag, bend
-        _differentiate(w, C, rate, law_slopes, room)
+        _differentiate(w, found, rate, law_slopes, asked == ALL_SLOPES, room)
 
 
 @borrowing
@@ -248,10 +249,10 @@ def _rub(y: float) -> tuple[float, float]:
 
 @borrowing
 def _differentiate(
-    w: int, C: Floats, rate: float, law_slopes: tuple[float, float, float, float, float],
-    room: TouchRoom,
+    w: int, found: Floats, rate: float, law_slopes: tuple[float, float, float, float, float],
+    is_all: bool, room: TouchRoom,
 ) -> None:  # fmt: skip
-    """Adds the derivatives of a pair's wrench, as A moves, and as it speeds up.
+    """Adds the derivatives of a pair's wrench, as A moves if asked, and as it speeds up.
 
     With t the slip v − φ̇ n, u = ∂f/∂f_n, and ω the relative turn,
 
@@ -260,9 +261,9 @@ def _differentiate(
         δf = (∂f_n/∂φ) u δφ + ∂f/∂n δn + ∂f/∂v (ω × δC),    δC = δ(foot) + (n δφ + φ δn) / 2
     """
     by_distance, by_rate, normal, drag, bend = law_slopes
-    near, vectors, moves = room.closest, room.vectors, room.moves
+    near, vectors, moves, C, n = room.closest, room.vectors, room.moves, found[2:], found[5:]
     speed, f, unit, slip = vectors[0], vectors[1], vectors[2], vectors[3]
-    dn, dC, dv, df, n = vectors[4], vectors[5], vectors[6], vectors[7], near.n
+    dn, dC, dv, df = vectors[4], vectors[5], vectors[6], vectors[7]
     by_v, by_n = room.by_vectors[0], room.by_vectors[1]
     for i in range(3):
         along = by_rate * unit[i] + normal * drag * n[i]
@@ -270,7 +271,7 @@ def _differentiate(
             one, bent = (1.0 if i == j else 0.0), normal * bend * slip[i] * slip[j]
             by_v[i, j] = along * n[j] - normal * drag * one - bent
             by_n[i, j] = along * speed[j] + normal * (1.0 + drag * rate) * one + rate * bent
-    for j in range(6):  # Along three axes at c, and round them.
+    for j in range(6 if is_all else 0):  # Along three axes at c, and round them.
         distance = n[j] if j < 3 else 0.0
         for k in range(3):
             dn[k] = near.by_place[k, j] if j < 3 else near.by_turn[k, j - 3]
@@ -283,10 +284,11 @@ def _differentiate(
         for k in range(3):
             moves[j, k], moves[j, 3 + k] = dv[k], 0.0
         _add_moments(C, df, moves[j])
-    for j in range(3):
+    for j in range(3 if is_all else 0):
         for k in range(6):
             room.by_move[w, j, k] += moves[3 + j, k]
-    _add_moves(near.c, moves, room.by_move[w])
+    if is_all:
+        _add_moves(near.c, moves, room.by_move[w])
     for j in range(3):
         for k in range(3):
             df[k] = by_v[k, j]
@@ -348,3 +350,19 @@ def _spread(
                 total -= power(S[i], along)
             slopes[i, j] += side * total
             slopes[i, n + j] += side * power(S[i], by_speed)
+
+
+@borrowing
+def _spread_by_speed(table: TouchTable, w: int, S: Floats, room: TouchRoom, slopes: Floats) -> None:
+    """Adds ∂(Jᵀ f)/∂v of a couple (`_spread`)."""
+    G, by_speed = room.by_speed[w], room.motions[4]
+    first, last, n = table.starts[w], table.starts[w + 1], table.carries.shape[0]
+    for b in range(first, last):
+        j, s = table.chain[b], table.signs[b]
+        for k in range(6):
+            by_speed[k] = 0.0
+        for m in range(6):
+            for k in range(6):
+                by_speed[k] += s * G[m, k] * S[j, m]
+        for a in range(first, last):
+            slopes[table.chain[a], n + j] += table.signs[a] * power(S[table.chain[a]], by_speed)

@@ -11,8 +11,18 @@ from drake_aigto.arrays import Floats
 from drake_aigto.contact.laws import CompliantLaw, ContactLaw
 from drake_aigto.contact.mechanism import Mechanism
 from drake_aigto.contact.tables import Load, TreeMechanics, TreeMechanicsMemory
-from drake_aigto.contact.touching import SLOWING, TouchTable, push
-from drake_aigto.dynamics import Tree, move_tree, place, push_tree
+from drake_aigto.contact.touch_tables import SLOWING, TouchTable
+from drake_aigto.contact.touching import place_pairs, push, push_at_once
+from drake_aigto.dynamics import (
+    ALL_SLOPES,
+    BY_SPEED,
+    NO_SLOPES,
+    Tree,
+    begin_tree,
+    move_tree,
+    place,
+    push_tree,
+)
 from drake_aigto.geometry import Shapes, place_shapes
 from drake_aigto.kernels import borrowing
 from drake_aigto.world import SpaceWorld, World
@@ -83,13 +93,49 @@ def accelerate_bodies(
 ) -> None:
     """Computes v̇, and in the tree's `slopes` ∂v̇/∂(δ, v, u) if asked, by degrees of freedom."""
     tree, touch, room = mechanics.tree, mechanics.touch, memory.tree
-    push_tree(tree, q, v, u, eps, has_slopes, room)
+    asked = ALL_SLOPES if has_slopes else NO_SLOPES
+    begin_tree(tree, q, room)
+    push_tree(tree, q, v, u, eps, asked, room)
     if touch.pairs.shape[0] > 0:
         push(touch, room.poses, room.motions, room.v, eps, mechanics.pace, has_slopes,
              memory.touch, room.force, room.slopes)  # fmt: skip
-    move_tree(tree, has_slopes, room)
+    move_tree(tree, asked, room)
+    _order(tree, memory)
+
+
+@borrowing
+def begin_bodies(
+    mechanics: TreeMechanics, q: Floats, eps: float, memory: TreeMechanicsMemory
+) -> None:
+    """Computes all that q decides alone, for `accelerate_at_once` at any v."""
+    begin_tree(mechanics.tree, q, memory.tree)
+    place_pairs(mechanics.touch, memory.tree.poses, eps, memory.touch)
+
+
+@borrowing
+def accelerate_at_once(
+    mechanics: TreeMechanics,
+    q: Floats,
+    v: Floats,
+    u: Floats,
+    eps: float,
+    memory: TreeMechanicsMemory,
+) -> None:
+    """Computes v̇, and in the tree's `slopes` ∂v̇/∂v, by degrees of freedom."""
+    tree, touch, room = mechanics.tree, mechanics.touch, memory.tree
+    push_tree(tree, q, v, u, eps, BY_SPEED, room)
+    if touch.pairs.shape[0] > 0:
+        push_at_once(touch, room.motions, room.v, eps, mechanics.pace,
+                     memory.touch, room.force, room.slopes)  # fmt: skip
+    move_tree(tree, BY_SPEED, room)
+    _order(tree, memory)
+
+
+@borrowing
+def _order(tree: Tree, memory: TreeMechanicsMemory) -> None:
+    """Copies v̇ as the plant orders it."""
     for s in range(tree.up.size):
-        memory.acceleration[0, tree.velocities[s]] = room.force[s]
+        memory.acceleration[0, tree.velocities[s]] = memory.tree.force[s]
 
 
 @borrowing

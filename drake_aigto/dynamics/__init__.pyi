@@ -34,6 +34,7 @@ from .sums import evaluate as evaluate
 from .sums import is_constant as is_constant
 from .sums import tidy as tidy
 from .tree import Tree as Tree
+from .tree_kernels import begin_tree as begin_tree
 from .tree_kernels import differentiate as differentiate
 from .tree_kernels import move_tree as move_tree
 from .tree_kernels import prepare_slopes as prepare_slopes
@@ -45,7 +46,10 @@ from .tree_reader import check_force as check_force
 from .tree_reader import find_joint as find_joint
 from .tree_reader import read_damping as read_damping
 from .tree_reader import refuse_loop as refuse_loop
+from .tree_tables import ALL_SLOPES as ALL_SLOPES
+from .tree_tables import BY_SPEED as BY_SPEED
 from .tree_tables import NO_FRAMES as NO_FRAMES
+from .tree_tables import NO_SLOPES as NO_SLOPES
 from .tree_tables import PRISMATIC as PRISMATIC
 from .tree_tables import QUATERNION as QUATERNION
 from .tree_tables import RPY as RPY

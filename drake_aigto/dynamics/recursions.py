@@ -113,12 +113,39 @@ def _find_motions(tree: TreeTables, i: int, memory: TreeMemory) -> None:
 
 
 @borrowing
-def spread(tree: TreeTables, q: Floats, v: Floats, memory: TreeMemory) -> None:
-    """Computes poses, motions, velocities, accelerations at v̇ = 0, and forces of single links."""
+def place_tree(tree: TreeTables, q: Floats, memory: TreeMemory) -> None:
+    """Computes all that q decides alone: poses, motions, inertias, composite bodies, and M."""
+    for i in range(tree.parents.size):
+        place(tree, i, q, memory)
+        B, C = memory.inertias[i], memory.composites[i]
+        if tree.masses[i] == 0.0:
+            for k in range(_OWN):
+                B[k] = 0.0
+        else:
+            move_inertia(memory.poses[i], tree.masses[i], tree.centers[i], tree.inertias[i], B)
+        for k in range(_OWN):
+            C[k] = B[k]
+    for i in range(tree.parents.size - 1, -1, -1):
+        C, parent = memory.composites[i], tree.parents[i]
+        for s in range(tree.dofs[i], tree.dofs[i + 1]):
+            momentum = memory.momenta[s]
+            apply_inertia(C, memory.motions[s], momentum)
+            j = s
+            while j >= 0:
+                memory.mass[s, j] = dot(memory.motions[j], momentum)
+                j = tree.up[j]
+            memory.mass[s, s] += tree.armature[s]
+        if parent >= 0:
+            for k in range(_OWN):
+                memory.composites[parent, k] += C[k]
+
+
+@borrowing
+def spread(tree: TreeTables, v: Floats, memory: TreeMemory) -> None:
+    """Computes velocities, accelerations at v̇ = 0, and forces of single links that are placed."""
     for s in range(tree.up.size):
         memory.v[s] = v[tree.velocities[s]]
     for i in range(tree.parents.size):
-        place(tree, i, q, memory)
         parent, V, A = tree.parents[i], memory.velocities[i], memory.biases[i]
         for k in range(3):
             V[k] = V[3 + k] = A[k] = 0.0
@@ -138,20 +165,15 @@ def spread(tree: TreeTables, q: Floats, v: Floats, memory: TreeMemory) -> None:
 
 @borrowing
 def _push_link(tree: TreeTables, i: int, memory: TreeMemory) -> None:
-    """Computes the inertia of link i, and the force of its motion, I A + V ×* I V."""
+    """Computes the force of the motion of link i, I A + V ×* I V, and its momentum."""
     B, C, f = memory.inertias[i], memory.composites[i], memory.forces[i]
     V, momentum = memory.velocities[i], memory.room[0]
     if tree.masses[i] == 0.0:
-        for k in range(_ALL):
+        for k in range(_OWN, _ALL):
             C[k] = 0.0
-        for k in range(_OWN):
-            B[k] = 0.0
         for k in range(6):
             f[k] = 0.0
         return
-    move_inertia(memory.poses[i], tree.masses[i], tree.centers[i], tree.inertias[i], B)
-    for k in range(_OWN):
-        C[k] = B[k]
     apply_inertia(B, V, momentum)
     apply_inertia(B, memory.biases[i], f)
     add_cross_force(V, momentum, f)
@@ -193,21 +215,13 @@ def share_friction(x: float) -> tuple[float, float]:
 
 @borrowing
 def gather(tree: TreeTables, has_slopes: bool, memory: TreeMemory) -> None:
-    """Computes composite bodies and M, and takes forces of motion from the generalized ones."""
-    count = _ALL if has_slopes else _OWN
+    """Takes forces of motion from the generalized ones; adds up what their derivatives need."""
     for i in range(tree.parents.size - 1, -1, -1):
         C, f, parent = memory.composites[i], memory.forces[i], tree.parents[i]
         for s in range(tree.dofs[i], tree.dofs[i + 1]):
-            momentum = memory.momenta[s]
-            apply_inertia(C, memory.motions[s], momentum)
             memory.force[s] -= dot(memory.motions[s], f)
-            j = s
-            while j >= 0:
-                memory.mass[s, j] = dot(memory.motions[j], momentum)
-                j = tree.up[j]
-            memory.mass[s, s] += tree.armature[s]
         if parent >= 0:
-            for k in range(count):
+            for k in range(_OWN, _ALL if has_slopes else _OWN):
                 memory.composites[parent, k] += C[k]
             for k in range(6):
                 memory.forces[parent, k] += f[k]
@@ -252,20 +266,20 @@ def solve(up: Ints, L: Floats, y: Floats) -> None:
 
 
 @borrowing
-def solve_rows(up: Ints, L: Floats, Y: Floats) -> None:
-    """Replaces a matrix by M⁻¹ times it, row by row."""
+def solve_rows(up: Ints, L: Floats, Y: Floats, first: int, last: int) -> None:
+    """Replaces columns of a matrix by M⁻¹ times them, row by row."""
     for i in range(up.size - 1, -1, -1):
-        _scale(L[i, i], Y[i])
+        _scale(L[i, i], Y[i, first:last])
         j = up[i]
         while j >= 0:
-            _subtract_row(L[i, j], Y[i], Y[j])
+            _subtract_row(L[i, j], Y[i, first:last], Y[j, first:last])
             j = up[j]
     for i in range(up.size):
         j = up[i]
         while j >= 0:
-            _subtract_row(L[i, j], Y[j], Y[i])
+            _subtract_row(L[i, j], Y[j, first:last], Y[i, first:last])
             j = up[j]
-        _scale(L[i, i], Y[i])
+        _scale(L[i, i], Y[i, first:last])
 
 
 @borrowing

@@ -23,6 +23,7 @@ from drake_aigto.dynamics.recursions import (
     factor,
     find_stiction,
     gather,
+    place_tree,
     push_joints,
     share_friction,
     solve,
@@ -39,7 +40,15 @@ from drake_aigto.dynamics.spatial import (
     rotate,
     subtract_positions,
 )
-from drake_aigto.dynamics.tree_tables import QUATERNION, RPY, TreeMemory, TreeTables
+from drake_aigto.dynamics.tree_tables import (
+    ALL_SLOPES,
+    BY_SPEED,
+    NO_SLOPES,
+    QUATERNION,
+    RPY,
+    TreeMemory,
+    TreeTables,
+)
 from drake_aigto.kernels import borrow, borrowing, kernel
 
 
@@ -54,31 +63,35 @@ def accelerate(
     memory: TreeMemory,
 ) -> None:
     """Computes v̇ in `force`, and ∂v̇/∂(δ, v, u) in `slopes` if asked, by degrees of freedom."""
-    push_tree(tree, q, v, u, eps, has_slopes, memory)
-    move_tree(tree, has_slopes, memory)
+    asked = ALL_SLOPES if has_slopes else NO_SLOPES
+    begin_tree(tree, q, memory)
+    push_tree(tree, q, v, u, eps, asked, memory)
+    move_tree(tree, asked, memory)
+
+
+@borrowing
+def begin_tree(tree: TreeTables, q: Floats, memory: TreeMemory) -> None:
+    """Computes all that q decides alone, and M's factor, for `push_tree` at any v."""
+    place_tree(tree, q, memory)
+    factor(tree.up, memory.mass)
 
 
 @borrowing
 def push_tree(
-    tree: TreeTables,
-    q: Floats,
-    v: Floats,
-    u: Floats,
-    eps: float,
-    has_slopes: bool,
-    memory: TreeMemory,
+    tree: TreeTables, q: Floats, v: Floats, u: Floats, eps: float, asked: int, memory: TreeMemory
 ) -> None:
-    """Computes motions of links, and forces of joints in `force`, with `slopes` if asked.
+    """Computes velocities of links, and forces of joints in `force`, with the `slopes` asked for.
 
     Other generalized forces may be added to both before `move_tree`.
     """
-    spread(tree, q, v, memory)
+    spread(tree, v, memory)
     push_joints(tree, q, u, eps, memory)
-    if has_slopes:
+    if asked != NO_SLOPES:
         prepare_slopes(tree, memory)
-        differentiate_joints(tree, eps, memory)
+        differentiate_joints(tree, eps, asked, memory)
     for t in range(tree.thruster_links.size):
-        _thrust(tree, t, u[u.size - tree.thruster_links.size + t], has_slopes, memory)
+        thrust = u[u.size - tree.thruster_links.size + t]
+        _thrust(tree, t, thrust, asked == ALL_SLOPES, memory)
 
 
 @borrowing
@@ -113,67 +126,71 @@ def _thrust(tree: TreeTables, t: int, u: float, has_slopes: bool, memory: TreeMe
 
 
 @borrowing
-def move_tree(tree: TreeTables, has_slopes: bool, memory: TreeMemory) -> None:
+def move_tree(tree: TreeTables, asked: int, memory: TreeMemory) -> None:
     """Replaces forces, and their derivatives, by v̇ and its own."""
-    gather(tree, has_slopes, memory)
-    factor(tree.up, memory.mass)
+    n, columns = memory.slopes.shape
+    gather(tree, asked != NO_SLOPES, memory)
     solve(tree.up, memory.mass, memory.force)
-    if has_slopes:
-        differentiate(tree, memory)
-        solve_rows(tree.up, memory.mass, memory.slopes)
+    if asked == BY_SPEED:
+        differentiate(tree, False, memory)
+        solve_rows(tree.up, memory.mass, memory.slopes, n, 2 * n)
+    elif asked == ALL_SLOPES:
+        differentiate(tree, True, memory)
+        solve_rows(tree.up, memory.mass, memory.slopes, 0, columns)
 
 
 @borrowing
 def prepare_slopes(tree: TreeTables, memory: TreeMemory) -> None:
     """Computes T of 2B of each link, after `spread`, and before `gather` adds it up."""
     for i in range(tree.parents.size):
-        C, V = memory.composites[i], memory.velocities[i]
+        B, C, V = memory.inertias[i], memory.composites[i], memory.velocities[i]
         for s in range(tree.dofs[i], tree.dofs[i + 1]):
             cross_motion(V, memory.motions[s], memory.turns[s])
         if tree.masses[i] == 0.0:
             continue
-        x, y, z = C[1], C[2], C[3]
+        x, y, z = B[1], B[2], B[3]
         a, b, c = V[0], V[1], V[2]
-        trace, along = C[4] + C[6] + C[9], 2 * (x * V[3] + y * V[4] + z * V[5])
-        C[10] = 2 * (b * C[7] - c * C[5] - V[3] * x) + along
-        C[11] = 2 * (b * C[8] - c * C[6] - V[3] * y) + trace * c
-        C[12] = 2 * (b * C[9] - c * C[8] - V[3] * z) - trace * b
-        C[13] = 2 * (c * C[4] - a * C[7] - V[4] * x) - trace * c
-        C[14] = 2 * (c * C[5] - a * C[8] - V[4] * y) + along
-        C[15] = 2 * (c * C[7] - a * C[9] - V[4] * z) + trace * a
-        C[16] = 2 * (a * C[5] - b * C[4] - V[5] * x) + trace * b
-        C[17] = 2 * (a * C[6] - b * C[5] - V[5] * y) - trace * a
-        C[18] = 2 * (a * C[8] - b * C[7] - V[5] * z) + along
+        trace, along = B[4] + B[6] + B[9], 2 * (x * V[3] + y * V[4] + z * V[5])
+        C[10] = 2 * (b * B[7] - c * B[5] - V[3] * x) + along
+        C[11] = 2 * (b * B[8] - c * B[6] - V[3] * y) + trace * c
+        C[12] = 2 * (b * B[9] - c * B[8] - V[3] * z) - trace * b
+        C[13] = 2 * (c * B[4] - a * B[7] - V[4] * x) - trace * c
+        C[14] = 2 * (c * B[5] - a * B[8] - V[4] * y) + along
+        C[15] = 2 * (c * B[7] - a * B[9] - V[4] * z) + trace * a
+        C[16] = 2 * (a * B[5] - b * B[4] - V[5] * x) + trace * b
+        C[17] = 2 * (a * B[6] - b * B[5] - V[5] * y) - trace * a
+        C[18] = 2 * (a * B[8] - b * B[7] - V[5] * z) + along
 
 
 @borrowing
-def differentiate_joints(tree: TreeTables, eps: float, memory: TreeMemory) -> None:
+def differentiate_joints(tree: TreeTables, eps: float, asked: int, memory: TreeMemory) -> None:
     """Computes the derivatives of what `push_joints` computes."""
-    n, slopes = tree.up.size, memory.slopes
+    n, slopes, is_all = tree.up.size, memory.slopes, asked == ALL_SLOPES
     for s in range(n):
-        for c in range(2 * n):
+        for c in range(0 if is_all else n, 2 * n):
             slopes[s, c] = 0.0
-        for j in range(tree.actuation.shape[1]):
+        for j in range(tree.actuation.shape[1] if is_all else 0):
             slopes[s, 2 * n + j] = tree.actuation[s, j]
         slopes[s, n + s] = -tree.damping[s]
         if tree.friction[s] > 0.0:
             speed = find_stiction(tree, s, eps)
             _, slope = share_friction(memory.v[s] / speed)
             slopes[s, n + s] -= tree.friction[s] * slope / speed
-    for i in range(tree.parents.size):
+    for i in range(tree.parents.size if is_all else 0):
         if tree.stiffnesses[i] != 0.0:
             slopes[tree.dofs[i], tree.dofs[i]] = -tree.stiffnesses[i]
 
 
 @borrowing
-def differentiate(tree: TreeTables, memory: TreeMemory) -> None:
-    """Takes off the derivatives of h + M v̇ at the v̇ that is in `force`."""
-    _spread_accelerations(tree, memory)
+def differentiate(tree: TreeTables, is_all: bool, memory: TreeMemory) -> None:
+    """Takes off the derivatives of h + M v̇ at the v̇ that is in `force`, all or those by v."""
+    if is_all:
+        _spread_accelerations(tree, memory)
     for i in range(tree.parents.size - 1, -1, -1):
         for s in range(tree.dofs[i], tree.dofs[i + 1]):
-            _differentiate_motion(tree, i, s, memory)
+            _differentiate_motion(tree, i, s, is_all, memory)
         parent = tree.parents[i]
-        if parent >= 0:
+        if parent >= 0 and is_all:
             for k in range(6):
                 memory.forces[parent, k] += memory.forces[i, k]
 
@@ -205,7 +222,9 @@ def _spread_accelerations(tree: TreeTables, memory: TreeMemory) -> None:
 
 
 @borrowing
-def _differentiate_motion(tree: TreeTables, i: int, s: int, memory: TreeMemory) -> None:
+def _differentiate_motion(
+    tree: TreeTables, i: int, s: int, is_all: bool, memory: TreeMemory
+) -> None:
     """Takes off derivatives by s of forces of links before, and those of s's by them."""
     C, f, n, up = memory.composites[i], memory.forces[i], tree.up.size, tree.up
     S, T, t, slopes = memory.motions[s], memory.turns[s], memory.momenta[s], memory.slopes
@@ -214,25 +233,28 @@ def _differentiate_motion(tree: TreeTables, i: int, s: int, memory: TreeMemory) 
         rate[k] = memory.rates[s, k] + T[k]
     apply_inertia(C, rate, by_v)
     _add_twice_B(C, S, by_v)
-    apply_inertia(C, memory.bends[s], by_q)
-    _add_twice_B(C, T, by_q)
-    add_cross_force(S, f, by_q)
+    if is_all:
+        apply_inertia(C, memory.bends[s], by_q)
+        _add_twice_B(C, T, by_q)
+        add_cross_force(S, f, by_q)
     p, q, r = 2 * C[19], 2 * C[20], 2 * C[21]
     x = C[10] * S[0] + C[13] * S[1] + C[16] * S[2] + q * S[5] - r * S[4]
     y = C[11] * S[0] + C[14] * S[1] + C[17] * S[2] + r * S[3] - p * S[5]
     z = C[12] * S[0] + C[15] * S[1] + C[18] * S[2] + p * S[4] - q * S[3]
     j = tree.dofs[i + 1] - 1
     while j >= tree.dofs[i]:
-        slopes[j, s] -= dot(memory.motions[j], by_q)
+        if is_all:
+            slopes[j, s] -= dot(memory.motions[j], by_q)
         slopes[j, n + s] -= dot(memory.motions[j], by_v)
         j -= 1
     j = up[tree.dofs[i]]
     while j >= 0:
         R, B = memory.rates[j], memory.turns[j]
         M, U = memory.motions[j], memory.bends[j]
-        slopes[j, s] -= dot(M, by_q)
+        if is_all:
+            slopes[j, s] -= dot(M, by_q)
+            slopes[s, j] -= x * B[0] + y * B[1] + z * B[2] + dot(t, U)
         slopes[j, n + s] -= dot(M, by_v)
-        slopes[s, j] -= x * B[0] + y * B[1] + z * B[2] + dot(t, U)
         slopes[s, n + j] -= x * M[0] + y * M[1] + z * M[2] + dot(t, R) + dot(t, B)
         j = up[j]
 
@@ -254,10 +276,9 @@ def calc_masses(tree: TreeTables, q: Floats, memory: TreeMemory) -> Floats:
     """Returns M of each state, shape (K, n n)."""
     tree, memory = borrow(tree), borrow(memory)
     n = tree.up.size
-    found, rest = np.zeros((q.shape[0], n * n)), np.zeros(n)
+    found = np.zeros((q.shape[0], n * n))
     for k in range(q.shape[0]):
-        spread(tree, q[k], rest, memory)
-        gather(tree, False, memory)
+        place_tree(tree, q[k], memory)
         for s in range(n):
             j = s
             while j >= 0:
@@ -276,7 +297,8 @@ def calc_inverse_dynamics(
     n = tree.up.size
     found, nothing = np.zeros((q.shape[0], n)), np.zeros(tree.actuation.shape[1])
     for k in range(q.shape[0]):
-        spread(tree, q[k], v[k], memory)
+        place_tree(tree, q[k], memory)
+        spread(tree, v[k], memory)
         push_joints(tree, q[k], nothing, 0.0, memory)
         gather(tree, False, memory)
         for s in range(n):

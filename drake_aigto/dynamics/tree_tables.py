@@ -12,6 +12,9 @@ from drake_aigto.arrays import Floats, Ints
 # along or about axes that are fixed in its parent.
 REVOLUTE, PRISMATIC, SCREW, TRANSLATION, QUATERNION, RPY = range(6)
 
+# Derivatives that are computed: none, those by velocities alone, or all.
+NO_SLOPES, BY_SPEED, ALL_SLOPES = range(3)
+
 # Numbers of positions and velocities of each kind.
 NUM_POSITIONS = np.array([1, 1, 1, 3, 4, 3])
 NUM_VELOCITIES = np.array([1, 1, 1, 3, 3, 3])

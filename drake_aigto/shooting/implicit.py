@@ -18,7 +18,7 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import TreeMechanics, only_of
 from drake_aigto.kernels import borrowing
-from drake_aigto.shooting.stages import accelerate_stage, bend
+from drake_aigto.shooting.stages import accelerate_stage, accelerate_step, begin_step, bend
 from drake_aigto.shooting.tables import FlowMemory
 
 # Newton's method ends with the step from a residual whose square is below this share of velocities'
@@ -55,7 +55,7 @@ def step_implicitly(
             Y[i, c], Y[n + i, c] = X[i, c] + half * K[i, c], X[n + i, c]
         if by_time != 0.0:
             Y[i, nx] += by_time / 2 * slope[i]
-    _find_velocities(mechanics, z, u, eps, h, room)
+    _find_velocities(mechanics, z, u, eps, h, has_slopes, room)
     if has_slopes:
         for i in range(n):
             for j in range(n):
@@ -83,20 +83,28 @@ def step_implicitly(
 
 @borrowing
 def _find_velocities(
-    mechanics: Any, z: Floats, u: Floats, eps: float, h: float, room: FlowMemory
+    mechanics: Any, z: Floats, u: Floats, eps: float, h: float, has_slopes: bool, room: FlowMemory
 ) -> None:
-    """Computes velocities of y that obey w = v + h a, and derivatives of a as near as counts."""
+    """Computes velocities of y that obey w = v + h a, and derivatives of a if asked.
+
+    These are derivatives at the last velocities but one, as near as counts.
+    """
     x, y, off, n = room.points[0], room.points[1], room.off, room.off.shape[0] // 2
     acceleration, best, length = room.mechanics.acceleration, np.inf, 1.0
+    begin_step(mechanics, z, y, eps, room.mechanics)
     for count in range(_MOST + 1):
-        accelerate_stage(mechanics, z, y, u, eps, True, room.mechanics)
+        accelerate_step(mechanics, y, u, eps, room.mechanics)
         squares = total = 0.0
         for i in range(n):
             change = h * acceleration[0, i]
             error = y[n + i] - x[n + i] - change
             squares += error * error
             total += change * change + x[n + i] * x[n + i]
-        if count == _MOST or not np.isfinite(squares):
+        is_last = count == _MOST or not np.isfinite(squares)
+        is_near = squares <= _TOLERANCE * total
+        if has_slopes and (is_last or is_near):
+            accelerate_stage(mechanics, z, y, u, eps, True, room.mechanics)
+        if is_last:
             return
         if squares < best or length < _SHORTEST:
             best, length = squares, 1.0
@@ -110,7 +118,7 @@ def _find_velocities(
             length *= _SHORTER
         for i in range(n):
             y[n + i] += shift * off[n + i, 0]
-        if squares <= _TOLERANCE * total:
+        if is_near:
             return
 
 

@@ -22,7 +22,9 @@ from drake_aigto.contact import (
     TreeMechanics,
     TreeMechanicsMemory,
     accelerate,
+    accelerate_at_once,
     accelerate_bodies,
+    begin_bodies,
     of_tree,
     only_of,
 )
@@ -73,6 +75,28 @@ def accelerate_tree(
                 )
                 for k in range(3):
                     memory.slopes[first + k, s] = a * D[k] + b * D[3 + k] + c * D[6 + k]
+
+
+@borrowing
+def begin_step(
+    mechanics: TreeMechanics, z: Floats, y: Floats, eps: float, memory: TreeMechanicsMemory
+) -> None:
+    """Computes all that δ of y about z decides alone, for `accelerate_step` at any v."""
+    add_tangent(mechanics.tree, z, y, memory.position)
+    begin_bodies(mechanics, memory.position, eps, memory)
+
+
+@borrowing
+def accelerate_step(
+    mechanics: TreeMechanics, y: Floats, u: Floats, eps: float, memory: TreeMechanicsMemory
+) -> None:
+    """Computes v̇ at y, and ∂v̇/∂v in `slopes`, as the plant orders them."""
+    tree, found = mechanics.tree, memory.tree.slopes
+    n, velocities = tree.up.size, tree.velocities
+    accelerate_at_once(mechanics, memory.position, y[n:], u, eps, memory)
+    for c in range(n):
+        for s in range(n):
+            memory.slopes[n + velocities[c], velocities[s]] = found[s, n + c]
 
 
 def enter_tree(mechanics: TreeMechanics, z: Floats, x: Floats) -> None:
