@@ -85,7 +85,8 @@ def travel(
         elif kinds[k] != FLOW:
             jump(program, k, z, u, mode == LINEARIZE, after, memory)
         else:
-            cost += flow(program, k, z, u, eps, mode == LINEARIZE, after, memory)
+            is_trial = mode == FOLLOW
+            cost += flow(program, k, z, u, eps, mode == LINEARIZE, is_trial, after, memory)
             if has_added:
                 cost += add_costs(program, k, z, u, mode == LINEARIZE, memory)
         if mode == FOLLOW:
@@ -230,6 +231,8 @@ def descend(
             break
         _copy(memory.states, states)
         _copy(memory.controls, controls)
+        for k in range(controls.shape[0]):
+            _copy(memory.flow.changes[1, k], memory.flow.changes[0, k])
         has_gaps = has_gaps and length < 1.0
         if settings.holds_states and length < 1.0:
             damping = min(max(_FALL * damping, _LEAST), _MOST)

@@ -72,6 +72,7 @@ def flow(
     u: Floats,
     eps: float,
     has_slopes: bool,
+    is_trial: bool,
     after: Floats,
     memory: Memory,
 ) -> float:
@@ -84,6 +85,7 @@ def flow(
         u: its control.
         eps: the smoothing ε [m].
         has_slopes: whether to compute derivatives.
+        is_trial: whether the motion is another one than that about which the problem is.
         after: becomes the state at its end, shape (nz,).
         memory: room, and of the stage F, l1 and the upper triangle of l2.
     """
@@ -117,7 +119,8 @@ def flow(
                     K[i, c], K[n + i, c] = X[n + i, c], 0.0
         bend(mechanics, x, has_slopes, slope, X, K, room.mechanics)
         if method.shape[0] == 1:  # Of trees.
-            step_implicitly(mechanics, z, u, eps, delta, unit, has_slopes, room)
+            before, changes = room.changes[0, k, s], room.changes[1 if is_trial else 0, k, s]
+            step_implicitly(mechanics, z, u, eps, delta, unit, has_slopes, before, changes, room)
             if is_measured:
                 time, lag = start + (s + 1) * delta, (s + 1) * unit
                 cost += _add_part(program, time, lag, delta, unit, z, has_slopes, nz, room, l1, l2)

@@ -36,12 +36,15 @@ def step_implicitly(
     h: float,
     unit: float,
     has_slopes: bool,
+    before: Floats,
+    change: Floats,
     room: FlowMemory,
 ) -> None:
     """Takes a step of length h from x; y becomes the middle's positions and the end's velocities.
 
     The rate of x is known (`bend`), as are derivatives by (z, u) if asked: X of x, K of its rate.
-    Those of y become Y. The unit is ∂h/∂τ, of phases.
+    Those of y become Y. The unit is ∂h/∂τ, of phases. Newton's method starts from a change of
+    velocities as it was before, shape (n,), and keeps the one that it finds.
     """
     x, y, slope = room.points[0], room.points[1], room.points[2]
     X, Y, K, slopes = room.slopes[0], room.slopes[1], room.slopes[2], room.mechanics.slopes
@@ -50,7 +53,7 @@ def step_implicitly(
     nz = room.by_column.size - nu
     by_time = unit if has_slopes and nz > nx else 0.0
     for i in range(n):
-        y[i], y[n + i] = x[i] + half * slope[i], x[n + i]
+        y[i], y[n + i] = x[i] + half * slope[i], x[n + i] + before[i]
         for c in range(columns):
             Y[i, c], Y[n + i, c] = X[i, c] + half * K[i, c], X[n + i, c]
         if by_time != 0.0:
@@ -70,6 +73,7 @@ def step_implicitly(
         _eliminate(room.newton, n, Y)
     for i in range(n):
         slope[i] = y[n + i]
+        change[i] = y[n + i] - x[n + i] if np.isfinite(y[n + i]) else 0.0
         for c in range(columns):
             K[i, c] = Y[n + i, c]
     bend(mechanics, y, has_slopes, slope, Y, K, room.mechanics)
@@ -91,9 +95,13 @@ def _find_velocities(
     """
     x, y, off, n = room.points[0], room.points[1], room.off, room.off.shape[0] // 2
     acceleration, best, length = room.mechanics.acceleration, np.inf, 1.0
-    begin_step(mechanics, z, y, eps, room.mechanics)
+    if not has_slopes:
+        begin_step(mechanics, z, y, eps, room.mechanics)
     for count in range(_MOST + 1):
-        accelerate_step(mechanics, y, u, eps, room.mechanics)
+        if has_slopes and count == 0:
+            accelerate_stage(mechanics, z, y, u, eps, True, room.mechanics)
+        else:
+            accelerate_step(mechanics, y, u, eps, room.mechanics)
         squares = total = 0.0
         for i in range(n):
             change = h * acceleration[0, i]
@@ -102,7 +110,7 @@ def _find_velocities(
             total += change * change + x[n + i] * x[n + i]
         is_last = count == _MOST or not np.isfinite(squares)
         is_near = squares <= _TOLERANCE * total
-        if has_slopes and (is_last or is_near):
+        if has_slopes and (is_last or is_near) and count > 0:
             accelerate_stage(mechanics, z, y, u, eps, True, room.mechanics)
         if is_last:
             return

@@ -99,6 +99,9 @@ class FlowMemory(NamedTuple):
     slopes: Floats  # of the first four points by (z, u), shape (4, nx, nc)
     newton: Floats  # the matrix of a Newton step for velocities, shape (n, n)
     off: Floats  # the step, below as many zeros, shape (nx, 1)
+    # By how much velocities change in each implicit step of K stages, of the motion and of a trial,
+    # from which Newton's method starts the next time; shape (2, K, S, n), S 0 if none is implicit.
+    changes: Floats
 
 
 class ModeMemory(NamedTuple):
@@ -187,9 +190,10 @@ def make_memory(program: Program) -> Memory:
     """Returns room for a problem."""
     K, m, mechanics = len(program.kinds), program.held.shape[1], program.mechanics
     zeros: Any = np.zeros
-    width = 0  # Of states beyond tangents.
+    width = implicit = 0  # Of states beyond tangents; steps.
     if isinstance(mechanics, TreeMechanics):
         width = mechanics.num_positions - len(mechanics.places)
+        implicit = program.substeps if len(program.method) == 1 else 0
     nu, nx, nz = program.task.control.size, program.task.running.size, program.bounds.does_turn.size
     nc, C, code = nz + nu, nx + nu, program.added.code
     return Memory(
@@ -200,6 +204,7 @@ def make_memory(program: Program) -> Memory:
             slopes=np.zeros((4, nx, nc)),
             newton=np.zeros((nx // 2, nx // 2)),
             off=np.zeros((nx, 1)),
+            changes=np.zeros((2, K, implicit, nx // 2)),
         ),
         ModeMemory(*map(zeros, ((m, 3), (m, 3, nx + nu), (m, 3), nx))),
         AddedMemory(
