@@ -18,7 +18,7 @@ from drake_aigto import Scenario, World
 from drake_aigto.control import Bridge, Catch
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.paper import rigid_optimum
-from drake_aigto.planning import Feedback, Regulator, Sweep
+from drake_aigto.planning import Feedback, Regulator, Sweep, calc_divergence
 from drake_aigto.simulation import (
     DRAKE,
     EVENT_DRIVEN,
@@ -370,12 +370,44 @@ def test_brakes_take_the_energy_that_actuators_can_take() -> None:
     assert catch.follow(asked, catch.soon, x).motion is None
 
 
+@pytest.mark.parametrize(
+    ("name", "joint"), [("acrobot/swing_up", 0), ("cart_pole/soft_10", 1), ("drone/deliver", 7)]
+)
+@pytest.mark.parametrize("digits", [2, 3, 4, 5])
+def test_a_goal_that_is_typed_with_few_digits_means_the_equilibrium_beside_it(
+    name: str, joint: int, digits: int
+) -> None:
+    scenario = Scenario.named(name)
+    world = World.from_scenario(scenario)
+    scenario = world.place(scenario)
+    goal = np.array(scenario.goal_position)
+    # A load that hangs, and a pole that stands, are off by as much as π is.
+    goal[joint] += round(np.pi, digits) - np.pi
+    typed = dataclasses.replace(scenario, goal_position=goal)
+    rest = np.zeros(world.num_velocities)
+    meant, known = (
+        Regulator.of(world, each, np.append(each.goal_position, rest), 0.01) or pytest.fail("none")
+        for each in (typed, scenario)
+    )
+    # An acrobot may rest in many poses, and the nearest of them is a little bent.
+    off = np.abs(round(np.pi, digits) - np.pi)
+    q, v = world.split(meant.state)
+    np.testing.assert_allclose(world.calc_acceleration(q, v, meant.control), 0.0, atol=1e-6)
+    assert np.max(np.abs(world.calc_error(meant.state, np.append(goal, rest)))) <= 1.01 * off
+    np.testing.assert_allclose(meant.gains, known.gains, rtol=0.05, atol=0.05)
+    pace = calc_divergence(world, scenario)
+    assert (pace > 0) == (name != "drone/deliver"), "a drone drifts, no more"
+    assert calc_divergence(world, typed) == pytest.approx(pace, rel=0.01)
+
+
 def test_goals_that_can_not_be_held_have_no_regulator() -> None:
     scenario = Scenario.named("acrobot/swing_up")
     world, end = World.from_scenario(scenario), np.array([np.pi, 0.0, 0.0, 0.0])
     sideways = dataclasses.replace(scenario, goal_position=[np.pi / 2, 0.0])
     moving = dataclasses.replace(scenario, goal_velocity=[1.0, 0.0])
+    beside = dataclasses.replace(scenario, goal_position=[np.pi - 0.01, 0.0])
     assert Regulator.of(world, scenario, end, 0.01)
+    assert Regulator.of(world, beside, end, 0.01) is None
     assert Regulator.of(world, sideways, np.array([np.pi / 2, 0.0, 0.0, 0.0]), 0.01) is None
     assert Regulator.of(world, moving, end, 0.01) is None
     # Its unactuated disc cannot be stabilized without contact.

@@ -164,7 +164,8 @@ def test_a_goal_that_is_an_unstable_equilibrium_is_named_with_its_pace(folder: P
     assert calc_divergence(world, leaning) == pytest.approx(PACE * np.sqrt(np.cos(0.5)), rel=1e-6)
     text = " ".join(format_plan(balance(folder)).split())
     assert (
-        "the goal, q = (0), is an unstable equilibrium, where errors grow e-fold in 0.32 s" in text
+        "the goal, q = (0), is at an unstable equilibrium, where errors grow e-fold in 0.32 s"
+        in text
     )
 
 

@@ -32,14 +32,18 @@ from drake_aigto.world import Scales, Scenario, TaskCost, World
 
 # Coordinates and speeds without a weight have this part of the task's cost, at its scales.
 _LEAST_WEIGHT = 1e-3
-# A force that no actuator gives is none below this part of the largest force at the goal.
-_BALANCED = 1e-6
+# What no control balances moves what rests by no more than this part of the task's scales. As goals
+# are typed as 3.14 where π is meant, an equilibrium this near is the goal's.
+_BALANCED, _MEANT, _NEWTON_STEPS = 1e-6, 2e-3, 4
+# Parts of the stiffest direction that resist less than this are free.
+_FREE = 1e-3
 # Steps of central differences, as a part of 1 m, 1 rad, or 1 of their rates.
 _DIFFERENCE = 1e-5
 # The longest second-order Runge-Kutta step that is stable, in times of the fastest decay.
 _LONGEST_DECAY = 1.5
-# Errors that grow by less than this part in the duration do so by rounding.
-_SLOWLY = 1e-2
+# Errors that grow by less than this part in the duration do so by rounding: four eigenvalues of a
+# drone are 0, and those of its derivatives by differences 0.02 /s.
+_SLOWLY = 0.2
 
 
 def count_damper_steps(world: World, q: Floats, time_step: float) -> int:
@@ -79,9 +83,9 @@ class Regulator(NamedTuple):
         """
         cost, (q, _) = TaskCost.of(world, scenario), world.split(end)
         q = world.add(q, -np.where(cost.is_asked, cost.goal_errors(q), 0.0))
-        u = _find_hold(world, scenario, q)
-        if u is None:
+        if (hold := _find_hold(world, scenario, q)) is None:
             return None
+        q, u = hold
         F, G = _discretize(*_linearize(world, q, u), period)
         W, R = period * _weigh(world, scenario, cost), period * np.diag(cost.R)
         try:  # Drake's solver ends the process where nothing stabilizes.
@@ -120,25 +124,39 @@ def calc_divergence(world: World, scenario: Scenario) -> float:
     That is the largest real part of the eigenvalues of the motion about the goal, under the control
     that holds it there.
     """
-    goal = scenario.goal_position
-    u = _find_hold(world, scenario, goal)
-    if u is None:
+    if (hold := _find_hold(world, scenario, scenario.goal_position)) is None:
         return 0.0
-    A, _ = _linearize(world, goal, u)
+    A, _ = _linearize(world, *hold)
     pace = float(np.max(np.linalg.eigvals(A).real))
     return pace if pace * scenario.duration > _SLOWLY else 0.0
 
 
-def _find_hold(world: World, scenario: Scenario, q: Floats) -> Floats | None:
-    """Returns the control that holds positions q, shape (nu,); None: none does, or q is passed."""
+def _find_hold(world: World, scenario: Scenario, q: Floats) -> tuple[Floats, Floats] | None:
+    """Returns the equilibrium that q is or means, shape (nq,), and the control there, (nu,).
+
+    Newton's method moves q as little as v̇(q, 0, u) = 0 takes, and u as it likes. None: there is no
+    equilibrium so near, it is at a wall or out of bounds of the control, or q is passed.
+    """
     still = not TaskCost.of(world, scenario).goal_velocity.any()
-    if world.dry_friction is not None or not still or np.any(world.calc_clearance(q) <= 0):
+    if world.dry_friction is not None or not still:
         return None
-    load, B = world.calc_bias(q, np.zeros(world.num_velocities)), world.calc_actuation(q)
-    u = np.linalg.pinv(B) @ load
-    low, high = world.bounds(scenario).control
-    is_balanced = np.max(np.abs(B @ u - load)) <= _BALANCED * np.max(np.abs(load), initial=1.0)
-    return u if is_balanced and np.all((u >= low) & (u <= high)) else None
+    n = world.num_velocities
+    rest, scales, moved = np.zeros(n), tangent_scales(world, scenario)[:n], np.zeros(n)
+    for _ in range(_NEWTON_STEPS):
+        u = np.linalg.pinv(world.calc_actuation(q)) @ world.calc_bias(q, rest)
+        rate = world.calc_acceleration(q, rest, u)
+        if np.max(np.abs(rate) / scales) * scenario.duration**2 <= _BALANCED:
+            low, high = world.bounds(scenario).control
+            is_free = np.all(world.calc_clearance(q) > 0)
+            return (q, u) if is_free and np.all((u >= low) & (u <= high)) else None
+        A, G = (each[n:] for each in _linearize(world, q, u))
+        unmoved = np.eye(n) - G @ np.linalg.pinv(G)
+        step = -np.linalg.pinv(unmoved @ (A[:, :n] * scales), _FREE) @ (unmoved @ rate)
+        moved += step
+        if not np.max(np.abs(moved)) <= _MEANT:
+            return None
+        q = world.add(q, scales * step)
+    return None
 
 
 def _weigh(world: World, scenario: Scenario, cost: TaskCost) -> Floats:

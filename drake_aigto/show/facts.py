@@ -127,7 +127,7 @@ def verdict_facts(plan: Plan, world: World) -> Iterator[Fact]:
         q = ", ".join(map(pi_text, plan.scenario.goal_position))
         yield (
             "holding",
-            f"the goal, q = ({q}), is an unstable equilibrium, where errors grow e-fold in "
+            f"the goal, q = ({q}), is at an unstable equilibrium, where errors grow e-fold in "
             f"{1 / rate:.2g} s: to hold it beyond the plan's end needs feedback",
         )
     vetoes = sorted(plan.vetoes, key=lambda veto: veto.candidate.cost)
