@@ -156,6 +156,7 @@ def test_a_fixed_point_that_meets_a_row_only_nearly_is_an_answer_without_a_proof
     assert details.status == AigoStatus.SOLVED
     assert details.violation == pytest.approx(5e-7, rel=1e-3)
     assert details.certificate.is_infeasible  # No point meets the row, but for a tolerance.
+    assert "no point meets all rows exactly: this one is off by 5.0e-07" in str(details)
 
 
 def test_a_variable_that_a_row_fixes_does_not_end_the_search() -> None:

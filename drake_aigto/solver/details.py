@@ -245,8 +245,13 @@ class AigoDetails:
         return cls(status, np.inf, 0, 0, 0, "none", x, nothing, (x, x), (), conflict=conflict)
 
     def __str__(self) -> str:
-        """Returns the status, and the part that was searched where that is not all."""
+        """Returns the status, the part that was searched where that is not all, and what is amiss.
+
+        A proof takes rows exactly: it may deny any point where an answer violates one by 1e-7.
+        """
         lines = [f"{self.status.name}: {self.status.value}", f"found by {self.origin}"]
+        if self.status == AigoStatus.SOLVED and self.lower_bound == np.inf:
+            lines += [f"no point meets all rows exactly: this one is off by {self.violation:.1e}"]
         if self.status in (AigoStatus.SOLVED_IN_PART, AigoStatus.FALLS_WITHOUT_END):
             lines += [
                 f"searched {low:g} ≤ x[{i}] ≤ {high:g}"
