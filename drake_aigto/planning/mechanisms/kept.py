@@ -14,6 +14,8 @@ from drake_aigto.shooting import ShootingResult
 
 # Motions that are kept, at most, no two near each other; and the least difference of their costs.
 MOST_KEPT, _SAME = 8, 1e-3
+# Every second renewal is of the best motion, the others are of one of this many.
+MOST_RENEWED = 4
 # Motions whose positions differ by no more than this, relative to their scales, have one optimum.
 _NEAR = 0.05
 # Motions that cost at most this times the best are near it, as far as a chance of better ones goes,
@@ -69,6 +71,15 @@ def keep(
 def best_of(motions: Sequence[KeptMotion]) -> list[KeptMotion]:
     """Returns the best motions, the best first."""
     return sorted(motions, key=lambda each: each.rank)[:MOST_KEPT]
+
+
+def find_limit(motions: Sequence[KeptMotion], count: int) -> float:
+    """Returns the highest cost of so many of the best motions; infinite while fewer are kept.
+
+    Motions that violate bounds or a hard goal by much do not count.
+    """
+    costs = [motion.cost for motion in motions if not motion.rank[0]][:count]
+    return costs[-1] if costs and len(motions) >= count else np.inf
 
 
 def part_far(motions: Sequence[KeptMotion]) -> tuple[list[KeptMotion], list[KeptMotion]]:

@@ -71,6 +71,11 @@ class RigidMechanismTask(PhasedTask):
         return _UNPOLISHED, 1
 
     @property
+    def num_limiting(self) -> int:
+        """One: the best, as costs there tell early."""
+        return 1
+
+    @property
     def close_ratio(self) -> float:
         """Motions that cost more than this times the best are left unfinished."""
         return _HOPELESS if self.rigid_law.has_friction else self.polish_ratio

@@ -15,11 +15,12 @@ from drake_aigto.planning.candidate import COASTING, GIVEN, Candidate, Origin
 from drake_aigto.planning.mechanisms.closing import Aim
 from drake_aigto.planning.mechanisms.guesses import STARTS, Guess, StartName
 from drake_aigto.planning.mechanisms.kept import (
-    MOST_KEPT,
+    MOST_RENEWED,
     KeptMotion,
     are_same,
     best_of,
     calc_chance,
+    find_limit,
     is_better,
     keep,
     part_far,
@@ -45,8 +46,9 @@ _WORDS: dict[StartName, str] = {
     "turn": "from a line to the goal, the other way round",
     "controls": "from controls",
 }
-# Renewals per wave: they are drawn from the motions that are kept, and closed together.
-_WAVE = 8
+# Renewals per wave: they are drawn from the motions that are kept, and closed together. Starts that
+# follow sharp ones, which take least, are in waves of so many: limits come to count among them.
+_WAVE, _FEW = 8, 4
 # Costs below this part of the task's scale count as zero.
 _NOTHING = 1e-12
 # What is narrowed where a simulation exceeds it, and how often at most.
@@ -56,8 +58,6 @@ _NARROWED, _MOST_NARROWED = {BOUNDS, CLEARANCE}, 2
 _BROKEN = 1.05
 # Polished motions that cost more than this times the best that holds are not simulated.
 _SIMULATED = 1.01
-# Every second renewal is of the best motion, the others are of one of this many.
-_MOST_RENEWED = 4
 # Neighbors are tried of at most 3 of the best motions, which cost at most 1.5 times the best, and
 # of at most 6 per wave of proposals: along a wall the number of sequences has no bound. Those with
 # a touch less may cost 4 times as much as others at first: something has to do what the touch did.
@@ -143,7 +143,7 @@ class MechanismSearch(Search):
         if self.guess is not None:
             follow = partial(guesses.follow, self.guess)
             given.append(Proposal(Origin(GIVEN), partial(self._close, follow)))
-        starts = (self._start(number, number < plain) for number in range(count))
+        starts = [self._start(number, number < plain) for number in range(count)]
         sharp = [
             Proposal(
                 Origin(f"shooting {_WORDS[each]}, contact sharp{words}"),
@@ -158,7 +158,8 @@ class MechanismSearch(Search):
             ends = sorted({min(end, len(touches)) for end in (*_FIRST, len(touches))} - {0})
             closes = (partial(self._bounce, touches[:end], None) for end in ends)
             first = [Proposal(Origin(COASTING), close) for close in closes]
-        yield [*given, *starts, *sharp, *first]
+        waves = (starts[i : i + _FEW] for i in range(0, count, _FEW))
+        yield from [[*given, *sharp], *waves] if sharp else [[*given, *starts, *first]]
         if (shorter := self.task.shortened()) is not None:
             search = MechanismSearch(shorter, self.clock)
             search.explore(self._progress)
@@ -205,7 +206,7 @@ class MechanismSearch(Search):
         if number % 2:
             return self._start(self.task.options.starts + number // 2)
         rng = self._make_generator(number, is_renewal=True)
-        most = min(_MOST_RENEWED, len(self.motions))
+        most = min(MOST_RENEWED, len(self.motions))
         motion = self.motions[int(rng.integers(most)) if number % 4 else 0]
         propose = partial(self.task.guesses.renew, motion.result, rng)
         return Proposal(motion.origin.renewed(), partial(self._close, propose, motion))
@@ -249,16 +250,13 @@ class MechanismSearch(Search):
                 self._close_wave(neighbors)
 
     def _close_wave(self, wave: Sequence[Proposal]) -> None:
-        """Closes motions, and keeps the best; those that would not be kept are left unfinished.
+        """Closes motions, and keeps the best; those that cost too much are left unfinished.
 
-        Between rigid walls, that is those that cost far more than the best.
         Where half of the motions are better than no control, others are not closed with more care:
         of 3,072 around cart-poles between soft walls 403 were, and two of these were kept.
         """
-        is_full = len(self.motions) == MOST_KEPT
-        costs = [motion.cost for motion in self.motions if not motion.rank[0]]
-        limits = costs[:1] if self._rigid else costs[-1:] if is_full else []
-        most = scaled(self.task.close_ratio, min(limits, default=np.inf))
+        limit = find_limit(self.motions, self.task.num_limiting)
+        most = scaled(self.task.close_ratio, limit)
         is_patient = 2 * self._num_of_use <= self.searches
         self._aim = self._aim._replace(most=most, is_patient=is_patient)
         super().close(wave)

@@ -29,6 +29,7 @@ from drake_aigto.planning.mechanisms.closing import (
     steady,
 )
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, sample_cubic
+from drake_aigto.planning.mechanisms.kept import MOST_KEPT, MOST_RENEWED
 from drake_aigto.planning.mechanisms.posed import PosedMechanism
 from drake_aigto.planning.search import scaled
 from drake_aigto.shooting import IMPLICIT, ShootingOptions, ShootingResult
@@ -108,6 +109,15 @@ class MechanismTask(PosedMechanism):
         if not self.mechanism.has_friction:
             return _PLAIN
         return _IN_SPACE if isinstance(self.world, SpaceWorld) else _SLIDING
+
+    @property
+    def num_limiting(self) -> int:
+        """Motions that promise to cost more than so many are left unfinished.
+
+        These are as many as are kept; in space as are renewed, as most of what costs more is closed
+        in many steps for nothing.
+        """
+        return MOST_RENEWED if isinstance(self.world, SpaceWorld) else MOST_KEPT
 
     @property
     def close_ratio(self) -> float:
