@@ -20,14 +20,7 @@ from drake_aigto.planning.candidate import (
     sample,
 )
 from drake_aigto.planning.feedback import Feedback, Regulator, calc_divergence
-from drake_aigto.planning.mechanisms.closing import (
-    COARSE,
-    Aim,
-    close_gaps,
-    find_tight,
-    settle,
-    steady,
-)
+from drake_aigto.planning.mechanisms.closing import COARSE, Aim, close_gaps, find_tight
 from drake_aigto.planning.mechanisms.dips import find_deepest, keep_off
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, Measures
 from drake_aigto.planning.mechanisms.phases import (
@@ -40,6 +33,7 @@ from drake_aigto.planning.mechanisms.phases import (
 from drake_aigto.planning.mechanisms.reaches import Reaches
 from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask, make_mechanism_task
 from drake_aigto.planning.mechanisms.search import MechanismSearch
+from drake_aigto.planning.mechanisms.settling import settle, steady
 from drake_aigto.planning.mechanisms.task import MechanismTask, soften
 from drake_aigto.planning.mechanisms.touches import drop, lead_over_edges, list_mode_changes
 from drake_aigto.planning.mechanisms.traces import (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,8 +19,7 @@ from drake_aigto.shooting import (
     ShootingResult,
     Smoothing,
 )
-from drake_aigto.simulation import EVENT_DRIVEN, Held, HeldControl, has_knots, replay_with
-from drake_aigto.world import Scenario, SpaceWorld, World
+from drake_aigto.world import SpaceWorld, World
 
 # Guesses are closed in a few steps, some from contact that is wide at first (`Guess.width`).
 COARSE = ShootingOptions(
@@ -60,7 +58,6 @@ FINER, FINEST = 4, 8
 TIGHT_IN_SPACE = dataclasses.replace(
     TIGHT, rungs=(Smoothing(1e-3, 20, 1e-3), Smoothing(1e-3, 80, 1e-3))
 )
-IN_SPACE = Smoothing(1e-4, 40, 1e-4), Smoothing(1e-6, 60, 1e-4)
 
 # Friction stiffens from stiction speeds of one length per duration to a thousandth of that.
 COOLING = ShootingOptions(
@@ -92,21 +89,13 @@ _FROM_AFAR = tuple(Smoothing(each, 15, 1e-2) for each in (1.0, 0.3, 0.1, 0.03, 0
 
 
 # Runge-Kutta steps of a finalist are halved until cost and end change by this part of their scales.
-_EXACT, MOST_SUBSTEPS = 1e-3, 64
+EXACT, MOST_SUBSTEPS = 1e-3, 64
 # So are those that resolve contact in searches: with more, a finalist's last steps would turn by
 # 2 rad or more, and be unstable. A puck that an arm strikes in 0.8 s takes 127 CPU seconds through
 # contact of 1e6 N/m, in 84 steps; through 1e7 N/m there was no plan in 260.
 _MOST_RESOLVING = int(2 * MOST_SUBSTEPS / _RESOLVING_STEP)
 # A motion that halved steps change by less is steady: its controls reproduce it closely.
 _STEADY = 0.1
-# In space steps are short enough where halving them lowers the cost under the exact law by no more
-# than this part of it, or where it is as near to that in its own. One that the law wrecks is worth
-# more steps while halving them leaves no more than this part of its cost.
-_FALLS, _RECOVERS = 0.01, 0.5
-# Costs fall by up to this factor after the first pass in space.
-_LEFT = 1.2
-# Motions that cost more than this times as much in halved steps have lost contact, and are left.
-_WRECKED = 10.0
 # Times the cost of a motion that another one costs at most, which is as good.
 _HARDLY = 1.05
 # A motion that violates its bounds by more (relative to the scales) won't become a plan.
@@ -230,59 +219,6 @@ def _resolve_dampers(
     return dataclasses.replace(options, substeps=max(options.substeps, least))
 
 
-class _Correcting(HeldControl):
-    """Holds a motion's controls between knots, corrected by its gains at each."""
-
-    is_open_loop = False
-
-    def __init__(self, world: World, motion: ShootingResult, gains: Floats, bounds: Floats) -> None:
-        super().__init__(motion.times, motion.controls)
-        self._world, self._motion, self._gains, self._bounds = world, motion, gains, bounds
-        self.controls = np.array(motion.controls)
-
-    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
-        held = super().sample(time, x, bounces)
-        k = int(np.searchsorted(self._motion.times, held.until)) - 1
-        (q, v), (about, speed) = map(self._world.split, (x, self._motion.states[k]))
-        off = np.concatenate([self._world.subtract(q, about), v - speed])
-        answer = self._gains[k] @ off
-        self.controls[k] = np.clip(self._motion.controls[k] + answer, *self._bounds)
-        return Held(self.controls[k], held.until)
-
-
-def steady(
-    world: World, scenario: Scenario, problem: ShootingProblem, motion: ShootingResult
-) -> ShootingResult:
-    """Returns a motion with its controls corrected under the exact law.
-
-    Where friction sticks and slips, Runge-Kutta steps are of low order, and instability amplifies
-    their errors: an error of 1e-8 becomes 1e-3 for a pole that balances for 3 s. So the motion is
-    simulated again by the world's own equations, each control corrected at its knot by the gains
-    about its states (`ShootingProblem.linearize`). Between compliant walls, that is what is
-    returned, with its cost, so that plans promise what was integrated; else the controls of it.
-
-    Args:
-        world: the mechanism.
-        scenario: the task.
-        problem: that the motion is a result of.
-        motion: near an optimum.
-    """
-    steps, x, order = motion.substeps, motion.states, motion.order
-    about, _ = problem.resolve(motion.controls, steps, x, order)
-    controller = _Correcting(world, motion, about.gains, problem.control_bounds)
-    scenario, found = scenario.starting_at(motion.states[0]), None
-    if scenario.contact == "compliant":
-        found = replay_with(EVENT_DRIVEN, world, scenario, controller)
-    else:
-        EVENT_DRIVEN.simulate(world, scenario, controller)
-    corrected = dataclasses.replace(motion, controls=controller.controls)
-    # Where its cost has kinks between knots, the replay of a plan has knots there, too.
-    if found is None or not has_knots(scenario, motion.times):
-        return corrected
-    states = np.hstack(found.states_at(motion.times))
-    return dataclasses.replace(corrected, states=states, exact_cost=found.cost, replay=found)
-
-
 def close_gaps(
     problem: ShootingProblem,
     motion: ShootingResult,
@@ -298,7 +234,8 @@ def close_gaps(
     plane they are also closed in the last rung at once, without prices: the controls of one rung
     let an unstable motion fall in the next, and penalties that have grown bar its way back. In
     space, contact may get lost as gaps are closed, so controls and wary steps come first, unless
-    steps are of another order, where controls fail, and what costs more does not count at once.
+    steps are of another order, where controls fail, and what costs more does not count at once; and
+    each of these is left where it costs more after its first pass.
     Others are as in `ShootingProblem.solve`.
     """
     ways, most = [(states, options, prices)], scaled(_HARDLY, motion.cost)
@@ -307,7 +244,10 @@ def close_gaps(
         alone = None, options, prices
         in_space = isinstance(problem.mechanism, TreeMechanism)
         if in_space and options.order == motion.order:
-            ways = [alone, wary, *ways]
+            first = options.rungs[0]._replace(most=min(options.rungs[0].most, most))
+            brief = dataclasses.replace(options, rungs=(first, *options.rungs[1:]))
+            wary = states, dataclasses.replace(brief, is_wary=True), prices
+            ways = [(None, brief, prices), wary, *ways]
         else:
             at_once = states, dataclasses.replace(options, rungs=options.rungs[-1:]), None
             is_other = not in_space and (len(options.rungs) > 1 or prices is not None)
@@ -352,67 +292,11 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult, most: float) -
             return motion
         error = problem.estimate_error(motion)
         is_known = motion.is_converged and error <= _STEADY
-        if error <= _EXACT or (is_known and motion.cost > scaled(1 + error, most)):
+        if error <= EXACT or (is_known and motion.cost > scaled(1 + error, most)):
             return motion
         # Where contact begins and ends, steps are of second order. Contacts that stick in long
         # steps slip in short ones.
-        halvings = np.ceil(np.log2(min(error / _EXACT, MOST_SUBSTEPS)) / 2)
+        halvings = np.ceil(np.log2(min(error / EXACT, MOST_SUBSTEPS)) / 2)
         substeps = motion.substeps * 2 ** (1 if has_friction else int(halvings))
         rungs = (WITH_FRICTION if has_friction else POLISH).rungs[-1:]
         options = dataclasses.replace(POLISH, rungs=rungs, substeps=min(substeps, MOST_SUBSTEPS))
-
-
-def settle(
-    world: SpaceWorld,
-    scenario: Scenario,
-    problem: ShootingProblem,
-    motion: ShootingResult,
-    most: float,
-) -> ShootingResult:
-    """Returns the local optimum near a motion in space, corrected under the exact law (`steady`).
-
-    Its steps are halved until that lowers its cost under that law no more, or it costs as much in
-    its steps. Each time contact is hardly smoothed first: with the sharp law at once, a drone
-    slipped off, for 1.4.
-
-    Args:
-        world: its shapes touch with friction.
-        scenario: the task.
-        problem: in the motion's time steps.
-        motion: whose states are kept, and gaps between them closed, where steps change it.
-        most: what promises to cost more, after a first pass by `_LEFT`, is left unfinished; and so
-            is what promises to cost more than it did in longer steps.
-    """
-    limit = scaled(_LEFT, most)
-    options = dataclasses.replace(
-        POLISH, rungs=IN_SPACE, substeps=motion.substeps, order=motion.order, most_promised=limit
-    )
-    best: ShootingResult | None = None
-    while True:
-        prices = motion.prices
-        motion = close_gaps(problem, motion, motion.controls, motion.states, options, prices)
-        is_finite = np.isfinite(motion.exact_cost)
-        is_over = motion.is_left or motion.cost > options.most_promised or not is_finite
-        if is_over or motion.violation > HOPELESS:
-            return best or motion
-        found = steady(world, scenario, problem, motion)
-        lost = _WRECKED * max(motion.cost, _EXACT * problem.cost_scale)
-        part = 1 - _FALLS if best is None or best.exact_cost <= lost else _RECOVERS
-        falls = best is None or _rank_settled(found) < _rank_settled(best, part)
-        if best is None or _rank_settled(found) < _rank_settled(best):
-            best = found
-        # To first order, the optimum in the shortest steps is as far off as this motion there.
-        off = abs(found.exact_cost - motion.cost)
-        is_exact = motion.is_converged and off <= _FALLS * abs(motion.cost)
-        if is_exact or not falls or motion.substeps >= MOST_SUBSTEPS:
-            return best
-        promised = min(most, lost, np.inf if _rank_settled(best)[0] else best.exact_cost)
-        rungs = tuple(each._replace(most=min(lost, scaled(_LEFT, promised))) for each in IN_SPACE)
-        options = dataclasses.replace(
-            options, rungs=rungs, substeps=2 * motion.substeps, most_promised=promised
-        )
-
-
-def _rank_settled(motion: ShootingResult, times: float = 1.0) -> tuple[bool, float]:
-    """Orders motions by whether they violate bounds, and by their cost, or a part of it."""
-    return motion.violation > POLISH.feasibility, scaled(times, motion.exact_cost)

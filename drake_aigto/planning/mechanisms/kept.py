@@ -74,7 +74,7 @@ def best_of(motions: Sequence[KeptMotion]) -> list[KeptMotion]:
 
 
 def find_limit(motions: Sequence[KeptMotion], count: int) -> float:
-    """Returns the highest cost of so many of the best motions; infinite while fewer are kept.
+    """Returns the highest cost of a count of the best motions; infinite while fewer are kept.
 
     Motions that violate bounds or a hard goal by much do not count.
     """

@@ -47,7 +47,7 @@ _WORDS: dict[StartName, str] = {
     "controls": "from controls",
 }
 # Renewals per wave: they are drawn from the motions that are kept, and closed together. Starts that
-# follow sharp ones, which take least, are in waves of so many: limits come to count among them.
+# follow sharp ones, which take least, are in waves of a few: limits come to count among them.
 _WAVE, _FEW = 8, 4
 # Costs below this part of the task's scale count as zero.
 _NOTHING = 1e-12

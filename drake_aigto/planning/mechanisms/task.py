@@ -25,12 +25,11 @@ from drake_aigto.planning.mechanisms.closing import (
     find_closing,
     find_tight,
     halve_steps,
-    settle,
-    steady,
 )
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, sample_cubic
 from drake_aigto.planning.mechanisms.kept import MOST_KEPT, MOST_RENEWED
 from drake_aigto.planning.mechanisms.posed import PosedMechanism
+from drake_aigto.planning.mechanisms.settling import settle, steady
 from drake_aigto.planning.search import scaled
 from drake_aigto.shooting import IMPLICIT, ShootingOptions, ShootingResult
 from drake_aigto.world import SpaceWorld, World, find_anywhere
@@ -112,9 +111,9 @@ class MechanismTask(PosedMechanism):
 
     @property
     def num_limiting(self) -> int:
-        """Motions that promise to cost more than so many are left unfinished.
+        """How many motions, at least, cost less than what is left unfinished.
 
-        These are as many as are kept; in space as are renewed, as most of what costs more is closed
+        As many as are kept; in space as are renewed, as most of what costs more is closed
         in many steps for nothing.
         """
         return MOST_RENEWED if isinstance(self.world, SpaceWorld) else MOST_KEPT
