@@ -65,7 +65,8 @@ def factorize_band(band: Floats) -> bool:
     """Overwrites a matrix with its LDLᵀ factors, L and in place of its ones D⁻¹.
 
     For half bandwidths up to some 50 this is quicker than LAPACK's `dpbtrf`, which calls BLAS for
-    every column, on a few numbers; beyond some 60 it is slower.
+    every column, on a few numbers; beyond some 60 it is slower. Zeros within the band, of which
+    chains of stages have many, are passed over.
 
     Args:
         band: In LAPACK's lower band storage, transposed: entry (i, j), i ≥ j, at [j, i − j].
@@ -82,6 +83,8 @@ def factorize_band(band: Floats) -> bool:
         while below > 1 and band[j, below - 1] == 0.0:
             below -= 1
         for a in range(1, below):
+            if band[j, a] == 0.0:
+                continue
             factor = inverse * band[j, a]
             for d in range(below - a):
                 band[j + a, d] -= factor * band[j, a + d]
