@@ -46,6 +46,22 @@ def check_impacts(plan: Plan) -> None:
         assert after == pytest.approx(-e[i] * (J @ t.velocities[k]), abs=1e-9)
 
 
+@pytest.mark.parametrize("restitution", [0.8, 0.4, 0.0])
+@pytest.mark.parametrize("lasts", [True, False])
+def test_contact_is_held_from_an_impact_on_only_where_bodies_do_not_bounce_off(
+    pendulum: Planner, restitution: float, lasts: bool
+) -> None:
+    scenario = dataclasses.replace(pendulum.scenario, restitution=restitution)
+    planner, T = Planner(scenario, QUICK), scenario.duration
+    task = planner.task
+    assert isinstance(task, RigidMechanismTask)
+    motion = task.bounce((Touch(0.4 * T, (0.7 if lasts else 0.4) * T, 0),), None)
+    replay = replay_event_driven(planner.world, scenario, motion.times, motion.controls)
+    is_kept = replay.cost == pytest.approx(motion.cost, rel=1e-3)
+    assert is_kept == (restitution == 0 or not lasts)
+    assert task.rank(motion)[0] == (not is_kept), "what a simulation breaks ranks after all else"
+
+
 @pytest.mark.slow
 def test_a_bounce_that_leads_to_the_goal_by_itself_is_given_the_time_for_it(
     pendulum: Planner,

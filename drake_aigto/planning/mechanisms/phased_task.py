@@ -11,7 +11,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.contact import Mechanism, RigidLaw
 from drake_aigto.planning.candidate import Candidate, Origin
 from drake_aigto.planning.mechanisms.dips import find_deepest, sample
-from drake_aigto.planning.mechanisms.phases import lay_out, make_trajectory
+from drake_aigto.planning.mechanisms.phases import find_slopes, lay_out, make_trajectory
 from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.mechanisms.traces import add_impulses, replay_at_knots, with_losses
 from drake_aigto.planning.search import scaled
@@ -57,10 +57,23 @@ class PhasedTask(MechanismTask):
         return self.law
 
     def with_depth(self, motion: ShootingResult) -> ShootingResult:
-        """Returns a motion whose violation includes penetrations between its knots."""
-        dip = find_deepest(self.world, motion) if np.isfinite(motion.cost) else None
-        depth = 0.0 if dip is None else dip.depth / self.measures.length
-        return dataclasses.replace(motion, violation=max(motion.violation, depth))
+        """Returns a motion whose violation includes penetrations between its knots, and rebounds.
+
+        Contact that is held begins without a rebound, as ever faster bounces end (`Phases`). From
+        one that is hit faster, a body bounces off at e times that speed.
+        """
+        if not np.isfinite(motion.cost):
+            return motion
+        dip, (_, before) = find_deepest(self.world, motion), find_slopes(self.world, motion)
+        parts = [0.0 if dip is None else dip.depth / self.measures.length]
+        for touch, knot in motion.starts:
+            if knot is not None and touch.lasts:
+                J = self.world.calc_contact_jacobian(motion.states[knot, : before.shape[1]])
+                speed = abs(float(J[touch.contact] @ before[knot - 1]))
+                parts.append(
+                    self.rigid_law.restitution[touch.contact] * speed / self.measures.speed
+                )
+        return dataclasses.replace(motion, violation=max(motion.violation, *parts))
 
     def shoot_phases(
         self,
