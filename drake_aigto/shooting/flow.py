@@ -119,8 +119,7 @@ def flow(
                     K[i, c], K[n + i, c] = X[n + i, c], 0.0
         bend(mechanics, x, has_slopes, slope, X, K, room.mechanics)
         if method.shape[0] == 1:  # Of trees.
-            before, changes = room.changes[0, k, s], room.changes[1 if is_trial else 0, k, s]
-            step_implicitly(mechanics, z, u, eps, delta, unit, has_slopes, before, changes, room)
+            step_implicitly(mechanics, k, s, z, u, eps, delta, unit, has_slopes, is_trial, room)
             if is_measured:
                 time, lag = start + (s + 1) * delta, (s + 1) * unit
                 cost += _add_part(program, time, lag, delta, unit, z, has_slopes, nz, room, l1, l2)

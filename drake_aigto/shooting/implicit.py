@@ -30,23 +30,25 @@ _TOLERANCE, _MOST, _SHORTER, _SHORTEST = 1e-12, 30, 0.3, 1e-3
 @only_of(TreeMechanics)
 def step_implicitly(
     mechanics: TreeMechanics,
+    k: int,
+    s: int,
     z: Floats,
     u: Floats,
     eps: float,
     h: float,
     unit: float,
     has_slopes: bool,
-    before: Floats,
-    change: Floats,
+    is_trial: bool,
     room: FlowMemory,
 ) -> None:
     """Takes a step of length h from x; y becomes the middle's positions and the end's velocities.
 
     The rate of x is known (`bend`), as are derivatives by (z, u) if asked: X of x, K of its rate.
-    Those of y become Y. The unit is ∂h/∂τ, of phases. Newton's method starts from a change of
-    velocities as it was before, shape (n,), and keeps the one that it finds.
+    Those of y become Y. The unit is ∂h/∂τ, of phases. It is step s of stage k, where Newton's
+    method starts from the change of velocities as the motion had it before, and keeps its own.
     """
     x, y, slope = room.points[0], room.points[1], room.points[2]
+    before, change = room.changes[0, k, s], room.changes[1 if is_trial else 0, k, s]
     X, Y, K, slopes = room.slopes[0], room.slopes[1], room.slopes[2], room.mechanics.slopes
     nx, columns, half = x.size, room.by_column.size if has_slopes else 0, h / 2
     n, nu = nx // 2, u.size
