@@ -5,6 +5,7 @@ Plans on Dask's workers: nothing is lost, and what can't be run on is refused by
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import socket
@@ -148,8 +149,11 @@ QUESTIONS = {
 def scheduler(workers: int = 1, threads: int = 1) -> Iterator[LocalCluster]:
     """Yields a scheduler whose workers are threads of this process: they begin in no time.
 
-    Dask's profiler is off: it walks the frames of running threads, which may crash Python 3.11.
+    Dask's profiler is off: it walks the frames of running threads, which may crash Python 3.11. And
+    what earlier tests left is collected here: Drake ends the process where another thread than the
+    main one frees a Meshcat, and its diagrams, which hold one, are cycles.
     """
+    gc.collect()
     profiler = dask.config.set({"distributed.worker.profile.enabled": False})
     with (
         profiler,
