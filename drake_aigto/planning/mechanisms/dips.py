@@ -50,6 +50,7 @@ class Dip(NamedTuple):
         yield Touch(self.touch.start, self.touch.end, contact, mode)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # Of motions that diverge, slips may overflow.
 def read_touches(
     world: World, law: RigidLaw, motion: ShootingResult, lasting: Floats
 ) -> TouchSequence:
