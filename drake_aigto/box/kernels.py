@@ -243,7 +243,7 @@ def add_means(
     """
     lanes, tapes, most_lanes = tables.lanes, tables.tapes, tables.most_lanes
     rows, factors = np.empty((tables.most_rows, most_lanes)), np.empty(most_lanes)
-    parts, own = np.empty(2 * PARTS), np.empty((3, most_lanes))
+    parts, own = np.empty(PARTS), np.empty((3, most_lanes))
     waves = make_waves(center.size, tables.transcendental)
     chosen, ends = np.empty(most_lanes, np.int64), np.empty(most_lanes, np.int64)
     variables = np.empty((tables.most_variables, most_lanes), np.int64)

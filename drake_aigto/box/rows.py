@@ -74,13 +74,13 @@ def load_functions(
         for k in range(count):
             i = variables[it.variable, k]
             if is_pair:
-                _keep_waves(it, i, center[i], half_width[i], parts, waves, transcendental)
+                _keep_waves(it, i, center[i], half_width[i], waves, transcendental)
                 for part in range(num_needed):
                     rows[row + part, k] = waves[i, part]
                     rows[row + PARTS + part, k] = waves[i, PARTS + part]
                 continue
             box = center[i], half_width[i]
-            _fill_parts(it.kind, it.exponent, it.scale, it.offset, *box, parts, transcendental)
+            factor_mean(it.kind, it.exponent, it.scale, it.offset, *box, parts, transcendental)
             for part in range(num_needed):
                 rows[row + part, k] = parts[part]
         row += 2 * PARTS if is_pair else PARTS
@@ -99,40 +99,15 @@ def make_waves(num_variables: int, transcendental: bool | None) -> Floats:
 
 @borrowing
 def _keep_waves(
-    it: Any,
-    i: int,
-    center: float,
-    half_width: float,
-    parts: Floats,
-    waves: Floats,
-    transcendental: bool | None,
+    it: Any, i: int, center: float, half_width: float, waves: Floats, transcendental: bool | None
 ) -> None:
     """Has the means of a variable's cosine and sine in row i of `waves`, with what they are of."""
     end, scale, offset, exponent = 2 * PARTS, it.scale, it.offset, it.exponent
     if waves[i, end] == scale and waves[i, end + 1] == offset and waves[i, end + 2] == exponent:
         return
-    _fill_parts(_COSINE, exponent, scale, offset, center, half_width, parts, transcendental)
-    for part in range(end):
-        waves[i, part] = parts[part]
+    if transcendental is not None:  # Else Numba compiles without them.
+        trigonometric_means(exponent, scale, offset, center, half_width, waves[i])
     waves[i, end], waves[i, end + 1], waves[i, end + 2] = scale, offset, exponent
-
-
-@borrowing
-def _fill_parts(
-    kind: int,
-    exponent: int,
-    scale: float,
-    offset: float,
-    center: float,
-    half_width: float,
-    parts: Floats,
-    transcendental: bool | None,
-) -> None:
-    """Fills the mean of a function and its derivatives, of a cosine with the sine's behind."""
-    if transcendental is None or kind != _COSINE:
-        factor_mean(kind, exponent, scale, offset, center, half_width, parts, transcendental)
-    else:
-        trigonometric_means(exponent, scale, offset, center, half_width, parts)
 
 
 @borrowing
