@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
+import threading
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -192,6 +194,33 @@ def test_a_plan_is_that_of_any_number_of_threads(cart_pole: Planner, plan: Plan)
     options = PlanOptions(threads=1)
     other = Planner(cart_pole.scenario, options, cart_pole.world).plan()
     np.testing.assert_array_equal(other.trajectory.controls, plan.trajectory.controls)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("cart_pole/soft_06", PlanOptions(renewals=2, confirm=False, threads=2)),
+        ("room/bank_shot", PlanOptions(confirm=False, threads=2)),
+    ],
+)
+def test_garbage_is_collected_in_the_main_thread_while_a_search_has_others(
+    name: str, options: PlanOptions
+) -> None:
+    """Drake ends the process where another thread frees a Meshcat, which Diagrams hold."""
+    collecting: set[threading.Thread] = set()
+
+    def see(*_: Any) -> None:
+        collecting.add(threading.current_thread())
+
+    usual = gc.get_threshold()
+    gc.callbacks.append(see)
+    gc.set_threshold(20)
+    try:
+        Planner(Scenario.named(name), options).plan()
+    finally:
+        gc.set_threshold(*usual)
+        gc.callbacks.remove(see)
+    assert collecting == {threading.main_thread()}
 
 
 def test_plans_on_the_way_hold_and_the_last_one_is_that_of_planning_anew(

@@ -10,7 +10,6 @@ import time
 from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
@@ -19,6 +18,7 @@ from drake_aigto.kernels import tell_compilation
 from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Origin, Replays
 from drake_aigto.planning.options import SearchOptions
 from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
+from drake_aigto.planning.threads import start_threads, wait_for
 from drake_aigto.transcription import scaled_defects
 
 if TYPE_CHECKING:
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 
 Progress = Callable[[str], None]
-
-# Python answers a Ctrl-C that comes just before a wait begins only when the wait ends [s].
-_PATIENCE = 0.1
 
 _Self = TypeVar("_Self", bound="Search")
 
@@ -214,7 +211,7 @@ class Search(ABC):
 
     def _close_at_once(self, wave: Sequence[Proposal]) -> Iterable[Any]:
         """Yields the result of each proposal, in their order."""
-        with self.clock("search"), ThreadPoolExecutor(self.task.options.num_threads) as pool:
+        with self.clock("search"), start_threads(self.task.options.num_threads) as pool:
             # The first one of all compiles; where Ctrl-C is raised, that ends it.
             first = [] if self.list_found() else [each.close() for each in wave[:1]]
             yield from first
@@ -385,9 +382,3 @@ class Search(ABC):
 def scaled(factor: float, cost: float) -> float:
     """Returns a multiple of a cost; for negative ones (of users), the same relative increase."""
     return cost + (factor - 1) * abs(cost) if cost < math.inf else cost
-
-
-def wait_for(runs: Sequence[Future[Any]]) -> None:
-    """Waits for all runs; a Ctrl-C, whenever it comes, is answered within `_PATIENCE`."""
-    while wait(runs, _PATIENCE).not_done:
-        pass

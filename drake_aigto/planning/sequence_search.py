@@ -7,7 +7,7 @@ import math
 import threading
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from functools import partial
 from itertools import count, pairwise
 from typing import Any, NamedTuple
@@ -19,7 +19,8 @@ from drake_aigto.arrays import Floats
 from drake_aigto.planning.candidate import Candidate, Origin
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.program_task import ContactSequence, ProgramTask
-from drake_aigto.planning.search import Proposal, Search, Stopwatch, wait_for
+from drake_aigto.planning.search import Proposal, Search, Stopwatch
+from drake_aigto.planning.threads import start_threads, wait_for
 from drake_aigto.simulation import find_contacts
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence, Transcription
@@ -315,7 +316,7 @@ class SequenceSearch(Search):
     def _run_in_threads(self, wave: Sequence[Proposal]) -> tuple[list[Future[Any]], bool]:
         """Returns the runs, and whether Ctrl-C came, which ends boxes at once."""
         runs: list[Future[Any]] = []
-        with ThreadPoolExecutor(len(wave)) as pool:
+        with start_threads(len(wave)) as pool:
             try:
                 runs.extend(pool.submit(each.close) for each in wave)
                 wait_for(runs)
@@ -338,12 +339,8 @@ class SequenceSearch(Search):
         with self.clock("aigo"):
             sequences = self.task.find_sequences(found, rung)
         self.aigo_steps += found.num_inner_steps
-        _LOG.info(
-            "  %s after %d inner steps; contact sequences: %d",
-            found.status.name.lower(),
-            found.num_inner_steps,
-            len(sequences),
-        )
+        text = "  %s after %d inner steps; contact sequences: %d"
+        _LOG.info(text, found.status.name.lower(), found.num_inner_steps, len(sequences))
         self.shown.append((rung, sequences))
         for sequence in sequences:
             if not self.is_known(sequence):
