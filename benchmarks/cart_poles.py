@@ -98,19 +98,12 @@ class Noisy(LeafSystem):
 
 @dataclass(frozen=True)
 class Outcome:
-    """A run.
+    """A run."""
 
-    Attributes:
-        is_upright: whether the pole stayed so.
-        touches: how often the tip came to a wall.
-        seconds: of wall time, of each tick after the first.
-        mean: of the squared angle [rad²].
-    """
-
-    is_upright: bool
-    touches: int
-    seconds: tuple[float, ...]
-    mean: float
+    is_upright: bool  # whether the pole stayed so
+    touches: int  # how often the tip came to a wall
+    seconds: tuple[float, ...]  # of wall time, of each tick after the first
+    mean: float  # of the squared angle [rad²]
 
 
 def run(problem: CartPole, controller: LeafSystem, seed: int, seconds: float) -> Outcome:

@@ -10,7 +10,6 @@ run for the others as well.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import threading
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from types import FrameType
 from typing import Any
 
 import drake_aigto
+from benchmarks.script import read_flags
 from drake_aigto import PlanOptions, Scenario, plan
 
 _ROOT = Path(drake_aigto.__file__).parent
@@ -48,10 +48,10 @@ def list_files(name: str) -> set[str]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Prints the counts, and the files if asked."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("scenarios", nargs="*", default=_USUAL, metavar="SCENARIO")
-    parser.add_argument("--list", action="store_true", help="print the files as well")
-    options = parser.parse_args(arguments)
+    place = "scenarios", {"nargs": "*", "default": _USUAL, "metavar": "SCENARIO"}
+    options = read_flags(
+        __doc__, arguments, workers=None, place=place, list=(False, "print the files as well")
+    )
     found = {name: list_files(name) for name in options.scenarios}
     first = found[options.scenarios[0]]
     for name, files in found.items():

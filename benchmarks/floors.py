@@ -49,19 +49,12 @@ _TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class FloorMotion:
-    """The best motion of some kind.
+    """The best motion of some kind."""
 
-    Attributes:
-        cost: of it.
-        touches: how many have a speed; of settling the first one only.
-        rests: whether it settles.
-        leaves: whether it jumps off, after that.
-    """
-
-    cost: float
-    touches: int
-    rests: bool = False
-    leaves: bool = False
+    cost: float  # of it
+    touches: int  # how many have a speed; of settling the first one only
+    rests: bool = False  # whether it settles
+    leaves: bool = False  # whether it jumps off, after that
 
 
 def floor_optimum(scenario: Scenario, gravity: float, mass: float) -> FloorMotion:

@@ -73,17 +73,11 @@ def write_sums(sums: SumMap, x: Any) -> Any:
 
 
 class Motion(NamedTuple):
-    """What IPOPT found.
+    """What IPOPT found."""
 
-    Attributes:
-        cost: J, as it promises.
-        states: q and v at the knots, shape (N + 1, 2n).
-        controls: between them, shape (N, nu).
-    """
-
-    cost: float
-    states: Floats
-    controls: Floats
+    cost: float  # J, as it promises
+    states: Floats  # q and v at the knots, shape (N + 1, 2n)
+    controls: Floats  # between them, shape (N, nu)
 
 
 class FrictionProgram:
@@ -266,15 +260,10 @@ except ModuleNotFoundError:
 
 
 class Proven(NamedTuple):
-    """What SCIP found, and proved.
+    """What SCIP found, and proved."""
 
-    Attributes:
-        cost: J of its best answer, infinite if there is none.
-        bound: no answer costs less.
-    """
-
-    cost: float
-    bound: float
+    cost: float  # J of its best answer, infinite if there is none
+    bound: float  # no answer costs less
 
 
 def solve_modes(scenario: Scenario, seconds: float) -> Proven:

@@ -87,27 +87,16 @@ def spring(x: Any, y: Any, b: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class LoopProblem:
-    """One function.
+    """One function."""
 
-    Attributes:
-        name: which.
-        single: of the coordinates of a node, and its numbers.
-        pair: of those of two nodes, and their edge's numbers.
-        nodes: numbers a of each node, shape (N, p).
-        edges: pairs of nodes, shape (E, 2).
-        links: numbers b of each edge, shape (E, q).
-        dimension: coordinates of a node.
-        reach: bounds of all coordinates.
-    """
-
-    name: str
-    single: Callable[..., Any]
-    pair: Callable[..., Any]
-    nodes: Floats
-    edges: Ints
-    links: Floats
-    dimension: int
-    reach: float
+    name: str  # which
+    single: Callable[..., Any]  # of the coordinates of a node, and its numbers
+    pair: Callable[..., Any]  # of those of two nodes, and their edge's numbers
+    nodes: Floats  # numbers a of each node, shape (N, p)
+    edges: Ints  # pairs of nodes, shape (E, 2)
+    links: Floats  # numbers b of each edge, shape (E, q)
+    dimension: int  # coordinates of a node
+    reach: float  # bounds of all coordinates
 
     def prog(self) -> MathematicalProgram:
         """Returns the program, a cost for each node and each edge."""

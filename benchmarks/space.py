@@ -19,8 +19,8 @@ there.
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
 from functools import cache, partial
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.path import Path
@@ -54,26 +54,17 @@ COVERED = 0.95  # Of the goal, at least, where poses are drawn.
 MOST, MOST_IN_MUJOCO = (0.02, 0.1), (0.05, 0.3)  # [m], [rad]
 
 
-@dataclass(frozen=True)
-class Run:
-    """What came of one world and seed.
+class Run(NamedTuple):
+    """What came of one world and seed."""
 
-    Attributes:
-        name: of the world, with the seed.
-        cost: J of the plan.
-        replayed: its cost on Drake's plant.
-        misses: of the plan, our simulation, Drake's, and of MJCFs MuJoCo's: how far sliders and
-            turns that the goal asks for end off it at most [m], [rad].
-        holds: whether both simulations confirm the plan.
-        seconds: of the processor, machine code compiled.
-    """
-
-    name: str
-    cost: float
-    replayed: float
+    name: str  # of the world, with the seed
+    cost: float  # J of the plan
+    replayed: float  # that on Drake's plant
+    # How far sliders and turns that the goal asks for end off it at most [m], [rad]: in the plan,
+    # our simulation, Drake's, and of MJCFs MuJoCo's.
     misses: tuple[tuple[float, float], ...]
-    holds: bool
-    seconds: float
+    holds: bool  # in our simulation and in Drake's
+    seconds: float  # of the processor, machine code compiled
 
     @property
     def is_met(self) -> bool:
@@ -135,7 +126,7 @@ def push(pose: int, *, renewals: int) -> tuple[int, float, float, float, float, 
     scenario = draw_pose(pose)
     world = World.from_scenario(scenario)
     planner = Planner(scenario, PlanOptions(renewals=renewals, finalists=1), world)
-    _compile()
+    _compile("push_tee/to_pose")
     plan, spent = clock(planner.plan)
     goal, in_drake = planner.scenario.goal_position[:3], plan.replay.drake
     assert in_drake is not None, "options confirm"
@@ -147,10 +138,9 @@ def push(pose: int, *, renewals: int) -> tuple[int, float, float, float, float, 
 
 
 @cache
-def _compile() -> None:
-    """Has machine code compiled, by a plan for the shipped pose."""
-    options = PlanOptions(starts=1, renewals=0, finalists=1)
-    Planner(Scenario.named("push_tee/to_pose"), options).plan()
+def _compile(name: str) -> None:
+    """Has machine code compiled, by a plan of few searches."""
+    Planner(Scenario.named(name), PlanOptions(starts=1, renewals=0, finalists=1)).plan()
 
 
 def draw_pose(seed: int) -> Scenario:
@@ -197,7 +187,7 @@ def run(name: str, *, renewals: int) -> Run:
     """Plans for one world from one seed, code compiled before."""
     world, _, seed = name.partition(" ")
     scenario = Scenario.named(world)
-    Planner(scenario, PlanOptions(starts=1, renewals=0, finalists=1)).plan()
+    _compile(world)
     planner = Planner(scenario, PlanOptions(renewals=renewals, finalists=1, seed=int(seed)))
     plan, spent = clock(planner.plan)
     cost, turns = TaskCost.of(planner.world, planner.scenario), planner.world.turns

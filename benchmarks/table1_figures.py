@@ -25,7 +25,6 @@ def report(cell: Cell) -> bool:
     """Prints one row's figures and returns whether they are met."""
     gradient = [m for m in cell.methods if not m.name.startswith("AIGTO")]
     rival = min(m.costs[0] for m in gradient if m.costs)
-    met = True
     for method in cell.methods:
         best = method.best.candidate
         line = (

@@ -154,21 +154,13 @@ OPTIONS = PlanOptions(confirm=False, threads=1)
 
 @dataclass(frozen=True)
 class Job:
-    """One scenario of a world, what else solves it, and in how many times the plan's seconds.
+    """One scenario of a world, what else solves it, and in how many times the plan's seconds."""
 
-    Attributes:
-        world: its name.
-        ratio: of the second of two masses to the first.
-        scenario: the question.
-        peers: their names.
-        factor: how many times the plan's seconds they get.
-    """
-
-    world: str
-    ratio: float
-    scenario: Scenario
-    peers: tuple[str, ...]
-    factor: float
+    world: str  # its name
+    ratio: float  # of the second of two masses to the first
+    scenario: Scenario  # the question
+    peers: tuple[str, ...]  # their names
+    factor: float  # how many times the plan's seconds they get
 
 
 @dataclass(frozen=True)

@@ -14,19 +14,12 @@ from drake_aigto.world import Scenario, World
 
 @dataclass(frozen=True, order=True)
 class KnownTouch:
-    """One contact of the optimum.
+    """One contact of the optimum."""
 
-    Attributes:
-        start: when it begins [s].
-        end: when it is left [s]; equal to `start` for a bounce.
-        contact: which of the world's contacts.
-        impact_speed: −φ̇⁻ ≥ 0 [m/s]; 0 where it comes to rest.
-    """
-
-    start: float
-    end: float
-    contact: int
-    impact_speed: float
+    start: float  # when it begins [s]
+    end: float  # when it is left [s]; equal to `start` for a bounce
+    contact: int  # which of the world's contacts
+    impact_speed: float  # −φ̇⁻ ≥ 0 [m/s]; 0 where it comes to rest
 
     @property
     def lasts(self) -> bool:
