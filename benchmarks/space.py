@@ -47,6 +47,7 @@ WORLDS = (
     "push_tee/to_pose",
     "quadruped/leap_up",
     "three_fingers/turn",
+    "throwing_arm/into_the_box",
     *FROM_WHEELS,
 )
 TEE = (np.array([[0.0, 0.02571], [0.0, -0.03429]]), np.array([[0.06, 0.015], [0.015, 0.045]]))

@@ -197,6 +197,20 @@ def test_an_arm_of_seven_joints_pushes_a_box_in_drake_as_the_search_says() -> No
     assert np.linalg.norm((scenario.initial_position - scenario.goal_position)[-3:]) > 0.2
 
 
+@pytest.mark.slow  # 75 CPU s, compiled.
+def test_a_ball_that_an_arm_throws_lies_in_a_box_at_the_end_in_drake_too() -> None:
+    planner = Planner(
+        Scenario.named("throwing_arm/into_the_box"), PlanOptions(renewals=16, finalists=1)
+    )
+    plan = planner.plan()
+    assert plan.holds
+    for motion in (plan.trajectory, *plan.replay):
+        ball = motion.positions[-1, -3:] - [1.5, 0.5, 0.06]  # Off the box's middle; r = 0.04 m.
+        assert np.all(np.abs(ball) < [0.1, 0.1, 0.02])  # Walls are 0.13 m off, and give way.
+        assert np.max(motion.positions[:, -1]) > 0.2
+        assert np.linalg.norm(motion.velocities[-1, -3:]) < 0.3
+
+
 @pytest.mark.slow  # 40 CPU s, compiled.
 def test_servos_that_follow_a_line_bring_a_quadruped_to_its_feet_in_drake_too() -> None:
     planner = Planner(Scenario.named("quadruped/leap_up"), PlanOptions(search_substeps=16))
