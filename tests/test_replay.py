@@ -141,6 +141,11 @@ def test_the_energy_ratio_weighs_contacts_by_their_energy() -> None:
         "energies_after": [0.5, 1e-6],
     }
     assert from_plain(Replay, fields).energy_ratio == pytest.approx(0.25, rel=1e-5)
+    # A block that is pushed from rest has no ratio, and hides none.
+    pushed = fields | {"energies_before": [2.0, 1e-6], "energies_after": [0.5, 3.0]}
+    assert from_plain(Replay, pushed).energy_ratio == pytest.approx(0.25)
+    pushed |= {"bounce_times": [0.2], "energies_before": [1e-6], "energies_after": [3.0]}
+    assert from_plain(Replay, pushed).energy_ratio is None
 
 
 @pytest.mark.parametrize("replay_in", [replay_event_driven, replay_drake])

@@ -230,6 +230,18 @@ def test_no_line_of_a_plan_is_too_long(plan: Plan, world: World, transcription: 
     assert "…" not in text and text.count("s and 34 more\n") == 8
 
 
+def test_contacts_from_rest_are_said_to_be_so_and_have_no_energy_ratio(
+    plan: Plan, world: World
+) -> None:
+    rest = (PlannedContact(0.25, 0.5, 3.0, None),)
+    pushed = dataclasses.replace(plan.best, contacts=rest)
+    text = format_plan(with_best(plan, pushed), world)
+    assert "0.250–0.500 s (Δv 3.00 m/s), from rest\n" in text and "after / before" not in text
+    both = dataclasses.replace(pushed, contacts=(*rest, PlannedContact(0.75, 0.75, 1.5, 0.64)))
+    text = " ".join(format_plan(with_best(plan, both), world).split())
+    assert "1 begins at rest, kinetic energy after / before 0.64" in text
+
+
 @pytest.fixture(scope="module")
 def corridor() -> World:
     return World.from_scenario(Scenario.named("corridor/three_bounces"))

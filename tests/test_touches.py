@@ -6,7 +6,6 @@ Touches of a plan that may still come: none is lost, and the likelier ones are t
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from itertools import pairwise
 
@@ -245,7 +244,7 @@ def test_what_lands_and_leaves_at_no_speed_keeps_its_energy(floor: World) -> Non
     assert contact.energy_ratio == 1.0
     velocities[4] = 0.1
     (contact,) = find_contacts(floor, dataclasses.replace(at_rest, velocities=velocities))
-    assert contact.energy_ratio == math.inf  # from nowhere
+    assert contact.energy_ratio is None  # after / before means nothing
 
 
 PERIOD, LEFT = 0.01, 1.0
@@ -318,3 +317,10 @@ def test_the_first_motion_that_is_not_dearer_is_taken_or_else_the_cheapest() -> 
     assert choose([None, dear, same, cheap], 1.0) is same
     assert choose([dear, None, motion(3.0)], 1.0) is dear
     assert choose([None], 1.0) is None
+
+
+def test_a_contact_that_begins_at_rest_has_no_energy_ratio(floor: World) -> None:
+    # Pushed off at 1e-3 of the speed that it ends with, thrown, and thrown back.
+    motion = fly({2: 3.0, 5: 1.5, 7: 6.0}, {2: 15.0, 3: 15.0}, KNOTS, speed=-1e-3)
+    ratios = [contact.energy_ratio for contact in find_contacts(floor, motion)]
+    assert ratios[0] is None and all(each is not None for each in ratios[1:])

@@ -214,8 +214,11 @@ class Candidate:
 
     @property
     def energy_ratio(self) -> float | None:
-        """Kinetic energy after / before contact, multiplied over all; None without contact."""
-        ratios = [contact.energy_ratio for contact in self.contacts]
+        """Kinetic energy after / before contact, multiplied over all that do not begin at rest.
+
+        None if there is no such contact.
+        """
+        ratios = [c.energy_ratio for c in self.contacts if c.energy_ratio is not None]
         return math.prod(ratios) if ratios else None
 
     @property

@@ -296,8 +296,9 @@ def _simulation(plan: Plan, replay: Replay, world: World, delay: float | None) -
     if not replay.bounce_times:
         yield "no bounce"
         return
-    each = " a bounce" if len(replay.bounce_times) > 1 else ""
-    yield f"energy ratio {energy_text(replay.energy_ratio)}{each}"
+    if replay.energy_ratio is not None:
+        each = " a bounce" if len(replay.bounce_times) > 1 else ""
+        yield f"energy ratio {energy_text(replay.energy_ratio)}{each}"
     letters = [f"{letter(i)} " if len(names) > 1 else "" for i in replay.bounce_contacts]
     bounces = zip(letters, replay.bounce_times, strict=True)
     yield f"bounces at {list_some((f'{each}{time:.4f}' for each, time in bounces), ' s')}"

@@ -185,8 +185,13 @@ def contact_texts(candidate: Candidate, world: World) -> Iterator[str]:
         yield f"{where}{_when(contact)} s{'' if world.is_hinge.any() else change}"
     if (more := len(candidate.contacts) - _MOST_CONTACTS) > 0:
         yield f"{more} more"
-    all_of_them = " in all" if len(candidate.contacts) > 1 else ""
-    yield f"kinetic energy after / before {energy_text(candidate.energy_ratio)}{all_of_them}"
+    moving = sum(contact.energy_ratio is not None for contact in candidate.contacts)
+    if resting := len(candidate.contacts) - moving:
+        begin = "begins" if resting == 1 else "begin"
+        yield f"{resting} {begin} at rest" if moving else "from rest"
+    if moving:
+        all_of_them = " in all" if moving > 1 else ""
+        yield f"kinetic energy after / before {energy_text(candidate.energy_ratio)}{all_of_them}"
 
 
 def sequence_text(candidate: Candidate, world: World) -> str:
@@ -349,10 +354,8 @@ def time_text(seconds: float) -> str:
 
 
 def energy_text(ratio: float | None) -> str:
-    """Returns a ratio of kinetic energies; None without contact."""
-    if ratio is None:
-        return "-"
-    return ">1e6" if ratio > 1e6 else f"{ratio:.2g}"
+    """Returns a ratio of kinetic energies; None without contact that begins while it moves."""
+    return "-" if ratio is None else f"{ratio:.2g}"
 
 
 def run_texts(run: Candidate, digits: int = 2) -> tuple[str, str, str, str]:

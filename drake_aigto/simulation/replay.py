@@ -113,13 +113,19 @@ class Replay(ArrayRecord):
 
     @property
     def energy_ratio(self) -> float | None:
-        """The one number for tables, Σ after / Σ before over all contacts; None without contact.
+        """The one number for tables, Σ after / Σ before over all contacts that begin in motion.
+
+        None if there are none: from rest, it would divide what the control adds by next to nothing.
 
         Contacts count by their energy, so that the last tremor before rest does not hide the
         bounce. On rigid walls it is restitution² if the ball moves straight at them, and never more
         than 1: more is energy from nowhere.
         """
-        return sum(self.energies_after) / sum(self.energies_before) if self.bounce_times else None
+        pairs = list(zip(self.energies_before, self.energies_after, strict=True))
+        least = _AT_REST**2 * max(map(max, pairs), default=0.0)
+        moving = [each for each in pairs if each[0] > least]
+        before, after = map(sum, zip(*moving, strict=True)) if moving else (0.0, 0.0)
+        return after / before if moving else None
 
 
 class Judge(Protocol):
@@ -291,8 +297,11 @@ _SHARE = 0.05
 _GAP = 0.1
 # An impulse below this part of the largest velocity is a solver's rounding.
 _ROUNDING = 1e-9
-# A velocity below this part of the largest one is none: a contact that lasts may begin and end so.
+# A velocity below this part of the largest one is none: a contact that lasts may end so.
 _STILL = 1e-5
+# A contact that begins with less than this part of the largest velocity begins at rest: what the
+# control adds while it lasts would be divided by next to nothing.
+_AT_REST = 1e-2
 
 
 @dataclass(frozen=True)
@@ -303,15 +312,15 @@ class PlannedContact:
         time: of its first knot [s].
         last_time: of its last knot [s].
         velocity_change: ‖Σ M⁻¹ J_iᵀ (p_ik + λ_ik τ_k)‖ [m/s].
-        energy_ratio: kinetic energy after / before, with all that happens at its knots; 1 where it
-            is still before and after.
+        energy_ratio: kinetic energy after / before, with all that happens at its knots; None where
+            it begins at rest, and 1 where it ends at rest, too.
         index: i, which of the world's contacts.
     """
 
     time: float
     last_time: float
     velocity_change: float
-    energy_ratio: float
+    energy_ratio: float | None
     index: int = field(default=0, metadata=called("contact"))
 
 
@@ -344,8 +353,9 @@ def _find_contacts(
     alone[:, index] = impulses + np.append(held, 0.0)
     changes = world.calc_velocity_change(trajectory.positions, alone)
     runs = _find_runs(trajectory, impulses, held, np.linalg.norm(changes, axis=1))
-    still = _STILL**2 * np.max(energies[0])  # Rounding of the largest on the way is none.
-    energies = np.where(energies > still, energies, 0.0)
+    # Rounding of the largest on the way is none.
+    none = np.max(energies[0]) * np.array([[_AT_REST], [_STILL]]) ** 2
+    energies = np.where(energies > none, energies, 0.0)
     return [
         PlannedContact(
             time=float(trajectory.times[run[0]]),
@@ -378,8 +388,8 @@ def max_penetration(world: World, trajectory: Trajectory) -> float:
     return -float(np.min(world.calc_clearance(trajectory.positions), initial=0.0))
 
 
-def _divide(before: float, after: float) -> float:
-    """Returns kinetic energy after / before; 1 if neither is any."""
+def _divide(before: float, after: float) -> float | None:
+    """Returns kinetic energy after / before; of none before None, or 1 if there is none after."""
     if before == 0:
-        return 1.0 if after == 0 else np.inf
+        return 1.0 if after == 0 else None
     return after / before
