@@ -64,6 +64,8 @@ RECORDS: Mapping[str, str] = {
     " --count 20 --times 4 --workers 1 --minutes 38",
     "friction_worlds": "python -m benchmarks.friction_worlds --workers 1",
     "space": "python -m benchmarks.space --seeds 2 --renewals 24",
+    "push_tee_poses": "python -m benchmarks.space --poses 24 --renewals 16 --workers 1"
+    " --minutes 22",
     "table1": "python -m benchmarks.table1_figures",
     "planner_speed": f"python -m benchmarks.planner_speed {_SPEED}",
     "newton_speed": f"python -m benchmarks.newton_speed {_SPEED}",
@@ -216,6 +218,7 @@ FIGURES: Mapping[str, Figure] = {
     "staged_tables": Figure("staged_programs", r"(?s)^(push_bot/0\.6: .*\S)"),
     "friction_worlds_table": Figure("friction_worlds", r"(?s)\A[^\n]*\n(.*\S)"),
     "space_table": Figure("space", r"(?s)\A[^\n]*\n(.*\S)"),
+    "push_tee_poses_table": Figure("push_tee_poses", r"(?s)\A[^\n]*\n(.*\S)"),
     "loop_record_tables": Figure("loop_record", r"(?s)^(table1/1: .*\S)"),
     "estimated_tables": Figure("estimated", r"(?s)^(table1/1  .*\S)"),
     "held_table": Figure("held", r"(?s)^(acrobot/swing_up\ntracking.*\S)"),
