@@ -164,6 +164,17 @@ def test_a_throw_that_no_control_is_enough_for_is_refused_before_a_search(
     assert caught.value.is_proven
 
 
+def test_a_block_that_nothing_lifts_off_a_floor_with_friction_is_refused_above_it() -> None:
+    scenario = Scenario.named("sliding_block/to_rest")
+    lifted = dataclasses.replace(scenario, goal_position=[1.0, 0.19])
+    with pytest.raises(PlanningError, match=r"0\.19 m, and no control .* but to 0\.15 m"):
+        Planner(lifted).plan()
+    # On the floor, 1 mm above it, as near as simulations have to come, and far along it.
+    for goal in ([1.0, 0.15], [1.0, 0.151], [90.0, 0.15]):
+        other = dataclasses.replace(scenario, goal_position=goal)
+        assert not out_of_reach(World.from_scenario(other), other)
+
+
 def test_what_may_be_in_reach_is_not_refused() -> None:
     scenario = Scenario.named("throwing_ball/bounces")
     for change in ({}, {"restitution": 0.208}, {"duration": 1.0}, {"hard_goal": False}):

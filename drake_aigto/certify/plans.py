@@ -26,7 +26,8 @@ axis that walls push along on their own, accelerations are within [a, b], whatev
 Without a wall, x(T) is between x + vT + aT²/2 and x + vT + bT²/2. At y above one wall that the mass
 always falls towards, P = −a ≥ p = −b > 0, it touches by (v + √(v² + 2py))/p. The touch is no faster
 than s, s² = v² + 2Py, or s² = 2P (y + v²/2p) if the mass rises at first; so it comes no higher than
-e²s²/2p after it. If e²P ≤ p, the next touch is no faster than s either, and so on.
+e²s²/2p after it. If e²P ≤ p, the next touch is no faster than s either, and so on. Friction leaves
+such an axis alone if its impulses change no speed along it.
 """
 
 from __future__ import annotations
@@ -42,8 +43,9 @@ from drake_aigto.arrays import Floats
 from drake_aigto.certify.certificate import certify
 from drake_aigto.certify.flights import Line, Wall, direct_cost, goal_price
 from drake_aigto.certify.touches import bound_line
-from drake_aigto.dynamics import ConstantDynamics
+from drake_aigto.dynamics import ConstantDynamics, evaluate, is_constant
 from drake_aigto.errors import ModelError
+from drake_aigto.simulation import NOTHING
 from drake_aigto.world import Scales, Scenario, World
 
 _CELLS = 20_000
@@ -257,12 +259,19 @@ def out_of_reach(world: World, scenario: Scenario) -> str:
     if not scenario.hard_goal or scenario.contact != "rigid" or world.is_hinge.any():
         return ""
     try:
-        world.rubbing.check_none(scenario.friction)
+        world.rubbing.check_none(scenario.friction, first=world.num_contacts)
+        rough = np.flatnonzero(world.friction_coefficients(scenario))
+        slips = world.rubbing.tangents[rough] if rough.size else np.zeros((0, world.num_velocities))
         dynamics = world.constant_dynamics
     except ModelError:
         return ""
+    if not is_constant(slips):
+        return ""
     low, high = _accelerations(world, scenario, dynamics)
-    for axis in range(world.num_positions):
+    # Searches with friction keep what ends this near, in simulation.
+    near = NOTHING * Scales.of(world, scenario).length if rough.size else 0.0
+    is_rubbed = np.any(evaluate(slips) @ dynamics.inverse_mass.T, axis=0)
+    for axis in np.flatnonzero(~is_rubbed).tolist():
         walls = np.flatnonzero(dynamics.kicks[:, axis])
         start = float(scenario.initial_position[axis]), float(scenario.initial_velocity[axis])
         goal, forces = float(scenario.goal_position[axis]), (float(low[axis]), float(high[axis]))
@@ -272,11 +281,13 @@ def out_of_reach(world: World, scenario: Scenario) -> str:
             reach, after = found if found is not None else ((-math.inf, math.inf), "")
         elif walls.size:
             continue
-        if not reach[0] <= goal <= reach[1]:
-            unit, ends = world.position_unit, (f"{round(end, 6) + 0.0:.4g}" for end in reach)
+        if not reach[0] - near <= goal <= reach[1] + near:
+            name, unit = world.plant.GetPositionNames()[axis], world.position_unit
+            low_end, high_end = (f"{round(end, 6) + 0.0:.4g}" for end in reach)
+            span = f"from {low_end} to {high_end}" if low_end != high_end else f"to {low_end}"
             return (
-                f"coordinate {axis} has to come to {goal:g} {unit}, and {after}no control brings it"
-                f" anywhere but from {' to '.join(ends)} {unit}"
+                f"{name} has to come to {goal:g} {unit}, and {after}no control brings it anywhere "
+                f"but {span} {unit}"
             )
     return ""
 
@@ -328,7 +339,7 @@ def _reach_above(
     highest = e**2 * square / (2.0 * least)
     touch = (v + math.sqrt(v**2 + 2.0 * least * y)) / least
     first = scenario.duration if scenario.duration_range is None else scenario.duration_range[0]
-    after = f"after the touch that comes by {touch:.4g} s, "
+    after = f"after the touch that comes by {touch:.4g} s, " if touch else ""
     if first <= touch * (1.0 + _ROUNDING):
         free = _free_reach((y, v), (-most, -least), scenario)
         highest, after = max(highest, free[1]), ""

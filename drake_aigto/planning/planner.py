@@ -358,7 +358,8 @@ def _check_reach(world: World, scenario: Scenario) -> None:
         error = PlanningError(
             "it is proven that no motion meets the hard goal",
             got=reason,
-            remedy="Allow more control, another duration or higher restitution, or weigh the goal.",
+            remedy="Move the goal, allow more control, another duration or higher restitution, or "
+            "weigh the goal (hard_goal: false).",
         )
         error.is_proven = True
         raise error
