@@ -23,7 +23,7 @@ from replay_worlds import (
 from drake_aigto import Scenario, World, plan
 from drake_aigto.cli import INTERRUPTED, main
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal, rigid_optimum
-from drake_aigto.planning import BallTask, Plan, Planner, PlanningError, ProgramTask
+from drake_aigto.planning import BallTask, Plan, Planner, PlanningError, PlanOptions, ProgramTask
 from drake_aigto.show import Page, add_verdict, cost_text, format_plan
 from drake_aigto.simulation import Replay, replay_event_driven
 
@@ -166,6 +166,16 @@ def test_nothing_that_holds_is_an_error_that_says_what_was_tried(
         plan(table1(1, **COARSE))
     assert caught.value.plan is not None and not caught.value.plan.holds
     assert caught.value.plan.cost == cost
+
+
+def test_a_hard_goal_that_all_candidates_miss_is_told_with_the_nearest() -> None:
+    # A force of 12 N does not push 1 kg 30 m far in 2 s.
+    block = Scenario.named("sliding_block/to_rest")
+    far = dataclasses.replace(block, goal_position=[30.0, 0.15], time_step=0.2)
+    options = PlanOptions(starts=2, renewals=0, confirm=False)
+    message = r"all miss 'hard goal', by 0\.\d+ of the task's scales .*\(hard_goal: false\)"
+    with pytest.raises(PlanningError, match=message):
+        Planner(far, options).plan()
 
 
 def test_what_speaks_against_a_candidate_is_told_of_each() -> None:

@@ -24,7 +24,7 @@ from drake_aigto.planning.mechanisms.search import MechanismSearch
 from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.options import PlanOptions, check_periodic, needs_shooting
 from drake_aigto.planning.plan import Plan, PlanningError
-from drake_aigto.planning.search import Progress, Search, Stopwatch, name_active, scaled
+from drake_aigto.planning.search import Progress, Search, Stopwatch, name_obstacles, scaled
 from drake_aigto.planning.stretches import check_sizes
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import MotionProgram, OpenProgram, RigidTranscription
@@ -388,12 +388,12 @@ def _nothing_holds(found: Plan, sources: str) -> PlanningError:
         tried[0] += f", in Drake {drake.cost:.2e} and {miss} off the goal"
         tried[0] += f", where it breaks {', '.join(map(repr, drake.broken))}" * bool(drake.broken)
     more = f"; {untold} more" if (untold := len(found.candidates) - len(tried)) else ""
-    active = name_active(found.find_world(), found.scenario, found.candidates)
+    obstacles = name_obstacles(found.find_world(), found.scenario, found.candidates)
     error = PlanningError(
         "nothing that was planned holds in simulation",
         got=f"{len(found.candidates)} candidates from {sources} of AIGO ({'; '.join(tried)}{more})",
         expected="simulations that come near a plan's cost and goal",
-        remedy=f"{active}Allow more time, move the goal closer, or try another ladder.",
+        remedy=f"{obstacles}Allow more time, move the goal closer, or try another ladder.",
     )
     error.plan = found
     return error

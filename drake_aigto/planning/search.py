@@ -19,6 +19,7 @@ from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Origin, Re
 from drake_aigto.planning.options import SearchOptions
 from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
 from drake_aigto.planning.threads import start_threads, wait_for
+from drake_aigto.simulation import HARD_GOAL
 from drake_aigto.transcription import scaled_defects
 
 if TYPE_CHECKING:
@@ -100,6 +101,21 @@ def name_active(world: World, scenario: Scenario, candidates: Iterable[Candidate
         )
     )
     return f"These bounds are active: {'; '.join(active)}. " if active else ""
+
+
+def name_obstacles(world: World, scenario: Scenario, candidates: Sequence[Candidate]) -> str:
+    """Returns the same, after sentences of what all of them miss in simulation, and by how much."""
+    told = ""
+    for name, missed in candidates[0].replay.violations.items():
+        if all(name in candidate.replay.broken for candidate in candidates):
+            least = min(missed, *(each.replay.violations[name] for each in candidates))
+            told += (
+                f"In simulation all miss {name!r}, by {least:.2g} of the task's scales or more. "
+            )
+            told += "Weigh the goal (hard_goal: false) to come as near as it can. " * (
+                name == HARD_GOAL
+            )
+    return told + name_active(world, scenario, candidates)
 
 
 class Proposal(NamedTuple):
