@@ -19,7 +19,7 @@ from rigid_worlds import Array, make_motion, physics_of
 from drake_aigto import World
 from drake_aigto.control import PlannedMotion, choose, find_left
 from drake_aigto.planning import is_same, neighbors, read_sequences, retimed, swapped
-from drake_aigto.simulation import find_contacts
+from drake_aigto.simulation import PlannedContact, find_contacts
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
 
@@ -317,6 +317,11 @@ def test_the_first_motion_that_is_not_dearer_is_taken_or_else_the_cheapest() -> 
     assert choose([None, dear, same, cheap], 1.0) is same
     assert choose([dear, None, motion(3.0)], 1.0) is dear
     assert choose([None], 1.0) is None
+
+
+def test_a_ratio_that_an_earlier_version_saved_as_infinite_is_none() -> None:
+    assert PlannedContact(0.0, 0.1, 2.0, np.inf).energy_ratio is None
+    assert PlannedContact(0.0, 0.1, 2.0, 0.5).energy_ratio == 0.5
 
 
 def test_a_contact_that_begins_at_rest_has_no_energy_ratio(floor: World) -> None:

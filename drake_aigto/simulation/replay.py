@@ -323,6 +323,11 @@ class PlannedContact:
     energy_ratio: float | None
     index: int = field(default=0, metadata=called("contact"))
 
+    def __post_init__(self) -> None:
+        """Reads plans of earlier versions, where contact that begins at rest has a ratio of ∞."""
+        if self.energy_ratio == np.inf:
+            object.__setattr__(self, "energy_ratio", None)
+
 
 def find_contacts(world: World, trajectory: Trajectory) -> tuple[PlannedContact, ...]:
     """Returns the contacts of a trajectory in the order of time: its contact sequence.
