@@ -322,6 +322,7 @@ def test_the_first_motion_that_is_not_dearer_is_taken_or_else_the_cheapest() -> 
 def test_a_ratio_that_an_earlier_version_saved_as_infinite_is_none() -> None:
     assert PlannedContact(0.0, 0.1, 2.0, np.inf).energy_ratio is None
     assert PlannedContact(0.0, 0.1, 2.0, 0.5).energy_ratio == 0.5
+    assert PlannedContact(0.1, 0.1, 2.0, np.inf).energy_ratio == np.inf  # from nowhere
 
 
 def test_a_contact_that_begins_at_rest_has_no_energy_ratio(floor: World) -> None:
@@ -329,3 +330,7 @@ def test_a_contact_that_begins_at_rest_has_no_energy_ratio(floor: World) -> None
     motion = fly({2: 3.0, 5: 1.5, 7: 6.0}, {2: 15.0, 3: 15.0}, KNOTS, speed=-1e-3)
     ratios = [contact.energy_ratio for contact in find_contacts(floor, motion)]
     assert ratios[0] is None and all(each is not None for each in ratios[1:])
+    # A blow adds energy from nowhere, however slowly it begins.
+    blown = fly({2: 3.0, 5: 1.5, 7: 6.0}, {}, KNOTS, speed=-1e-3)
+    first = find_contacts(floor, blown)[0].energy_ratio
+    assert first is not None and first > 1e4

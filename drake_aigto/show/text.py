@@ -354,8 +354,10 @@ def time_text(seconds: float) -> str:
 
 
 def energy_text(ratio: float | None) -> str:
-    """Returns a ratio of kinetic energies; None without contact that begins while it moves."""
-    return "-" if ratio is None else f"{ratio:.2g}"
+    """Returns a ratio of kinetic energies; None of contact that lasts from rest on."""
+    if ratio is None:
+        return "-"
+    return ">1e6" if ratio > 1e6 else f"{ratio:.2g}"
 
 
 def run_texts(run: Candidate, digits: int = 2) -> tuple[str, str, str, str]:

@@ -299,8 +299,8 @@ _GAP = 0.1
 _ROUNDING = 1e-9
 # A velocity below this part of the largest one is none: a contact that lasts may end so.
 _STILL = 1e-5
-# A contact that begins with less than this part of the largest velocity begins at rest: what the
-# control adds while it lasts would be divided by next to nothing.
+# A contact that lasts and begins with less than this part of the largest velocity begins at rest:
+# what the control adds meanwhile would be divided by next to nothing. A blow that does adds energy.
 _AT_REST = 1e-2
 
 
@@ -313,7 +313,7 @@ class PlannedContact:
         last_time: of its last knot [s].
         velocity_change: ‖Σ M⁻¹ J_iᵀ (p_ik + λ_ik τ_k)‖ [m/s].
         energy_ratio: kinetic energy after / before, with all that happens at its knots; None where
-            it begins at rest, and 1 where it ends at rest, too.
+            it lasts from rest on, and 1 where it ends at rest, too.
         index: i, which of the world's contacts.
     """
 
@@ -324,8 +324,8 @@ class PlannedContact:
     index: int = field(default=0, metadata=called("contact"))
 
     def __post_init__(self) -> None:
-        """Reads plans of earlier versions, where contact that begins at rest has a ratio of ∞."""
-        if self.energy_ratio == np.inf:
+        """Reads plans of earlier versions: contact that lasts from rest on has a ratio of ∞."""
+        if self.energy_ratio == np.inf and self.last_time > self.time:
             object.__setattr__(self, "energy_ratio", None)
 
 
@@ -358,15 +358,14 @@ def _find_contacts(
     alone[:, index] = impulses + np.append(held, 0.0)
     changes = world.calc_velocity_change(trajectory.positions, alone)
     runs = _find_runs(trajectory, impulses, held, np.linalg.norm(changes, axis=1))
-    # Rounding of the largest on the way is none.
-    none = np.max(energies[0]) * np.array([[_AT_REST], [_STILL]]) ** 2
-    energies = np.where(energies > none, energies, 0.0)
+    still = _STILL**2 * np.max(energies[0])  # Rounding of the largest on the way is none.
+    energies = np.where(energies > still, energies, 0.0)
     return [
         PlannedContact(
             time=float(trajectory.times[run[0]]),
             last_time=float(trajectory.times[run[-1]]),
             velocity_change=float(np.linalg.norm(changes[run[0] : run[-1] + 1].sum(axis=0))),
-            energy_ratio=_divide(float(energies[0, run[0]]), float(energies[1, run[-1]])),
+            energy_ratio=_divide(energies, run, bool(np.any(held[run[:-1]]))),
             index=index,
         )
         for run in runs
@@ -393,8 +392,9 @@ def max_penetration(world: World, trajectory: Trajectory) -> float:
     return -float(np.min(world.calc_clearance(trajectory.positions), initial=0.0))
 
 
-def _divide(before: float, after: float) -> float | None:
-    """Returns kinetic energy after / before; of none before None, or 1 if there is none after."""
-    if before == 0:
-        return 1.0 if after == 0 else None
-    return after / before
+def _divide(energies: Floats, run: Ints, lasts: bool) -> float | None:
+    """Returns kinetic energy after / before; 1 if neither is any, None if it lasts from rest on."""
+    before, after = float(energies[0, run[0]]), float(energies[1, run[-1]])
+    if lasts and after and before < _AT_REST**2 * np.max(energies[0]):
+        return None
+    return after / before if before else np.inf if after else 1.0
