@@ -85,6 +85,18 @@ def _forget_literals(compiled: Any) -> None:
 
 
 @contextmanager
+def uncollected() -> Iterator[None]:
+    """Lets Python's collector of garbage rest, in all threads."""
+    is_collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if is_collecting:
+            gc.enable()
+
+
+@contextmanager
 def _undisturbed() -> Iterator[None]:
     """Makes Ctrl-C wait for the end of a call, and Python's collector of garbage, too.
 
@@ -92,17 +104,15 @@ def _undisturbed() -> Iterator[None]:
     compiled. They reach the main thread alone. Of a compiler's many objects hardly any are garbage
     before its end, and to look for it takes an eighth of the time.
     """
-    handle, is_collecting = signal.getsignal(signal.SIGINT), gc.isenabled()
+    handle = signal.getsignal(signal.SIGINT)
     is_main = threading.current_thread() is threading.main_thread() and callable(handle)
     caught: list[tuple[Any, ...]] = []
     if is_main:
         signal.signal(signal.SIGINT, lambda *arguments: caught.append(arguments))
-    gc.disable()
     try:
-        yield
+        with uncollected():
+            yield
     finally:
-        if is_collecting:
-            gc.enable()
         if is_main:
             signal.signal(signal.SIGINT, handle)
         if caught and callable(handle):

@@ -106,15 +106,14 @@ def name_active(world: World, scenario: Scenario, candidates: Iterable[Candidate
 def name_obstacles(world: World, scenario: Scenario, candidates: Sequence[Candidate]) -> str:
     """Returns the same, after sentences of what all of them miss in simulation, and by how much."""
     told = ""
-    for name, missed in candidates[0].replay.violations.items():
+    for name in candidates[0].replay.broken:
         if all(name in candidate.replay.broken for candidate in candidates):
-            least = min(missed, *(each.replay.violations[name] for each in candidates))
+            least = min(candidate.replay.violations[name] for candidate in candidates)
             told += (
                 f"In simulation all miss {name!r}, by {least:.2g} of the task's scales or more. "
             )
-            told += "Weigh the goal (hard_goal: false) to come as near as it can. " * (
-                name == HARD_GOAL
-            )
+            if name == HARD_GOAL:
+                told += "Weigh the goal (hard_goal: false) to come as near as it can. "
     return told + name_active(world, scenario, candidates)
 
 

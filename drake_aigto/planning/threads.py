@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from typing import Any
+
+from drake_aigto.kernels import uncollected
 
 # Python answers a Ctrl-C that comes just before a wait begins only when the wait ends [s].
 _PATIENCE = 0.1
@@ -14,19 +15,13 @@ _PATIENCE = 0.1
 
 @contextmanager
 def start_threads(count: int) -> Iterator[ThreadPoolExecutor]:
-    """Yields threads, while which Python's collector of garbage rests.
+    """Yields threads; until they end, Python's collector of garbage rests.
 
     It runs in any thread, and Drake ends the process where another one than the main thread frees
     a Meshcat. Diagrams hold one that draws them, and are cycles, which nothing else frees.
     """
-    is_collecting = gc.isenabled()
-    gc.disable()
-    try:
-        with ThreadPoolExecutor(count) as pool:
-            yield pool
-    finally:
-        if is_collecting:
-            gc.enable()
+    with uncollected(), ThreadPoolExecutor(count) as pool:
+        yield pool
 
 
 def wait_for(runs: Sequence[Future[Any]]) -> None:

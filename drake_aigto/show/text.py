@@ -354,7 +354,7 @@ def time_text(seconds: float) -> str:
 
 
 def energy_text(ratio: float | None) -> str:
-    """Returns a ratio of kinetic energies; None of contact that lasts from rest on."""
+    """Returns a ratio of kinetic energies; None without contact that begins in motion."""
     if ratio is None:
         return "-"
     return ">1e6" if ratio > 1e6 else f"{ratio:.2g}"

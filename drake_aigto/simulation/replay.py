@@ -297,7 +297,7 @@ _SHARE = 0.05
 _GAP = 0.1
 # An impulse below this part of the largest velocity is a solver's rounding.
 _ROUNDING = 1e-9
-# A velocity below this part of the largest one is none: a contact that lasts may end so.
+# A velocity below this part of the largest one is none: a contact that lasts may begin and end so.
 _STILL = 1e-5
 # A contact that lasts and begins with less than this part of the largest velocity begins at rest:
 # what the control adds meanwhile would be divided by next to nothing. A blow that does adds energy.
