@@ -113,13 +113,34 @@ def test_what_passes_its_bounds_between_knots_has_narrower_ones_there(cart_pole:
     replay = replay_event_driven(cart_pole.world, scenario, motion.times, motion.controls)
     fastest = float(np.max(replay.velocities[:, 1]))
     assert fastest > 3.6
-    narrowed = problem.narrowed(motion, replay)
+    narrowed = problem.narrowed(motion, [replay])
     within = narrowed.bounds.velocity
     np.testing.assert_allclose(within[1], [np.inf, 7.0 - fastest])
     np.testing.assert_array_equal(within[0], [-np.inf, -np.inf])
     # The cart's bounds are narrower, too, and can't hold at the first knots; they end the updates.
     slow = narrowed.tighten(motion)
     assert np.max(slow.states[1:, 3]) < 7.0 - fastest + 1e-2
+
+
+def test_what_passes_its_bounds_from_starts_that_are_off_is_polished_within_narrower_ones(
+    cart_pole: Planner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judge, leftmost = MechanismTask.judge, list[float]()
+
+    def exceed_at_first(problem: MechanismTask, *motion: Any) -> Candidate:
+        found = judge(problem, *motion)
+        replay, is_first = found.replay, not leftmost
+        if found.is_idle:
+            return found
+        leftmost.append(float(np.min(replay.positions[:, 0])))
+        positions = replay.positions - [0.01, 0.0]
+        off = dataclasses.replace(replay, positions=positions, violations={"bounds": 0.01})
+        return dataclasses.replace(found, perturbed=(replay, off)) if is_first else found
+
+    monkeypatch.setattr(MechanismTask, "judge", exceed_at_first)
+    scenario = dataclasses.replace(cart_pole.scenario, position_lower=[-0.2, -np.inf])
+    assert Planner(scenario, QUICK, cart_pole.world).plan().holds
+    assert -0.202 < leftmost[0] < -0.199 and leftmost[1] > -0.192
 
 
 def test_what_simulations_contradict_gives_way_to_what_was_left_out_for_it(

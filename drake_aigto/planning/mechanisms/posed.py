@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from functools import cache, cached_property
 from typing import TypeVar
 
@@ -322,16 +323,16 @@ class PosedMechanism:
             own, drake=add_to_replay(drake, self.additions, motion), alone=(*own.alone, *alone)
         )
 
-    def narrowed(self: _Task, motion: ShootingResult, replay: Replay) -> _Task:
-        """Returns the task with bounds and clearances narrowed by the excess of a motion's replay.
+    def narrowed(self: _Task, motion: ShootingResult, replays: Sequence[Replay]) -> _Task:
+        """Returns the task with bounds and clearances narrowed by the excess of a motion's replays.
 
         Bounds hold at knots, and speeds may exceed them in between, as right before a touch.
         """
-        excess = calc_excess(self.world, self.scenario, replay.positions, replay.velocities)
-        other = self.again(self.scenario)
-        other.bounds = narrow_bounds(self.bounds, motion.states[1:], excess)
-        lacks = calc_lacks(self.world, self.scenario, replay.positions)
-        other.least_distances = self.least_distances + lacks
+        other, asked = self.again(self.scenario), (self.world, self.scenario)
+        excess = [calc_excess(*asked, each.positions, each.velocities) for each in replays]
+        other.bounds = narrow_bounds(self.bounds, motion.states[1:], np.max(excess, axis=0))
+        lacks = [calc_lacks(*asked, each.positions) for each in replays]
+        other.least_distances = self.least_distances + np.max(lacks, axis=0)
         return other
 
     def again(self: _Task, scenario: Scenario) -> _Task:

@@ -355,7 +355,8 @@ class MechanismSearch(Search):
     def _polish(self, motion: KeptMotion) -> ShootingResult:
         """Adds the candidate of a motion, and returns the polished motion.
 
-        If it exceeds its bounds in simulation, it is polished again within narrower ones.
+        It is polished again within narrower bounds if only simulations exceed them, from starts
+        that are off as well.
         """
         start = motion.result
         self.tell(f"polishing a motion that costs {start.cost:.6g}")
@@ -367,17 +368,18 @@ class MechanismSearch(Search):
                     self.ended_by_ctrl_c(lambda: [] if self._candidates else [start]),
                 ):
                     polished = problem.polish(polished, self._scale_best(1.0))
-                most = self._scale_best(_SIMULATED)
-                is_worse = most < np.inf and not self.task.rank(polished) <= (False, most)
-                if polished.is_left or is_worse:
+                most, rank = self._scale_best(_SIMULATED), self.task.rank(polished)
+                if polished.is_left or (most < np.inf and not rank <= (False, most)):
                     _LOG.info("  left out: cost %.6g", polished.cost)
                     self._left_out.append(motion)
                     return polished
                 with self.clock("replay"):
                     candidate = self.task.judge(motion.origin, motion.result, polished)
-                if self.is_interrupted or not _NARROWED & {*candidate.replay.broken}:
+                replays = (candidate.replay, *candidate.perturbed)
+                broken = [each for each in replays if _NARROWED & {*each.broken}]
+                if self.is_interrupted or not broken or rank[0]:
                     break
-                problem = problem.narrowed(polished, candidate.replay)
+                problem = problem.narrowed(polished, broken)
         except TrajectoryError as error:
             _LOG.info("  not a candidate: %s", error)
             return polished
