@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.space import cover, draw_pose
-from drake_aigto import World
+from drake_aigto import Planner, PlanOptions, World
 from drake_aigto.arrays import Bools, Floats
 
 GOAL = np.array([0.1, -0.2, 0.7])
@@ -46,3 +46,12 @@ def test_poses_are_drawn_where_diffusion_policy_draws_them() -> None:
         edge = start[:2] + 0.04071 * np.array([-np.sin(start[2]), np.cos(start[2])])
         assert np.all((edge >= 0.1) & (edge <= 0.4))
         assert np.min(world.calc_signed_distance(start)) > 0.0
+
+
+@pytest.mark.slow  # 15 CPU s, compiled.
+def test_a_push_whose_errors_grow_a_million_times_is_held_by_its_feedback() -> None:
+    plan = Planner(draw_pose(9), PlanOptions(renewals=16)).plan()
+    assert plan.holds and plan.reached and plan.best.gains
+    assert plan.best.growth is not None and plan.best.growth.factor > 1e5
+    off = [each.cost for each in plan.replay.perturbed]
+    assert len(off) == 2 and max(off) < 1.05 * plan.cost < 0.01
