@@ -210,7 +210,7 @@ def test_gains_of_friction_are_those_of_the_motion_whatever_steps_a_plan_is_made
     none = np.zeros((len(times), world.num_contacts))
     motion = Trajectory(times, states[:, :n], states[:, n:], controls, none, none[1:])
     (phase,) = Feedback(world, scenario, motion, period=0.01).phases
-    exact = problem.linearize(controls, 512, 1e-3, states).gains
+    exact = problem.linearize(controls, 1024, 1e-4, states).gains
     off, size = (np.linalg.norm(each, axis=(1, 2)) for each in (phase.gains - exact, exact))
     assert np.max(off / size) < 0.1
 
