@@ -218,6 +218,9 @@ def test_the_cheapest_push_to_rest_lets_the_floor_brake() -> None:
     assert [(touch.start, touch.mode) for touch in problem.coasting] == [(0.0, 0)]
     near = problem.bounce((Touch(0.0, 1.0, 0, -1), Touch(1.0, 2.0, 0, 0)), problem.idle_motion)
     found = problem.polish(near)
+    # What a search leaves unfinished, and keeps nonetheless, is polished like any other motion.
+    left = problem.polish(dataclasses.replace(near, is_left=True))
+    assert not left.is_left and left.cost == found.cost
     candidate = problem.judge(Origin(COASTING), near, found)
     assert found.cost == pytest.approx(LEAST, rel=5e-4)
     assert candidate.replay.cost == pytest.approx(found.cost, rel=1e-9)

@@ -228,6 +228,7 @@ class RigidMechanismTask(PhasedTask):
                 rounding.
         """
         num_steps = self.scenario.num_steps
+        motion = dataclasses.replace(motion, is_left=False)  # The search left it, not the polish.
         grazes = find_grazes(self.world, motion, SLOW * self.measures.speed)
         touches = tuple(each for i, each in enumerate(motion.touches) if i not in grazes)
         is_as_is = not grazes and len(motion.controls) == num_steps
