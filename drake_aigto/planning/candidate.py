@@ -131,6 +131,11 @@ class Replays:
         if self.drake is not None:
             yield self.drake
 
+    @property
+    def judging(self) -> tuple[Replay, ...]:
+        """All that judge: those from the start, then those from starts that are off."""
+        return (*self, *self.perturbed)
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -256,13 +261,13 @@ class Candidate:
         if self.is_confirmed_by(self.replay) and not self.is_confirmed:
             off = max(each.cost for each in self.perturbed)
             told.append(f"{off:.2e} from a start 1e-3 of the scales off")
-        replays = *self.own_replays, *self.perturbed
+        replays = self.own_replays.judging
         broken = dict.fromkeys(name for replay in replays for name in replay.broken)
         return ", ".join(told) + f"; there it breaks {', '.join(map(repr, broken))}" * bool(broken)
 
     def holds(self, replays: Replays) -> bool:
         """Returns whether all replays of this candidate's control confirm it."""
-        return all(map(self.is_confirmed_by, (*replays, *replays.perturbed)))
+        return all(map(self.is_confirmed_by, replays.judging))
 
 
 @dataclass(frozen=True)

@@ -228,7 +228,7 @@ def verdict_items(plan: Plan, world: World) -> Iterator[str]:
     """Yields whether simulations confirm a plan, and what is wrong with it."""
     if plan.idleness:
         yield plan.idleness
-    names, replays = contact_names(world), (*plan.replay, *plan.replay.perturbed)
+    names, replays = contact_names(world), plan.replay.judging
     against = [replay for replay in replays if not plan.best.is_confirmed_by(replay)]
     named = dict.fromkeys(name_simulator(replay, names) for replay in against or replays)
     where, control = " and ".join(named).rstrip(","), "control alone"

@@ -328,11 +328,11 @@ class PosedMechanism:
 
         Bounds hold at knots, and speeds may exceed them in between, as right before a touch.
         """
-        other, asked = self.again(self.scenario), (self.world, self.scenario)
-        excess = [calc_excess(*asked, each.positions, each.velocities) for each in replays]
-        other.bounds = narrow_bounds(self.bounds, motion.states[1:], np.max(excess, axis=0))
-        lacks = [calc_lacks(*asked, each.positions) for each in replays]
-        other.least_distances = self.least_distances + np.max(lacks, axis=0)
+        q = np.concatenate([each.positions for each in replays])
+        v = np.concatenate([each.velocities for each in replays])
+        excess, other = calc_excess(self.world, self.scenario, q, v), self.again(self.scenario)
+        other.bounds = narrow_bounds(self.bounds, motion.states[1:], excess)
+        other.least_distances = self.least_distances + calc_lacks(self.world, self.scenario, q)
         return other
 
     def again(self: _Task, scenario: Scenario) -> _Task:

@@ -375,7 +375,7 @@ class MechanismSearch(Search):
                     return polished
                 with self.clock("replay"):
                     candidate = self.task.judge(motion.origin, motion.result, polished)
-                replays = (candidate.replay, *candidate.perturbed)
+                replays = candidate.own_replays.judging
                 broken = [each for each in replays if _NARROWED & {*each.broken}]
                 if self.is_interrupted or not broken or rank[0]:
                     break
