@@ -15,7 +15,7 @@ from drake_aigto import Scenario, World
 from drake_aigto.dynamics import Tree
 from drake_aigto.errors import ScenarioError
 from drake_aigto.simulation import Arrival
-from drake_aigto.world import FrameGoal, FrameGoals, Pose, PoseWeight, TaskCost
+from drake_aigto.world import FrameGoal, FrameGoals, Pose, PoseParts, TaskCost
 
 PLACE = [0.3, 0.1, 0.4]  # [m]
 GOAL = {"finger": {"xyz": PLACE, "weight": {"xyz": 50.0}}}
@@ -32,7 +32,7 @@ def test_costs_are_those_of_drakes_poses() -> None:
     tree, context = Tree.of(plant), plant.CreateDefaultContext()
     names = [plant.get_body(i).name() for i in plant.GetFloatingBaseBodies()]
     turn = RollPitchYaw(rng.normal(size=3)).ToQuaternion()
-    pose, weight = Pose((0.1, 0.2, 0.3), tuple(turn.wxyz())), PoseWeight((1, 2, 3), (5, 5, 5))
+    pose, weight = Pose((0.1, 0.2, 0.3), tuple(turn.wxyz())), PoseParts((1, 2, 3), (5, 5, 5))
     frames = FrameGoals.of(plant, tree, {name: FrameGoal(pose, weight) for name in names})
     assert names and frames is not None
     for _ in range(3):

@@ -132,6 +132,38 @@ def test_poses_are_written_in_degrees_radians_or_quaternions(tmp_path: Path) -> 
         assert cost.goal_error(other) == pytest.approx(0.0, abs=1e-12)
 
 
+def test_bounds_and_velocities_by_names_are_those_of_their_coordinates(tmp_path: Path) -> None:
+    begin = {"thing": {"xyz": [0.1, 0, 0.5]}, "x": -0.3, "z": 0.3}
+    given: dict[str, Any] = {
+        "initial_velocity": {"thing": {"xyz": [1, 0, -2]}, "x": -0.1},
+        "position_lower": {"thing": {"xyz": [-1, -np.inf, 0]}, "x": -0.5},
+        "position_upper": {"z": 0.4},
+        "velocity_upper": {"thing": {"turn": 3}, "z": 1.0},
+        "control_lower": {"x": -2.0},
+    }
+    asked = make_scenario(tmp_path, initial_position=begin, **given)
+    asked.save(tmp_path / "asked.yaml")
+    assert Scenario.load(tmp_path / "asked.yaml") == asked
+    world, scenario = build(asked)
+    joints = {name: world.plant.GetJointByName(name) for name in ("thing", "x", "z")}
+    q, v = (
+        {n: getattr(j, f"{k}_start")() for n, j in joints.items()} for k in ("position", "velocity")
+    )
+    sizes = {"position": world.num_positions, "velocity": world.num_velocities, "control": 3}
+    named = {
+        "initial_velocity": {v["thing"] + 3: 1.0, v["thing"] + 5: -2.0, v["x"]: -0.1},
+        "position_lower": {q["thing"] + 4: -1.0, q["thing"] + 6: 0.0, q["x"]: -0.5},
+        "position_upper": {q["z"]: 0.4},
+        "velocity_upper": {**dict.fromkeys(v["thing"] + np.arange(3), 3.0), v["z"]: 1.0},
+        "control_lower": {world.plant.GetJointActuatorByName("x").input_start(): -2.0},
+    }
+    for name, entries in named.items():
+        rest = {"lower": -np.inf, "upper": np.inf}.get(name.split("_")[1], 0.0)
+        expected = np.full(sizes.get(name.split("_")[0], world.num_velocities), rest)
+        expected[list(entries)] = list(entries.values())
+        np.testing.assert_array_equal(getattr(scenario, name), expected)
+
+
 def test_a_quaternion_that_is_not_of_unit_length_is_made_one_and_reported(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -164,6 +196,16 @@ OVERLAP = {"thing": {"xyz": [0, 0, 0.05]}, "x": -0.08, "z": 0.05}
         ({"initial_position": OVERLAP}, "got bodies that overlap by 0.02 m, expected no more than"),
         ({"mass": 2.0}, "mass: got 2 kg, in space"),
         ({"goal_weight": {"thing": {"xyx": 1.0}}}, "expected xyz and turn"),
+        ({"position_lower": {"thing": 0.0}}, r"lower\[thing\]: got \[0.0\].*a bound of xyz alone"),
+        ({"position_upper": {"thing": {"turn": 1}}}, "expected a bound of xyz alone.*no bounds"),
+        ({"velocity_upper": {"x": {"xyz": 1}}}, "which prismatic joint holds, expected numbers"),
+        ({"initial_velocity": {"thing": [1.0, 2.0]}}, "got 2 numbers, expected 6"),
+        ({"control_upper": {"w": 1.0}}, r"control_upper\[w\]: got no actuator of this name"),
+        ({"control_upper": {"x": [1.0, 2.0]}}, r"control_upper\[x\]: got 2 numbers, expected 1"),
+        (
+            {"position_lower": {"x": 0.3}, "position_upper": {"x": 0.2}},
+            "position_lower: got 0.3, with position_upper = 0.2",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused_by_name(

@@ -38,7 +38,7 @@ from drake_aigto.shooting import (
     make_memory,
 )
 from drake_aigto.simulation import replay_event_driven
-from drake_aigto.world import FrameGoal, FrameGoals, Pose, PoseWeight, SpaceWorld, TaskCost
+from drake_aigto.world import FrameGoal, FrameGoals, Pose, PoseParts, SpaceWorld, TaskCost
 
 Rng = np.random.Generator
 
@@ -139,7 +139,7 @@ def test_expansions_of_a_floating_body_are_differences_along_the_manifold(
     (q, _, _), (goal, _, _), (about, _, _) = (sample_state(plant, rng) for _ in range(3))
     problem = make_problem(plant, q, goal, 3, 0.2, rng.uniform(1.0, 2.0, 16))
     A = rng.normal(size=(8, 8))
-    pose, weight = Pose((0.3, -0.2, 0.5), (0.1, 0.5, -0.6, 0.6)), PoseWeight((3, 1, 2), (4, 4, 4))
+    pose, weight = Pose((0.3, -0.2, 0.5), (0.1, 0.5, -0.6, 0.6)), PoseParts((3, 1, 2), (4, 4, 4))
     goals = {name: FrameGoal(pose, weight) for name in ("arm_0", "arm_1_F")}
     frames = FrameGoals.of(plant, Tree.of(plant), goals)
     cost = replace(problem.cost, QT=A @ A.T, Q=np.arange(1.0, 9.0), positions=about[np.newaxis])

@@ -11,10 +11,9 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.riccati import FeedbackPhase
 from drake_aigto.progress import list_some
@@ -360,9 +359,7 @@ def read_motion(
     return Trajectory(t, q, v, held, impulses, forces)
 
 
-def _solve_pushes(
-    world: World, q: Floats, pushing: npt.NDArray[np.bool_], change: Floats
-) -> Floats:
+def _solve_pushes(world: World, q: Floats, pushing: Bools, change: Floats) -> Floats:
     """Returns the impulses ≥ 0 of contacts that cause a change of velocity [N s]."""
     units = np.eye(world.num_contacts)[pushing]
     kicks = world.calc_velocity_change(np.broadcast_to(q, (len(units), q.size)), units)

@@ -26,7 +26,7 @@ from .pair_errors import find_link as find_link
 from .pair_errors import name_alike as name_alike
 from .places import FrameGoal as FrameGoal
 from .places import Pose as Pose
-from .places import PoseWeight as PoseWeight
+from .places import PoseParts as PoseParts
 from .scenario import Scenario as Scenario
 from .space import SpaceWorld as SpaceWorld
 from .task_cost import Scales as Scales

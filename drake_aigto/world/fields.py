@@ -274,12 +274,16 @@ def check_size(name: str, values: Floats, size: int) -> None:
         )
 
 
-def check_bounds(quantity: str, least: float | Floats | None, most: float | Floats | None) -> None:
+def check_bounds(quantity: str, least: Any, most: Any) -> None:
     """Refuses a lower bound above the upper one, and bounds that leave nothing.
+
+    Each is a number, an array, None, or by names, which are checked once they are an array.
 
     Raises:
         ScenarioError: they are crossed, or of different sizes.
     """
+    if isinstance(least, Mapping) or isinstance(most, Mapping):
+        return
     name, other = f"{quantity}_lower", f"{quantity}_upper"
     lower = np.atleast_1d(-np.inf if least is None else least)
     upper = np.atleast_1d(np.inf if most is None else most)

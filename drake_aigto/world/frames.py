@@ -6,7 +6,7 @@ import dataclasses
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -18,8 +18,9 @@ from drake_aigto.arrays import Floats
 from drake_aigto.dynamics import FrameTable, Tree, make_tree_memory
 from drake_aigto.errors import ScenarioError
 from drake_aigto.world.files import suggest
-from drake_aigto.world.model_fields import Named
-from drake_aigto.world.places import FrameGoal, Pose, PoseWeight, Shift
+from drake_aigto.world.limits import name_controls
+from drake_aigto.world.model_fields import Named, Thruster
+from drake_aigto.world.places import FrameGoal, Pose, PoseParts, Shift, write_plain
 from drake_aigto.world.scenario import Scenario
 
 # Steps of inverse kinematics, and their damping, as a part of the largest curvature.
@@ -154,7 +155,7 @@ _FLOATING = "quaternion_floating"
 
 
 def place_scenario(plant: MultibodyPlant, scenario: Scenario) -> Scenario:
-    """Returns a scenario with all positions and weights as arrays, quaternions of unit length.
+    """Returns a scenario with arrays for all that is by names, and quaternions of unit length.
 
     Goals of joints that are not named are where these start; or of those that nothing weighs, where
     frames are at their goals. Goals `by` a shift are so far from the start. Of a motion that
@@ -167,15 +168,15 @@ def place_scenario(plant: MultibodyPlant, scenario: Scenario) -> Scenario:
     start = _place(plant, "initial_position", scenario.initial_position)
     if start.size != plant.num_positions():  # `check_sizes` says so.
         start = plant.GetDefaultPositions()
-    for name in _WEIGHTS:
+    for name, rest in _RESTS.items():
         if isinstance(value := getattr(scenario, name), Named):
-            changed[name] = _weigh(plant, name, value)
+            changed[name] = _fill_named(plant, name, value, rest, scenario)
     goal = start
     if scenario.periodic is not None:
         goal = start + np.nan_to_num(find_advance(plant, scenario))
         changed |= {"hard_goal": True} if not scenario.hard_goal else {}
         if scenario.goal_velocity is None:
-            changed["goal_velocity"] = scenario.initial_velocity
+            changed["goal_velocity"] = changed.get("initial_velocity", scenario.initial_velocity)
     if scenario.frame_goals and isinstance(scenario.goal_position, Mapping):
         weights = np.asarray(changed.get("goal_weight", scenario.goal_weight))
         is_free = ~np.any(np.atleast_2d(weights), axis=0) * np.ones(plant.num_velocities())
@@ -207,7 +208,14 @@ def find_advance(plant: MultibodyPlant, scenario: Scenario) -> Floats:
     return found
 
 
-_WEIGHTS = ("goal_weight", "goal_velocity_weight", "position_weight", "velocity_weight")
+# What may be by names, but for positions, and the number of what is not named.
+_RESTS = {
+    **dict.fromkeys(("goal_weight", "goal_velocity_weight"), 0.0),
+    **dict.fromkeys(("position_weight", "velocity_weight"), 0.0),
+    **dict.fromkeys(("initial_velocity", "goal_velocity"), 0.0),
+    **{f"{name}_lower": -np.inf for name in ("position", "velocity", "control")},
+    **{f"{name}_upper": np.inf for name in ("position", "velocity", "control")},
+}
 
 
 def _place(
@@ -281,21 +289,58 @@ def _normalize(plant: MultibodyPlant, name: str, q: Floats) -> Floats:
     return found
 
 
-def _weigh(plant: MultibodyPlant, name: str, value: Named[Any]) -> Floats:
-    """Returns weights of all velocities' coordinates, 0 where none is given."""
-    found = np.zeros(plant.num_velocities())
-    for key, weight in value.items():
-        joint = _find(plant, name, key)
-        size = joint.num_velocities()
-        if isinstance(weight, PoseWeight):
-            if joint.type_name() != _FLOATING:
-                got = f"a pose's weights of {key!r}, which {joint.type_name()} joint holds"
-                raise ScenarioError(name, got, f"1 or {size} numbers")
-            numbers = np.array([*weight.turn, *weight.xyz])
+def _fill_named(
+    plant: MultibodyPlant, name: str, value: Named[Any], rest: float, scenario: Scenario
+) -> Floats:
+    """Returns the array of a field that is given by names.
+
+    Positions' bounds are (nq,), controls' (nu,), all others (nv,). A turn of a floating body is
+    weighed and bounded as a velocity, and not bounded as a quaternion.
+    """
+    if name.startswith("control"):
+        thrusters = cast("tuple[Thruster, ...]", scenario.thrusters)
+        return _fill_controls(plant, name, value, rest, len(thrusters))
+    are_positions = name in ("position_lower", "position_upper")
+    total = plant.num_positions() if are_positions else plant.num_velocities()
+    found: Floats = np.full(total, rest)
+    for key, item in value.items():
+        joint, of_key = _find(plant, name, key), f"{name}[{key}]"
+        first, size = joint.velocity_start(), joint.num_velocities()
+        if are_positions:
+            first, size = joint.position_start(), joint.num_positions()
+        is_floating = joint.type_name() == _FLOATING
+        if isinstance(item, PoseParts):
+            if not is_floating:
+                got = f"xyz and turn of {key!r}, which {joint.type_name()} joint holds"
+                raise ScenarioError(of_key, got, "numbers of the joint")
+            numbers = np.array([*item.turn, *item.xyz])
         else:
-            numbers = np.array(weight)
+            numbers = np.array(item)
             numbers = np.full(size, numbers[0]) if numbers.size == 1 else numbers
-        _fill(f"{name}[{key}]", found, joint.velocity_start(), size, numbers)
+        if are_positions and is_floating:
+            if not isinstance(item, PoseParts) or np.isfinite(item.turn).any():
+                got, remedy = repr(write_plain(item)), "Attitudes have no bounds; weigh them."
+                raise ScenarioError(of_key, got, "a bound of xyz alone", remedy)
+            numbers = np.array([*np.full(4, rest), *item.xyz])
+        _fill(of_key, found, first, size, numbers)
+    return found
+
+
+def _fill_controls(
+    plant: MultibodyPlant, name: str, value: Named[Any], rest: float, thrusters: int
+) -> Floats:
+    """Returns bounds of controls, (nu,), by names of actuators, of their joints, or thrusters."""
+    names = name_controls(plant, plant.num_actuated_dofs() + thrusters, has_prefix=False)
+    known = {key: i for i, key in enumerate(names)}
+    for index in plant.GetJointActuatorIndices():
+        actuator = plant.get_joint_actuator(index)
+        known.setdefault(actuator.joint().name(), actuator.input_start())
+    found: Floats = np.full(len(names), rest)
+    for key, item in value.items():
+        if key not in known:
+            got, expected = "no actuator of this name", f"one of {', '.join(known)}"
+            raise ScenarioError(f"{name}[{key}]", got, expected, hint=suggest(key, list(known)))
+        _fill(f"{name}[{key}]", found, known[key], 1, np.ravel(item))
     return found
 
 

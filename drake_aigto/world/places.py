@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, cast, get_args
@@ -11,9 +12,17 @@ from pydrake.math import RollPitchYaw
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ScenarioError
-from drake_aigto.world.fields import ArrayField, as_number, as_vector, as_weight, as_weight_matrix
+from drake_aigto.world.fields import (
+    ArrayField,
+    as_bound,
+    as_number,
+    as_vector,
+    as_weight,
+    as_weight_matrix,
+)
 from drake_aigto.world.model_fields import Material, Named, Thruster, as_mapping
 
+_as_weight = partial(as_weight, at_least=0.0)
 _Checked = TypeVar("_Checked")
 
 _POSE = "xyz [m], and rpy_deg [degrees], rpy [rad] or quaternion (w, x, y, z)"
@@ -32,8 +41,8 @@ class Shift(NamedTuple):
     by: tuple[float, ...]  # [m], [rad]
 
 
-class PoseWeight(NamedTuple):
-    """Weights of a floating body's pose, or of its velocity."""
+class PoseParts(NamedTuple):
+    """Numbers of a floating body: weights or bounds of its pose or velocity, or its velocity."""
 
     xyz: tuple[float, ...]  # along the world's axes
     turn: tuple[float, ...]  # about them
@@ -43,7 +52,7 @@ class FrameGoal(NamedTuple):
     """Where a frame should be in the world at the end, and the weights of its error."""
 
     pose: Pose
-    weight: PoseWeight  # of the turn, one number
+    weight: PoseParts  # of the turn, one number
 
 
 # Joint or floating body → its positions.
@@ -105,10 +114,10 @@ def as_frame_goal(name: str, value: Any) -> FrameGoal:
         expected = f"a pose: {_POSE}; and weight: {{xyz: ..., turn: ...}}"
         raise ScenarioError(name, got=repr(value), expected=expected)
     pose = _as_place(name, {key: item for key, item in value.items() if key != "weight"})
-    weight = _as_weight(f"{name}.weight", value["weight"])
+    weight = _as_parts(f"{name}.weight", value["weight"], _as_weight)
     if not isinstance(pose, Pose):
         raise ScenarioError(name, got=repr(dict(value)), expected=f"a pose: {_POSE}")
-    assert isinstance(weight, PoseWeight), "it is a mapping"
+    assert isinstance(weight, PoseParts), "it is a mapping"
     if len(set(weight.turn)) > 1 or not any((*weight.xyz, *weight.turn)):
         expected = "one number for the turn, and one weight above 0"
         raise ScenarioError(f"{name}.weight", got=repr(value["weight"]), expected=expected)
@@ -144,36 +153,43 @@ def check_repeats(goal: Any, speed_weight: Any, weight: Any) -> None:
         )
 
 
-def by_name(check: Callable[[str, Any], _Checked]) -> Callable[[str, Any], _Checked]:
-    """Returns the check of weights that may be a mapping from joints and bodies to theirs.
+def by_name(
+    check: Callable[[str, Any], _Checked], check_part: Callable[[str, Any], Any], rest: float = 0.0
+) -> Callable[[str, Any], _Checked]:
+    """Returns the check of numbers that may be a mapping from joints and bodies to theirs.
 
-    What is not named weighs 0.
+    Args:
+        check: of an array, or of a number for all.
+        check_part: of a joint's numbers, and of those along a body's axes, or about them.
+        rest: the number of a body's axes that are not named.
     """
 
-    def as_weights(name: str, value: Any) -> Any:
+    def as_named(name: str, value: Any) -> Any:
         if not isinstance(value, Mapping):
             return check(name, value)
-        return Named({key: _as_weight(f"{name}[{key}]", item) for key, item in value.items()})
+        parts = {
+            key: _as_parts(f"{name}[{key}]", item, check_part, rest) for key, item in value.items()
+        }
+        return Named(parts)
 
-    return as_weights
+    return as_named
 
 
-def _as_weight(name: str, value: Any) -> tuple[Any, ...]:
-    """Returns weights of a joint, or of a body's pose."""
-    if isinstance(value, PoseWeight):
+def _as_parts(
+    name: str, value: Any, check: Callable[[str, Any], Any], rest: float = 0.0
+) -> tuple[Any, ...]:
+    """Returns numbers of a joint, or those along a body's axes and about them."""
+    if isinstance(value, PoseParts):
         return value
     if not isinstance(value, Mapping):
-        return tuple(np.ravel(as_weight(name, value, at_least=0.0)).tolist())
-    if set(value) - set(PoseWeight._fields):
+        return tuple(np.ravel(check(name, value)).tolist())
+    if set(value) - set(PoseParts._fields):
         raise ScenarioError(name, got=repr(dict(value)), expected="xyz and turn")
-    return PoseWeight(*(_as_three(name, value.get(part, 0.0)) for part in PoseWeight._fields))
-
-
-def _as_three(name: str, value: Any) -> tuple[float, ...]:
-    numbers = np.ravel(as_weight(name, value, at_least=0.0))
-    if numbers.size not in (1, 3):
-        raise ScenarioError(name, got=f"{numbers.size} numbers", expected="1 or 3")
-    return tuple(np.broadcast_to(numbers, 3).tolist())
+    found = [np.ravel(check(name, value.get(part, rest))) for part in PoseParts._fields]
+    for numbers in found:
+        if numbers.size not in (1, 3):
+            raise ScenarioError(name, got=f"{numbers.size} numbers", expected="1 or 3")
+    return PoseParts(*(tuple(np.broadcast_to(numbers, 3).tolist()) for numbers in found))
 
 
 REQUIRED = ("initial_position", "initial_velocity", "goal_position")
@@ -210,8 +226,10 @@ EXTRAS = (
 Weight = ArrayField[Any]  # A float of one number, an array of several.
 Bound = ArrayField[float | Floats | None]
 Vector = ArrayField[Floats | None]
-as_running = by_name(partial(as_weight, at_least=0.0))
-as_final = by_name(as_weight_matrix)
+as_running = by_name(_as_weight, _as_weight)
+as_final = by_name(as_weight_matrix, _as_weight)
+as_velocity = by_name(as_vector, as_vector)
+as_lower, as_upper = (by_name(as_bound, as_bound, rest) for rest in (-math.inf, math.inf))
 as_positions = cast(Callable[[str, object], Floats], as_places)  # Names are replaced by numbers.
 as_clearance = as_mapping(partial(as_number, above=0.0, unit="m"), "{ball against left_wall: 0.05}")
 as_period = as_mapping(as_advance, "{x: 0.4}, or {} if all repeats")
@@ -225,7 +243,7 @@ def write_plain(value: Any) -> Any:
         return value.tolist()
     if isinstance(value, FrameGoal):
         return {**write_plain(value.pose), "weight": write_plain(value.weight)}
-    if isinstance(value, Pose | PoseWeight | Shift | Thruster):
+    if isinstance(value, Pose | PoseParts | Shift | Thruster):
         return {name: write_plain(item) for name, item in value._asdict().items()}
     if isinstance(value, Material):
         return {name: item for name, item in value._asdict().items() if item is not None}

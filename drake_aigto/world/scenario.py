@@ -18,7 +18,6 @@ from drake_aigto.errors import ScenarioError
 from drake_aigto.output import write_text
 from drake_aigto.world.fields import (
     ArrayField,
-    as_bound,
     as_number,
     as_range,
     as_table,
@@ -46,10 +45,13 @@ from drake_aigto.world.places import (
     as_clearance,
     as_final,
     as_frames,
+    as_lower,
     as_period,
     as_positions,
     as_price,
     as_running,
+    as_upper,
+    as_velocity,
     check_repeats,
     write_plain,
 )
@@ -86,11 +88,11 @@ class Scenario(ModelFields):
             there. How it is read, say the `ModelFields`.
         initial_position: q(0), shape (nq,); or by names of joints and floating bodies, of which
             others are at the model's default: numbers of a joint, or a pose (`place_scenario`).
-        initial_velocity: v(0), shape (nv,).
+        initial_velocity: v(0), shape (nv,); or by names, 0 of others.
         goal_position: where q(T) should be, the same, or {by: numbers} for so far from the start;
             what is not named, where it starts. Of a motion that is `periodic` it is known.
-        goal_velocity: what v(T) should be, shape (nv,); None: zero where it is weighed, and free
-            where the goal is hard.
+        goal_velocity: what v(T) should be, the same; None: zero where it is weighed, and free where
+            the goal is hard.
         hard_goal: q(T) has to be the goal, and v(T) the `goal_velocity` that is given.
         periodic: given, the motion repeats: v(T) = v(0), and q(T) = q(0) but for how far joints
             advance, {x: 0.4}, or bodies that float, {body: [0.4, 0, null]} along the world's axes
@@ -117,12 +119,10 @@ class Scenario(ModelFields):
         reference_positions: at these times, shape (K, nq), piecewise linear between and constant
             before and after; None: the goal.
         reference_velocities: the same, shape (K, nv); None: the goal's.
-        position_lower: least q.
-        position_upper: largest q.
-        velocity_lower: least v.
-        velocity_upper: largest v.
-        control_lower: least u.
-        control_upper: largest u.
+        position_lower, position_upper: least and largest q, one number or (nq,), ±inf for none; or
+            by names: numbers of a joint, xyz of a floating body.
+        velocity_lower, velocity_upper: the same of v, (nv,); of a floating body xyz and turn.
+        control_lower, control_upper: the same of u, (nu,); by names of actuators or their joints.
         control_norm: largest ‖u‖; None: no such bound.
         contact: the law, "rigid", 0 ≤ φ(q) ⊥ λ ≥ 0 with Newton's restitution, or "compliant", the
             model's stiffness and dissipation.
@@ -150,9 +150,9 @@ class Scenario(ModelFields):
 
     model: str = DEFAULT_MODEL
     initial_position: ArrayField[Floats] = ArrayField(as_positions)
-    initial_velocity: ArrayField[Floats] = ArrayField(as_vector)
+    initial_velocity: ArrayField[Floats] = ArrayField(as_velocity)
     goal_position: ArrayField[Floats] = ArrayField(as_positions, None)
-    goal_velocity: Vector = ArrayField(as_vector, None)
+    goal_velocity: Vector = ArrayField(as_velocity, None)
     hard_goal: bool = False
     periodic: ArrayField[Named[tuple[float | None, ...]] | None] = ArrayField(as_period, None)
     angles: Angles = "exact"
@@ -170,12 +170,12 @@ class Scenario(ModelFields):
     reference_times: Vector = ArrayField(as_vector, None)  # [s]
     reference_positions: Vector = ArrayField(as_table, None)
     reference_velocities: Vector = ArrayField(as_table, None)
-    position_lower: Bound = ArrayField(as_bound, None)
-    position_upper: Bound = ArrayField(as_bound, None)
-    velocity_lower: Bound = ArrayField(as_bound, None)
-    velocity_upper: Bound = ArrayField(as_bound, None)
-    control_lower: Bound = ArrayField(as_bound, None)
-    control_upper: Bound = ArrayField(as_bound, None)
+    position_lower: Bound = ArrayField(as_lower, None)
+    position_upper: Bound = ArrayField(as_upper, None)
+    velocity_lower: Bound = ArrayField(as_lower, None)
+    velocity_upper: Bound = ArrayField(as_upper, None)
+    control_lower: Bound = ArrayField(as_lower, None)
+    control_upper: Bound = ArrayField(as_upper, None)
     control_norm: float | None = None
     contact: ContactKind = "rigid"
     epsilon: float = 0.1  # [J]
