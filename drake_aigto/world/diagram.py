@@ -93,8 +93,8 @@ def check_plant(plant: MultibodyPlant, in_space: bool = False, has_thrusters: bo
             "plant",
             got=f"a discrete one (time_step = {plant.time_step():g} s)",
             expected="a continuous one (time_step = 0)",
-            remedy="Discrete contact loses energy: at 1 ms an elastic bounce keeps only 0.7 of "
-            "its speed.",
+            remedy="Plan on one with time_step=0: discrete contact loses energy, an elastic bounce "
+            "keeps only 0.7 of its speed at 1 ms. Controllers run plans in discrete plants, too.",
         )
     if plant.num_positions() == 0:
         raise ModelError(
