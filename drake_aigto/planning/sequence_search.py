@@ -9,7 +9,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from functools import partial
-from itertools import count, pairwise
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,7 +85,7 @@ def read_sequences(transcription: Transcription, x: Floats) -> list[TouchSequenc
         first, last = map(float, longest.times[[0, -1]])
         others = [touch for touch in bounces if touch.contact != longest.contact]
         sequences.append([*others, Touch(first, last, longest.contact)])
-    return [_in_order(sequence, _APART * T) for sequence in sequences]
+    return [put_apart(sequence, T) for sequence in sequences]
 
 
 def read_touches_of(world: World, trajectory: Trajectory) -> TouchSequence:
@@ -168,13 +168,6 @@ def kinds(sequence: TouchSequence) -> list[tuple[int, bool]]:
     return [(touch.contact, touch.lasts) for touch in sequence]
 
 
-def are_neighbors(one: TouchSequence, other: TouchSequence) -> bool:
-    """Returns whether both have the same contacts, or one of them has a touch more."""
-    shorter, longer = sorted((kinds(one), kinds(other)), key=len)
-    rest = (longer[:place] + longer[place + 1 :] for place in range(len(longer)))
-    return shorter == longer or shorter in rest
-
-
 def is_same(one: TouchSequence, other: TouchSequence, near: float) -> bool:
     """Returns whether both have the same contacts, at times that `are_near` [s]."""
     return kinds(one) == kinds(other) and all(
@@ -188,11 +181,11 @@ def are_near(one: float, other: float, near: float) -> bool:
     return abs(one - other) <= min(near, max(one, other) / 4)
 
 
-def _in_order(touches: list[Touch], least: float) -> TouchSequence:
-    """Returns touches by their starts, with bounces moved at least this far apart [s]."""
+def put_apart(touches: Iterable[Touch], duration: float) -> TouchSequence:
+    """Returns touches of a motion [s] by their starts, with bounces moved apart if they meet."""
     found: list[Touch] = []
     for touch in sorted(touches, key=lambda touch: touch.start):
-        earliest = found[-1].start + least if found else 0.0
+        earliest = found[-1].start + _APART * duration if found else 0.0
         if touch.start < earliest and not touch.lasts:
             touch = Touch.bounce(earliest, touch.contact)
         found.append(touch)
@@ -252,18 +245,16 @@ class SequenceSearch(Search):
         return min(costs, default=math.inf)
 
     def propose(self) -> Iterator[Sequence[Proposal]]:
-        """Yields boxes of the ladder's rungs, grouped if they may run in parallel.
+        """Yields boxes of the ladder's rungs, which may run in parallel.
 
         After Ctrl-C, each returns AIGO's best so far.
         """
-        numbers, total, name = count(1), len(self.task.ladder), self.task.algorithm_name
-        for rungs in self.rungs():
-            wave = []
-            for rung in rungs:
-                run = partial(self.task.run_aigo, rung, None, self._stop_if_asked)
-                text = f"AIGO {next(numbers)} of {total}: {rung.describe(name)}"
-                wave.append(Proposal(Origin(name, rung), run, text))
-            yield wave
+        wave, total, name = [], len(self.task.ladder), self.task.algorithm_name
+        for number, rung in enumerate(self.task.ladder, 1):
+            run = partial(self.task.run_aigo, rung, None, self._stop_if_asked)
+            text = f"AIGO {number} of {total}: {rung.describe(name)}"
+            wave.append(Proposal(Origin(name, rung), run, text))
+        yield wave
 
     def vary(self) -> Iterator[Sequence[Proposal]]:
         """Yields nothing: the best are improved as they are judged."""
@@ -275,14 +266,6 @@ class SequenceSearch(Search):
     def list_found(self) -> Collection[object]:
         """Returns the candidates so far."""
         return self.by_sequence
-
-    def rungs(self) -> Iterator[tuple[Rung, ...]]:
-        """Yields the ladder's rungs in the order to run them, grouped if they may run in parallel.
-
-        Results of each group have to be added before the next is requested: rungs may be left out
-        because of results of others, never by clocks.
-        """
-        yield self.task.ladder
 
     @property
     def box_contacts(self) -> tuple[int | None, ...]:

@@ -122,7 +122,8 @@ class BranchingSearch(SequenceSearch):
 
     def _list_good(self, branched: Collection[TouchSequence]) -> list[TouchSequence]:
         """Returns good sequences that were not branched, the best first."""
-        least = min(candidate.replay.cost for candidate in self.by_sequence.values())
+        costs = (candidate.replay.cost for candidate in self.by_sequence.values())
+        least = min(costs, default=math.inf)
         good = [
             sequence
             for sequence, candidate in self.by_sequence.items()

@@ -24,13 +24,12 @@ from drake_aigto.planning.balls.phases import Path, PhaseMotion
 from drake_aigto.planning.balls.shots import draw_shots
 from drake_aigto.planning.balls.task import BallTask
 from drake_aigto.planning.candidate import COASTING, GIVEN, SHOT, Candidate, Origin
-from drake_aigto.planning.options import Rung
 from drake_aigto.planning.search import Proposal, Stopwatch, scaled
 from drake_aigto.planning.sequence_search import (
     GAP,
     are_near,
-    are_neighbors,
     kinds,
+    put_apart,
     read_touches_of,
     swapped,
 )
@@ -66,59 +65,18 @@ class BallSearch(BranchingSearch):
         self._given_up: list[tuple[Origin, Shown]] = []
         self._is_open = False  # Whether candidates that cost too much are improved, too.
 
-    def rungs(self) -> Iterator[tuple[Rung, ...]]:
-        """Yields the rungs that may have new results.
+    @property
+    def _grows_first(self) -> bool:
+        """Whether boxes are left to searches that find nothing without them.
 
-        If contacts determine a plan (`BallTask.unfolds`), the ends of the ladder are run; a rung
-        between two others only if these do not have the same contacts, or one touch more: there is
-        no sequence between such two. Colder rungs have fewer touches: after a first one with a
-        single touch none is run if no flight can win. Rungs around the uncontrolled motion, a
-        ladder of their own, are left out if a candidate has its contacts.
+        If contacts determine a plan (`BallTask.unfolds`), the best sequence grows out of the
+        uncontrolled motion's, contact by contact.
         """
-        ladder = self.task.ladder
-        if self.task.options.exhaustive or not self.task.unfolds:
-            yield ladder
-            return
-        coast = [(contact, False) for contact in self.task.coast.bounce_contacts]
-        for start in dict.fromkeys(rung.start for rung in ladder):
-            if start == "line" or not any(kinds(each) == coast for each in self.by_sequence):
-                rungs = tuple(rung for rung in ladder if rung.start == start)
-                first, last = rungs[:1], rungs[1:][-1:]
-                if rungs[-1].temperature < rungs[0].temperature:
-                    yield first
-                    if self._leaves_only_flight(rungs[0]):
-                        continue
-                    yield last
-                else:
-                    yield first + last
-                yield from self._rungs_between(rungs)
+        return self.task.unfolds and not self.task.options.exhaustive
 
-    def _leaves_only_flight(self, rung: Rung) -> bool:
-        """Returns whether fewer touches would only leave a flight, which can't win."""
-        shown = self._shown_by(rung)
-        is_settled = len(shown) == 1 and self._can_leave_flight_out()
-        if is_settled:
-            sequence, first = next(iter(self.by_sequence.items()))
-            self._leave_flight_out(
-                first.origin.changed("dropped", sequence), self.centers[sequence]
-            )
-        return is_settled
-
-    def _rungs_between(self, rungs: tuple[Rung, ...]) -> Iterator[tuple[Rung, ...]]:
-        """Yields the necessary rungs between the first and the last of these."""
-        if len(rungs) < 3 or are_neighbors(
-            *(self._shown_by(rung) for rung in (rungs[0], rungs[-1]))
-        ):
-            return
-        middle = len(rungs) // 2
-        yield (rungs[middle],)
-        yield from self._rungs_between(rungs[: middle + 1])
-        yield from self._rungs_between(rungs[middle:])
-
-    def _shown_by(self, rung: Rung) -> TouchSequence:
-        """Returns the contact sequence of a rung's box, () if none fits."""
-        sequences = next(sequences for each, sequences in self.shown if each is rung)
-        return sequences[0] if sequences else ()
+    @property
+    def _has_plan(self) -> bool:
+        return any(each.is_feasible and each.is_confirmed for each in self.by_sequence.values())
 
     def add(
         self,
@@ -232,7 +190,7 @@ class BallSearch(BranchingSearch):
     def propose(self) -> Iterator[Sequence[Proposal]]:
         """Yields the guess of a user, boxes of rungs, and contacts of the uncontrolled motion.
 
-        If boxes lead to no plan, failed polishes are repeated first, with more iterations.
+        If these lead to no plan, failed polishes are repeated, with more iterations.
         """
         if self.guess is not None:
             touches = read_touches_of(self.task.transcription.world, self.guess)
@@ -241,17 +199,24 @@ class BallSearch(BranchingSearch):
                 yield [propose(Origin(GIVEN), Shown(self._line, touches, path))]
         # Boxes tell bounces apart that are `GAP` of the duration apart: of a fast ball, few.
         is_fast = len(self.task.coast.bounce_times) * GAP >= 1
-        if is_fast:
+        if is_fast or self._grows_first:
             yield from self._propose_uncontrolled()
-        yield from super().propose()
-        has_plan = any(each.is_feasible and each.is_confirmed for each in self.by_sequence.values())
+        if not self._grows_first:
+            yield from super().propose()
         patient = self.task.patient
-        if patient is not None and not has_plan:
+        if patient is not None and not self._has_plan:
             self.task, given_up, self._given_up = patient, self._given_up, []
             for each in given_up:
                 yield [propose(*each)]
-        if not (is_fast or (self.task.ladder and self.task.unfolds)):  # Boxes around it are a rung.
+        if not (is_fast or self.task.unfolds):  # Boxes around it are a rung.
             yield from self._propose_uncontrolled()
+
+    def vary(self) -> Iterator[Sequence[Proposal]]:
+        """Yields neighbors of good sequences, and boxes that are needed after all."""
+        yield from super().vary()
+        if self._grows_first and not self._has_plan:
+            yield from super().propose()
+            yield from super().vary()
 
     def propose_far(self) -> Iterator[Sequence[Proposal]]:
         """Yields sequences of the shots that promise least, where there is a block.
@@ -284,7 +249,9 @@ class BallSearch(BranchingSearch):
         all_of_it = tuple(starmap(Touch.bounce, bounces))
         solids = Counter(contact.solid for contact in world.contacts)
         of_walls = (t for t in all_of_it if solids[world.contacts[t.contact].solid] == 1)
-        for sequence in (all_of_it, tuple(of_walls), *([] if self.task.ladder else [()])):
+        has_boxes = self.task.ladder and not self._grows_first
+        for touches in (all_of_it, tuple(of_walls), *([] if has_boxes else [()])):
+            sequence = put_apart(touches, self._duration)
             if self.task.fits(sequence) and not self.is_known(sequence):
                 path = coast.times, coast.positions
                 yield [propose(Origin(COASTING), Shown(self._line, sequence, path))]
