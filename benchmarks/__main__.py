@@ -31,7 +31,7 @@ from benchmarks.study.scenario_question import PLANNER, ScenarioQuestion
 from benchmarks.study.scenario_study import ScenarioStudy, answer
 from benchmarks.study.scenario_tables import format_study
 from drake_aigto.cli import BAD_INPUT, FINE
-from drake_aigto.output import check_writable
+from drake_aigto.plain import check_writable
 
 _Study = TypeVar("_Study", bound=ScenarioStudy)
 _ALL = "all"

@@ -32,7 +32,7 @@ import yaml
 from drake_aigto import Plan, Scenario, World, plan
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import AigtoError
-from drake_aigto.output import write_text
+from drake_aigto.plain import write_text
 from drake_aigto.world import FixableError
 
 _MOST_COORDINATES, _KEPT = 4, 2

@@ -32,7 +32,7 @@ from benchmarks.script import is_met, read_flags, run_all, run_as
 from benchmarks.study.scenario_question import round_to
 from drake_aigto import AigtoError, Planner, PlanOptions, Scenario, World, scenario_names
 from drake_aigto.errors import OptionsError
-from drake_aigto.output import write_text
+from drake_aigto.plain import write_text
 from drake_aigto.simulation import tangent_scales
 
 PATH = Path(__file__).with_name("known_questions.json")

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.script import machine, versions
-from drake_aigto.output import write_text
+from drake_aigto.plain import write_text
 
 CHECKOUT = Path(__file__).parents[1]
 FOLDER = CHECKOUT / "docs" / "results"

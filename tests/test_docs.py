@@ -34,7 +34,7 @@ from drake_aigto.world import scenario_seconds, scenario_summaries
 API = Path(__file__).resolve().parents[1] / "docs" / "api"
 
 # What people import; the others serve these.
-INTERNAL = {"__main__", "arrays", "cli", "code_cache", "kernels", "output", "plain"}
+INTERNAL = {"__main__", "arrays", "cli", "code_cache", "kernels", "plain"}
 
 
 def public_modules() -> list[str]:

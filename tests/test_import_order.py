@@ -17,7 +17,6 @@ import drake_aigto
 PACKAGE = Path(drake_aigto.__file__).parent
 ROAD = (
     "errors",
-    "output",
     "progress",
     "plain",
     "arrays",

@@ -18,7 +18,7 @@ from scenario_fields import ALL_FIELDS
 
 from drake_aigto import Scenario, scenario_names
 from drake_aigto.errors import AigtoError, OutputFileError, ScenarioError
-from drake_aigto.output import write_text
+from drake_aigto.plain import write_text
 from drake_aigto.world import ModelFields, scenario_summaries
 
 ENDS: dict[str, Any] = {"initial_position": 1.0, "initial_velocity": -2.0, "goal_position": 0.73}

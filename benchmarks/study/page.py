@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.study.scenario_study import read_results
 from drake_aigto.errors import ResultsFileError
-from drake_aigto.output import check_writable, write_bytes, write_text
+from drake_aigto.plain import check_writable, write_bytes, write_text
 
 # Of files of one kind, and the page: Markdown in parts.
 Section: TypeAlias = Callable[[Sequence[Path], Path], Iterable[str]]

@@ -24,8 +24,7 @@ from benchmarks.study.scenario_question import (
     run_job,
 )
 from drake_aigto.errors import AigtoError, ResultsFileError
-from drake_aigto.output import write_text
-from drake_aigto.plain import from_plain, read_json, to_plain
+from drake_aigto.plain import from_plain, read_json, to_plain, write_text
 
 # A method succeeds with a cost of at most this much more than the optimum: relative and absolute.
 RELATIVE, ABSOLUTE = 0.01, 1e-7

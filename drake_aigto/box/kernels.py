@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints, Records
-from drake_aigto.box.lanes import Lanes
-from drake_aigto.box.rows import (
+from drake_aigto.box.lanes import (
     PARTS,
+    Lanes,
     load_arguments,
     load_coefficients,
     load_functions,

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.certify.contraction import bound_all, may_hold_minima, middles
 from drake_aigto.certify.enclosures import HESSIAN, VALUE, SumOfFormulas, enclose_all
-from drake_aigto.certify.expansions import bound_all, may_hold_minima, middles
 from drake_aigto.certify.formulas import Formulas, tape_of
 from drake_aigto.certify.relaxation import Relaxation
 

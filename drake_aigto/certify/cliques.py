@@ -23,6 +23,7 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.certify.cells import BoundSearch
+from drake_aigto.certify.contraction import bound_all, may_hold_minima
 from drake_aigto.certify.enclosures import (
     GRADIENT,
     HESSIAN,
@@ -30,7 +31,6 @@ from drake_aigto.certify.enclosures import (
     enclose_all,
     sum_outward,
 )
-from drake_aigto.certify.expansions import bound_all, may_hold_minima
 from drake_aigto.certify.formulas import Formulas, formula_of
 from drake_aigto.certify.intervals import UNIT
 from drake_aigto.certify.tape import make_tape

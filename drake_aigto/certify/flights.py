@@ -15,8 +15,8 @@ import numpy as np
 import pydrake.symbolic as sym
 
 from drake_aigto.arrays import Floats
+from drake_aigto.certify.contraction import bound_all
 from drake_aigto.certify.enclosures import GRADIENT, VALUE, enclose_all
-from drake_aigto.certify.expansions import bound_all
 from drake_aigto.certify.tape import Formula, make_tape
 
 # A flight that is this far beyond a wall, as a part of the line's length, goes through it.

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.certify.expansions import middles
+from drake_aigto.certify.contraction import middles
 from drake_aigto.certify.formulas import Formulas, join
 from drake_aigto.certify.relaxation_kernels import (
     LARGEST_COEFFICIENT,

@@ -24,7 +24,7 @@ from pydrake.systems.sensors import CameraInfo
 from drake_aigto.cli.command_line import make_parser
 from drake_aigto.cli.flags import FINE, add_command, add_scenario, load_scenario
 from drake_aigto.errors import OptionsError
-from drake_aigto.output import check_writable
+from drake_aigto.plain import check_writable
 from drake_aigto.world import (
     DISSIPATION,
     STIFFNESS,

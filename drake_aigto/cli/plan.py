@@ -32,9 +32,8 @@ from drake_aigto.cli.flags import (
     read_workers,
 )
 from drake_aigto.errors import OptionsError
-from drake_aigto.output import check_writable, write_text
 from drake_aigto.paper import ROWS, LiteralOptions, plan_literal, run_table1
-from drake_aigto.plain import to_plain
+from drake_aigto.plain import check_writable, to_plain, write_text
 from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions
 from drake_aigto.show import cost_text, format_plan, format_replays, to_csv
 from drake_aigto.world import Scenario, World

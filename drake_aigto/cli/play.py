@@ -37,8 +37,7 @@ from drake_aigto.control import (
     run_in_loop,
 )
 from drake_aigto.errors import ControlError, OptionsError, PlanFileError
-from drake_aigto.output import check_writable, write_text
-from drake_aigto.plain import read_json
+from drake_aigto.plain import check_writable, read_json, write_text
 from drake_aigto.planning import Plan, Planner, PlanOptions
 from drake_aigto.world import World
 

@@ -13,8 +13,7 @@ import numpy as np
 from drake_aigto.arrays import ArrayRecord, Floats, LockedArrays, locked
 from drake_aigto.control.ports import TickStatus
 from drake_aigto.errors import AigtoError, ControlError, ResultsFileError
-from drake_aigto.output import write_text
-from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
+from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain, write_text
 from drake_aigto.simulation import Arrival, Replay
 from drake_aigto.world import Scenario, World
 

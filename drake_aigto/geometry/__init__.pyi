@@ -1,8 +1,8 @@
+from .balls import cross as cross
+from .balls import dot as dot
 from .closest import find_closest as find_closest
 from .closest import is_apart as is_apart
 from .closest import place_shapes as place_shapes
-from .cores import cross as cross
-from .cores import dot as dot
 from .shapes import BALL as BALL
 from .shapes import BOX as BOX
 from .shapes import CAPSULE as CAPSULE

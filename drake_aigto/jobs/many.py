@@ -19,8 +19,7 @@ from typing import Any
 from drake_aigto import __version__
 from drake_aigto.errors import AigtoError, OptionsError, ResultsFileError
 from drake_aigto.jobs.jobs import ProcessDiedError, open_jobs, open_workers
-from drake_aigto.output import check_writable, write_text
-from drake_aigto.plain import LEFT_OUT, from_plain, to_plain
+from drake_aigto.plain import LEFT_OUT, check_writable, from_plain, to_plain, write_text
 from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions
 from drake_aigto.progress import Count
 from drake_aigto.world import Scenario

@@ -21,8 +21,8 @@ from drake_aigto.planning.candidate import (
 )
 from drake_aigto.planning.feedback import Feedback, Regulator, calc_divergence
 from drake_aigto.planning.mechanisms.closing import COARSE, Aim, close_gaps, find_tight
-from drake_aigto.planning.mechanisms.dips import find_deepest, keep_off
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, Measures
+from drake_aigto.planning.mechanisms.phased_task import find_deepest, keep_off
 from drake_aigto.planning.mechanisms.phases import (
     in_order,
     is_closed,

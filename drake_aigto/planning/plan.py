@@ -13,8 +13,7 @@ from typing import Any
 
 from drake_aigto.certify import PlanBound
 from drake_aigto.errors import AigtoError, DamagedDataError, ModelError, PlanFileError
-from drake_aigto.output import write_text
-from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
+from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain, write_text
 from drake_aigto.planning.candidate import HARDLY, Candidate, Replays, Veto
 from drake_aigto.planning.feedback import Feedback
 from drake_aigto.planning.options import SearchOptions

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from pydrake.geometry import Meshcat
 
 from drake_aigto.arrays import Floats, interpolate
-from drake_aigto.output import write_text
+from drake_aigto.plain import write_text
 from drake_aigto.show.film import ASPECT_RATIO
 from drake_aigto.show.motion import Motion
 from drake_aigto.show.shapes import coordinate_names, read_coordinates

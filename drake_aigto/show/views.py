@@ -14,7 +14,7 @@ from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from matplotlib.figure import Figure
 
 from drake_aigto.errors import ModelError, OptionsError
-from drake_aigto.output import check_writable
+from drake_aigto.plain import check_writable
 from drake_aigto.planning import VIEWS, Plan
 from drake_aigto.show.facts import verdict_facts
 from drake_aigto.show.figures import plot_plan, plot_positions

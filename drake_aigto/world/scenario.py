@@ -15,7 +15,7 @@ import yaml
 from drake_aigto.arrays import Floats
 from drake_aigto.dynamics import STICTION_SPEED
 from drake_aigto.errors import ScenarioError
-from drake_aigto.output import write_text
+from drake_aigto.plain import write_text
 from drake_aigto.world.fields import (
     ArrayField,
     as_number,

@@ -11,15 +11,18 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.planning.candidate import ChangeName
 from drake_aigto.planning.mechanisms.closing import COARSE, Aim, begin_at
-from drake_aigto.planning.mechanisms.dips import (
+from drake_aigto.planning.mechanisms.guesses import Guess
+from drake_aigto.planning.mechanisms.phased_task import (
+    FAR,
+    FINE,
+    SLOW,
     Dip,
+    PhasedTask,
     find_deepest,
     find_grazes,
     find_lacks,
     read_touches,
 )
-from drake_aigto.planning.mechanisms.guesses import Guess
-from drake_aigto.planning.mechanisms.phased_task import FAR, FINE, SLOW, PhasedTask
 from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.mechanisms.touches import (
     NEAR,

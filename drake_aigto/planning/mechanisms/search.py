@@ -14,7 +14,8 @@ from drake_aigto.errors import TrajectoryError
 from drake_aigto.planning.candidate import COASTING, GIVEN, Candidate, Origin
 from drake_aigto.planning.mechanisms.closing import Aim
 from drake_aigto.planning.mechanisms.guesses import STARTS, Guess, StartName
-from drake_aigto.planning.mechanisms.kept import (
+from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask
+from drake_aigto.planning.mechanisms.settling import (
     MOST_RENEWED,
     KeptMotion,
     are_same,
@@ -25,7 +26,6 @@ from drake_aigto.planning.mechanisms.kept import (
     keep,
     part_far,
 )
-from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask
 from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.mechanisms.touches import NEAR
 from drake_aigto.planning.search import Proposal, Search, Stopwatch, scaled

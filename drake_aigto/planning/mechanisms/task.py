@@ -27,9 +27,8 @@ from drake_aigto.planning.mechanisms.closing import (
     halve_steps,
 )
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, sample_cubic
-from drake_aigto.planning.mechanisms.kept import MOST_KEPT, MOST_RENEWED
 from drake_aigto.planning.mechanisms.posed import PosedMechanism
-from drake_aigto.planning.mechanisms.settling import settle, steady
+from drake_aigto.planning.mechanisms.settling import MOST_KEPT, MOST_RENEWED, settle, steady
 from drake_aigto.planning.search import scaled
 from drake_aigto.shooting import IMPLICIT, ShootingOptions, ShootingResult
 from drake_aigto.world import SpaceWorld, World, find_anywhere

@@ -11,7 +11,7 @@ import numpy as np
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact import Closed, Mode, RigidLaw, find_other_mode, read_mode
 from drake_aigto.planning.candidate import ChangeName
-from drake_aigto.planning.mechanisms.dips import Dip
+from drake_aigto.planning.mechanisms.phased_task import Dip
 from drake_aigto.planning.mechanisms.phases import (
     CREEP,
     find_slopes,
