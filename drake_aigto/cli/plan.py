@@ -76,7 +76,12 @@ def add_plan(commands: Any) -> None:
     """Adds the command that plans."""
     plan = add_command(commands, "plan", _plan, "plan for a scenario", _PLAN_EXAMPLES)
     add_scenario(plan)
-    _add_numerics(plan.add_argument_group(NUMERICS))
+    group = plan.add_argument_group(NUMERICS)
+    text = "literal: plan as the paper does; default: as the world requires"
+    group.add_argument("--transcription", metavar="literal", help=text)
+    add_fields(group, PlanOptions, *_NO_FLAGS)
+    shared = (field.name for field in fields(PlanOptions))
+    add_fields(group, LiteralOptions, *_NO_FLAGS, *shared, note="literal: ")
     add_confirm(plan)
     add_json(plan, "write the plan, for `replay` and `play`")
     plan.add_argument("--csv", metavar="FILE", help="write its trajectory, one row per knot")
@@ -90,14 +95,6 @@ def add_replay(commands: Any) -> None:
     replay.add_argument("plan", metavar="PLAN.json", help="a plan file")
     add_confirm(replay)
     add_json(replay, "write the plan with its new replays")
-
-
-def _add_numerics(group: Any) -> None:
-    text = "literal: plan as the paper does; default: as the world requires"
-    group.add_argument("--transcription", metavar="literal", help=text)
-    add_fields(group, PlanOptions, *_NO_FLAGS)
-    shared = (field.name for field in fields(PlanOptions))
-    add_fields(group, LiteralOptions, *_NO_FLAGS, *shared, note="literal: ")
 
 
 def _read_options(options: argparse.Namespace) -> PlanOptions | LiteralOptions:

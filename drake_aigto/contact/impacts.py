@@ -96,7 +96,11 @@ def calc_impulse(
         restitution: e, in [0, 1].
         friction: μ ≥ 0.
     """
-    later = _find_way_from_stick(mobility, friction)
+    a, b, c = mobility
+    if friction * c >= abs(b):  # After the slip velocity is zero.
+        later = _Way(Mode.STICK, -b / c if c else 0.0, a - b**2 / c if c else a)
+    else:
+        later = _slide(mobility, Mode(int(math.copysign(1, b))), friction)
     way, until = later, 0.0
     if slip:
         way = _slide(mobility, Mode(int(math.copysign(1, slip))), friction)
@@ -136,14 +140,6 @@ def _slide(mobility: Mobility, mode: Mode, friction: float) -> _Way:
     """Returns the part of an impact while it slips."""
     along = -friction * mode
     return _Way(mode, along, mobility.a + along * mobility.b)
-
-
-def _find_way_from_stick(mobility: Mobility, friction: float) -> _Way:
-    """Returns the part of an impact after the slip velocity is zero."""
-    a, b, c = mobility
-    if friction * c >= abs(b):
-        return _Way(Mode.STICK, -b / c if c else 0.0, a - b**2 / c if c else a)
-    return _slide(mobility, Mode(int(math.copysign(1, b))), friction)
 
 
 def _find_rest(first: float, later: float, rate: float, until: float, restitution: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -136,14 +136,14 @@ class _PlantTree:
         # Welds first, then as velocities are numbered.
         waiting = sorted(joints, key=lambda j: (j.num_velocities() > 0, j.velocity_start()))
         while waiting:
-            joint = next(joint for joint in waiting if self._hangs(joint))
+            joint = next(  # A body of which has its place.
+                joint
+                for joint in waiting
+                for body in (joint.parent_body(), joint.child_body())
+                if int(body.index()) in self._places
+            )
             waiting.remove(joint)
             self._attach(joint)
-
-    def _hangs(self, joint: Joint) -> bool:
-        """Returns whether a body of the joint has its place."""
-        ends = joint.parent_body(), joint.child_body()
-        return any(int(body.index()) in self._places for body in ends)
 
     def _attach(self, joint: Joint) -> None:
         """Places the joint's other body, on links of its own if the joint moves."""
@@ -293,7 +293,12 @@ class _PlantTree:
         """
         stiffnesses, moments = np.zeros(len(self._links)), np.zeros(len(self._links))
         place = {int(link.joint.index()): i for i, link in enumerate(self._links)}
-        for element in self._list_forces():
+        for k in range(self._plant.num_force_elements()):
+            element = self._plant.get_force_element(ForceElementIndex(k))
+            if isinstance(element, UniformGravityFieldElement):
+                continue
+            if not isinstance(element, (RevoluteSpring, PrismaticSpring)):
+                raise _refuse_force(type(element).__name__)
             i = place[int(element.joint().index())]
             if isinstance(element, RevoluteSpring):
                 stiffness = element.GetStiffness(self._context)
@@ -303,19 +308,6 @@ class _PlantTree:
             stiffnesses[i] += stiffness
             moments[i] += stiffness * rest
         return stiffnesses, moments / np.where(stiffnesses > 0, stiffnesses, 1.0)
-
-    def _list_forces(self) -> Iterator[Any]:
-        """Yields springs of joints.
-
-        Raises:
-            ModelError: there is another force.
-        """
-        for k in range(self._plant.num_force_elements()):
-            element = self._plant.get_force_element(ForceElementIndex(k))
-            if isinstance(element, (RevoluteSpring, PrismaticSpring)):
-                yield element
-            elif not isinstance(element, UniformGravityFieldElement):
-                raise _refuse_force(type(element).__name__)
 
 
 def check_constraints(plant: MultibodyPlant) -> None:

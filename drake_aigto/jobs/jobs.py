@@ -245,7 +245,11 @@ class Jobs:
         """
         deadline = time.monotonic() + seconds
         while self._under_way:
-            future = self._wait(deadline)
+            left = max(0.0, deadline - time.monotonic())
+            try:
+                future = self._ended.get(timeout=None if math.isinf(left) else left)
+            except Empty:
+                raise TimeoutError from None
             call = self._under_way.pop(future)
             if future.cancelled():
                 raise BrokenExecutor("jobs that were dropped, as by a scheduler that is gone")
@@ -254,18 +258,14 @@ class Jobs:
             if not isinstance(future.exception(), died):
                 yield call.name, future
             elif call.is_alone:
-                yield call.name, _died(call.name)
+                future = Future()
+                got = "two processes that died of it"
+                future.set_exception(ProcessDiedError(f"{call.name}", got, "a result"))
+                yield call.name, future
             else:
                 self._blamed.append(call._replace(is_alone=True))
             if self._blamed and not self._under_way:
                 self._submit(self._blamed.pop(0))
-
-    def _wait(self, deadline: float) -> Future[Any]:
-        left = max(0.0, deadline - time.monotonic())
-        try:
-            return self._ended.get(timeout=None if math.isinf(left) else left)
-        except Empty:
-            raise TimeoutError from None
 
 
 def _run(version: str, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
@@ -278,11 +278,3 @@ def _run(version: str, function: Callable[..., Any], arguments: tuple[Any, ...])
             remedy="Install the same there.",
         )
     return function(*arguments)
-
-
-def _died(name: object) -> Future[Any]:
-    future: Future[Any] = Future()
-    future.set_exception(
-        ProcessDiedError(f"{name}", got="two processes that died of it", expected="a result")
-    )
-    return future

@@ -62,7 +62,11 @@ def figures_of_plan(
             figure = Figure(figsize=size, layout="constrained")
             grid = figure.subplots(rows, len(columns), sharex=True, squeeze=False)
             plot_motions(grid, motions, world, plan.scenario, columns)
-            _move_legend(figure, grid[0, 0])
+            # The legend is above all, as it may be wider than one of the axes.
+            handles, labels = grid[0, 0].get_legend_handles_labels()
+            if legend := grid[0, 0].get_legend():
+                legend.remove()
+            figure.legend(handles, labels, loc="outside upper center", ncols=4, fontsize="small")
             what = "Positions, velocities, controls" if rows == 3 else "Positions, velocities"
             yield figure, f"{what}: the plan, and simulations of its control."
     if moves_straight(world):
@@ -84,14 +88,6 @@ def figures_of_plan(
                 "proposes a contact sequence; the plan is polished from it."
             ),
         )
-
-
-def _move_legend(figure: Figure, axes: Axes) -> None:
-    """Puts the legend of axes above all of their figure, which it may be wider than they are."""
-    handles, labels = axes.get_legend_handles_labels()
-    if legend := axes.get_legend():
-        legend.remove()
-    figure.legend(handles, labels, loc="outside upper center", ncols=4, fontsize="small")
 
 
 def _draw_ways(plan: Plan, motions: Sequence[Motion], world: World) -> Iterator[tuple[Figure, str]]:

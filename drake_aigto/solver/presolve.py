@@ -148,16 +148,14 @@ class _Substitution:
             rows = [number for number, piece in self._pieces.items() if piece.is_equality]
             changed = False
             for number in rows:
-                if number in self._pieces and self._is_new(number):
+                if number not in self._pieces:
+                    continue
+                around = [self._readers[each] for each in self._pieces[number].variables]
+                newest = max(set.union(set(), *around), default=number)
+                if newest != self._tried.get(number):  # Something has changed around it since.
+                    self._tried[number] = newest
                     changed |= self._use(number)
         return list(self._pieces.values()), tuple(self._definitions)
-
-    def _is_new(self, number: int) -> bool:
-        """Returns whether anything has changed around a row since it was tried."""
-        around = [self._readers[variable] for variable in self._pieces[number].variables]
-        newest = max(set.union(set(), *around), default=number)
-        before, self._tried[number] = self._tried.get(number), newest
-        return newest != before
 
     def _add(self, piece: BoundedSum) -> None:
         self._pieces[self._num_added] = piece

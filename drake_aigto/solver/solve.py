@@ -160,7 +160,10 @@ class Solve:
         """Searches, from what a proof leaves on."""
         if self._begin_proof():
             raise _ProvenError
-        if not self._search_stages():
+        if self._ladders is not None:
+            self._offer_guess()
+            self._ladders.run()
+        if not (self._ladders and self._answers.is_feasible and self._staged.is_beyond_boxes):
             self._search_boxes()
         if self._certifier and self._certificate and not self._is_proof_over:
             is_asked = self._options.certify
@@ -225,14 +228,6 @@ class Solve:
                     ends[:, k] = a, b
         center = np.where(box.half_width > 0.0, 0.5 * (ends[0] + ends[1]), box.center)
         self._first = Box(center, 0.5 * (ends[1] - ends[0]))
-
-    def _search_stages(self) -> bool:
-        """Goes up ladders, where that is worth it; returns whether boxes are no longer needed."""
-        if self._ladders is None:
-            return False
-        self._offer_guess()
-        self._ladders.run()
-        return self._answers.is_feasible and self._staged.is_beyond_boxes
 
     def _search_boxes(self) -> None:
         if self._staged.is_beyond_boxes:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -59,7 +59,12 @@ class MjcfFile:
         self._classes: dict[str, dict[str, dict[str, str]]] = {}
         for default in root.findall("default"):
             self._read_class(default, "main", {})
-        self.bodies = list(self._walk())
+        # Bodies, and the class of what is in them; the list grows while it is walked along.
+        self.bodies = [(body, "main") for body in root.findall("worldbody")]
+        for i, (body, outer) in enumerate(self.bodies):
+            childclass = body.get("childclass", outer)
+            self.bodies[i] = body, childclass
+            self.bodies += [(child, childclass) for child in body.findall("body")]
 
     def resolve(self, element: Element, childclass: str) -> dict[str, str]:
         """Returns an element's attributes with those of its class."""
@@ -89,14 +94,6 @@ class MjcfFile:
         self._classes[name] = mine
         for child in default.findall("default"):
             self._read_class(child, child.get("class", "main"), mine)
-
-    def _walk(self) -> Iterator[tuple[Element, str]]:
-        """Yields bodies, and the class of what is in them."""
-        pending = [(body, "main") for body in self.root.findall("worldbody")]
-        for body, outer in pending:  # It grows meanwhile.
-            childclass = body.get("childclass", outer)
-            yield body, childclass
-            pending += [(child, childclass) for child in body.findall("body")]
 
 
 def _include(parent: Element, folder: Path, above: tuple[Path, ...]) -> None:
