@@ -91,19 +91,35 @@ class Trajectory(ArrayRecord):
         control = PiecewisePolynomial.ZeroOrderHold(self.times, held.T)
         if self.velocities.shape != self.positions.shape:
             return PiecewisePolynomial.FirstOrderHold(self.times, self.states.T), control
-        h = np.diff(self.times)[:, np.newaxis]
-        mean = np.diff(self.positions, axis=0) / h
-        end = self.velocities[1:]
-        is_hit = np.any(self.impulses[:-1] != 0, axis=1, keepdims=True)
-        start = np.where(is_hit, 2 * mean - end, self.velocities[:-1])
-        quadratic = (3 * mean - 2 * start - end) / h
-        cubic = (start + end - 2 * mean) / h**2
         polynomials = []  # Of q and v in t − t_k, on each interval.
-        for c in np.stack([self.positions[:-1], start, quadratic, cubic], axis=1):
+        for c in self._fit(0, len(self.times) - 1):
             slopes = c[1:] * np.arange(1, 4)[:, np.newaxis]
             entries = [Polynomial(coefficients) for coefficients in (*c.T, *slopes.T)]
             polynomials.append(np.array(entries).reshape(-1, 1))
         return PiecewisePolynomial(polynomials, self.times), control
+
+    def calc_state(self, time: float) -> Floats:
+        """Returns q and v of `to_piecewise` at a time, shape (nq + nv,); beyond it, of its end."""
+        times = self.times
+        time = min(max(time, times[0]), times[-1])
+        k = min(int(np.searchsorted(times, time, side="right")) - 1, len(times) - 2)
+        elapsed = time - times[k]
+        if self.velocities.shape != self.positions.shape:
+            first, last = self.states[k : k + 2]
+            return np.asarray(first + elapsed / (times[k + 1] - times[k]) * (last - first))
+        c = self._fit(k, k + 1)[0]
+        q = c[0] + elapsed * (c[1] + elapsed * (c[2] + elapsed * c[3]))
+        return np.concatenate([q, c[1] + elapsed * (2 * c[2] + 3 * elapsed * c[3])])
+
+    def _fit(self, first: int, last: int) -> Floats:
+        """Returns the coefficients of q in t − t_k, rising, of intervals, shape (K, 4, nq)."""
+        steps, after = slice(first, last), slice(first + 1, last + 1)
+        h = (self.times[after] - self.times[steps])[:, np.newaxis]
+        mean, end = (self.positions[after] - self.positions[steps]) / h, self.velocities[after]
+        is_hit = np.any(self.impulses[steps] != 0, axis=1, keepdims=True)
+        start = np.where(is_hit, 2 * mean - end, self.velocities[steps])
+        quadratic, cubic = (3 * mean - 2 * start - end) / h, (start + end - 2 * mean) / h**2
+        return np.stack([self.positions[steps], start, quadratic, cubic], axis=1)
 
 
 def check_control(times: ArrayLike, controls: ArrayLike) -> tuple[Floats, Floats]:

@@ -14,7 +14,7 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.control.horizon import Horizon
 from drake_aigto.control.mechanism_horizon import make_horizon
-from drake_aigto.control.ports import predict
+from drake_aigto.control.model import Model
 from drake_aigto.control.touches import PlannedMotion
 from drake_aigto.planning import Feedback, Plan, Planner, PlanOptions, needs_shooting
 from drake_aigto.simulation import Controller, Held, HeldControl
@@ -167,10 +167,10 @@ class Catch:
         if not self.task or time < end - self.soon or not np.array_equal(asked, self.nothing):
             return asked
         held = HeldControl(np.array([time, end]), u[np.newaxis])
-        led = predict((self.task.world, self.task.scenario), x, held)
+        led = Model(self.task.world, self.task.scenario).find_end(x, held)
         if led is None:
             return self.nothing
-        coming = np.append([end, _AHEAD], led[0])
+        coming = np.append([end, _AHEAD], led)
         self._ask(self.task, coming, None)
         return np.append(self._none, coming)
 
@@ -221,10 +221,11 @@ class Catch:
         if task.is_inside(x):
             return None
         if asked[1] != _AHEAD:
-            led = predict((task.world, task.scenario), x, self._bridge(task, asked, last))
-            if led is None or task.is_inside(led[0]):
+            model, bridge = Model(task.world, task.scenario), self._bridge(task, asked, last)
+            led = model.find_end(x, bridge)
+            if led is None or task.is_inside(led):
                 return None
-            x = led[0]
+            x = led
         near = [last.motion] if last else []
         ways = [partial(task.advance, each) for each in (*near, task.rest(due, x))]
         for way in [task.search] if asked[1] == _SEARCH else ways:

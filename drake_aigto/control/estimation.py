@@ -14,7 +14,8 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 
 from drake_aigto.arrays import Floats
 from drake_aigto.control.loop_run import Disturbance
-from drake_aigto.control.ports import Model, check_seconds, predict
+from drake_aigto.control.model import Model
+from drake_aigto.control.ports import check_seconds
 from drake_aigto.errors import AigtoError, ControlError, ModelError
 from drake_aigto.simulation import HeldControl, tangent_scales
 from drake_aigto.world import Scales, Scenario, SpaceWorld, World
@@ -82,6 +83,7 @@ class ModelEstimate:
             σ, with y = x − x̂(p₀) + Φ (p₀ − p_model).
         about: p₀.
         models: at p₀, at p₀ with each parameter higher, and with each lower.
+        scales: standard deviations σ of a prediction's errors, shape (2 nv,).
     """
 
     world: World
@@ -91,6 +93,7 @@ class ModelEstimate:
     sums: tuple[Floats, Floats, float, float]
     about: Floats
     models: tuple[Model, ...]
+    scales: Floats
 
     @classmethod
     def of(cls, world: World, scenario: Scenario, unknown: Sequence[Unknown]) -> ModelEstimate:
@@ -109,7 +112,8 @@ class ModelEstimate:
         parameters = tuple(_list_parameters(world, scenario, unknown))
         usual, none = np.array([each.usual for each in parameters]), np.zeros(len(parameters))
         empty = np.diag(none), none, 0.0, 0.0
-        return cls(world, scenario, parameters, usual, empty, usual, ())._build()
+        scales = np.repeat(_NOISE, world.num_velocities) * tangent_scales(world, scenario)
+        return cls(world, scenario, parameters, usual, empty, usual, (), scales)._build()
 
     def __deepcopy__(self, memo: object) -> ModelEstimate:
         """Returns itself: it never changes."""
@@ -175,7 +179,7 @@ class ModelEstimate:
         if force.any():
             with np.errstate(invalid="ignore"):  # As Drake's arithmetic on Expressions has NaN.
                 world = dataclasses.replace(world, bias=world.bias - force)
-        return world, scenario
+        return Model(world, scenario)
 
     def _build(self) -> ModelEstimate:
         """Returns the same with models about its values."""
@@ -220,7 +224,7 @@ class ModelEstimate:
 
     def _list_nearer(self, x: Floats) -> Iterator[Floats]:
         """Yields values with one wall as near as touches a state that it seems to be off."""
-        distances = self.models[0][0].calc_signed_distance(self.world.split(x)[0])
+        distances = self.models[0].world.calc_signed_distance(self.world.split(x)[0])
         for i, each in enumerate(self.parameters):
             if each.kind == "walls" and 0 < distances[each.which] < each.upper - self.about[i]:
                 for depth in _DEPTHS:
@@ -240,27 +244,22 @@ class ModelEstimate:
 
     def _calc_error(self, model: Model, samples: tuple[Floats, Floats], held: HeldControl) -> float:
         """Returns the mean square of a prediction's errors, in standard deviations."""
-        end = predict(model, samples[0], held)
+        end = model.find_end(samples[0], held)
         if end is None:
             return np.inf
-        errors = self.world.calc_error(samples[1], end[0]) / self._error_scales
+        errors = self.world.calc_error(samples[1], end) / self.scales
         return float(np.mean(errors**2) / self.noise)
-
-    @property
-    def _error_scales(self) -> Floats:
-        """Standard deviations σ of a prediction's errors, shape (2 nv,)."""
-        scales = tangent_scales(self.world, self.scenario)
-        return np.repeat(_NOISE, self.world.num_velocities) * scales
 
     def _update(
         self, samples: tuple[Floats, Floats], held: HeldControl, before: ModelEstimate
     ) -> ModelEstimate:
         """Returns the same after a sample, linear about p₀, with what was known before it."""
-        ends = [predict(model, samples[0], held) for model in self.models]
-        scales, after = self._error_scales, samples[1]
-        errors = np.array([self.world.calc_error(after, end[0]) / scales for end in ends if end])
-        if len(errors) < len(ends):
+        found = (model.find_end(samples[0], held) for model in self.models)
+        ends = [end for end in found if end is not None]
+        scales, after = self.scales, samples[1]
+        if len(ends) < len(self.models):
             return self
+        errors = np.array([self.world.calc_error(after, end) / scales for end in ends])
         expected, (above, below) = errors[0], np.split(errors[1:], 2)
         steps = _LINEAR * self._units
         slopes = (below - above).T / (2.0 * steps)
@@ -288,7 +287,9 @@ class ModelEstimate:
 
 # Models that differ in walls and forces alone have these in common; a plant is read for each.
 @lru_cache(maxsize=16)
-def _scale(world: World, scenario: Scenario, factors: tuple[tuple[str, float], ...]) -> Model:
+def _scale(
+    world: World, scenario: Scenario, factors: tuple[tuple[str, float], ...]
+) -> tuple[World, Scenario]:
     """Returns the model with masses, friction and stiffness times factors."""
     given: dict[str, Any] = dict(factors)
     return Disturbance(**given).apply(world, scenario)

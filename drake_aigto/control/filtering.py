@@ -17,7 +17,8 @@ from pydrake.systems.framework import (
 from scipy.linalg import cho_factor, cho_solve
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.ports import check_seconds, may_be_unsampled, predict
+from drake_aigto.control.model import Model
+from drake_aigto.control.ports import check_seconds, may_be_unsampled
 from drake_aigto.errors import ControlError
 from drake_aigto.simulation import HeldControl, tangent_scales
 from drake_aigto.world import Scales, Scenario, World
@@ -118,7 +119,7 @@ class StateFilter(LeafSystem):
                 that is not above zero.
         """
         super().__init__()
-        self._world, self._scenario, self._model = world, scenario, (world, scenario)
+        self._world, self._scenario, self._model = world, scenario, Model(world, scenario)
         nx = world.num_positions + world.num_velocities
         self._noise = np.array(noise, dtype=float)
         is_some = np.any(self._noise > 0) and np.all((self._noise >= 0) & np.isfinite(self._noise))
@@ -168,8 +169,8 @@ class StateFilter(LeafSystem):
             found: _Estimate = self._now.Eval(context)
             output.SetFromVector(found.likelier)
         elif context.get_time() > last.time:
-            led = predict(self._model, last.likelier, self._read_held(context))
-            output.SetFromVector(z if led is None else led[0])
+            led = self._model.find_end(last.likelier, self._read_held(context))
+            output.SetFromVector(z if led is None else led)
         else:
             output.SetFromVector(last.likelier)
 
@@ -209,7 +210,7 @@ class StateFilter(LeafSystem):
     def _bounces_about(self, last: _Estimate, held: HeldControl) -> bool:
         """Returns whether what nothing disturbs bounces now: the plant may, a moment off that."""
         times = held.times + np.array([0.0, held.times[-1] - held.times[0]])
-        ahead = predict(self._model, last.undisturbed, HeldControl(times, held.controls))
+        ahead = self._model.predict(last.undisturbed, HeldControl(times, held.controls))
         return bool(ahead and ahead[1])
 
     def _spread(self, z: Floats) -> Floats:
@@ -228,15 +229,15 @@ class StateFilter(LeafSystem):
         variances, axes = np.linalg.eigh(last.covariance)
         steps = np.sqrt(len(axes) * np.maximum(variances, 0.0)) * axes
         points = [last.x, *(self._add(last.x, step) for step in (*steps.T, *-steps.T))]
-        ends = [found[0] for x in points if (found := predict(model, x, held)) is not None]
+        ends = [end for x in points if (end := model.find_end(x, held)) is not None]
         if len(ends) < len(points):
             return None
         errors = np.array([world.calc_error(end, ends[0]) for end in ends[1:]])
         elapsed = held.times[-1] - held.times[0]
         unknown, covariance = self._unknown * elapsed, errors.T @ errors / len(errors)
         covariance += np.diag(np.concatenate([unknown * elapsed**2 / 3, unknown]))
-        ahead = predict(model, last.undisturbed, held) if last.odds > 0 else None
-        known = (ahead[0], last.odds) if ahead else (last.undisturbed,)
+        ahead = model.find_end(last.undisturbed, held) if last.odds > 0 else None
+        known = (last.undisturbed,) if ahead is None else (ahead, last.odds)
         return _Estimate(float(held.times[-1]), ends[0], covariance, last.sampled, *known)
 
     def _correct(self, led: _Estimate, z: Floats, R: Floats) -> _Estimate:

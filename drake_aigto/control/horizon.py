@@ -102,13 +102,12 @@ class Horizon(ABC):
         """
 
     @abstractmethod
-    def _lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
+    def _lead(self, last: PlannedMotion, left: Trajectory) -> PlannedMotion | None:
         """Returns the best motion near what is left of the last one; None if there is none.
 
         Args:
             last: the motion, with its touches and its cost.
             left: what is left of it, from a state on.
-            asked: the task from there on.
         """
 
     @property
@@ -151,7 +150,7 @@ class Horizon(ABC):
         if now >= motion.trajectory.times[-1] - _OVER * self._step:
             motion = self.rest(now, x)
         left = self._shift(motion.trajectory, now, x)
-        return self._lead(motion, left, self._ask(now, x))
+        return self._lead(motion, left)
 
     def _ask(self, now: float, x: Floats) -> Scenario:
         """Returns the task from a state on."""
@@ -312,9 +311,11 @@ class BallHorizon(Horizon):
         """Returns whether a wall is touched: how fast a ball is there, no rigid wall tells."""
         return bool(np.any(self._task.world.calc_clearance(np.split(x, 2)[0]) <= 0))
 
-    def _lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
+    def _lead(self, last: PlannedMotion, left: Trajectory) -> PlannedMotion | None:
         """Returns the best polished motion of the touches that may be left; None if none is."""
-        task, now = self._task.again(asked), float(left.times[0])
+        now = float(left.times[0])
+        asked = self._ask(now, left.states[0])
+        task = self._task.again(asked)
         rates = task.world.calc_contact_rate(left.positions[0], left.velocities[0])
         may_be_left = find_left(
             last.touches, now, asked.duration, self._period, rates, self._bounced

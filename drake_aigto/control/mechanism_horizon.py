@@ -170,7 +170,9 @@ class CompliantHorizon(_ShootingHorizon):
         if self.regulator:
             return super()._find_phases(motion)
         plan, states = motion.trajectory, motion.trajectory.states
-        problem = dataclasses.replace(self._problem, times=plan.times, start=states[0])
+        problem = motion.problem
+        if problem is None:
+            problem = dataclasses.replace(self._problem, times=plan.times, start=states[0])
         substeps, smoothing = self._options.substeps, self._options.rungs[0].smoothing
         about = problem.linearize(plan.controls, substeps, smoothing, states)
         return [FeedbackPhase(plan.times, states, plan.controls, about.gains)]
@@ -179,7 +181,7 @@ class CompliantHorizon(_ShootingHorizon):
         """Returns False: compliant walls may be planned in."""
         return False
 
-    def _lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
+    def _lead(self, last: PlannedMotion, left: Trajectory) -> PlannedMotion | None:
         """Returns what a few iterations make of what is left of a motion."""
         return self._descend(left.times, left.states, left.controls, self._options, last.cost)
 
@@ -209,7 +211,8 @@ class CompliantHorizon(_ShootingHorizon):
         problem = dataclasses.replace(self._problem, times=times, start=states[0])
         starts = (None, states) if self._has_friction else (states,)
         tried = (self._read(problem.solve(controls, start, options)) for start in starts)
-        return choose(tried, last_cost)
+        found = choose(tried, last_cost)
+        return found and dataclasses.replace(found, problem=problem)
 
     def _read(self, found: ShootingResult) -> PlannedMotion | None:
         """Returns a result as a motion; None if it leads nowhere."""
@@ -275,7 +278,7 @@ class RigidHorizon(_ShootingHorizon):
         signs = np.where(is_still | ~has_friction, 0.0, np.sign(slips)).astype(int)
         return {int(i): int(signs[i]) for i in np.flatnonzero(self._lasts(x))}
 
-    def _lead(self, last: PlannedMotion, left: Trajectory, asked: Scenario) -> PlannedMotion | None:
+    def _lead(self, last: PlannedMotion, left: Trajectory) -> PlannedMotion | None:
         """Returns what a few iterations make of what is left of a motion; None if that is none."""
         now, q, v = float(left.times[0]), left.positions[0], left.velocities[0]
         duration, rates = float(left.times[-1]) - now, self.world.calc_contact_rate(q, v)

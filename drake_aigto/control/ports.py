@@ -20,15 +20,15 @@ from pydrake.systems.framework import (
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
-from drake_aigto.errors import ControlError, FrictionError, TrajectoryError
+from drake_aigto.control.model import Model
+from drake_aigto.errors import ControlError
 from drake_aigto.planning import needs_shooting
-from drake_aigto.simulation import EVENT_DRIVEN, Controller, HeldControl, state_scales
+from drake_aigto.simulation import HeldControl, state_scales
 from drake_aigto.world import Scenario, World
 
 Mode: TypeAlias = Literal["waiting", "running", "holding", "fallback"]
 Sample: TypeAlias = Literal["none", "valid", "not finite", "off limits", "far off"]
 Fallback: TypeAlias = Literal["plan", "hold", "brake", "zero"]
-Model: TypeAlias = tuple[World, Scenario]
 MODES, SAMPLES = get_args(Mode), get_args(Sample)
 
 # Types of real numbers: NumPy's scalars may be given, too.
@@ -330,7 +330,7 @@ class LoopController(LeafSystem):
         if not self.delay:
             return x, []
         held = self._find_held(commands, time, time + self.delay)
-        return predict(model or (self._world, self._scenario), x, held)
+        return (model or Model(self._world, self._scenario)).predict(x, held)
 
     def _write_control(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._read_commands(context)[-1, 1:])
@@ -365,16 +365,6 @@ class LoopController(LeafSystem):
         if not np.all(np.isfinite(x)):
             raise ControlError("the state at the start", got=x.tolist(), expected="finite numbers")
         return x
-
-
-def predict(model: Model, x: Floats, held: Controller) -> tuple[Floats, list[int]] | None:
-    """Returns q and v after a controller, and the contacts that bounce; None: nobody knows."""
-    judge: Any = EVENT_DRIVEN
-    try:
-        found = judge.simulate(*model, held, state=model[0].split(x))
-    except (TrajectoryError, FrictionError):
-        return None
-    return np.concatenate([found.positions[-1], found.velocities[-1]]), found.bounces
 
 
 def may_be_unsampled(x: Floats, expected: Floats) -> bool:

@@ -387,7 +387,7 @@ class ModelPredictiveController(LoopController):
         else:
             is_over, feedback = question.horizon.is_over(now), moment.feedback
             mode = "holding" if is_over else "running"
-            if feedback and (feedback.regulator or not is_over):
+            if feedback and (not is_over or feedback.regulator):
                 at = max(now, feedback.end) if is_over and not moment.choice.law else now
                 hits = moment.find_hits(question, self.period)
                 u = feedback.sample(at, question.x, hits).control

@@ -265,7 +265,7 @@ class Horizons:
         if known is None or known.is_of_the_model:
             return self._own
         if self._learned[0] is not known.models:
-            world, scenario = known.models[0]
+            world, scenario = known.models[0].world, known.models[0].scenario
             try:
                 pair = self._make(Planner(scenario, self._options, world))
             except AigtoError:  # Where the task starts there is a wall now.

@@ -9,10 +9,10 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
 from drake_aigto.planning import Candidate
+from drake_aigto.shooting import ShootingProblem
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import World, find_link
@@ -40,11 +40,13 @@ class PlannedMotion:
         trajectory: states and controls at knots, in the context's time.
         cost: J from the first knot on.
         touches: the contacts that are come into, by time, which is the context's.
+        problem: that it is the best motion of, where a descent found it; else None.
     """
 
     trajectory: Trajectory
     cost: float
     touches: TouchSequence
+    problem: ShootingProblem | None = None
 
     def calc_control(self, time: float) -> Floats:
         """Returns u at a time, shape (nu,); before and after the horizon its first and last."""
@@ -68,19 +70,13 @@ class PlannedMotion:
         return cls(found.trajectory, found.cost, tuple(touches))
 
     @cached_property
-    def _path(self) -> PiecewisePolynomial:
-        """q(t) and v(t)."""
-        return self.trajectory.to_piecewise()[0]
-
-    @cached_property
     def reach(self) -> Floats:
         """The largest |q| and |v| at knots, shape (nq + n,)."""
         return np.asarray(np.max(np.abs(self.trajectory.states), axis=0))
 
     def calc_state(self, time: float) -> Floats:
         """Returns q and v at a time, shape (nq + n,); beyond the horizon its first and last."""
-        times = self.trajectory.times
-        return np.array(self._path.value(min(max(time, times[0]), times[-1]))[:, 0])
+        return self.trajectory.calc_state(time)
 
     def later(self, by: float) -> PlannedMotion:
         """Returns the same motion, later by a duration [s]."""

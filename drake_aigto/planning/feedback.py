@@ -253,7 +253,6 @@ class Feedback(Controller):
         """
         check_sizes(world, trajectory)
         self._world, times = world, trajectory.times
-        self._scales = tangent_scales(world, scenario)
         self.start, self.end = float(times[0]), float(times[-1])
         self.longest_hold = float(np.max(np.diff(times)))
         last = np.concatenate([trajectory.positions[-1], trajectory.velocities[-1]])
@@ -308,7 +307,7 @@ class Feedback(Controller):
     def growth(self) -> Growth:
         """Growth of errors along the plan without feedback, where the gains are not given."""
         transitions = self._sweep.calc_transitions() if self._sweep else self._transitions
-        return calc_growth(transitions, self._scales)
+        return calc_growth(transitions, tangent_scales(*self._goal[:2]))
 
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
         """Returns u_k + K_k (x − x_i(t)), within bounds; after the end that of the regulator."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import ArrayRecord, Floats, LockedArrays
 from drake_aigto.contact import calc_saltation, calc_velocity_after
@@ -49,16 +48,15 @@ class FeedbackPhase(LockedArrays, ArrayRecord):
     gains: Floats
 
     @cached_property
-    def state(self) -> PiecewisePolynomial:
-        """Positions and velocities over time, of shape (nq + n, 1), as those of a trajectory."""
+    def _trajectory(self) -> Trajectory:
         n = self.gains.shape[2] // 2
         q, v = self.states[:, :-n], self.states[:, -n:]
         none = np.zeros((len(self.times), 0))
-        return Trajectory(self.times, q, v, self.controls, none, none[1:]).to_piecewise()[0]
+        return Trajectory(self.times, q, v, self.controls, none, none[1:])
 
     def calc_state(self, time: float) -> Floats:
-        """Returns q and v, shape (2n,); before and after all knots, those of the nearest."""
-        return self.state.value(float(np.clip(time, self.times[0], self.times[-1])))[:, 0]
+        """Returns q and v, shape (nq + n,); before and after all knots, those of the nearest."""
+        return self._trajectory.calc_state(time)
 
 
 class Sweep:

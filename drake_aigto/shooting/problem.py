@@ -255,11 +255,12 @@ class ShootingProblem(OptimalControlProblem):
     def make_program(self, options: ShootingOptions) -> Program:
         """Returns the tables that compiled code reads, with multipliers of their own, zero.
 
-        The rest is made once for each order and number of substeps.
+        The rest is made once, and what depends on them for each order and number of substeps.
         """
         key = options.substeps, options.order
         if key not in self._programs:
-            self._programs[key] = make_program(self, *key)
+            other = next(iter(self._programs.values()), None)
+            self._programs[key] = make_program(self, *key, other)
         program = self._programs[key]
         multipliers = np.zeros_like(program.bounds.multipliers)
         return program._replace(bounds=program.bounds._replace(multipliers=multipliers))

@@ -28,19 +28,26 @@ _FLOOR = 1e-6
 _SHORTEST = 1e-3
 
 
-def make_program(problem: OptimalControlProblem, substeps: int, order: int) -> Program:
+def make_program(
+    problem: OptimalControlProblem, substeps: int, order: int, other: Program | None = None
+) -> Program:
     """Returns the tables of a problem, its multipliers zero.
 
     Args:
         problem: the task.
         substeps: Runge-Kutta steps of a stage.
         order: of their error, 4, 2 or `IMPLICIT`.
+        other: of the same problem in other steps, which shares all that does not depend on them.
 
     Raises:
         OptionsError: implicit steps of what is no tree of joints.
     """
     if order == IMPLICIT and not isinstance(problem.mechanism, TreeMechanism):
         raise OptionsError("order", "implicit steps in the plane", "an order of 2 or 4")
+    mechanics, method = problem.fit_mechanism(substeps, order == IMPLICIT), _METHODS[order]
+    if other is not None:
+        mechanics = copy_writable(mechanics)
+        return other._replace(mechanics=mechanics, substeps=substeps, method=method)
     layout = problem.layout
     closed, leans, restitutions = _find_closed(layout, problem.mechanism)
     times = problem.times if problem.phases is None else None
@@ -48,7 +55,7 @@ def make_program(problem: OptimalControlProblem, substeps: int, order: int) -> P
         layout.kinds, layout.shares, times, problem.least_distances
     )
     program = Program(
-        mechanics=problem.fit_mechanism(substeps, order == IMPLICIT),
+        mechanics=mechanics,
         task=_make_task(problem.cost),
         bounds=_make_bounds(problem, layout, limits),
         added=added,
@@ -61,7 +68,7 @@ def make_program(problem: OptimalControlProblem, substeps: int, order: int) -> P
         steps=layout.shares,
         times=problem.times if problem.phases is None else np.zeros(len(layout.kinds) + 1),
         substeps=substeps,
-        method=_METHODS[order],
+        method=method,
     )
     return copy_writable(program)
 

@@ -117,8 +117,9 @@ class Compliant:
             rows[:, 0] += time
             blocks.append(rows)
             time = end if done == left else time + done
-        times, rest = np.split(np.concatenate(blocks), [1], axis=1)
-        return Rows(times[:, 0], *np.split(rest, 2, axis=1)), step
+        all_rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+        ends = 1 + len(x)
+        return Rows(all_rows[:, 0], all_rows[:, 1:ends], all_rows[:, ends:]), step
 
     def _list_edges(self) -> list[str]:
         """Returns the names of pairs in which an edge touches a half space."""
@@ -171,6 +172,16 @@ class CompliantMotion:
         Raises:
             TrajectoryError: see `Compliant.follow`.
         """
+        self.lead(controller)
+        self._read()
+        return self.recording
+
+    def lead(self, controller: Controller) -> Floats:
+        """Returns (q, v) at a controller's end, shape (nx,), and reads nothing of the way there.
+
+        Raises:
+            TrajectoryError: see `Compliant.follow`.
+        """
         recording = self.recording
         while self.time < controller.end:
             held = controller.sample(self.time, self._x.copy(), ())
@@ -183,8 +194,7 @@ class CompliantMotion:
             self._held.append(np.tile(control, (len(rows.times), 1)))
             self.time = held.until
             recording.add(self.time, *self._split())
-        self._read()
-        return recording
+        return self._x.copy()
 
     def _read(self) -> None:
         """Fills in samples, touches with the states about them, and depth."""
