@@ -237,6 +237,8 @@ def test_a_motion_that_keeps_off_a_wall_by_control_grazes_it() -> None:
 
 
 UNCONFIRMED = PlanOptions(confirm=False)
+# Planning again runs the boxes that a new planner's first plan runs, too.
+EXHAUSTIVE = PlanOptions(confirm=False, exhaustive=True)
 CHANGING = (
     *("initial_position", "initial_velocity", "goal_position"),
     *("control_weight", "goal_weight", "duration"),
@@ -273,12 +275,12 @@ def draw(world: str, count: int, seed: int) -> list[Scenario]:
 )
 def test_a_changed_scenario_is_planned_as_by_a_new_planner_to_the_last_bit(world: str) -> None:
     first, *others = draw(world, 2, seed=5)
-    planner = Planner(first, UNCONFIRMED)
+    planner = Planner(first, EXHAUSTIVE)
     for scenario in others:
-        assert_same(planner.plan(**changes(scenario)), Planner(scenario, UNCONFIRMED).plan())
+        assert_same(planner.plan(**changes(scenario)), Planner(scenario, EXHAUSTIVE).plan())
     *before, last = planner.plans()
     assert before and all(plan.holds and plan.cost >= last.cost for plan in before)
-    assert_same(last, Planner(first, UNCONFIRMED).plan())
+    assert_same(last, Planner(first, EXHAUSTIVE).plan())
 
 
 @pytest.mark.parametrize(
@@ -295,18 +297,18 @@ def test_weights_and_duration_change_as_ends_do(changed: dict[str, Any]) -> None
     scenario = Scenario(
         initial_position=0.5, initial_velocity=-1.0, goal_position=0.9, time_step=0.02
     )
-    found = Planner(scenario, UNCONFIRMED, world).plan(**changed)
+    found = Planner(scenario, EXHAUSTIVE, world).plan(**changed)
     after = dataclasses.replace(scenario, **changed)
-    assert_same(found, Planner(after, UNCONFIRMED, world).plan())
+    assert_same(found, Planner(after, EXHAUSTIVE, world).plan())
 
 
 def test_a_goal_that_costs_nothing_at_first_counts_once_it_is_given_a_weight() -> None:
     scenario = Scenario(
         initial_position=0.5, initial_velocity=-1.0, goal_position=0.9, goal_weight=0.0
     )
-    found = Planner(scenario, UNCONFIRMED, shipped_world()).plan(goal_weight=1.0)
+    found = Planner(scenario, EXHAUSTIVE, shipped_world()).plan(goal_weight=1.0)
     after = dataclasses.replace(scenario, goal_weight=1.0)
-    assert_same(found, Planner(after, UNCONFIRMED, shipped_world()).plan())
+    assert_same(found, Planner(after, EXHAUSTIVE, shipped_world()).plan())
 
 
 def running_cost(program: RigidTranscription) -> None:
@@ -356,7 +358,7 @@ def test_programs_are_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("drake_aigto.planning.programs.parse_costs", count)
     first, *others = draw("point mass", 6, seed=3)
-    planner = Planner(first, dataclasses.replace(UNCONFIRMED, aigo_steps=10, exhaustive=True))
+    planner = Planner(first, dataclasses.replace(EXHAUSTIVE, aigo_steps=10))
     for scenario in (first, *others, first):
         planner.plan(**changes(scenario))
     assert len(parsed) == len(set(parsed)), "once for each number of steps"

@@ -55,8 +55,11 @@ def test_every_candidate_was_read_off_a_box() -> None:
 @pytest.mark.parametrize("number", range(3))
 def test_boxes_that_are_left_out_would_find_nothing_better(number: int) -> None:
     scenario = ScenarioQuestion(seed=11, num_steps=50).scenario(number)
+    before = dataclasses.replace(scenario, initial_velocity=0.0)
     few, all_of_them = (
-        plan(scenario, dataclasses.replace(UNCONFIRMED, exhaustive=exhaustive))
+        Planner(before, dataclasses.replace(UNCONFIRMED, exhaustive=exhaustive)).plan(
+            initial_velocity=scenario.initial_velocity
+        )
         for exhaustive in (False, True)
     )
     assert few.replay.event_driven.cost == pytest.approx(
@@ -65,11 +68,18 @@ def test_boxes_that_are_left_out_would_find_nothing_better(number: int) -> None:
     assert few.stats.aigo_steps == 0 and None not in all_of_them.stats.box_contacts
 
 
-def test_boxes_are_run_where_nothing_else_leads_to_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_boxes_are_run_for_a_first_plan_and_where_nothing_else_leads_to_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    planner = Planner(table1(1, **COARSE), UNCONFIRMED)
+    again = planner.plan(initial_velocity=-2.1)
+    assert again.best.origin.rung is None and again.stats.aigo_steps == 0
+    assert planner.plan().best.origin.rung in BALL_LADDER
     monkeypatch.setattr(BallSearch, "_propose_uncontrolled", lambda self: iter(()))
-    found = plan(table1(1, **COARSE), UNCONFIRMED)
+    found = planner.plan(initial_velocity=-2.1)
     assert found.best.origin.rung in BALL_LADDER and len(found.best.contacts) == 1
     assert None not in found.stats.box_contacts
+    assert found.cost == pytest.approx(again.cost, rel=1e-4)
 
 
 @pytest.mark.parametrize("gravity", [0.0, 9.81])

@@ -165,9 +165,9 @@ class PlanOptions(SearchOptions):
             the last refinement, of finalists, has the scenario's. Candidates are judged with as
             many or more; only the plan itself has the scenario's if these are fewer, or one per
             phase.
-        exhaustive: balls: whether boxes are run, too, where contacts determine a plan and one is
-            found without them (`BallSearch.vary`), and flights refined that cost too much
-            (`BallSearch.add`).
+        exhaustive: balls: whether planning again runs boxes, too, where contacts determine a plan
+            and one is found without them (`BallSearch.vary`), and flights refined that cost too
+            much (`BallSearch.add`).
         branches: balls: number of candidates with neighbors tried, with one bounce more or fewer.
         starts: mechanisms: how many guesses of motions are closed first; in space up to eight more,
             with contact that is hardly smoothed.

@@ -154,10 +154,10 @@ class Planner:
     ) -> Plan:
         """Plans for the scenario, or for a changed one, with the program that is compiled already.
 
-        The plan is that of a new planner for the changed scenario, to the last bit. Programs are
-        compiled again only if their structure changes: more steps, if a wall is touched sooner
-        (`coarsen`), or motions past other faces of a block. Ctrl-C ends the search; the best
-        candidate so far is returned.
+        The plan is that of a new planner for the changed scenario, to the last bit; or nearly, if
+        boxes are left out (`PlanOptions.exhaustive`). Programs are compiled again only if their
+        structure changes: more steps, if a wall is touched sooner (`coarsen`), or motions past
+        other faces of a block. Ctrl-C ends the search; the best candidate so far is returned.
 
         Args:
             initial_position: instead of the scenario's, shape (nq,) [m].
@@ -263,9 +263,9 @@ class Planner:
         else:
             with clock("build"):
                 task = task.again(scenario)
-        return (
-            BallSearch(task, clock) if isinstance(task, BallTask) else MechanismSearch(task, clock)
-        )
+        if isinstance(task, BallTask):
+            return BallSearch(task, clock, is_again=task is not self.task)
+        return MechanismSearch(task, clock)
 
 
 def _check_guess(world: World, scenario: Scenario, guess: Trajectory) -> None:

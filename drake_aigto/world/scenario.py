@@ -91,8 +91,7 @@ class Scenario(ModelFields):
         initial_velocity: v(0), shape (nv,); or by names, 0 of others.
         goal_position: where q(T) should be, the same, or {by: numbers} for so far from the start;
             what is not named, where it starts. Of a motion that is `periodic` it is known.
-        goal_velocity: what v(T) should be, the same; None: zero where it is weighed, and free where
-            the goal is hard.
+        goal_velocity: v(T), the same; None: zero where it is weighed, free where the goal is hard.
         hard_goal: q(T) has to be the goal, and v(T) the `goal_velocity` that is given.
         periodic: given, the motion repeats: v(T) = v(0), and q(T) = q(0) but for how far joints
             advance, {x: 0.4}, or bodies that float, {body: [0.4, 0, null]} along the world's axes
@@ -119,10 +118,12 @@ class Scenario(ModelFields):
         reference_positions: at these times, shape (K, nq), piecewise linear between and constant
             before and after; None: the goal.
         reference_velocities: the same, shape (K, nv); None: the goal's.
-        position_lower, position_upper: least and largest q, one number or (nq,), ±inf for none; or
-            by names: numbers of a joint, xyz of a floating body.
-        velocity_lower, velocity_upper: the same of v, (nv,); of a floating body xyz and turn.
-        control_lower, control_upper: the same of u, (nu,); by names of actuators or their joints.
+        position_lower: least q, one number or (nq,), −∞ for none; or by names, bodies' xyz.
+        position_upper: largest q, the same.
+        velocity_lower: least v, one number or (nv,); or by names, xyz and turn of a floating body.
+        velocity_upper: largest v, the same.
+        control_lower: least u, one number or (nu,); or by names of actuators or their joints.
+        control_upper: largest u, the same.
         control_norm: largest ‖u‖; None: no such bound.
         contact: the law, "rigid", 0 ≤ φ(q) ⊥ λ ≥ 0 with Newton's restitution, or "compliant", the
             model's stiffness and dissipation.

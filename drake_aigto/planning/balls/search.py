@@ -54,9 +54,18 @@ class BallSearch(BranchingSearch):
     candidate: knots may miss a short contact, and those of AIGO miss one right after the start.
     """
 
-    def __init__(self, task: BallTask, clock: Stopwatch | None = None) -> None:
-        """Starts with no candidate."""
+    def __init__(
+        self, task: BallTask, clock: Stopwatch | None = None, is_again: bool = False
+    ) -> None:
+        """Starts with no candidate.
+
+        Args:
+            task: to be planned for.
+            clock: of its parts.
+            is_again: whether a planner plans again, with other ends.
+        """
         super().__init__(task, clock)
+        self._is_again = is_again
         self._num_steps = task.num_steps
         self._least_flight_cost = task.least_flight_cost
         self._line = task.transcription.straight_line()
@@ -70,9 +79,10 @@ class BallSearch(BranchingSearch):
         """Whether boxes are left to searches that find nothing without them.
 
         If contacts determine a plan (`BallTask.unfolds`), the best sequence grows out of the
-        uncontrolled motion's, contact by contact.
+        uncontrolled motion's, contact by contact: planning again takes half the time without boxes.
         """
-        return self.task.unfolds and not self.task.options.exhaustive
+        has_reason = self._is_again or not self.task.ladder
+        return self.task.unfolds and has_reason and not self.task.options.exhaustive
 
     @property
     def _has_plan(self) -> bool:
