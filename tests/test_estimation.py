@@ -17,7 +17,7 @@ from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto import ModelPredictiveController, Planner, PlanOptions, Scenario, World
-from drake_aigto.control import Disturbance, ModelEstimate, ModelEstimator, run_in_loop
+from drake_aigto.control import Disturbance, Model, ModelEstimate, ModelEstimator, run_in_loop
 from drake_aigto.errors import ControlError
 from drake_aigto.simulation import EVENT_DRIVEN, HeldControl
 from drake_aigto.world import find_model, package_map
@@ -44,6 +44,21 @@ def watch(
         after = x + scales * rng.normal(size=2 * n)
         known, seen = known.watch((seen, after), held), after
     return known
+
+
+@pytest.mark.parametrize("name", ["cart_pole/soft_06", "cart_pole/rigid_06", "spinner/two_radians"])
+def test_what_is_predicted_without_its_way_ends_as_a_simulation_does(name: str) -> None:
+    scenario = Scenario.named(name)
+    world, rng = World.from_scenario(scenario), np.random.default_rng(3)
+    scenario = world.place(scenario)
+    times = np.linspace(0.0, 0.6, 13)
+    held = HeldControl(times, rng.normal(size=(12, world.num_actuators)))
+    x, model = scenario.initial_state, Model(world, scenario)
+    replay = EVENT_DRIVEN.simulate(world, scenario, held, state=world.split(x))
+    found = model.find_end(x, held)
+    assert found is not None
+    np.testing.assert_array_equal(found, [*replay.positions[-1], *replay.velocities[-1]])
+    np.testing.assert_array_equal(model.find_end(x, held), found)  # And leaves nothing behind.
 
 
 def check(known: ModelEstimate, truth: Any) -> None:

@@ -147,6 +147,20 @@ def test_without_impulses_the_state_curve_is_smooth() -> None:
     assert abs(state.value(0.175)[0, 0] - np.sin(0.175)) < 0.15**4 / 384
 
 
+@pytest.mark.parametrize(("nq", "nv"), [(2, 2), (7, 6)])
+def test_a_state_is_read_as_from_the_piecewise_polynomial(nq: int, nv: int) -> None:
+    # With as many positions as velocities cubics, of which some bounce; with a quaternion lines.
+    rng = np.random.default_rng(nq)
+    times = np.cumsum(rng.uniform(0.1, 0.5, 6))
+    impulses = rng.normal(size=(6, 1)) * np.array([0, 1, 0, 0, 1, 0])[:, np.newaxis]
+    q, v = rng.normal(size=(6, nq)), rng.normal(size=(6, nv))
+    motion = Trajectory(times, q, v, np.zeros((5, 1)), impulses, np.zeros((5, 1)))
+    state, _ = motion.to_piecewise()
+    for time in [times[0] - 1, *times, *rng.uniform(times[0], times[-1], 50), times[-1] + 1]:
+        expected = state.value(np.clip(time, times[0], times[-1]))[:, 0]
+        np.testing.assert_allclose(motion.calc_state(time), expected, rtol=0, atol=1e-12)
+
+
 @given(trajectories(largest=1e3))
 def test_the_control_curve_is_held_on_each_interval_and_at_the_end(trajectory: Trajectory) -> None:
     assume(np.all(np.diff(trajectory.times) > 1e-9))

@@ -12,6 +12,7 @@ from .loop_run import PlannedPath as PlannedPath
 from .loop_run import PlanSwitch as PlanSwitch
 from .loop_run import is_run as is_run
 from .mechanism_horizon import make_horizon as make_horizon
+from .model import Model as Model
 from .ports import LoopController as LoopController
 from .ports import Safety as Safety
 from .ports import TickStatus as TickStatus
