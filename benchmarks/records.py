@@ -185,9 +185,9 @@ FIGURES: Mapping[str, Figure] = {
     "questions_table": Figure("questions", r"(?s)\A(.*\S)"),
     "questions_off": Figure("questions", rf"plans more than 1 % above the best known: {_NUMBER},"),
     **_planner_speed("plan", "plan"),
-    **_planner_speed("boxless", "plan without boxes"),
-    "boxless_ratio": Figure(
-        "planner_speed", rf"(?s)Without boxes, likewise\n  CasADi \+ IPOPT from zero +{_NUMBER}"
+    **_planner_speed("boxed", "plan with boxes"),
+    "boxed_ratio": Figure(
+        "planner_speed", rf"(?s)With boxes, likewise\n  CasADi \+ IPOPT from zero +{_NUMBER}"
     ),
     "boxless_same": Figure("planner_speed", r"without boxes at the same cost: (\d+) of"),
     "boxless_count": Figure("planner_speed", r"without boxes at the same cost: \d+ of (\d+)"),
