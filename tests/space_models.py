@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from drake_aigto import Scenario
+from drake_aigto import Scenario, World
+from drake_aigto.world import SpaceWorld
 
 MATERIAL = """<drake:proximity_properties>
   <drake:point_contact_stiffness>2000</drake:point_contact_stiffness>
@@ -73,3 +74,10 @@ def make_scenario(folder: Path, text: str | None = None, **changes: Any) -> Scen
         "goal_weight": {"thing": {"xyz": 10.0}},
     }
     return Scenario(**(fields | changes))
+
+
+def build(scenario: Scenario) -> tuple[SpaceWorld, Scenario]:
+    """Returns the world of a scenario, and the scenario with its numbers."""
+    world = World.from_scenario(scenario)
+    assert isinstance(world, SpaceWorld)
+    return world, world.place(scenario)

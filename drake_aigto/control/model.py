@@ -8,9 +8,15 @@ from functools import cached_property
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import CompliantLaw, contact_law
+from drake_aigto.contact import contact_law
 from drake_aigto.errors import FrictionError, TrajectoryError
-from drake_aigto.simulation import EVENT_DRIVEN, Compliant, CompliantMotion, Controller
+from drake_aigto.simulation import (
+    EVENT_DRIVEN,
+    Compliant,
+    CompliantMotion,
+    Controller,
+    find_springs,
+)
 from drake_aigto.world import Scenario, World
 
 
@@ -33,7 +39,7 @@ class Model:
     def find_end(self, x: Floats, held: Controller) -> Floats | None:
         """Returns q and v after a controller, the same as `predict` does; None: nobody knows.
 
-        Between compliant walls nothing is recorded on the way.
+        Where there are no impacts nothing is recorded on the way.
         """
         if self._dynamics is None:
             found = self.predict(x, held)
@@ -46,8 +52,6 @@ class Model:
 
     @cached_property
     def _dynamics(self) -> Compliant | None:
-        """Dynamics with compliant walls, or without any; None: they are rigid."""
-        law = contact_law(self.world, self.scenario)
-        if not (self.world.contacts or self.world.has_constant_dynamics):
-            law = CompliantLaw(np.zeros(0), np.zeros(0))
-        return Compliant(self.world, law) if isinstance(law, CompliantLaw) else None
+        """Dynamics of a motion without impacts; None: it has some, or is a parabola."""
+        springs = find_springs(self.world, contact_law(self.world, self.scenario))
+        return None if springs is None else Compliant(self.world, springs)

@@ -6,6 +6,7 @@ from .drake_judge import StepEnd as StepEnd
 from .drake_judge import StepTrace as StepTrace
 from .drake_judge import find_touch_error as find_touch_error
 from .event_driven import Parabolas as Parabolas
+from .event_driven import find_springs as find_springs
 from .recording import Arrival as Arrival
 from .recording import Controller as Controller
 from .recording import Held as Held

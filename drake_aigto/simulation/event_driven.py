@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.contact import CompliantLaw, Walls, calc_depth, contact_law
+from drake_aigto.contact import CompliantLaw, ContactLaw, Walls, calc_depth, contact_law
 from drake_aigto.dynamics import ConstantDynamics
 from drake_aigto.kernels import kernel
 from drake_aigto.simulation.compliant import simulate_compliant
@@ -153,9 +153,9 @@ class EventDriven:
         if isinstance(law, CompliantLaw):
             return simulate_compliant(world, law, start, controller)
         is_parabola = world.has_constant_dynamics and not law.has_friction
-        if not (world.contacts or is_parabola):
-            nothing = CompliantLaw(np.zeros(0), np.zeros(0))
-            recording = simulate_compliant(world, nothing, start, controller)
+        springs = find_springs(world, law)
+        if springs is not None:
+            recording = simulate_compliant(world, springs, start, controller)
         elif is_parabola and isinstance(controller, HeldControl) and controller.is_open_loop:
             flights = Parabolas(world.constant_dynamics, law.restitution, start, controller.times)
             recording = flights.record(controller.controls)
@@ -164,6 +164,18 @@ class EventDriven:
             recording = kind(world, law, start, span).run(controller)
         recording.simulator = "event-driven"
         return recording
+
+
+def find_springs(world: World, law: ContactLaw) -> CompliantLaw | None:
+    """Returns the law of a motion without impacts, of no walls if nothing is touched; None: other.
+
+    A point mass that touches nothing flies on parabolas, which need no integration.
+    """
+    if isinstance(law, CompliantLaw):
+        return law
+    if world.contacts or world.has_constant_dynamics:
+        return None
+    return CompliantLaw(np.zeros(0), np.zeros(0))
 
 
 @kernel

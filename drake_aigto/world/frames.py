@@ -20,7 +20,7 @@ from drake_aigto.errors import ScenarioError
 from drake_aigto.world.files import suggest
 from drake_aigto.world.limits import name_controls
 from drake_aigto.world.model_fields import Named, Thruster
-from drake_aigto.world.places import FrameGoal, Pose, PoseParts, Shift, write_plain
+from drake_aigto.world.places import RESTS, FrameGoal, Pose, PoseParts, Shift, write_plain
 from drake_aigto.world.scenario import Scenario
 
 # Steps of inverse kinematics, and their damping, as a part of the largest curvature.
@@ -168,9 +168,9 @@ def place_scenario(plant: MultibodyPlant, scenario: Scenario) -> Scenario:
     start = _place(plant, "initial_position", scenario.initial_position)
     if start.size != plant.num_positions():  # `check_sizes` says so.
         start = plant.GetDefaultPositions()
-    for name, rest in _RESTS.items():
+    for name in RESTS:
         if isinstance(value := getattr(scenario, name), Named):
-            changed[name] = _fill_named(plant, name, value, rest, scenario)
+            changed[name] = _fill_named(plant, name, value, scenario)
     goal = start
     if scenario.periodic is not None:
         goal = start + np.nan_to_num(find_advance(plant, scenario))
@@ -206,16 +206,6 @@ def find_advance(plant: MultibodyPlant, scenario: Scenario) -> Floats:
         numbers = np.array([np.nan if each is None else each for each in advance])
         _fill(f"periodic[{key}]", found, first, size, numbers)
     return found
-
-
-# What may be by names, but for positions, and the number of what is not named.
-_RESTS = {
-    **dict.fromkeys(("goal_weight", "goal_velocity_weight"), 0.0),
-    **dict.fromkeys(("position_weight", "velocity_weight"), 0.0),
-    **dict.fromkeys(("initial_velocity", "goal_velocity"), 0.0),
-    **{f"{name}_lower": -np.inf for name in ("position", "velocity", "control")},
-    **{f"{name}_upper": np.inf for name in ("position", "velocity", "control")},
-}
 
 
 def _place(
@@ -289,17 +279,17 @@ def _normalize(plant: MultibodyPlant, name: str, q: Floats) -> Floats:
     return found
 
 
-def _fill_named(
-    plant: MultibodyPlant, name: str, value: Named[Any], rest: float, scenario: Scenario
-) -> Floats:
+def _fill_named(plant: MultibodyPlant, name: str, value: Named[Any], scenario: Scenario) -> Floats:
     """Returns the array of a field that is given by names.
 
     Positions' bounds are (nq,), controls' (nu,), all others (nv,). A turn of a floating body is
-    weighed and bounded as a velocity, and not bounded as a quaternion.
+    weighed and bounded as a velocity, and not bounded as a quaternion. A single weight or bound is
+    that of all of a joint's coordinates; velocities are one for each.
     """
     if name.startswith("control"):
         thrusters = cast("tuple[Thruster, ...]", scenario.thrusters)
-        return _fill_controls(plant, name, value, rest, len(thrusters))
+        return _fill_controls(plant, name, value, len(thrusters))
+    rest, is_for_all = RESTS[name], name not in ("initial_velocity", "goal_velocity")
     are_positions = name in ("position_lower", "position_upper")
     total = plant.num_positions() if are_positions else plant.num_velocities()
     found: Floats = np.full(total, rest)
@@ -316,7 +306,7 @@ def _fill_named(
             numbers = np.array([*item.turn, *item.xyz])
         else:
             numbers = np.array(item)
-            numbers = np.full(size, numbers[0]) if numbers.size == 1 else numbers
+            numbers = np.full(size, numbers[0]) if is_for_all and numbers.size == 1 else numbers
         if are_positions and is_floating:
             if not isinstance(item, PoseParts) or np.isfinite(item.turn).any():
                 got, remedy = repr(write_plain(item)), "Attitudes have no bounds; weigh them."
@@ -326,16 +316,14 @@ def _fill_named(
     return found
 
 
-def _fill_controls(
-    plant: MultibodyPlant, name: str, value: Named[Any], rest: float, thrusters: int
-) -> Floats:
+def _fill_controls(plant: MultibodyPlant, name: str, value: Named[Any], thrusters: int) -> Floats:
     """Returns bounds of controls, (nu,), by names of actuators, of their joints, or thrusters."""
     names = name_controls(plant, plant.num_actuated_dofs() + thrusters, has_prefix=False)
     known = {key: i for i, key in enumerate(names)}
     for index in plant.GetJointActuatorIndices():
         actuator = plant.get_joint_actuator(index)
         known.setdefault(actuator.joint().name(), actuator.input_start())
-    found: Floats = np.full(len(names), rest)
+    found: Floats = np.full(len(names), RESTS[name])
     for key, item in value.items():
         if key not in known:
             got, expected = "no actuator of this name", f"one of {', '.join(known)}"

@@ -154,23 +154,20 @@ def check_repeats(goal: Any, speed_weight: Any, weight: Any) -> None:
 
 
 def by_name(
-    check: Callable[[str, Any], _Checked], check_part: Callable[[str, Any], Any], rest: float = 0.0
+    check: Callable[[str, Any], _Checked], check_part: Callable[[str, Any], Any]
 ) -> Callable[[str, Any], _Checked]:
-    """Returns the check of numbers that may be a mapping from joints and bodies to theirs.
+    """Returns the check of numbers that may be by names of joints and bodies, as `RESTS` has them.
 
     Args:
         check: of an array, or of a number for all.
         check_part: of a joint's numbers, and of those along a body's axes, or about them.
-        rest: the number of a body's axes that are not named.
     """
 
     def as_named(name: str, value: Any) -> Any:
         if not isinstance(value, Mapping):
             return check(name, value)
-        parts = {
-            key: _as_parts(f"{name}[{key}]", item, check_part, rest) for key, item in value.items()
-        }
-        return Named(parts)
+        as_parts = partial(_as_parts, check=check_part, rest=RESTS[name])
+        return Named({key: as_parts(f"{name}[{key}]", item) for key, item in value.items()})
 
     return as_named
 
@@ -191,6 +188,15 @@ def _as_parts(
             raise ScenarioError(name, got=f"{numbers.size} numbers", expected="1 or 3")
     return PoseParts(*(tuple(np.broadcast_to(numbers, 3).tolist()) for numbers in found))
 
+
+# Fields that may be by names, but for positions, and their number for what is not named.
+RESTS = {
+    **dict.fromkeys(("goal_weight", "goal_velocity_weight"), 0.0),
+    **dict.fromkeys(("position_weight", "velocity_weight"), 0.0),
+    **dict.fromkeys(("initial_velocity", "goal_velocity"), 0.0),
+    **dict.fromkeys(("position_lower", "velocity_lower", "control_lower"), -math.inf),
+    **dict.fromkeys(("position_upper", "velocity_upper", "control_upper"), math.inf),
+}
 
 REQUIRED = ("initial_position", "initial_velocity", "goal_position")
 
@@ -229,7 +235,7 @@ Vector = ArrayField[Floats | None]
 as_running = by_name(_as_weight, _as_weight)
 as_final = by_name(as_weight_matrix, _as_weight)
 as_velocity = by_name(as_vector, as_vector)
-as_lower, as_upper = (by_name(as_bound, as_bound, rest) for rest in (-math.inf, math.inf))
+as_limit = by_name(as_bound, as_bound)
 as_positions = cast(Callable[[str, object], Floats], as_places)  # Names are replaced by numbers.
 as_clearance = as_mapping(partial(as_number, above=0.0, unit="m"), "{ball against left_wall: 0.05}")
 as_period = as_mapping(as_advance, "{x: 0.4}, or {} if all repeats")

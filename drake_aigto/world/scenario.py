@@ -45,12 +45,11 @@ from drake_aigto.world.places import (
     as_clearance,
     as_final,
     as_frames,
-    as_lower,
+    as_limit,
     as_period,
     as_positions,
     as_price,
     as_running,
-    as_upper,
     as_velocity,
     check_repeats,
     write_plain,
@@ -171,12 +170,12 @@ class Scenario(ModelFields):
     reference_times: Vector = ArrayField(as_vector, None)  # [s]
     reference_positions: Vector = ArrayField(as_table, None)
     reference_velocities: Vector = ArrayField(as_table, None)
-    position_lower: Bound = ArrayField(as_lower, None)
-    position_upper: Bound = ArrayField(as_upper, None)
-    velocity_lower: Bound = ArrayField(as_lower, None)
-    velocity_upper: Bound = ArrayField(as_upper, None)
-    control_lower: Bound = ArrayField(as_lower, None)
-    control_upper: Bound = ArrayField(as_upper, None)
+    position_lower: Bound = ArrayField(as_limit, None)
+    position_upper: Bound = ArrayField(as_limit, None)
+    velocity_lower: Bound = ArrayField(as_limit, None)
+    velocity_upper: Bound = ArrayField(as_limit, None)
+    control_lower: Bound = ArrayField(as_limit, None)
+    control_upper: Bound = ArrayField(as_limit, None)
     control_norm: float | None = None
     contact: ContactKind = "rigid"
     epsilon: float = 0.1  # [J]
