@@ -117,6 +117,8 @@ def test_a_page_says_what_the_records_say(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert text.count("<!-- figure: ") == len(records.MARKED.findall(text))
     assert records.quote(text) == text, "run: python -m benchmarks.records quote"
+    # A comment at the begin of a line ends a paragraph, and what follows it there is no Markdown.
+    assert re.findall(r"^[^\n]+\n *<!-- figure: \w+ -->\S.*", text, flags=re.MULTILINE) == []
 
 
 @pytest.mark.parametrize(
