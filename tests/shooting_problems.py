@@ -10,7 +10,7 @@ import numpy as np
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.contact import Closed, Mechanics, MechanicsMemory, Mechanism, accelerate
 from drake_aigto.kernels import borrow, kernel
-from drake_aigto.shooting import ShootingProblem, hold
+from drake_aigto.shooting import ShootingProblem, hold_contacts
 from drake_aigto.world import TaskCost
 
 
@@ -96,4 +96,4 @@ def evaluate_hold(
     mechanics, memory = borrow(mechanics), borrow(memory)
     accelerate(mechanics, x, u, 0.0, True, memory)
     if closed.any():
-        hold(closed, leans, x, True, mechanics, memory)
+        hold_contacts(closed, leans, x, True, mechanics, memory)

@@ -23,7 +23,7 @@ from drake_aigto.planning.mechanisms.rigid_task import make_mechanism_task
 from drake_aigto.planning.mechanisms.search import MechanismSearch
 from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.options import PlanOptions, check_periodic, needs_shooting
-from drake_aigto.planning.plan import Plan, PlanningError
+from drake_aigto.planning.plans import Plan, PlanningError
 from drake_aigto.planning.search import Progress, Search, Stopwatch, name_obstacles, scaled
 from drake_aigto.planning.stretches import check_sizes
 from drake_aigto.trajectory import Trajectory

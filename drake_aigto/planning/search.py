@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 from drake_aigto.kernels import tell_compilation
 from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Origin, Replays
 from drake_aigto.planning.options import SearchOptions
-from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
+from drake_aigto.planning.plans import Plan, PlanningError, PlanStats
 from drake_aigto.planning.threads import start_threads, wait_for
 from drake_aigto.simulation import HARD_GOAL
 from drake_aigto.transcription import scaled_defects

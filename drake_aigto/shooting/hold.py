@@ -94,7 +94,7 @@ def _turn(
 
 
 @borrowing
-def hold(
+def hold_contacts(
     closed: Bools,
     leans: Floats,
     x: Floats,
@@ -249,7 +249,7 @@ def hold_stage(
     memory: MechanicsMemory,
 ) -> None:
     """Adds the effect of held contacts to the acceleration (`hold`)."""
-    hold(closed, leans, y, has_slopes, mechanics, memory)
+    hold_contacts(closed, leans, y, has_slopes, mechanics, memory)
 
 
 @only_of(Mechanics)

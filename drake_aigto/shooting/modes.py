@@ -13,7 +13,7 @@ from drake_aigto.contact import (
     run_tape,
 )
 from drake_aigto.kernels import borrowing
-from drake_aigto.shooting.hold import hold, strike
+from drake_aigto.shooting.hold import hold_contacts, strike
 from drake_aigto.shooting.tables import FLOW, Memory, Program
 
 # Columns of `ModeMemory.values`: both sides of a cone or an equation, or slips before and after an
@@ -66,7 +66,7 @@ def _measure_hold(
     values, slopes, weights = memory.modes.values, memory.modes.slopes, memory.modes.weights
     nx, m = memory.flow.points.shape[1], values.shape[0]
     accelerate(mechanics, z[:nx], u, 0.0, True, room)
-    hold(program.closed[k], program.leans[k], z[:nx], has_slopes, mechanics, room)
+    hold_contacts(program.closed[k], program.leans[k], z[:nx], has_slopes, mechanics, room)
     pushes = room.grip[room.grip.shape[1]]
     for i in range(m):
         if not program.held[k, i]:

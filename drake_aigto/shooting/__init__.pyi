@@ -1,0 +1,18 @@
+from .added import NO_TERMS as NO_TERMS
+from .added import AddedTerms as AddedTerms
+from .bounds import EXPAND as EXPAND
+from .bounds import PENALIZE as PENALIZE
+from .bounds import visit_bounds as visit_bounds
+from .descent import expand_motion as expand_motion
+from .hold import hold_contacts as hold_contacts
+from .optimal_control import FreeStart as FreeStart
+from .optimal_control import Phases as Phases
+from .problem import ShootingProblem as ShootingProblem
+from .problem import limit_states as limit_states
+from .program import IMPLICIT as IMPLICIT
+from .solve import ShootingOptions as ShootingOptions
+from .solve import ShootingResult as ShootingResult
+from .solve import Smoothing as Smoothing
+from .tables import make_memory as make_memory
+
+__all__: list[str]
