@@ -17,6 +17,7 @@ from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto import ModelPredictiveController, Planner, PlanOptions, Scenario, World
+from drake_aigto.contact import TapeBuilder
 from drake_aigto.control import Disturbance, Model, ModelEstimate, ModelEstimator, run_in_loop
 from drake_aigto.errors import ControlError
 from drake_aigto.simulation import EVENT_DRIVEN, HeldControl
@@ -235,17 +236,56 @@ def test_what_a_model_has_nothing_of_is_refused(
         ModelEstimate.of(World.from_scenario(scenario), scenario, unknown)
 
 
-def test_models_that_differ_in_walls_alone_are_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tick after a bounce off a wall that is unexpectedly near took 24 times the usual tick."""
-    scenario, read = Scenario.named("cart_pole/rigid_06"), list[int]()
-    known = ModelEstimate.of(World.from_scenario(scenario), scenario, ["mass", "walls"])
-    of_diagram = World.of_diagram
+def apply(world: World, scenario: Scenario, known: ModelEstimate, values: Any) -> Model:
+    """Returns the model with other parameters, read anew."""
+    pairs = list(zip(known.parameters, values, strict=True))
+    factors = {f"{each.kind}_factor": value for each, value in pairs if each.usual == 1.0}
+    world, scenario = Disturbance(**factors).apply(world, scenario)
+    for each, value in pairs:
+        if each.kind == "walls":
+            world = world.with_wall_moved(each.which, value)
+        elif each.kind == "force":
+            with np.errstate(invalid="ignore"):
+                one = np.eye(1, world.num_velocities, each.which)[0]
+                world = dataclasses.replace(world, bias=world.bias - value * one)
+    return Model(world, scenario)
 
-    def count(world: World, *given: Any) -> World:
-        read.append(1)
-        return of_diagram(world, *given)
 
-    monkeypatch.setattr(World, "of_diagram", count)
-    moved = dataclasses.replace(known, values=np.array([1.01, 0.02, 0.03]))._build()
-    assert len(moved.models) == 7  # as it is, and with each of three numbers more and less
-    assert len(read) == 3  # with that mass, with more, and with less
+@pytest.mark.parametrize(
+    ("name", "unknown"),
+    [
+        ("cart_pole/soft_06", ["mass", "stiffness", "walls", "force"]),
+        ("cart_pole/rigid_06", ["mass", "walls", "force"]),
+        ("cart_pole/dry", ["mass", "friction", "force"]),
+        ("hopper/hop", ["mass", "friction", "stiffness", "walls"]),
+        ("table1/1", ["mass", "walls"]),
+        ("payload/transport", ["mass"]),
+    ],
+)
+def test_other_models_are_those_that_would_be_read(
+    name: str, unknown: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where they were read, a tick in which an estimate left its model took 50 times the usual."""
+    scenario = Scenario.named(name)
+    world = World.from_scenario(scenario)
+    scenario, rng = world.place(scenario), np.random.default_rng(4)
+    known = ModelEstimate.of(world, scenario, unknown)
+    x, controls = scenario.initial_state, rng.normal(size=(20, world.num_actuators))
+    held = HeldControl(np.linspace(0.0, 0.4, 21), controls)
+
+    def lead(model: Model) -> Any:
+        return model.find_end(x, held)
+
+    tried = [known.values + 0.1 * rng.normal(size=len(known.values)) * known._units for _ in "12"]
+    expected = [lead(apply(world, scenario, known, values)) for values in tried]
+    assert len(list(map(lead, known.models))) == 1 + 2 * len(known.values)  # Compiles once.
+
+    def refuse(*given: Any, **options: Any) -> Any:
+        raise AssertionError("something is read or compiled")
+
+    monkeypatch.setattr(World, "from_diagram", refuse)
+    monkeypatch.setattr(TapeBuilder, "build", refuse)
+    for values, end in zip(tried, expected, strict=True):
+        ends = list(map(lead, dataclasses.replace(known, values=values)._build().models))
+        np.testing.assert_allclose(ends[0], end, rtol=1e-8, atol=1e-9)
+        assert not np.array_equal(ends[1], end)

@@ -38,9 +38,6 @@ from .laws import calc_slips as calc_slips
 from .laws import calc_tangents as calc_tangents
 from .laws import contact_law as contact_law
 from .mechanism import Mechanism as Mechanism
-from .mechanism import Sum as Sum
-from .mechanism import SumTape as SumTape
-from .mechanism import TapeBuilder as TapeBuilder
 from .motion import Clearance as Clearance
 from .motion import ContactMotion as ContactMotion
 from .motion import Walls as Walls
@@ -65,6 +62,9 @@ from .tables import copy_writable as copy_writable
 from .tables import make_mechanics_memory as make_mechanics_memory
 from .tables import of_tree as of_tree
 from .tables import only_of as only_of
+from .tapes import Sum as Sum
+from .tapes import SumTape as SumTape
+from .tapes import TapeBuilder as TapeBuilder
 from .touch_tables import SLOWING as SLOWING
 from .touch_tables import TouchRoom as TouchRoom
 from .touch_tables import TouchTable as TouchTable

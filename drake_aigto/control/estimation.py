@@ -5,22 +5,21 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from drake_aigto.arrays import Floats
+from drake_aigto.control.family import ModelFamily, Parameter, Unknown
 from drake_aigto.control.loop_run import Disturbance
 from drake_aigto.control.model import Model
 from drake_aigto.control.ports import check_seconds
-from drake_aigto.errors import AigtoError, ControlError, ModelError
+from drake_aigto.errors import ControlError
 from drake_aigto.simulation import HeldControl, tangent_scales
 from drake_aigto.world import Scales, Scenario, SpaceWorld, World
 
-Unknown: TypeAlias = Literal["mass", "friction", "stiffness", "walls", "force"]
 _FACTORS = ("mass", "friction", "stiffness")
 
 # Standard deviations of a prediction's errors, in the task's scales of q and v.
@@ -39,18 +38,6 @@ _LEAST, _MOST, _FARTHEST = 0.2, 5.0, 2.0
 # A unit of walls, in the task's length; and how deep in one a sample may be that was not foreseen,
 # in such units.
 _WALL, _DEPTHS = 0.1, (0.01, 0.02, 0.04, 0.08, 0.16)
-
-
-class _Parameter(NamedTuple):
-    """A number that is not known."""
-
-    name: str
-    kind: Unknown
-    which: int  # of the contact whose wall it is, or of the coordinate of a force
-    usual: float  # of the model
-    unit: float  # its standard deviation before anything is seen
-    lower: float
-    upper: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +65,7 @@ class ModelEstimate:
         world: that the model was thought to be.
         scenario: its task.
         parameters: what is estimated.
+        family: models with any values of these.
         values: p.
         sums: Σ wₖ Φᵀ Φ, shape (P, P), Σ wₖ Φᵀ y, shape (P,), Σ wₖ yᵀ y, and Σ wₖ of numbers y, over
             σ, with y = x − x̂(p₀) + Φ (p₀ − p_model).
@@ -88,7 +76,8 @@ class ModelEstimate:
 
     world: World
     scenario: Scenario
-    parameters: tuple[_Parameter, ...]
+    parameters: tuple[Parameter, ...]
+    family: ModelFamily
     values: Floats
     sums: tuple[Floats, Floats, float, float]
     about: Floats
@@ -113,7 +102,8 @@ class ModelEstimate:
         usual, none = np.array([each.usual for each in parameters]), np.zeros(len(parameters))
         empty = np.diag(none), none, 0.0, 0.0
         scales = np.repeat(_NOISE, world.num_velocities) * tangent_scales(world, scenario)
-        return cls(world, scenario, parameters, usual, empty, usual, (), scales)._build()
+        family = ModelFamily(Model(world, world.place(scenario)), parameters)
+        return cls(world, scenario, parameters, family, usual, empty, usual, (), scales)._build()
 
     def __deepcopy__(self, memo: object) -> ModelEstimate:
         """Returns itself: it never changes."""
@@ -165,29 +155,12 @@ class ModelEstimate:
     def _units(self) -> Floats:
         return np.array([each.unit for each in self.parameters])
 
-    def _change(self, values: Floats) -> Model:
-        """Returns the model with other parameters."""
-        pairs = list(zip(self.parameters, values.tolist(), strict=True))
-        factors = ((f"{p.kind}_factor", value) for p, value in pairs if p.kind in _FACTORS)
-        world, scenario = _scale(self.world, self.scenario, tuple(factors))
-        force = np.zeros(world.num_velocities)
-        for each, value in pairs:
-            if each.kind == "walls" and value:
-                world = world.with_wall_moved(each.which, value)
-            elif each.kind == "force":
-                force[each.which] = value
-        if force.any():
-            with np.errstate(invalid="ignore"):  # As Drake's arithmetic on Expressions has NaN.
-                world = dataclasses.replace(world, bias=world.bias - force)
-        return Model(world, scenario)
-
     def _build(self) -> ModelEstimate:
         """Returns the same with models about its values."""
         steps = np.diag(_LINEAR * self._units)
         changed = [self.values, *(self.values + steps), *(self.values - steps)]
-        return dataclasses.replace(
-            self, about=self.values, models=tuple(map(self._change, changed))
-        )
+        models = tuple(map(self.family.find, changed))
+        return dataclasses.replace(self, about=self.values, models=models)
 
     def watch(self, samples: tuple[Floats, Floats], held: HeldControl) -> ModelEstimate:
         """Returns what is known after another sample.
@@ -216,10 +189,7 @@ class ModelEstimate:
             near = np.minimum(_LINEAR * self._units, found.deviations / 2.0)
             if np.all(np.abs(found.values - found.about) <= near):
                 return found
-            try:
-                known = found._build()
-            except AigtoError:  # A wall that is nearer than the start, say.
-                return found
+            known = found._build()
         return known
 
     def _list_nearer(self, x: Floats) -> Iterator[Floats]:
@@ -234,10 +204,7 @@ class ModelEstimate:
 
     def _price(self, values: Floats, samples: tuple[Floats, Floats], held: HeldControl) -> float:
         """Returns how unlikely values are by a sample, and by what was known before."""
-        try:
-            error = self._calc_error(self._change(values), samples, held)
-        except AigtoError:
-            return np.inf
+        error = self._calc_error(self.family.find(values), samples, held)
         off = values - self.values
         before = float(off @ np.linalg.solve(self.covariance, off))
         return 2 * self.world.num_velocities * error + before
@@ -285,19 +252,9 @@ class ModelEstimate:
         return known
 
 
-# Models that differ in walls and forces alone have these in common; a plant is read for each.
-@lru_cache(maxsize=16)
-def _scale(
-    world: World, scenario: Scenario, factors: tuple[tuple[str, float], ...]
-) -> tuple[World, Scenario]:
-    """Returns the model with masses, friction and stiffness times factors."""
-    given: dict[str, Any] = dict(factors)
-    return Disturbance(**given).apply(world, scenario)
-
-
 def _list_parameters(
     world: World, scenario: Scenario, unknown: Sequence[Unknown]
-) -> Iterator[_Parameter]:
+) -> Iterator[Parameter]:
     scales = Scales.of(world, scenario)
     for kind in unknown:
         if kind == "stiffness" and not (scenario.contact == "compliant" and world.contacts):
@@ -305,15 +262,15 @@ def _list_parameters(
                 "estimate", got="no compliant wall", expected="walls with a stiffness"
             )
         if kind in _FACTORS:
-            changes: dict[str, Any] = {f"{kind}_factor": 1.1}
-            Disturbance(**changes).apply(world, scenario)  # Refuses what is none.
-            yield _Parameter(kind, kind, 0, 1.0, 0.3, _LEAST, _MOST)
+            if kind == "friction":
+                Disturbance().find_friction(world, scenario)  # Refuses where there is none.
+            yield Parameter(kind, kind, 0, 1.0, 0.3, _LEAST, _MOST)
         elif kind == "walls":
             unit = _WALL * scales.length
             alone = [faces[0] for faces in world.solids if _can_move(world, faces)]
             for i in alone:
                 name, most = f"wall of {world.contacts[i].name}", _FARTHEST * unit
-                yield _Parameter(name, kind, i, 0.0, unit, -most, most)
+                yield Parameter(name, kind, i, 0.0, unit, -most, most)
             if not alone:
                 got, expected = "no wall of one face", "walls that can stand nearer"
                 raise ControlError("estimate", got=got, expected=expected)
@@ -322,18 +279,19 @@ def _list_parameters(
             unit = float(np.max(pushes[np.isfinite(pushes)], initial=0.0)) or 1.0
             names = world.plant.GetPositionNames()
             for i in range(world.num_velocities):
-                yield _Parameter(f"force on {names[i]}", kind, i, 0.0, unit, -np.inf, np.inf)
+                yield Parameter(f"force on {names[i]}", kind, i, 0.0, unit, -np.inf, np.inf)
         else:
             expected = f"some of {', '.join(get_args(Unknown))}; in space no force"
             raise ControlError("estimate", got=kind, expected=expected)
 
 
 def _can_move(world: World, faces: Sequence[int]) -> bool:
-    """Returns whether a wall has one face, and stands still."""
-    try:
-        return len(faces) == 1 and world.with_wall_moved(faces[0], 0.0) is not None
-    except ModelError:
+    """Returns whether a wall has one face, and stands still; none in space does."""
+    if world.in_space or len(faces) > 1:
         return False
+    frame = world.scene_graph.model_inspector().GetFrameId(world.shapes[faces[0]][1])
+    body: Any = world.plant.GetBodyFromFrameId(frame)
+    return bool(world.plant.IsAnchored(body))
 
 
 class _Seen(NamedTuple):

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import os
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -100,7 +100,7 @@ class Disturbance(ArrayRecord):
         if self.restitution_factor != 1:
             changes["restitution"] = self._find_restitution(world, scenario)
         if self.friction_factor != 1:
-            changes |= self._find_friction(world, scenario)
+            changes |= self.find_friction(world, scenario)
         true = dataclasses.replace(scenario, **changes)  # type: ignore[arg-type]
         if "dry_friction" in changes:
             world = World.from_scenario(true)
@@ -150,10 +150,14 @@ class Disturbance(ArrayRecord):
             expected="rigid walls with the scenario's restitution, and no more than 1 in the end",
         )
 
-    def _find_friction(self, world: World, scenario: Scenario) -> dict[str, object]:
-        """Returns what the true scenario has in place of its friction."""
+    def find_friction(self, world: World, scenario: Scenario) -> dict[str, Any]:
+        """Returns what the true scenario has in place of its friction.
+
+        Raises:
+            ControlError: there is none, or contacts of different friction.
+        """
         coefficients = world.friction_coefficients(scenario)
-        known, found = np.unique(coefficients[coefficients > 0]), dict[str, object]()
+        known, found = np.unique(coefficients[coefficients > 0]), dict[str, Any]()
         if len(known) == 1:
             found["friction"] = self.friction_factor * float(known[0])
         if world.dry_friction is not None:

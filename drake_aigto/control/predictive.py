@@ -13,7 +13,8 @@ from pydrake.systems.framework import Context, EventStatus, State
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.estimation import ModelEstimate, Unknown
+from drake_aigto.control.estimation import ModelEstimate
+from drake_aigto.control.family import Unknown
 from drake_aigto.control.ports import (
     NUMBERS,
     OFTEN,

@@ -1,9 +1,7 @@
+from .blends import Blend as Blend
 from .coordinates import Coordinates as Coordinates
-from .equations import STICTION_SPEED as STICTION_SPEED
 from .equations import Contact as Contact
 from .equations import EquationsOfMotion as EquationsOfMotion
-from .equations import calc_friction_share as calc_friction_share
-from .equations import smooth_sign as smooth_sign
 from .recursions import add_frame_costs as add_frame_costs
 from .recursions import factor as factor
 from .recursions import gather as gather
@@ -24,6 +22,9 @@ from .spatial import multiply_quaternions as multiply_quaternions
 from .spatial import read_turn as read_turn
 from .spatial import rotate as rotate
 from .spatial import subtract_positions as subtract_positions
+from .stiction import STICTION_SPEED as STICTION_SPEED
+from .stiction import calc_friction_share as calc_friction_share
+from .stiction import smooth_sign as smooth_sign
 from .sum_kernels import divide_by_masses as divide_by_masses
 from .sum_kernels import evaluate_sums as evaluate_sums
 from .sums import ConstantDynamics as ConstantDynamics

@@ -6,15 +6,17 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from operator import attrgetter
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.multibody.plant import MultibodyPlantConfig
 from pydrake.symbolic import Expression
 
 from drake_aigto.arrays import Bools, Floats, read_only
+from drake_aigto.dynamics.blends import Blend
 from drake_aigto.dynamics.coordinates import Coordinates
+from drake_aigto.dynamics.stiction import STICTION_SPEED, calc_friction_share
 from drake_aigto.dynamics.sums import (
     ConstantDynamics,
     ConstantInertia,
@@ -32,14 +34,13 @@ _BIAS_REMEDY = (
     "solvers do not."
 )
 
-# Derived attributes, here and of a `World`, that do not depend on positions of walls.
+# Derived attributes, here and of a `World`, that do not depend on positions of walls, nor, but for
+# the first of them, on masses and forces.
+_OF_MASSES, _OF_FORCES = "_mass_map", "_bias_map"
 _PLACELESS = (
-    *("solids", "has_constant_inertia", "has_constant_dynamics"),
-    *("_mass_map", "_bias_map", "_jacobian", "_jacobian_map", "rubbing"),
+    *(_OF_MASSES, _OF_FORCES, "solids", "has_constant_inertia", "has_constant_dynamics"),
+    *("_jacobian", "_jacobian_map", "_contact_bias_map", "rubbing", "springs", "damping"),
 )
-
-# Drake's default stiction tolerance. A plant's can be set, but not read.
-STICTION_SPEED: float = MultibodyPlantConfig().stiction_tolerance  # [m/s, rad/s]
 
 _Self = TypeVar("_Self", bound="EquationsOfMotion")
 
@@ -102,6 +103,9 @@ class EquationsOfMotion(Coordinates):
     contacts: tuple[Contact, ...]
     dry_friction: Floats | None = field(default=None, kw_only=True)
     stiction_speed: float = field(default=STICTION_SPEED, kw_only=True)
+
+    # Of which worlds this one is a blend; none of its copies is.
+    blended: ClassVar[Blend | None] = None
 
     def find_frames(self, goals: Any) -> Any:
         """Returns goals of frames (`FrameGoals`); None: only worlds in space have any."""
@@ -170,25 +174,59 @@ class EquationsOfMotion(Coordinates):
         """Returns the same with φ_i less by distances, shape (m,) [m], to plan many times.
 
         Its diagram, for Drake and for pictures, does not change (`World.with_wall_moved`).
-
-        Raises:
-            ModelError: M or J varies.
         """
-        inertia = self.constant_inertia
         contacts = tuple(
             replace(contact, signed_distance=contact.signed_distance - distance)
             for contact, distance in zip(self.contacts, distances.tolist(), strict=True)
         )
-        moved = self._keep_placeless(replace(self, contacts=contacts))
+        moved = self.changed(contacts=contacts)
+        if not self.has_constant_inertia:
+            return moved
+        inertia = self.constant_inertia
         name = "constant_dynamics" if self.has_constant_dynamics else "constant_inertia"
         nearer = vars(moved)[name] = copy.copy(inertia)  # No derived attribute depends on φ(0).
         vars(nearer)["offset"] = read_only(inertia.offset - distances)
         return moved
 
-    def _keep_placeless(self: _Self, moved: _Self) -> _Self:
-        """Returns the same between other walls, with what is compiled here and knows no place."""
-        vars(moved).update((name, vars(self)[name]) for name in _PLACELESS if name in vars(self))
-        return moved
+    def changed(self: _Self, **fields: Any) -> _Self:
+        """Returns the same with other fields: M, h, φ, dry friction, or the diagram.
+
+        What is compiled here, and does not depend on these, is kept.
+        """
+        found = replace(self, **fields)
+        kept = {name: vars(self)[name] for name in _PLACELESS if name in vars(self)}
+        if found.mass_matrix is not self.mass_matrix:
+            kept.pop(_OF_MASSES, None)
+        if found.bias is not self.bias:
+            kept.pop(_OF_FORCES, None)
+        vars(found).update(kept)
+        return found
+
+    def blend(self: _Self, *shares: tuple[_Self, float]) -> _Self:
+        """Returns the world of f = f₀ + Σ s_k (f_k − f₀) for f in M, h, φ and dry friction.
+
+        Here f₀ is its own, and so are the diagram and all else. Nothing is compiled for it that was
+        for all of them.
+
+        Args:
+            shares: worlds that were made of this one (`changed`), and s_k of each.
+        """
+        mixed = Blend.of(self, shares)
+        distances = mixed.mix(lambda world: world._distances)
+        contacts = (
+            replace(contact, signed_distance=distance)
+            for contact, distance in zip(self.contacts, distances, strict=True)
+        )
+        names = "mass_matrix", "bias", *(() if self.dry_friction is None else ("dry_friction",))
+        fields = {name: mixed.mix(attrgetter(name)) for name in names}
+        found = self.changed(contacts=tuple(contacts), **fields)
+        object.__setattr__(found, "blended", mixed)
+        return found
+
+    def _compile(self, name: str, expressions: NDArray[Any], *variables: NDArray[Any]) -> SumMap:
+        """Returns the map of expressions, of a blend without reading them."""
+        mixed = SumMap.of_blend(self.blended, name) if self.blended else None
+        return mixed or SumMap(expressions, *variables)
 
     @cached_property
     def constant_dynamics(self) -> ConstantDynamics:
@@ -340,15 +378,15 @@ class EquationsOfMotion(Coordinates):
 
     @cached_property
     def _mass_map(self) -> SumMap:
-        return SumMap(self.mass_matrix, self.positions)
+        return self._compile(_OF_MASSES, self.mass_matrix, self.positions)
 
     @cached_property
     def _bias_map(self) -> SumMap:
-        return SumMap(self.bias, self.positions, self.velocities)
+        return self._compile(_OF_FORCES, self.bias, self.positions, self.velocities)
 
     @cached_property
     def _signed_distance_map(self) -> SumMap:
-        return SumMap(self._distances, self.positions)
+        return self._compile("_signed_distance_map", self._distances, self.positions)
 
     @cached_property
     def _contact_bias_map(self) -> SumMap:
@@ -358,24 +396,3 @@ class EquationsOfMotion(Coordinates):
     @cached_property
     def _jacobian_map(self) -> SumMap:
         return SumMap(self._jacobian, self.positions)
-
-
-def calc_friction_share(speeds: Floats, stiction_speed: float) -> Floats:
-    """Returns σ(s / v_s), the part of the largest friction that acts at a sliding speed s.
-
-        σ(x) = x³ (10 − 15 |x| + 6 x²)    for |x| ≤ 1,    sign(x)    elsewhere
-
-    That is the regularization of Drake's point contact, whose first two derivatives are continuous.
-    Sticking contacts creep, slower than v_s.
-
-    Args:
-        speeds: s [m/s, rad/s].
-        stiction_speed: v_s > 0 [m/s, rad/s].
-    """
-    x = np.clip(speeds / stiction_speed, -1.0, 1.0)
-    return np.asarray(smooth_sign(x), dtype=np.float64)
-
-
-def smooth_sign(x: Any) -> Any:
-    """Returns σ(x) of a number, an array, or an expression, |x| ≤ 1; Numba compiles it, too."""
-    return x**3 * (10.0 - 15.0 * abs(x) + 6.0 * x**2)

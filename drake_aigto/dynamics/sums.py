@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import copy
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache, cached_property
 from types import ModuleType
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from pydrake.symbolic import Expression, cos, sin
 
 from drake_aigto.arrays import Floats, Ints, read_only
+from drake_aigto.dynamics.blends import Blend
 from drake_aigto.errors import ModelError
 from drake_aigto.terms import Factor, FunctionKind, Term, expression_terms
 
@@ -148,10 +150,28 @@ class SumMap:
             if degrees[k] == 1:
                 self._slope[:, product[0].variable] = self.coefficients[:, k]
 
+    @classmethod
+    def of_blend(cls, blend: Blend, name: str) -> SumMap | None:
+        """Returns the map of worlds' maps, by its name; None: they are of other products."""
+
+        def find(array: str) -> Callable[[Any], Floats]:
+            return lambda world: getattr(getattr(world, name), array)
+
+        if not blend.are_alike(lambda world: getattr(world, name)._products):
+            return None
+        mixed = copy.copy(getattr(blend.first, name))
+        for array in ("coefficients", "_constant", "_slope"):
+            setattr(mixed, array, blend.mix(find(array)))
+        return mixed
+
+    @property
+    def _products(self) -> tuple[Ints, Floats, Ints]:
+        return self._factors, self._waves, self._members
+
     @property
     def tables(self) -> tuple[Ints, Floats, Ints, Floats]:
         """Factors, waves, members and coefficients, for compiled code (`evaluate_sums`)."""
-        return self._factors, self._waves, self._members, self.coefficients
+        return *self._products, self.coefficients
 
     def __call__(self, *x: Floats) -> Floats:
         """Returns f, shape (…, *shape of the expressions), of variables (…, n) in all."""

@@ -21,7 +21,7 @@ from pydrake.multibody.tree import (
 from pydrake.systems.framework import Context
 
 from drake_aigto.arrays import Floats
-from drake_aigto.dynamics.equations import STICTION_SPEED
+from drake_aigto.dynamics.stiction import STICTION_SPEED
 from drake_aigto.dynamics.tree_tables import (
     NUM_VELOCITIES,
     PRISMATIC,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -13,7 +14,7 @@ from pydrake.symbolic import Expression, MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Bools, Floats, read_only
-from drake_aigto.dynamics import Contact, Tree, TreeMemory, make_tree_memory
+from drake_aigto.dynamics import Blend, Contact, Tree, TreeMemory, make_tree_memory
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.geometry import make_closest
 from drake_aigto.world.diagram import find_plant, find_propeller, read_thrusts, scale_masses
@@ -106,6 +107,26 @@ class SpaceWorld(SpaceCoordinates, World):
             angular=turns,
             propeller=propeller,
         )
+
+    def changed(self, **fields: Any) -> Self:
+        """Returns the same with other fields, see `World`; the tree has its dry friction."""
+        if (friction := fields.get("dry_friction")) is not None:
+            tree = fields.get("tree", self.tree)
+            fields["tree"] = tree._replace(friction=np.array(friction)[tree.velocities])
+        return super().changed(**fields)
+
+    def with_double_masses(self) -> Self:
+        """Returns this world where links that move have twice their masses, in numbers alone."""
+        double = {name: 2.0 * getattr(self.tree, name) for name in ("masses", "inertias")}
+        return self.changed(tree=self.tree._replace(**double))
+
+    def blend(self, *shares: tuple[Self, float]) -> Self:
+        """Returns the world between others, see `World`: of masses and dry friction."""
+        found, mixed, tables = super().blend(*shares), Blend.of(self, shares), self.tree
+        for name in ("masses", "inertias", "friction"):
+            table = mixed.mix(attrgetter(f"tree.{name}"))
+            tables = tables._replace(**{name: table})
+        return found.changed(tree=tables)
 
     @property
     def has_constant_inertia(self) -> bool:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydrake.geometry import GeometryId
 from pydrake.math import RigidTransform
-from pydrake.symbolic import MakeVectorVariable
+from pydrake.symbolic import Expression, MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Bools, Floats, read_only
@@ -277,8 +277,7 @@ class World(PlantWorld):
             face=dataclasses.replace(face, X_BF=RigidTransform(translation) @ face.X_BF),
             contact=dataclasses.replace(known, signed_distance=known.signed_distance - distance),
         )
-        moved = dataclasses.replace(
-            self,
+        return self.changed(
             model=None,
             diagram=diagram,
             plant=plant,
@@ -287,7 +286,15 @@ class World(PlantWorld):
             _reachable=tuple(reachable),
             _stuck=tuple(map(find, self._stuck)),
         )
-        return self._keep_placeless(moved)
+
+    def with_double_masses(self) -> Self:
+        """Returns this world where links that move have twice their masses, in numbers alone."""
+        other = self.of_diagram(self.diagram, 2.0 * self.mass_factor)
+        own, mine = ([*each.positions, *each.velocities] for each in (other, self))
+        names = dict(zip(own, map(Expression, mine), strict=True))
+        M = [[entry.Substitute(names) for entry in row] for row in other.mass_matrix]
+        h = [entry.Substitute(names) for entry in other.bias]
+        return self.changed(mass_matrix=read_only(M, object), bias=read_only(h, object))
 
     def check_plain(self, scenario: Scenario) -> None:
         """Refuses what is not planned for where balls are, so that nothing is dropped in silence.
