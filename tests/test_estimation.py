@@ -58,7 +58,10 @@ def test_what_is_predicted_without_its_way_ends_as_a_simulation_does(name: str) 
     replay = EVENT_DRIVEN.simulate(world, scenario, held, state=world.split(x))
     found = model.find_end(x, held)
     assert found is not None
-    np.testing.assert_array_equal(found, [*replay.positions[-1], *replay.velocities[-1]])
+    # Flight between rigid walls has an integrator of its own.
+    near = 1e-10 if scenario.contact == "rigid" else 0.0
+    end = [*replay.positions[-1], *replay.velocities[-1]]
+    np.testing.assert_allclose(found, end, rtol=near, atol=near)
     np.testing.assert_array_equal(model.find_end(x, held), found)  # And leaves nothing behind.
 
 
@@ -289,3 +292,28 @@ def test_other_models_are_those_that_would_be_read(
         ends = list(map(lead, dataclasses.replace(known, values=values)._build().models))
         np.testing.assert_allclose(ends[0], end, rtol=1e-8, atol=1e-9)
         assert not np.array_equal(ends[1], end)
+
+
+@pytest.mark.parametrize("name", ["cart_pole/soft_06", "cart_pole/rigid_06"])
+def test_a_sample_that_fits_is_predicted_once_by_each_model(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Far from walls no simulation looks for impacts, which took 7 of 10 parts of a tick."""
+    scenario = Scenario.named(name)
+    world = World.from_scenario(scenario)
+    known = ModelEstimate.of(world, scenario, ["mass", "walls"])
+    x, held = scenario.initial_state, HeldControl(np.array([0.0, 0.02]), np.array([[1.0]]))
+    after, led, find_end = known.models[0].find_end(x, held), list[Model](), Model.find_end
+    assert after is not None
+
+    def count(model: Model, *given: Any) -> Any:
+        led.append(model)
+        return find_end(model, *given)
+
+    def refuse(*given: Any) -> Any:
+        raise AssertionError("impacts are looked for")
+
+    monkeypatch.setattr(Model, "find_end", count)
+    monkeypatch.setattr(Model, "predict", refuse)
+    known.watch((x, after), held)
+    assert led == list(known.models)

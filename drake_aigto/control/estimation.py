@@ -171,25 +171,41 @@ class ModelEstimate:
         """
         if not np.all(np.isfinite(samples)):
             return self
-        found = self._pass(self, samples, held)
-        if self._calc_error(self.models[0], samples, held) <= _LARGE**2:
+        errors = self._predict(samples, held)
+        found = self._pass(self, samples, held, errors)
+        if errors is not None and self._weigh(errors[0]) <= _LARGE**2:
             return found
         tried = [found.values, *self._list_nearer(samples[1])]
         best = tried[int(np.argmin([self._price(values, samples, held) for values in tried]))]
         if best is found.values:
             return found
-        return self._pass(dataclasses.replace(self, values=best)._build(), samples, held)
+        near, most = best, self._price(best, samples, held)
+        for _ in range(_PASSES):
+            known = dataclasses.replace(self, values=near)._build()
+            found = self._pass(known, samples, held, known._predict(samples, held))
+            if self._price(found.values, samples, held) <= most:
+                break
+            near = (best + found.values) / 2.0  # Beyond the impact that it began from.
+        return found
 
     def _pass(
-        self, known: ModelEstimate, samples: tuple[Floats, Floats], held: HeldControl
+        self,
+        known: ModelEstimate,
+        samples: tuple[Floats, Floats],
+        held: HeldControl,
+        errors: Floats | None,
     ) -> ModelEstimate:
-        """Returns what is known after a sample, with models that are about its values."""
+        """Returns what is known after a sample, with models that are about its values.
+
+        Errors are those of what is known.
+        """
         for _ in range(_PASSES):
-            found = known._update(samples, held, self)
+            found = known if errors is None else known._update(errors, self)
             near = np.minimum(_LINEAR * self._units, found.deviations / 2.0)
             if np.all(np.abs(found.values - found.about) <= near):
                 return found
             known = found._build()
+            errors = known._predict(samples, held)
         return known
 
     def _list_nearer(self, x: Floats) -> Iterator[Floats]:
@@ -204,29 +220,32 @@ class ModelEstimate:
 
     def _price(self, values: Floats, samples: tuple[Floats, Floats], held: HeldControl) -> float:
         """Returns how unlikely values are by a sample, and by what was known before."""
-        error = self._calc_error(self.family.find(values), samples, held)
+        errors = self._calc_errors(self.family.find(values), samples, held)
+        if errors is None:
+            return np.inf
         off = values - self.values
         before = float(off @ np.linalg.solve(self.covariance, off))
-        return 2 * self.world.num_velocities * error + before
+        return 2 * self.world.num_velocities * self._weigh(errors) + before
 
-    def _calc_error(self, model: Model, samples: tuple[Floats, Floats], held: HeldControl) -> float:
-        """Returns the mean square of a prediction's errors, in standard deviations."""
+    def _calc_errors(
+        self, model: Model, samples: tuple[Floats, Floats], held: HeldControl
+    ) -> Floats | None:
+        """Returns a prediction's errors over σ, shape (2 nv,); None: there is none."""
         end = model.find_end(samples[0], held)
-        if end is None:
-            return np.inf
-        errors = self.world.calc_error(samples[1], end) / self.scales
+        return None if end is None else self.world.calc_error(samples[1], end) / self.scales
+
+    def _weigh(self, errors: Floats) -> float:
+        """Returns the mean square of a prediction's errors, in standard deviations."""
         return float(np.mean(errors**2) / self.noise)
 
-    def _update(
-        self, samples: tuple[Floats, Floats], held: HeldControl, before: ModelEstimate
-    ) -> ModelEstimate:
+    def _predict(self, samples: tuple[Floats, Floats], held: HeldControl) -> Floats | None:
+        """Returns the errors of all models, shape (1 + 2P, 2 nv); None: one predicts nothing."""
+        found = [self._calc_errors(model, samples, held) for model in self.models]
+        known = [errors for errors in found if errors is not None]
+        return np.array(known) if len(known) == len(found) else None
+
+    def _update(self, errors: Floats, before: ModelEstimate) -> ModelEstimate:
         """Returns the same after a sample, linear about p₀, with what was known before it."""
-        found = (model.find_end(samples[0], held) for model in self.models)
-        ends = [end for end in found if end is not None]
-        scales, after = self.scales, samples[1]
-        if len(ends) < len(self.models):
-            return self
-        errors = np.array([self.world.calc_error(after, end) / scales for end in ends])
         expected, (above, below) = errors[0], np.split(errors[1:], 2)
         steps = _LINEAR * self._units
         slopes = (below - above).T / (2.0 * steps)

@@ -194,6 +194,7 @@ class LoopController(LeafSystem):
         if np.any(np.isfinite(self.safety.control)) and needs_shooting(world, scenario):
             least, most = self._most
             self._scenario = replace(scenario, control_lower=least, control_upper=most)
+        self._model = Model(world, self._scenario)
         self._estimate = self.DeclareVectorInputPort("estimated_state", len(self._units))
         a_period = max(_COMMANDS, int(np.ceil(self.period / (often or self.period))))
         count = 2 + a_period * int(np.ceil(1 + self.delay / self.period))
@@ -316,21 +317,18 @@ class LoopController(LeafSystem):
         coming, knots = commands[is_coming], np.concatenate([[start], acts[is_coming], [end]])
         return HeldControl(knots, np.vstack([self._find_acting(commands, start), coming[:, 1:]]))
 
-    def _lead_on(
-        self, time: float, x: Floats, commands: Floats, model: Model | None = None
-    ) -> tuple[Floats, list[int]] | None:
+    def _lead_on(self, time: float, x: Floats, commands: Floats) -> tuple[Floats, list[int]] | None:
         """Returns the state a delay later, and the contacts that bounce until then; None: unknown.
 
         Args:
             time: of the sample x [s].
             x: q and v.
             commands: rows (t, u), of which those that are on their way count.
-            model: in place of the one that was given.
         """
         if not self.delay:
             return x, []
         held = self._find_held(commands, time, time + self.delay)
-        return (model or Model(self._world, self._scenario)).predict(x, held)
+        return self._model.predict(x, held)
 
     def _write_control(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._read_commands(context)[-1, 1:])

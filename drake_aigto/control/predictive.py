@@ -238,11 +238,11 @@ class ModelPredictiveController(LoopController):
         is_first = np.isinf(before.usable.now)
         if is_first and sample == "far off":  # There is no plan yet.
             sample, off = "valid", 0.0
-        model = before.known.models[0] if before.known else None
-        ahead = self._lead_on(time, x, before.commands, model) if sample == "valid" else None
-        if sample == "valid" and ahead is None:
-            sample = "far off"
-        later, now = x if ahead is None else ahead[0], self._find_time(context)
+        later, now = x, self._find_time(context)
+        if sample == "valid" and self.delay:
+            model = before.known.models[0] if before.known else self._model
+            ahead = model.find_end(x, self._find_held(before.commands, time, time + self.delay))
+            later, sample = (x, "far off") if ahead is None else (ahead, sample)
         posed = self._read_reference(context), now, before.known, before.iterations
         *found, catch = self._horizons.find(*posed)
         horizon, aside = (each.knowing(seen) for each in found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,10 +34,8 @@ from drake_aigto.simulation.recording import (
 from drake_aigto.world import SpaceWorld, World
 
 # Tolerances of one step, relative to positions and velocities of 1: nearly rounding of sums, which
-# are cheap; of trees, whose errors coarser steps show.
-_OF_SUMS, _OF_TREES, _COARSE = 1e-13, 1e-10, 1e-8
-# The same of steps that check a motion.
-FINE = 1e-11
+# are cheap; of trees, whose errors coarser steps show; and of steps that check a motion.
+_OF_SUMS, _OF_TREES, _COARSE, FINE = 1e-13, 1e-10, 1e-8, 1e-11
 # More steps are no motion any more, but numbers that run away; and rows that are read at once.
 _MOST_STEPS, _BLOCK = 1_000_000, 256
 # Steps in each hold of a control, at least: no touch is over within one.
@@ -80,11 +79,13 @@ class Compliant:
     Attributes:
         world: the mechanism.
         law: of its contacts.
+        tolerance: of steps, the usual one.
     """
 
     def __init__(self, world: World, law: CompliantLaw) -> None:
         """Reads the tables of compiled code."""
         self.world, self.law = world, law
+        self.tolerance = _OF_TREES if isinstance(world, SpaceWorld) else _OF_SUMS
         self._tables = make_mechanism(world, law).fit(0.0, 1.0, 0.0)  # The law as it is.
         self._memory = make_mechanics_memory(self._tables)
         self._room = np.empty((_BLOCK, 1 + 2 * (world.num_positions + world.num_velocities)))
@@ -104,22 +105,54 @@ class Compliant:
         Raises:
             TrajectoryError: it runs away to infinity, or goes so fast that it would take minutes.
         """
-        (time, end), blocks, most = span, list[Floats](), (span[1] - span[0]) / _FEWEST
-        while time < end:
-            left = end - time
-            done, step, count = integrate(
-                self._tables, x, control, left, min(step, most), most, tolerance, self._memory,
-                self._room,
-            )  # fmt: skip
-            if not (step > 0 and np.isfinite(x).all() and len(blocks) * _BLOCK < _MOST_STEPS):
-                raise refuse_course(time, self._list_edges())
-            rows = self._room[:count].copy()
-            rows[:, 0] += time
-            blocks.append(rows)
-            time = end if done == left else time + done
-        all_rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
-        ends = 1 + len(x)
+        blocks = list[Floats]()
+        for time, rows, tried in self._move(x, control, span, step, tolerance):
+            blocks.append(rows.copy())
+            blocks[-1][:, 0] += time
+            step = tried
+        all_rows, ends = np.concatenate(blocks), 1 + len(x)
         return Rows(all_rows[:, 0], all_rows[:, 1:ends], all_rows[:, ends:]), step
+
+    def _move(
+        self, x: Floats, control: Floats, span: tuple[float, float], step: float, tolerance: float
+    ) -> Iterator[tuple[float, Floats, float]]:
+        """Yields times, rows from then on, and the next step; see `follow`."""
+        (time, end), most, passed = span, (span[1] - span[0]) / _FEWEST, 0
+        kept = tolerance, self._memory, self._room
+        while time < end:
+            left, step = end - time, min(step, most)
+            done, step, count = integrate(self._tables, x, control, left, step, most, *kept)
+            if not (step > 0 and np.isfinite(x).all() and passed < _MOST_STEPS):
+                raise refuse_course(time, self._list_edges())
+            yield time, self._room[:count], step
+            passed, time = passed + _BLOCK, end if done == left else time + done
+
+    def lead(self, x: Floats, controller: Controller, flies: bool = False) -> Floats | None:
+        """Returns (q, v) after a controller, shape (nx,), and keeps nothing of the way there.
+
+        Args:
+            x: (q, v) at its start.
+            controller: is run to its end.
+            flies: whether nothing may be touched; None is returned where a solid is nearer at the
+                end of a step than it moves in any.
+
+        Raises:
+            TrajectoryError: see `follow`.
+        """
+        x, time, step = np.array(x, dtype=float), controller.start, np.inf
+        while time < controller.end:
+            held = controller.sample(time, x.copy(), ())
+            control, span = np.array(held.control, dtype=float), (time, held.until)
+            for _, rows, tried in self._move(x, control, span, step, self.tolerance):
+                step = tried
+                if flies and self._may_touch(rows):
+                    return None
+            time = held.until
+        return x
+
+    def _may_touch(self, rows: Floats) -> bool:
+        clear = self.world.calc_clearance(rows[:, 1 : 1 + self.world.num_positions])
+        return bool(np.any(np.min(clear, axis=0) <= np.max(np.abs(np.diff(clear, axis=0)), axis=0)))
 
     def _list_edges(self) -> list[str]:
         """Returns the names of pairs in which an edge touches a half space."""
@@ -154,30 +187,18 @@ class CompliantMotion:
         tolerance: float | None = None,
     ) -> None:
         """Starts with (q, v) at a time [s]; the tolerance is that of a step."""
-        in_space = isinstance(dynamics.world, SpaceWorld)
         self.time, self._dynamics = time, dynamics
-        self._tolerance = tolerance or (_OF_TREES if in_space else _OF_SUMS)
+        self._tolerance = tolerance or dynamics.tolerance
         self._x = np.concatenate([np.array(each, dtype=float) for each in state])
         self._step, self._rows, self._held = np.inf, list[Rows](), list[Floats]()
         self.recording = Recording(simulator="integrated")
         self.recording.add(time, *self._split())
 
     def _split(self) -> tuple[Floats, Floats]:
-        q, v = self._dynamics.world.split(self._x.copy())
-        return q, v
+        return self._dynamics.world.split(self._x.copy())
 
     def run(self, controller: Controller) -> Recording:
         """Runs a controller to its end.
-
-        Raises:
-            TrajectoryError: see `Compliant.follow`.
-        """
-        self.lead(controller)
-        self._read()
-        return self.recording
-
-    def lead(self, controller: Controller) -> Floats:
-        """Returns (q, v) at a controller's end, shape (nx,), and reads nothing of the way there.
 
         Raises:
             TrajectoryError: see `Compliant.follow`.
@@ -194,7 +215,8 @@ class CompliantMotion:
             self._held.append(np.tile(control, (len(rows.times), 1)))
             self.time = held.until
             recording.add(self.time, *self._split())
-        return self._x.copy()
+        self._read()
+        return recording
 
     def _read(self) -> None:
         """Fills in samples, touches with the states about them, and depth."""
