@@ -33,6 +33,7 @@ from drake_aigto.control import (
     run_in_loop,
 )
 from drake_aigto.errors import ControlError
+from drake_aigto.planning import MechanismSearch, make_mechanism_task
 from drake_aigto.simulation import make_simulator
 from drake_aigto.world import TaskCost
 
@@ -308,12 +309,12 @@ def start_at(planner: Planner, x: Any) -> None:
     Simulator(builder.Build()).Initialize()
 
 
-def swing(scenario: Scenario, truth: Disturbance, renewals: int) -> ClosedLoopRun:
+def swing(scenario: Scenario, truth: Disturbance, renewals: int, **options: Any) -> ClosedLoopRun:
     """Returns a run of a mechanism between rigid walls."""
     world = World.from_scenario(scenario)
-    options = PlanOptions(renewals=renewals, search_steps=30, threads=1)
-    planner = Planner(scenario, options, world)
-    controller = ModelPredictiveController(planner, 0.02, "shrinking")
+    counts = PlanOptions(renewals=renewals, search_steps=30, threads=1)
+    planner = Planner(scenario, counts, world)
+    controller = ModelPredictiveController(planner, 0.02, "shrinking", **options)
     return run_in_loop(controller, scenario, world, truth)
 
 
@@ -333,14 +334,29 @@ def test_a_pendulum_is_brought_to_its_goal_off_a_rigid_wall() -> None:
 @pytest.mark.slow
 def test_a_pole_that_is_kicked_bounces_off_a_rigid_wall_as_it_promises_then() -> None:
     truth = Disturbance(kick=np.array([0.3, 0.5]), kick_time=0.4)
-    run = swing(Scenario.named("cart_pole/rigid_06"), truth, renewals=8)
+    run = swing(Scenario.named("cart_pole/rigid_06"), truth, renewals=8, feedback_period=0.005)
     assert run.replay.bounce_contacts
-    # What the last plan leads into a wall bounces off it, at once. Where a later tick misses, the
-    # plan that the pole is on goes on: nothing worse is taken.
+    # Where a later tick misses, the plan that the pole is on goes on: nothing worse is taken.
     kicked = next(tick for tick in run.ticks if tick.time >= truth.kick_time)
     assert "no motion" not in kicked.reason
     assert sum("no motion" in tick.reason for tick in run.ticks) <= 2
     assert run.cost < 1.05 * (calc_spent(run, truth.kick_time) + kicked.cost)
+
+
+@pytest.mark.slow
+def test_a_tick_keeps_what_its_search_finds() -> None:
+    scenario = Scenario.named("cart_pole/rigid_06")
+    options = PlanOptions(renewals=8, search_steps=30, threads=1)
+    x = np.array([0.86, -0.77, -0.35, 2.8])
+    left = dataclasses.replace(
+        scenario, initial_position=x[:2], initial_velocity=x[2:], duration=1.1
+    )
+    left = dataclasses.replace(left, time_step=left.duration / scenario.num_steps)
+    search = MechanismSearch(make_mechanism_task(World.from_scenario(left), left, options))
+    search.explore()
+    found = make_horizon(Planner(left, options), False, 5, 0.02).search(0.0, x)
+    # With penalties from the beginning, steps left it for none at all.
+    assert found is not None and found.cost < 1.02 * search.motions[0].result.cost
 
 
 def calc_spent(run: ClosedLoopRun, until: float) -> float:

@@ -27,6 +27,7 @@ from drake_aigto.planning import (
 )
 from drake_aigto.shooting import (
     IMPLICIT,
+    Phases,
     ShootingOptions,
     ShootingProblem,
     ShootingResult,
@@ -321,15 +322,10 @@ class RigidHorizon(_ShootingHorizon):
         found = self._search(self._ask(now, x))
         if found is None:
             return None
-        motion = make_trajectory(self.world, found).later(now)
-        q, v = np.split(x, 2)
-        left = dataclasses.replace(
-            motion,
-            positions=np.vstack([q, motion.positions[1:]]),
-            velocities=np.vstack([v, motion.velocities[1:]]),
-            impulses=np.vstack([0 * motion.impulses[0], motion.impulses[1:]]),
-        )
-        return self._read(self._descend(left, found.touches, _MORE), now)
+        # With its prices it stays where it is; penalties that begin anew would lead away from it.
+        problem = self._pose_from(x, now, found.times, found.phases)
+        settled = self._solve(problem, found.controls, None, _MORE, found.prices)
+        return choose((self._read(each, now) for each in (settled, found)), np.inf)
 
     def _with_bounce(self, missed: ShootingResult, now: float) -> PlannedMotion | None:
         """Returns the best motion near one that misses walls, with a bounce where it is deepest."""
@@ -348,23 +344,38 @@ class RigidHorizon(_ShootingHorizon):
         closes_gaps: bool = True,
         least: Floats | float = -np.inf,
     ) -> ShootingResult:
-        """Returns the best motion near a trajectory, with touches as times after its start.
-
-        Where it grazes a wall between its knots it is led off it there: the plant would bounce.
-        """
+        """Returns the best motion near a trajectory, with touches as times after its start."""
         q, elapsed = left.positions, left.times - left.times[0]
         times, phases = lay_onto(touches, elapsed, self.world.num_contacts)
         after = np.hstack([q, left.velocities + self.world.calc_velocity_change(q, left.impulses)])
         middles = (times[1:] + times[:-1]) / 2
-        task = self._task.pose_phases(times, phases)
-        # Knots count from now on, and so has the reference to.
-        cost = dataclasses.replace(task.cost, times=task.cost.times - left.times[0])
-        problem = dataclasses.replace(task, start=after[0], cost=cost)
-        least = np.maximum(least, self._task.least_distances)
-        problem = dataclasses.replace(problem, least_distances=least)
+        problem = self._pose_from(after[0], left.times[0], times, phases, least)
         controls = left.controls[np.searchsorted(elapsed, middles) - 1]
         states = interpolate(times, elapsed, after) if closes_gaps else None
-        found = problem.solve(controls, states, options)
+        return self._solve(problem, controls, states, options)
+
+    def _pose_from(
+        self, start: Floats, now: float, times: Floats, phases: Phases, least: Any = -np.inf
+    ) -> ShootingProblem:
+        """Returns the task from a state and a time on, at knots that count from then on."""
+        task = self._task.pose_phases(times, phases)
+        cost = dataclasses.replace(task.cost, times=task.cost.times - now)
+        least = np.maximum(least, self._task.least_distances)
+        return dataclasses.replace(task, start=start, cost=cost, least_distances=least)
+
+    def _solve(
+        self,
+        problem: ShootingProblem,
+        controls: Floats,
+        states: Floats | None,
+        options: ShootingOptions,
+        prices: Floats | None = None,
+    ) -> ShootingResult:
+        """Returns the best motion near a guess (`ShootingProblem.solve`).
+
+        Where it grazes a wall between its knots it is led off it there: the plant would bounce.
+        """
+        found = problem.solve(controls, states, options, prices)
         apart = keep_off(self.world, problem, found, _AT_WALL * self._task.scales.length)
         return found if apart is None else apart.solve(found.controls, found.states, options)
 
