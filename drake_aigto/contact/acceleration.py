@@ -137,8 +137,10 @@ def accelerate(
     sums, factor, acceleration = memory.sums, memory.factor, memory.acceleration
     n, nu = actuation.shape
     run_tape(mechanics.code, mechanics.numbers, x, has_slopes, memory.values, sums)
-    factor_mass(n, sums, factor)
-    bias = n * (n + 1) // 2
+    bias, code = n * (n + 1) // 2, mechanics.code
+    is_constant = code[3] == 0 or code[5 + code[0] + 2 * code[1]] >= bias
+    if not is_constant or factor[0, 0] == 0.0:  # A constant M is factored once.
+        factor_mass(n, sums, factor)
     for i in range(n):
         total = -sums[bias + i]
         for j in range(nu):

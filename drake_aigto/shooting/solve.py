@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -324,8 +325,13 @@ class ShootingRun:
         """
         if isinstance(self._program.mechanics, TreeMechanics):
             return True
+        return self._slides and rung.tolerance < _ROUGH
+
+    @cached_property
+    def _slides(self) -> bool:
+        """Whether compliant contacts slide in a plane."""
         slides = np.any(self._problem.mechanism.frictions[:, SOURCE] >= 0)
-        return bool(slides) and self._problem.phases is None and rung.tolerance < _ROUGH
+        return bool(slides) and self._problem.phases is None
 
     def _descend(self, rung: Smoothing, states: Floats, updates: bool) -> Outcome:
         """Returns the outcome of a pass; multipliers are updated after it if asked."""

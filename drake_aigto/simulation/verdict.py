@@ -122,9 +122,14 @@ def calc_growth(transitions: Floats, scales: Floats) -> Growth:
             products = step @ np.concatenate([products, np.eye(size)[np.newaxis]])
             if not np.isfinite(products).all():
                 return Growth(np.inf, worst * scales)
-            _, sizes, axes = np.linalg.svd(products)
+            # Frobenius norms, which take far less, are no smaller than singular values.
+            floors = np.array([most, *np.full(len(products) - 1, growth)])
+            rows = np.flatnonzero(np.linalg.norm(products, axis=(1, 2)) >= floors)
+            if not len(rows):
+                continue
+            _, sizes, axes = np.linalg.svd(products[rows])
             growth = max(growth, float(sizes[:, 0].max()))
-            if sizes[0, 0] > most:
+            if rows[0] == 0 and sizes[0, 0] > most:
                 most, worst = float(sizes[0, 0]), axes[0, 0]
     return Growth(growth, worst * scales)
 
