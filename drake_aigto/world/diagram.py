@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet, Role, SceneGraph
+from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet, SceneGraph
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant, Propeller, PropellerInfo
 from pydrake.multibody.tree import BodyIndex
@@ -23,6 +23,8 @@ from drake_aigto.world.files import suggest
 from drake_aigto.world.model_facts import FixableError
 from drake_aigto.world.model_fields import Thruster
 
+# Drake warns that half spaces don't touch deformable bodies: we have none.
+HALF_SPACES = "half spaces are not currently supported for deformable"
 # By how much positions differ from their defaults where nothing cancels by chance.
 _ANYWHERE = 0.37
 
@@ -37,7 +39,7 @@ _HINGES = {
 
 def check_friction_acts(plant: MultibodyPlant, diagram: Diagram) -> None:
     """Refuses a diagram in which nothing makes dry friction act on its plant."""
-    with hide_half_space_warning():
+    with hear_drake(HALF_SPACES):
         context = plant.GetMyContextFromRoot(diagram.CreateDefaultContext())
     if not plant.get_applied_generalized_force_input_port().HasValue(context):
         raise ModelError(
@@ -180,34 +182,42 @@ def move_shape(diagram: Diagram, shape: GeometryId, translation: Floats) -> Diag
     scene_graph.ChangeShape(plant.get_source_id(), shape, inspector.GetShape(shape), X_BG)
     # Drake forgets the collision filters of a shape that it changes.
     for pair in inspector.GetCollisionCandidates() - before:
-        filtered = CollisionFilterDeclaration().ExcludeBetween(*map(GeometrySet, pair))
-        scene_graph.collision_filter_manager().Apply(filtered)
+        exclude(scene_graph, pair[:1], pair[1:])
     return copy
 
 
-def exclude_shapes(scene_graph: SceneGraph, root: Context, shapes: Iterable[GeometryId]) -> None:
-    """Keeps shapes from touching anything, in this context only."""
-    every = scene_graph.model_inspector().GetAllGeometryIds(Role.kProximity)
-    filtered = CollisionFilterDeclaration().ExcludeBetween(
-        GeometrySet(list(shapes)), GeometrySet(list(every))
+def exclude(
+    scene_graph: SceneGraph,
+    shapes: Iterable[GeometryId],
+    others: Iterable[GeometryId],
+    root: Context | None = None,
+) -> None:
+    """Keeps shapes from colliding with others, in the model or in this context only."""
+    sets = GeometrySet(list(shapes)), GeometrySet(list(others))
+    context = [] if root is None else [scene_graph.GetMyMutableContextFromRoot(root)]
+    scene_graph.collision_filter_manager(*context).Apply(
+        CollisionFilterDeclaration().ExcludeBetween(*sets)
     )
-    context = scene_graph.GetMyMutableContextFromRoot(root)
-    scene_graph.collision_filter_manager(context).Apply(filtered)
 
 
 @contextmanager
-def hide_half_space_warning() -> Iterator[None]:
-    """Keeps from the log that half spaces don't touch deformable bodies: we have none."""
+def hear_drake(words: str = "") -> Iterator[list[str]]:
+    """Yields a list that gets what Drake warns of in these words, in place of its log."""
+    heard: list[str] = []
 
-    def is_other(record: logging.LogRecord) -> bool:
-        return "half spaces are not currently supported for deformable" not in record.getMessage()
+    def hear(record: logging.LogRecord) -> bool:
+        text = record.getMessage()
+        is_heard = record.levelno >= logging.WARNING and words in text
+        if is_heard:
+            heard.append(" ".join(text.split()))
+        return not is_heard
 
     logger = logging.getLogger("drake")
-    logger.addFilter(is_other)
+    logger.addFilter(hear)
     try:
-        yield
+        yield heard
     finally:
-        logger.removeFilter(is_other)
+        logger.removeFilter(hear)
 
 
 def _check_actuators(plant: MultibodyPlant, has_thrusters: bool) -> None:

@@ -181,6 +181,11 @@ def suggest(word: str, known: list[str]) -> str | None:
     return f"Did you mean {close[0]!r}?" if close else None
 
 
+def refuse_name(what: str, name: str, known: list[str], got: object = None) -> ScenarioError:
+    """Returns the error of a name that is none of the known ones."""
+    return ScenarioError(what, got, f"one of {', '.join(known)}", hint=suggest(name, known))
+
+
 def read_scenario(path: str | os.PathLike[str]) -> object:
     """Returns what is in a YAML file; what is no text may be numbers.
 

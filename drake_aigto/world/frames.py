@@ -17,7 +17,7 @@ from pydrake.multibody.tree import Frame, FrameIndex, JacobianWrtVariable, Joint
 from drake_aigto.arrays import Floats
 from drake_aigto.dynamics import FrameTable, Tree, make_tree_memory
 from drake_aigto.errors import ScenarioError
-from drake_aigto.world.files import suggest
+from drake_aigto.world.files import refuse_name
 from drake_aigto.world.limits import name_controls
 from drake_aigto.world.model_fields import Named, Thruster
 from drake_aigto.world.places import RESTS, FrameGoal, Pose, PoseParts, Shift, write_plain
@@ -101,12 +101,8 @@ def find_frame(plant: MultibodyPlant, name: str) -> Frame:
     names = sorted({each.name() for each in frames if each.name()})
     found = [each for each in frames if each.name() == name]
     if len(found) != 1:
-        raise ScenarioError(
-            f"frame_goals[{name}]",
-            got=f"{len(found)} of this name" if found else "no such frame",
-            expected=f"one of {', '.join(names)}",
-            hint=suggest(name, names),
-        )
+        got = f"{len(found)} of this name" if found else "no such frame"
+        raise refuse_name(f"frame_goals[{name}]", name, names, got)
     return found[0]
 
 
@@ -326,8 +322,7 @@ def _fill_controls(plant: MultibodyPlant, name: str, value: Named[Any], thruster
     found: Floats = np.full(len(names), RESTS[name])
     for key, item in value.items():
         if key not in known:
-            got, expected = "no actuator of this name", f"one of {', '.join(known)}"
-            raise ScenarioError(f"{name}[{key}]", got, expected, hint=suggest(key, list(known)))
+            raise refuse_name(f"{name}[{key}]", key, list(known), "no actuator of this name")
         _fill(f"{name}[{key}]", found, known[key], 1, np.ravel(item))
     return found
 
@@ -343,10 +338,6 @@ def _find(plant: MultibodyPlant, name: str, key: str) -> Joint:
     floating = {j.child_body().name(): j for j in joints.values() if j.type_name() == _FLOATING}
     known = {**joints, **floating}
     if key not in known:
-        raise ScenarioError(
-            f"{name}[{key}]",
-            got="no joint that moves, and no floating body, of this name",
-            expected=f"one of {', '.join(sorted(known))}",
-            hint=suggest(key, sorted(known)),
-        )
+        got = "no joint that moves, and no floating body, of this name"
+        raise refuse_name(f"{name}[{key}]", key, sorted(known), got)
     return known[key]

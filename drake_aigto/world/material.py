@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Floats, read_only
 from drake_aigto.errors import ModelError
-from drake_aigto.world.diagram import hide_half_space_warning
+from drake_aigto.world.diagram import HALF_SPACES, hear_drake
 from drake_aigto.world.pairs import ReachableFace
 
 FRICTION = ("material", "coulomb_friction")
@@ -155,17 +155,18 @@ def set_material(
     scene_graph.AssignRole(context, source, shape, properties, RoleAssign.kReplace)
 
 
-def scale_stiffness(
-    plant: MultibodyPlant, scene_graph: SceneGraph, shape: GeometryId, factor: float
+def change_material(
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    shape: GeometryId,
+    values: Mapping[tuple[str, str], object],
 ) -> None:
-    """Makes a shape times as stiff, in the model.
-
-    Raises:
-        ModelError: it has no stiffness.
-    """
+    """Changes properties of a shape, in the model; values that are None stay."""
     inspector: Any = scene_graph.model_inspector()
     properties = ProximityProperties(inspector.GetProximityProperties(shape))
-    properties.UpdateProperty(*STIFFNESS, factor * read_given(scene_graph, shape, STIFFNESS))
+    for name, value in values.items():
+        if value is not None:
+            properties.UpdateProperty(*name, value)
     source: Any = plant.get_source_id()
     scene_graph.AssignRole(source, shape, properties, RoleAssign.kReplace)
 
@@ -174,7 +175,7 @@ def read_frictions(
     scene_graph: SceneGraph, diagram: Diagram, pairs: Iterable[tuple[GeometryId, GeometryId]]
 ) -> list[float]:
     """Returns the dynamic μ of pairs of shapes, 2 μ₁ μ₂ / (μ₁ + μ₂), with defaults of Drake."""
-    with hide_half_space_warning():
+    with hear_drake(HALF_SPACES):
         root = diagram.CreateDefaultContext()  # Drake's defaults are in contexts only.
     found = []
     for pair in pairs:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -34,7 +31,7 @@ from pydrake.systems.primitives import SymbolicVectorSystem
 from drake_aigto.arrays import Floats, read_only
 from drake_aigto.dynamics import STICTION_SPEED, refuse_loop, smooth_sign
 from drake_aigto.errors import ModelError
-from drake_aigto.world.diagram import add_actuation, check_plant
+from drake_aigto.world.diagram import HALF_SPACES, add_actuation, check_plant, hear_drake
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
 from drake_aigto.world.model_facts import MESHES, FixableError, ModelFacts, Spring, fits, pick
@@ -183,7 +180,7 @@ def _read_model(
     told = ignored, tuple(facts.notes), facts.is_bare
     diagram = builder.Build()
     if facts.planes:
-        with hear_drake():  # It warns once that no half space touches deformable bodies.
+        with hear_drake(HALF_SPACES):  # It warns once.
             diagram.CreateDefaultContext()
     return ReadModel(diagram, friction, facts.efforts, *told)
 
@@ -345,22 +342,3 @@ def _find_friction(plant: MultibodyPlant, facts: ModelFacts) -> Floats | None:
         if plant.HasJointNamed(name) and plant.GetJointByName(name).num_velocities() == 1:
             found[plant.GetJointByName(name).velocity_start()] = friction
     return read_only(found) if found.any() else None
-
-
-@contextmanager
-def hear_drake() -> Iterator[list[str]]:
-    """Yields a list that gets what Drake warns of, in place of its log."""
-    heard: list[str] = []
-
-    def hear(record: logging.LogRecord) -> bool:
-        is_warning = record.levelno >= logging.WARNING
-        if is_warning:
-            heard.append(" ".join(record.getMessage().split()))
-        return not is_warning
-
-    logger = logging.getLogger("drake")
-    logger.addFilter(hear)
-    try:
-        yield heard
-    finally:
-        logger.removeFilter(hear)

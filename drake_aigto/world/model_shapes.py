@@ -10,15 +10,12 @@ import numpy as np
 from pydrake.geometry import (
     Box,
     Capsule,
-    CollisionFilterDeclaration,
     Convex,
     GeometryId,
-    GeometrySet,
     HalfSpace,
     Mesh,
     ProximityProperties,
     Role,
-    RoleAssign,
     SceneGraph,
     Sphere,
 )
@@ -28,7 +25,8 @@ from pydrake.multibody.tree import BodyIndex, WeldJoint
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
-from drake_aigto.world.material import FRICTION
+from drake_aigto.world.diagram import exclude
+from drake_aigto.world.material import DISSIPATION, FRICTION, STIFFNESS, change_material
 from drake_aigto.world.model_facts import ModelFacts, fits
 from drake_aigto.world.model_fields import Material
 from drake_aigto.world.pair_errors import (
@@ -41,7 +39,7 @@ from drake_aigto.world.pair_errors import (
     name_shape,
     refuse_pairs,
 )
-from drake_aigto.world.pairs import list_pairs, order_pair
+from drake_aigto.world.pairs import RESTITUTION, list_pairs, order_pair
 from drake_aigto.world.space_parts import MOST_CORNERS
 
 # Radius of spheres at corners, as a part of the shape's least size.
@@ -57,21 +55,14 @@ def set_materials(
     shapes = name_shapes(plant, scene_graph)
     for glob, material in materials.items():
         for shape in pick_shapes("material", [glob], shapes):
-            inspector: Any = scene_graph.model_inspector()
-            properties = ProximityProperties(inspector.GetProximityProperties(shape))
+            mu = material.friction
             given = {
-                "point_contact_stiffness": material.stiffness,
-                "hunt_crossley_dissipation": material.dissipation,
-                "restitution": material.restitution,
-                "coulomb_friction": None
-                if material.friction is None
-                else CoulombFriction(material.friction, material.friction),
+                STIFFNESS: material.stiffness,
+                DISSIPATION: material.dissipation,
+                RESTITUTION: material.restitution,
+                FRICTION: None if mu is None else CoulombFriction(mu, mu),
             }
-            for name, value in given.items():
-                if value is not None:
-                    properties.UpdateProperty("material", name, value)
-            source = plant.get_source_id()
-            scene_graph.AssignRole(source, shape, properties, RoleAssign.kReplace)
+            change_material(plant, scene_graph, shape, given)
 
 
 def name_shapes(
@@ -155,15 +146,7 @@ def _exclude_pairs(scene_graph: SceneGraph, pairs: list[tuple[GeometryId, Geomet
     for shape, other in pairs:
         others.setdefault(shape, []).append(other)
     for shape, apart in others.items():
-        _exclude(scene_graph, [shape], apart)
-
-
-def _exclude(
-    scene_graph: SceneGraph, shapes: Sequence[GeometryId], others: Sequence[GeometryId]
-) -> None:
-    """Keeps shapes from colliding with others."""
-    sets = GeometrySet(list(shapes)), GeometrySet(list(others))
-    scene_graph.collision_filter_manager().Apply(CollisionFilterDeclaration().ExcludeBetween(*sets))
+        exclude(scene_graph, [shape], apart)
 
 
 def set_planes(
@@ -197,7 +180,9 @@ def set_planes(
         properties = ProximityProperties(inspector.GetProximityProperties(mark))
         scene_graph.RemoveRole(plant.get_source_id(), mark, Role.kProximity)
         wall = plant.RegisterCollisionGeometry(body, X_BG, HalfSpace(), name, properties)
-        _exclude(scene_graph, [wall], [each for each in apart if each != mark])
+        exclude(
+            scene_graph.collision_filter_manager(), [wall], [each for each in apart if each != mark]
+        )
 
 
 def _find_still(plant: MultibodyPlant) -> dict[BodyIndex, RigidTransform]:
@@ -304,8 +289,12 @@ def choose_ends(scene_graph: SceneGraph, ends: dict[GeometryId, list[GeometryId]
     for shape, its_ends in ends.items():
         flat = walls | solids if shape in solids else walls
         met = {each for each in flat if frozenset((shape, each)) in meets}
-        _exclude(scene_graph, its_ends, [each for each in shapes if each not in met])
-        _exclude(scene_graph, [shape], list(met))
+        exclude(
+            scene_graph.collision_filter_manager(),
+            its_ends,
+            [each for each in shapes if each not in met],
+        )
+        exclude(scene_graph, [shape], list(met))
 
 
 def leave_pairs_out(scene_graph: SceneGraph, order: Order, facts: ModelFacts) -> None:

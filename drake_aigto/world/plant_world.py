@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from pydrake.geometry import GeometryId, SceneGraph
+from pydrake.geometry import GeometryId, Role, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, Diagram
 
@@ -21,18 +21,19 @@ from drake_aigto.arrays import Floats
 from drake_aigto.dynamics import STICTION_SPEED, EquationsOfMotion, read_damping
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.diagram import (
+    HALF_SPACES,
     check_friction_acts,
     check_plant,
     copy_diagram,
-    exclude_shapes,
+    exclude,
     find_plant,
     find_propeller,
-    hide_half_space_warning,
+    hear_drake,
     scale_masses,
 )
 from drake_aigto.world.frames import find_advance, place_scenario
 from drake_aigto.world.limits import Limits, check_sizes
-from drake_aigto.world.material import scale_stiffness
+from drake_aigto.world.material import STIFFNESS, change_material, read_given
 from drake_aigto.world.model_facts import FixableError, find_errors, gather
 from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
 from drake_aigto.world.model_reader import read_model
@@ -183,7 +184,9 @@ class PlantWorld(EquationsOfMotion):
         """
         copy = copy_diagram(self.diagram)
         for shape in dict.fromkeys(itertools.chain(*self.shapes)):
-            scale_stiffness(*find_plant(copy), shape, factor)
+            plant, scene_graph = find_plant(copy)
+            stiffness = factor * read_given(scene_graph, shape, STIFFNESS)
+            change_material(plant, scene_graph, shape, {STIFFNESS: stiffness})
         return self.of_diagram(copy)
 
     def __repr__(self) -> str:
@@ -224,13 +227,14 @@ class PlantWorld(EquationsOfMotion):
 
     def create_context(self) -> Context:
         """Returns a new root context, at defaults, with masses as here and shapes ignored."""
-        with hide_half_space_warning():
+        with hear_drake(HALF_SPACES):
             root = self.diagram.CreateDefaultContext()
         scale_masses(self.plant, self.plant.GetMyMutableContextFromRoot(root), self.mass_factor)
         if self.ignored_shapes:
             names = name_shapes(self.plant, self.scene_graph)
             shapes = pick_shapes("ignored_shapes", self.ignored_shapes, names)
-            exclude_shapes(self.scene_graph, root, shapes)
+            every = self.scene_graph.model_inspector().GetAllGeometryIds(Role.kProximity)
+            exclude(self.scene_graph, shapes, every, root)
         return root
 
     def fix_control(self, root: Context, control: Floats) -> None:

@@ -27,7 +27,7 @@ from drake_aigto.world.fields import (
     check_reference,
     check_steps,
 )
-from drake_aigto.world.files import read_scenario, scenario_files, suggest
+from drake_aigto.world.files import read_scenario, refuse_name, scenario_files
 from drake_aigto.world.model_fields import ModelFields, Named, as_globs
 from drake_aigto.world.places import (
     BOUNDS,
@@ -345,11 +345,7 @@ class Scenario(ModelFields):
         known = [field.name for field in dataclasses.fields(cls)]
         for key in data:
             if key not in known:
-                raise ScenarioError(
-                    f"unknown key {key!r}",
-                    expected=f"one of {', '.join(known)}",
-                    hint=suggest(str(key), known),
-                )
+                raise refuse_name(f"unknown key {key!r}", str(key), known)
         found = {*data, *(["goal_position"] if data.get("periodic") is not None else [])}
         missing = [name for name in REQUIRED if name not in found]
         if missing:
@@ -368,11 +364,7 @@ class Scenario(ModelFields):
         """
         files = scenario_files()
         if name not in files:
-            raise ScenarioError(
-                f"unknown scenario {name!r}",
-                expected=f"one of {', '.join(files)}",
-                hint=suggest(str(name), list(files)),
-            )
+            raise refuse_name(f"unknown scenario {name!r}", str(name), list(files))
         return cls.load(files[name])
 
     @classmethod
