@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.aigo import AigoResult
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.planning.balls.phases import Path, PhaseMotion
@@ -78,28 +77,10 @@ class BranchingSearch(SequenceSearch):
         self._duration = task.transcription.scenario.duration
         self._refused: list[TouchSequence] = []
 
-    @abstractmethod
-    def add(
-        self,
-        origin: Origin,
-        center: Floats,
-        sequence: TouchSequence,
-        path: Path | None = None,
-        solved: PhaseMotion | None = None,
-    ) -> None:
-        """Adds the candidate of a sequence (`Shown`)."""
-
     @cached_property
     def _most_touches(self) -> int:
         """Touches that a neighbor may have: a fast ball bounces often by itself."""
         return max(MOST_TOUCHES, 1 + len(self.task.coast.bounce_times))
-
-    def keep(self, origin: Origin, found: AigoResult | Shown) -> None:
-        """Adds the candidate of a sequence, or those of the sequences of boxes."""
-        if isinstance(found, Shown):
-            self.add(origin, *found)
-        else:
-            super().keep(origin, found)
 
     def vary(self) -> Iterator[Sequence[Proposal]]:
         """Yields neighbors (`neighbors`) of good sequences, the best first, once for each."""

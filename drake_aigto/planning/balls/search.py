@@ -9,6 +9,7 @@ from itertools import combinations, islice, starmap
 
 import numpy as np
 
+from drake_aigto.aigo import AigoResult
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.planning.balls.branching import (
@@ -87,6 +88,13 @@ class BallSearch(BranchingSearch):
     @property
     def _has_plan(self) -> bool:
         return any(each.is_feasible and each.is_confirmed for each in self.by_sequence.values())
+
+    def keep(self, origin: Origin, found: AigoResult | Shown) -> None:
+        """Adds the candidate of a sequence, or those of the sequences of boxes."""
+        if isinstance(found, Shown):
+            self.add(origin, *found)
+        else:
+            super().keep(origin, found)
 
     def add(
         self,
