@@ -35,6 +35,8 @@ from .sums import evaluate as evaluate
 from .sums import is_constant as is_constant
 from .sums import tidy as tidy
 from .tree import Tree as Tree
+from .tree import broadcast_rows as broadcast_rows
+from .tree import list_rows as list_rows
 from .tree_kernels import begin_tree as begin_tree
 from .tree_kernels import differentiate as differentiate
 from .tree_kernels import move_tree as move_tree

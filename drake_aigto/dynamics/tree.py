@@ -85,7 +85,7 @@ class Tree(TreeTables):
 
     def calc_mass_matrix(self, q: Floats) -> Floats:
         """Returns M(q), shape (…, nv, nv), at q of shape (…, nq)."""
-        rows, n = self._rows(q), self.num_velocities
+        rows, n = list_rows(q), self.num_velocities
         masses = load_kernels().calc_masses(self, rows, make_tree_memory(self))
         return np.asarray(masses.reshape(*np.shape(q)[:-1], n, n))
 
@@ -109,44 +109,53 @@ class Tree(TreeTables):
 
     def calc_inverse_dynamics(self, q: Floats, v: Floats, acceleration: Floats) -> Floats:
         """Returns M(q) v̇ + h(q, v), shape (…, nv), at q (…, nq) and v, v̇ (…, nv)."""
-        rows = self._rows(q), self._rows(v), self._rows(acceleration)
+        rows = map(list_rows, (q, v, acceleration))
         forces = load_kernels().calc_inverse_dynamics(self, *rows, make_tree_memory(self))
         return np.asarray(forces.reshape(np.shape(v)))
 
     def calc_acceleration(self, q: Floats, v: Floats, u: Floats) -> Floats:
         """Returns v̇ = M⁻¹ (B u − h(q, v)), shape (…, nv), at q (…, nq), v (…, nv), u (…, nu)."""
-        rows = self._rows(q), self._rows(v), self._rows(u)
+        rows = map(list_rows, (q, v, u))
         found = load_kernels().calc_accelerations(self, *rows, make_tree_memory(self))
         return np.asarray(found.reshape(np.shape(v)))
 
     def calc_acceleration_slopes(self, q: Floats, v: Floats, u: Floats) -> Floats:
         """Returns ∂v̇/∂(δ, v, u), shape (nv, 2 nv + nu), at one state; δ moves q to q ⊕ δ."""
-        state = self._rows(q)[0], self._rows(v)[0], self._rows(u)[0]
+        state = (list_rows(each)[0] for each in (q, v, u))
         return np.asarray(load_kernels().calc_slopes(self, *state, make_tree_memory(self)))
 
     def calc_position_rate(self, q: Floats, v: Floats) -> Floats:
-        """Returns q̇ = N(q) v, shape (nq,), at one state."""
-        rate = np.empty(self.num_positions)
-        load_kernels().turn_positions(self, self._rows(q)[0], self._rows(v)[0], rate)
-        return rate
+        """Returns q̇ = N(q) v, shape (…, nq), at q (…, nq) and v (…, nv)."""
+        rates = np.empty(np.shape(q))
+        rows = list_rows(q), list_rows(v), rates.reshape(-1, self.num_positions)
+        for row in zip(*rows, strict=True):
+            load_kernels().turn_positions(self, *row)
+        return rates
 
     def add(self, q: Floats, delta: Floats) -> Floats:
-        """Returns q ⊕ δ, shape (nq,): links turned by rotation vectors, and moved."""
-        moved = np.empty(self.num_positions)
-        load_kernels().add(self, self._rows(q)[0], self._rows(delta)[0], moved)
-        return moved
+        """Returns q ⊕ δ, shape (…, nq): links turned by rotation vectors, and moved."""
+        q, delta = broadcast_rows(q, delta)
+        return np.asarray(load_kernels().add(self, list_rows(q), list_rows(delta))).reshape(q.shape)
 
     def subtract(self, after: Floats, before: Floats) -> Floats:
-        """Returns the shortest δ with before ⊕ δ = after, shape (nv,); q ⊖ q of Lie groups."""
-        delta = np.empty(self.num_velocities)
-        load_kernels().subtract(self, self._rows(after)[0], self._rows(before)[0], delta)
-        return delta
+        """Returns the shortest δ with before ⊕ δ = after, shape (…, nv); q ⊖ q of Lie groups."""
+        after, before = broadcast_rows(after, before)
+        found = load_kernels().subtract(self, list_rows(after), list_rows(before))
+        return np.asarray(found).reshape(*after.shape[:-1], self.num_velocities)
 
-    @staticmethod
-    def _rows(values: Floats) -> Floats:
-        """Returns values as writable, contiguous rows, shape (K, …)."""
-        array = np.asarray(values, dtype=float)
-        return np.array(array.reshape(math.prod(array.shape[:-1]), array.shape[-1]), order="C")
+
+def list_rows(values: Floats) -> Floats:
+    """Returns values as writable, contiguous rows, shape (K, …)."""
+    array = np.asarray(values, dtype=float)
+    return np.array(array.reshape(math.prod(array.shape[:-1]), array.shape[-1]), order="C")
+
+
+def broadcast_rows(one: Floats, other: Floats) -> tuple[Floats, Floats]:
+    """Returns rows of both at all states of either."""
+    shape = np.broadcast_shapes(np.shape(one)[:-1], np.shape(other)[:-1])
+    each = (np.broadcast_to(a, (*shape, np.shape(a)[-1])) for a in (one, other))
+    first, second = each
+    return first, second
 
 
 def _check_forces(plant: MultibodyPlant, tree: Tree, context: Context) -> None:

@@ -369,12 +369,19 @@ def turn_positions(tree: TreeTables, q: Floats, v: Floats, rate: Floats) -> None
 
 
 @kernel
-def add(tree: TreeTables, q: Floats, delta: Floats, moved: Floats) -> None:
-    """Computes q ⊕ δ."""
-    add_tangent(borrow(tree), q, delta, moved)
+def add(tree: TreeTables, q: Floats, delta: Floats) -> Floats:
+    """Returns q ⊕ δ of rows (K, nq) and (K, nv), shape (K, nq)."""
+    tree, found = borrow(tree), np.zeros(q.shape)
+    for k in range(q.shape[0]):
+        add_tangent(tree, q[k], delta[k], found[k])
+    return found
 
 
 @kernel
-def subtract(tree: TreeTables, after: Floats, before: Floats, delta: Floats) -> None:
-    """Computes the shortest δ with before ⊕ δ = after."""
-    subtract_positions(borrow(tree), after, before, delta)
+def subtract(tree: TreeTables, after: Floats, before: Floats) -> Floats:
+    """Returns the shortest δ with before ⊕ δ = after of rows (K, nq) each, shape (K, nv)."""
+    tree = borrow(tree)
+    found = np.zeros((after.shape[0], tree.up.size))
+    for k in range(after.shape[0]):
+        subtract_positions(tree, after[k], before[k], found[k])
+    return found

@@ -180,9 +180,7 @@ def set_planes(
         properties = ProximityProperties(inspector.GetProximityProperties(mark))
         scene_graph.RemoveRole(plant.get_source_id(), mark, Role.kProximity)
         wall = plant.RegisterCollisionGeometry(body, X_BG, HalfSpace(), name, properties)
-        exclude(
-            scene_graph.collision_filter_manager(), [wall], [each for each in apart if each != mark]
-        )
+        exclude(scene_graph, [wall], (each for each in apart if each != mark))
 
 
 def _find_still(plant: MultibodyPlant) -> dict[BodyIndex, RigidTransform]:
@@ -289,12 +287,8 @@ def choose_ends(scene_graph: SceneGraph, ends: dict[GeometryId, list[GeometryId]
     for shape, its_ends in ends.items():
         flat = walls | solids if shape in solids else walls
         met = {each for each in flat if frozenset((shape, each)) in meets}
-        exclude(
-            scene_graph.collision_filter_manager(),
-            its_ends,
-            [each for each in shapes if each not in met],
-        )
-        exclude(scene_graph, [shape], list(met))
+        exclude(scene_graph, its_ends, (each for each in shapes if each not in met))
+        exclude(scene_graph, [shape], met)
 
 
 def leave_pairs_out(scene_graph: SceneGraph, order: Order, facts: ModelFacts) -> None:

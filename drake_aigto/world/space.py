@@ -14,7 +14,15 @@ from pydrake.symbolic import Expression, MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Bools, Floats, read_only
-from drake_aigto.dynamics import Blend, Contact, Tree, TreeMemory, make_tree_memory
+from drake_aigto.dynamics import (
+    Blend,
+    Contact,
+    Tree,
+    TreeMemory,
+    broadcast_rows,
+    list_rows,
+    make_tree_memory,
+)
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.geometry import make_closest
 from drake_aigto.world.diagram import find_plant, find_propeller, read_thrusts, scale_masses
@@ -33,10 +41,8 @@ from drake_aigto.world.space_parts import (
     SpaceCoordinates,
     SpaceFriction,
     SpaceShapes,
-    broadcast_rows,
     find_angles,
     find_whole,
-    list_rows,
     order_shapes,
     read_shapes,
 )

@@ -1,11 +1,11 @@
-"""Distances and differences of a world in space, in compiled code."""
+"""Distances of a world in space, in compiled code."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.dynamics import Tree, TreeMemory, add_tangent, place, subtract_positions
+from drake_aigto.dynamics import Tree, TreeMemory, place
 from drake_aigto.geometry import Closest, Shapes, cross, dot, find_closest, place_shapes
 from drake_aigto.kernels import borrow, kernel
 
@@ -55,22 +55,3 @@ def measure_pairs(
                     rate = dot(S, moment) + dot(S[3:], n)
                     J[k, c, tree.velocities[s]] = signs[c, s] * rate
     return distances, points
-
-
-@kernel
-def subtract_rows(tree: Tree, after: Floats, before: Floats) -> Floats:
-    """Returns the shortest δ with before ⊕ δ = after of rows (K, nq) each, shape (K, nv)."""
-    tree = borrow(tree)
-    found = np.zeros((after.shape[0], tree.up.size))
-    for k in range(after.shape[0]):
-        subtract_positions(tree, after[k], before[k], found[k])
-    return found
-
-
-@kernel
-def add_rows(tree: Tree, q: Floats, delta: Floats) -> Floats:
-    """Returns q ⊕ δ of rows (K, nq) and (K, nv), shape (K, nq)."""
-    tree, found = borrow(tree), np.zeros(q.shape)
-    for k in range(q.shape[0]):
-        add_tangent(tree, q[k], delta[k], found[k])
-    return found

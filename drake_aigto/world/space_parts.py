@@ -239,18 +239,11 @@ class SpaceCoordinates(Coordinates):
 
     def add(self, q: Floats, delta: Floats) -> Floats:
         """Returns q ⊕ δ, shape (…, nq): links turned by rotation vectors, and moved."""
-        from drake_aigto.world.space_kernels import add_rows
-
-        q, delta = broadcast_rows(q, delta)
-        return add_rows(self.tree, list_rows(q), list_rows(delta)).reshape(q.shape)
+        return self.tree.add(q, delta)
 
     def subtract(self, after: Floats, before: Floats) -> Floats:
         """Returns the shortest δ with before ⊕ δ = after, shape (…, nv), of positions (…, nq)."""
-        from drake_aigto.world.space_kernels import subtract_rows
-
-        after, before = np.broadcast_arrays(after, before)
-        found = subtract_rows(self.tree, list_rows(after), list_rows(before))
-        return found.reshape(*after.shape[:-1], self.num_velocities)
+        return self.tree.subtract(after, before)
 
     def measure(self, after: Floats, before: Floats) -> Floats:
         """Returns the same difference for costs, smooth: turns in space by 2 sin(θ/2), not θ."""
@@ -329,25 +322,7 @@ class SpaceCoordinates(Coordinates):
 
     def calc_position_rate(self, q: Floats, v: Floats) -> Floats:
         """Returns q̇ = N(q) v, shape (…, nq)."""
-        rows = [
-            self.tree.calc_position_rate(*row)
-            for row in zip(list_rows(q), list_rows(v), strict=True)
-        ]
-        return np.array(rows).reshape(np.shape(q))
-
-
-def list_rows(values: Floats) -> Floats:
-    """Returns values as writable, contiguous rows."""
-    array = np.asarray(values, dtype=float)
-    return np.array(array.reshape(-1, array.shape[-1]), order="C")
-
-
-def broadcast_rows(one: Floats, other: Floats) -> tuple[Floats, Floats]:
-    """Returns rows of both at all states of either."""
-    shape = np.broadcast_shapes(np.shape(one)[:-1], np.shape(other)[:-1])
-    each = (np.broadcast_to(a, (*shape, np.shape(a)[-1])) for a in (one, other))
-    first, second = each
-    return first, second
+        return self.tree.calc_position_rate(q, v)
 
 
 def find_angles(tree: Tree) -> tuple[Bools, Bools]:
