@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -69,6 +70,12 @@ class Addition:
         if all(place.knot is not None for place in self.places):
             return range(1)
         return range(num_steps if self.reads_control else num_steps + 1)
+
+    def read(
+        self, arrays: Mapping[Part, NDArray[Any]], k: int, row: Callable[[int], int] = int
+    ) -> NDArray[Any]:
+        """Returns what it reads of q, v and u by rows: knot j is in row(j), any knot in row k."""
+        return np.array([arrays[part][k if j is None else row(j), i] for part, i, j in self.places])
 
     @property
     def is_of_start(self) -> bool:
@@ -219,13 +226,8 @@ class Additions:
 
     def _values(self, addition: Addition, motion: Samples, k: int) -> Floats:
         """Returns what an addition reads of a motion, places of any knot at the motion's k-th."""
-        arrays = motion._asdict()
-        return np.array(
-            [
-                arrays[part][k if knot is None else self._row(knot, motion.times), coordinate]
-                for part, coordinate, knot in addition.places
-            ]
-        )
+        arrays: Any = motion._asdict()
+        return addition.read(arrays, k, partial(self._row, times=motion.times))
 
     def _row(self, knot: int, times: Floats) -> int:
         """Returns which of a motion's knots is at the time of knot k here, or nearest to it."""

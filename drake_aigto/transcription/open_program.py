@@ -124,7 +124,7 @@ class OpenProgram(KnotProgram):
         self._bind_costs(more)
         for each in more.everywhere:
             for k in each.knots(len(self._u)):
-                self._attach(each.evaluator, self._variables_at(self._indices(each, k)))
+                self._attach(each.evaluator, self._variables_at(each.read(self._parts, k)))
         self._added = self._added.joined(more)
 
     def additions(self) -> Additions:
@@ -187,7 +187,7 @@ class OpenProgram(KnotProgram):
         self._additions, self._added, self._rows = additions, NO_ADDITIONS, []
         for each in additions.constraints:
             knots = each.knots(len(self._u))
-            reads = np.array([self._indices(each, k) for k in knots])
+            reads = np.array([each.read(self._parts, k) for k in knots])
             stages = np.array(
                 [max(k if p.knot is None else p.knot for p in each.places) for k in knots]
             )
@@ -280,16 +280,7 @@ class OpenProgram(KnotProgram):
             self._bind_stages(shared_cost(self._duration * g, each.name))
         last = self.num_samples() - 1
         for each in (*additions.final, *filter(lambda each: each.is_cost, additions.at_knots)):
-            self._attach(each.evaluator, self._variables_at(self._indices(each, last)))
-
-    def _indices(self, addition: Addition, k: int) -> Ints:
-        """Returns the decision variables that an addition reads, places of any knot at k."""
-        return np.array(
-            [
-                self._parts[part][k if knot is None else knot, coordinate]
-                for part, coordinate, knot in addition.places
-            ]
-        )
+            self._attach(each.evaluator, self._variables_at(each.read(self._parts, last)))
 
     def _stage_indices(self, k: int) -> Ints:
         slacks = [row.slacks[row.stages == k] for row in self._rows if row.slacks.size]

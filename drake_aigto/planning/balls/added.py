@@ -58,15 +58,8 @@ class AddedSums:
         """
 
         def read(addition: Addition) -> Ints:
-            return np.array(
-                [
-                    [
-                        unknowns[part][j if knot is None else at[knot], coordinate]
-                        for part, coordinate, knot in addition.places
-                    ]
-                    for j in addition.knots(len(steps))
-                ]
-            )
+            knots = addition.knots(len(steps))
+            return np.array([addition.read(unknowns, j, at.__getitem__) for j in knots])
 
         for each in additions.running:
             self._add_cost(each, read(each)[: len(steps)], steps)

@@ -174,9 +174,13 @@ def make_trajectory(world: World, motion: ShootingResult) -> Trajectory:
     return Trajectory(motion.times, q, v, motion.controls, impulses, forces)
 
 
-def is_closed(world: World, q: Floats, v: Floats) -> Bools:
-    """Returns which contacts touch and are neither approached nor left, shape (m,)."""
-    still = _STILL * (1 + max(np.max(np.abs(q)), np.max(np.abs(v))))
+def is_closed(world: World, q: Floats, v: Floats, still: float = _STILL) -> Bools:
+    """Returns which contacts touch and are neither approached nor left, shape (…, m).
+
+    Distances and speeds below this part of the largest coordinate of a state, or 1, count as zero.
+    """
+    sizes = (np.abs(each).max(axis=-1, keepdims=True) for each in (q, v))
+    still = still * (1 + np.maximum(*sizes))
     distances, rates = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
     return np.asarray((np.abs(distances) <= still) & (np.abs(rates) <= still))
 

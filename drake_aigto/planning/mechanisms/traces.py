@@ -9,8 +9,9 @@ from typing import TypeAlias
 import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
-from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact import Closed, CompliantLaw, ContactLaw, Mode, RigidLaw
+from drake_aigto.planning.mechanisms.phases import is_closed
 from drake_aigto.simulation import (
     FINE,
     Compliant,
@@ -119,7 +120,7 @@ def find_rates(world: World, law: RigidLaw, x: Floats, controls: Floats, modes: 
         return rates, np.zeros((len(x), world.num_contacts))
 
     is_smooth = law.friction == 0
-    slides = _find_resting(world, x) & is_smooth
+    slides = is_closed(world, x[:, :n], x[:, n:], _STILL) & is_smooth
     modes = np.where(is_smooth, np.where(slides, Mode.FORWARD, Mode.OPEN), modes)
     kinds = np.unique(modes, axis=0)
 
@@ -159,15 +160,6 @@ def _hold(
             _hold(world, friction, left, x, controls, np.array([row]), rates, forces)
 
 
-def _find_resting(world: World, x: Floats) -> Bools:
-    """Returns which contacts are closed and at rest, shape (K, m)."""
-    n = world.num_positions
-    q, v = x[:, :n], x[:, n:]
-    distances, speeds = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
-    still = _STILL * (1 + np.abs(x).max(axis=1, keepdims=True))
-    return (np.abs(distances) <= still) & (np.abs(speeds) <= still)
-
-
 def _begin_rest(world: World, ends: Floats, after: Floats) -> None:
     """Removes the speed of slow contacts from states (K, 2n) if they rest in those after them."""
     n = world.num_positions
@@ -176,7 +168,7 @@ def _begin_rest(world: World, ends: Floats, after: Floats) -> None:
     speeds[finite] = world.calc_contact_rate(ends[finite, :n], ends[finite, n:])
     sizes = 1 + np.abs(after).max(axis=1, keepdims=True)
     is_slow = (np.abs(speeds) > _STILL * sizes) & (np.abs(speeds) <= _SLOW * sizes)
-    begins = _find_resting(world, after) & is_slow
+    begins = is_closed(world, after[:, :n], after[:, n:], _STILL) & is_slow
     for row in np.flatnonzero(begins.any(axis=1)):
         q = after[row, :n]
         J = world.calc_contact_jacobian(q)[begins[row]]
