@@ -44,25 +44,23 @@ def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def check_writable(path: str | os.PathLike[str] | None) -> None:
-    """Refuses a file that could not be written once long work is done; None passes.
+def check_writable(*paths: str | os.PathLike[str] | None) -> None:
+    """Refuses files that could not be written once long work is done; None passes.
 
     Raises:
-        OutputFileError: its folder does not exist or may not be written to, or it is a folder.
+        OutputFileError: a folder does not exist or may not be written to, or a file is a folder.
     """
-    if path is None:
-        return
-    path = Path(path)
-    if path.is_dir():
-        raise _refuse_output(path, "a folder")
-    if not path.parent.is_dir():
-        raise _refuse_output(path, f"no folder {path.parent}")
-    temporary = _temporary(path)
-    try:
-        temporary.touch()
-        temporary.unlink()
-    except OSError as error:
-        raise _refuse_output(path, error.strerror or error) from error
+    for path in (Path(each) for each in paths if each is not None):
+        if path.is_dir():
+            raise _refuse_output(path, "a folder")
+        if not path.parent.is_dir():
+            raise _refuse_output(path, f"no folder {path.parent}")
+        temporary = _temporary(path)
+        try:
+            temporary.touch()
+            temporary.unlink()
+        except OSError as error:
+            raise _refuse_output(path, error.strerror or error) from error
 
 
 def _temporary(path: Path) -> Path:

@@ -1,8 +1,10 @@
-"""Lines of progress: how much of long work is done, and what to know once; lists cut short."""
+"""Lines of progress: how much is done, and what to know once; logs and lists, cut short."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import logging
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 _MOST_LISTED = 6
 
@@ -27,6 +29,18 @@ class Count(str):
 
 class Notice(str):
     """A line of progress that stays when the next one comes."""
+
+
+@contextmanager
+def log_from(level: int, name: str) -> Iterator[None]:
+    """Has the logger of a name drop what is below a level, whoever shows the rest."""
+    logger = logging.getLogger(name)
+    before = logger.level
+    logger.setLevel(level)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 def list_some(texts: Iterable[str], unit: str = "") -> str:

@@ -125,8 +125,7 @@ def _read_options(options: argparse.Namespace) -> PlanOptions | LiteralOptions:
 
 
 def _plan(options: argparse.Namespace) -> int:
-    for path in (options.json, options.csv, options.html):
-        check_writable(path)
+    check_writable(options.json, options.csv, options.html)
     scenario = load_scenario(options)
     world = World.from_scenario(scenario)
     chosen = _read_options(options)
@@ -244,8 +243,7 @@ def add_table1(commands: Any) -> None:
 
 
 def _table1(options: argparse.Namespace) -> int:
-    check_writable(options.json)
-    check_writable(options.html)
+    check_writable(options.json, options.html)
     with show_progress(options, "working on the first cells") as progress, hear_ctrl_c(KEEPING):
         table = run_table1(
             rows=options.rows,

@@ -239,8 +239,7 @@ def _add_controller(group: Any) -> None:
 
 
 def _control(options: argparse.Namespace) -> int:
-    check_writable(options.json)
-    check_writable(options.html)
+    check_writable(options.json, options.html)
     scenario = load_scenario(options)
     given = {
         k: value for k, value in read_fields(options, Disturbance).items() if value is not None

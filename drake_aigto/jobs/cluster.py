@@ -13,6 +13,7 @@ from distributed.cfexecutor import ClientExecutor
 from distributed.versions import get_package_info
 
 from drake_aigto.errors import StudyError
+from drake_aigto.progress import log_from
 
 # How long a scheduler may take to answer. [s]
 _PATIENCE = 5.0
@@ -26,18 +27,6 @@ class _Dask(ClientExecutor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Waits for all jobs, or for none, and cancels those that it does not wait for."""
         super().shutdown(wait and not cancel_futures)  # type: ignore[no-untyped-call]
-
-
-@contextlib.contextmanager
-def _silent() -> Iterator[None]:
-    """Silences what Dask logs, wherever that is shown: Drake gives the root logger a handler."""
-    logger = logging.getLogger("distributed")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
 
 
 @contextlib.contextmanager
@@ -64,8 +53,9 @@ def connect(address: str) -> Iterator[Executor]:
         raise StudyError(name, got="no workers", expected="some", remedy=_how_to_start(address))
     for worker in sorted(threads.keys() & versions.keys()):
         _check_worker(worker, threads[worker], versions[worker], address)
-    # The loss of a scheduler shows in its jobs.
-    with _silent(), Client(address, timeout=_PATIENCE, set_as_default=False) as client:
+    # The loss of a scheduler shows in its jobs, and Drake gives the root logger a handler.
+    quiet = log_from(logging.CRITICAL, "distributed")
+    with quiet, Client(address, timeout=_PATIENCE, set_as_default=False) as client:
         yield _Dask(client, pure=False)
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -22,6 +20,7 @@ from pydrake.symbolic import Expression, MakeVectorVariable
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.local.nlp import PolynomialNlp, check_bounds
+from drake_aigto.progress import log_from
 from drake_aigto.terms import (
     ParsedRow,
     Term,
@@ -121,18 +120,6 @@ def solve_with_drake(prog: MathematicalProgram, guess: Floats, solver: str) -> F
     options = SolverOptions()
     for name, value in zip(names, (_FEASIBILITY, _OPTIMALITY, _ITERATIONS), strict=True):
         options.SetOption(kind.id(), name, value)
-    with _quiet():
+    with log_from(logging.ERROR, "drake"):  # Solvers may run out of iterations: candidates fail.
         x: Floats = kind().Solve(prog, guess, options).get_x_val()
     return x if np.all(np.isfinite(x)) else guess
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keeps Drake from logging that a solver ran out of iterations: candidates may fail."""
-    logger = logging.getLogger("drake")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
