@@ -216,7 +216,7 @@ def run_boxes(plan: Plan, world: World | None = None) -> BoxRun:
     if plan.options is None:
         raise _refuse("no options")
     if plan.transcription == "shooting":
-        raise _refuse("the options of a search by many short boxes, none of a whole motion")
+        raise _refuse("a search by shooting, which has no boxes")
     if not isinstance(rung, Rung):
         raise _refuse("no rung of AIGO's ladder")
     if plan.additions:

@@ -98,7 +98,7 @@ def report_plan(
     try:
         run = run_boxes(plan, world)
     except OptionsError as error:
-        # A search by many short boxes has none of a whole motion, as everybody expects.
+        # Shooting has none, as everybody expects.
         no_boxes = "" if plan.transcription == "shooting" else f"AIGO's boxes are missing: {error}"
     page = Page(f"Plan for {plan_name(plan.scenario, world)}")
     add_verdict(page, plan, world)
