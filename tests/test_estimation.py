@@ -261,6 +261,7 @@ def apply(world: World, scenario: Scenario, known: ModelEstimate, values: Any) -
         ("cart_pole/rigid_06", ["mass", "walls", "force"]),
         ("cart_pole/dry", ["mass", "friction", "force"]),
         ("hopper/hop", ["mass", "friction", "stiffness", "walls"]),
+        ("pushed_block/slide", ["mass", "walls", "friction"]),
         ("table1/1", ["mass", "walls"]),
         ("payload/transport", ["mass"]),
     ],
@@ -280,6 +281,7 @@ def test_other_models_are_those_that_would_be_read(
         return model.find_end(x, held)
 
     tried = [known.values + 0.1 * rng.normal(size=len(known.values)) * known._units for _ in "12"]
+    tried.append(np.where(np.array(known.names) == "friction", 1.0, tried[0]))
     expected = [lead(apply(world, scenario, known, values)) for values in tried]
     assert len(list(map(lead, known.models))) == 1 + 2 * len(known.values)  # Compiles once.
 

@@ -70,7 +70,7 @@ class ModelFamily:
                 springs = world.springs
                 stiffer = springs._replace(stiffness=value * springs.stiffness)
                 vars(found)["springs"] = stiffer
-            elif each.kind == "friction":
+            elif each.kind == "friction" and value != 1.0:  # Else each contact has its own.
                 changes = Disturbance(friction_factor=value).find_friction(world, scenario)
                 if found.dry_friction is not None:
                     changes["dry_friction"] = found.dry_friction
