@@ -173,9 +173,27 @@ def test_true_friction_is_that_of_contacts_and_joints() -> None:
         scenario = Scenario.named(name)
         world = World.from_scenario(scenario)
         true_world, true = Disturbance(friction_factor=0.5).apply(world, scenario)
-        given = {"friction": 0.45, "dry_friction": scenario.dry_friction}[field]
-        np.testing.assert_allclose(getattr(true, field), 0.5 * np.asarray(given))
+        given = {"friction": scenario.friction, "dry_friction": scenario.dry_friction}[field]
+        if given is not None:
+            np.testing.assert_allclose(getattr(true, field), 0.5 * np.asarray(given))
+        found, own = (
+            each[0].friction_coefficients(each[1])
+            for each in ((true_world, true), (world, scenario))
+        )
+        np.testing.assert_allclose(found, 0.5 * own, rtol=1e-15)
         true_world.check(true)
+
+
+@pytest.mark.parametrize("name", ["pushed_block/slide", "finger_and_ball/roll"])
+def test_each_contact_has_its_own_true_friction(name: str) -> None:
+    scenario = Scenario.named(name)
+    world = World.from_scenario(scenario)
+    known = world.friction_coefficients(scenario)
+    assert known.any()  # The block's pusher has none, and keeps none.
+    for factor in (0.8, 1.25):
+        true_world, true = Disturbance(friction_factor=factor).apply(world, scenario)
+        found = true_world.friction_coefficients(true)
+        np.testing.assert_allclose(found, factor * known, rtol=1e-14)
 
 
 def test_ctrl_c_keeps_what_is_there(tmp_path: Path) -> None:

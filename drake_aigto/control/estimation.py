@@ -282,7 +282,7 @@ def _list_parameters(
             )
         if kind in _FACTORS:
             if kind == "friction":
-                Disturbance().find_friction(world, scenario)  # Refuses where there is none.
+                Disturbance().change_friction(world, scenario)  # Refuses where there is none.
             yield Parameter(kind, kind, 0, 1.0, 0.3, _LEAST, _MOST)
         elif kind == "walls":
             unit = _WALL * scales.length

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Sequence
 from typing import Literal, NamedTuple, TypeAlias
@@ -70,8 +71,12 @@ class ModelFamily:
                 springs = world.springs
                 stiffer = springs._replace(stiffness=value * springs.stiffness)
                 vars(found)["springs"] = stiffer
-            elif each.kind == "friction" and value != 1.0:  # Else each contact has its own.
-                changes = Disturbance(friction_factor=value).find_friction(world, scenario)
+            elif each.kind == "friction":
+                rubbing = copy.copy(found.rubbing)
+                vars(rubbing).pop("frictions", None)
+                vars(rubbing)["model_coefficients"] = value * world.rubbing.model_coefficients
+                vars(found)["rubbing"] = rubbing
+                changes = Disturbance(friction_factor=value).change_friction(world, scenario)
                 if found.dry_friction is not None:
                     changes["dry_friction"] = found.dry_friction
                 scenario = dataclasses.replace(scenario, **changes)

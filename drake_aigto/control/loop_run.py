@@ -34,7 +34,7 @@ class Disturbance(ArrayRecord):
         mass_factor: of the masses of all links that move, and of their inertias.
         wall_shift: how much nearer each wall stands, along its normal [m].
         restitution_factor: of the scenario's restitution.
-        friction_factor: of all friction, where contacts have one μ, and of that in joints.
+        friction_factor: of μ of each contact, and of friction in joints.
         stiffness_factor: of all compliant walls.
         saturation: |u| at most that acts on the plant, shape (nu,) [N, N m].
         kick: by how much v jumps, shape (n,) [m/s, rad/s].
@@ -89,7 +89,7 @@ class Disturbance(ArrayRecord):
 
         Raises:
             ControlError: sizes that are not the world's, a restitution that is not the scenario's
-                or would be above 1, contacts of different friction, or walls that can't stand
+                or would be above 1, no friction to change, or walls that can't stand
                 nearer.
             ModelError: a wall moves (`World.with_wall_moved`), or has no stiffness.
         """
@@ -100,10 +100,12 @@ class Disturbance(ArrayRecord):
         if self.restitution_factor != 1:
             changes["restitution"] = self._find_restitution(world, scenario)
         if self.friction_factor != 1:
-            changes |= self.find_friction(world, scenario)
+            changes |= self.change_friction(world, scenario)
         true = dataclasses.replace(scenario, **changes)  # type: ignore[arg-type]
         if "dry_friction" in changes:
             world = World.from_scenario(true)
+        if self.friction_factor != 1 and scenario.friction is None and world.frictions:
+            world = world.with_friction(self.friction_factor)
         if self.mass_factor != 1:
             world = world.of_diagram(world.diagram, self.mass_factor * world.mass_factor)
         if self.stiffness_factor != 1:
@@ -150,25 +152,17 @@ class Disturbance(ArrayRecord):
             expected="rigid walls with the scenario's restitution, and no more than 1 in the end",
         )
 
-    def find_friction(self, world: World, scenario: Scenario) -> dict[str, Any]:
-        """Returns what the true scenario has in place of its friction.
+    def change_friction(self, world: World, scenario: Scenario) -> dict[str, Any]:
+        """Returns what the true scenario has in place of its friction, if not the world.
 
         Raises:
-            ControlError: there is none, or contacts of different friction.
+            ControlError: there is none.
         """
-        coefficients = world.friction_coefficients(scenario)
-        known, found = np.unique(coefficients[coefficients > 0]), dict[str, Any]()
-        if len(known) == 1:
-            found["friction"] = self.friction_factor * float(known[0])
-        if world.dry_friction is not None:
-            found["dry_friction"] = self.friction_factor * world.dry_friction
-        if len(known) > 1 or not found:
-            raise ControlError(
-                "friction_factor",
-                got=" and ".join(f"μ = {mu:g}" for mu in known) or "no friction",
-                expected="friction in joints, or contacts with one μ",
-            )
-        return found
+        given = {"friction": scenario.friction, "dry_friction": world.dry_friction}
+        if world.dry_friction is None and not np.any(world.friction_coefficients(scenario)):
+            got, expected = "no friction", "friction in joints, or of contacts"
+            raise ControlError("friction_factor", got=got, expected=expected)
+        return {name: self.friction_factor * of for name, of in given.items() if of is not None}
 
     def _move_walls(self, world: World) -> World:
         """Returns a world whose walls stand nearer."""

@@ -186,6 +186,23 @@ def read_frictions(
     return found
 
 
+def scale_friction(
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    diagram: Diagram,
+    shapes: Iterable[GeometryId],
+    factor: float,
+) -> None:
+    """Gives shapes times as large coefficients of friction, in the model."""
+    with hear_drake(HALF_SPACES):
+        root = diagram.CreateDefaultContext()  # Drake's defaults are in contexts only.
+    for shape in dict.fromkeys(shapes):
+        material = read_material(scene_graph, root, shape)
+        own = material.GetProperty(*FRICTION)  # It lives no longer than the properties.
+        value = CoulombFriction(factor * own.static_friction(), factor * own.dynamic_friction())
+        change_material(plant, scene_graph, shape, {FRICTION: value})
+
+
 def impose_friction(
     scene_graph: SceneGraph,
     source: SourceId,

@@ -33,7 +33,7 @@ from drake_aigto.world.diagram import (
 )
 from drake_aigto.world.frames import find_advance, place_scenario
 from drake_aigto.world.limits import Limits, check_sizes
-from drake_aigto.world.material import STIFFNESS, change_material, read_given
+from drake_aigto.world.material import STIFFNESS, change_material, read_given, scale_friction
 from drake_aigto.world.model_facts import FixableError, find_errors, gather
 from drake_aigto.world.model_fields import Limited, ModelFields, as_globs
 from drake_aigto.world.model_reader import read_model
@@ -157,6 +157,11 @@ class PlantWorld(EquationsOfMotion):
     def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
         """The shapes of each contact, in the scene graph."""
 
+    @property
+    @abstractmethod
+    def rubbing(self) -> Any:
+        """Friction of contacts."""
+
     def of_diagram(self, diagram: Diagram, mass_factor: float | None = None) -> Self:
         """Returns the world of another diagram with a copy of its plant, all else as it is here.
 
@@ -187,6 +192,12 @@ class PlantWorld(EquationsOfMotion):
             plant, scene_graph = find_plant(copy)
             stiffness = factor * read_given(scene_graph, shape, STIFFNESS)
             change_material(plant, scene_graph, shape, {STIFFNESS: stiffness})
+        return self.of_diagram(copy)
+
+    def with_friction(self, factor: float) -> Self:
+        """Returns a copy of this world with times the μ of each pair, in a copied diagram."""
+        copy = copy_diagram(self.diagram)
+        scale_friction(*find_plant(copy), copy, self.rubbing.shapes, factor)
         return self.of_diagram(copy)
 
     def __repr__(self) -> str:

@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.geometry import GeometryId
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.symbolic import Expression
@@ -61,6 +62,11 @@ class Rubbing:
         """
         pairs = zip(self._faces, self.model_coefficients, strict=True)
         return {face.pair: float(friction) for face, friction in pairs if friction > 0}
+
+    @property
+    def shapes(self) -> list[GeometryId]:
+        """Those of all faces."""
+        return [shape for face in self._faces for shape in face.shapes]
 
     def calc_coefficients(self, friction: float | None) -> Floats:
         """Returns μ of each contact, shape (m,); where nothing can slide it is 0.
@@ -133,8 +139,8 @@ class Rubbing:
             root: of the whole diagram.
             friction: μ; None: static coefficients become the dynamic ones.
         """
-        shapes = [shape for face in self._faces for shape in face.shapes]
-        impose_friction(self._scene_graph, self._plant.get_source_id(), root, shapes, friction)
+        source = self._plant.get_source_id()
+        impose_friction(self._scene_graph, source, root, self.shapes, friction)
 
     def check(self, friction: float | None) -> None:
         """Checks that friction can act as it is asked for (`calc_coefficients`).

@@ -181,6 +181,7 @@ class SpaceFriction:
 
     Attributes:
         names: of the pairs.
+        shapes: of all of them.
         model_coefficients: the model's μ of each, shape (m,).
     """
 
@@ -190,7 +191,7 @@ class SpaceFriction:
     ) -> None:  # fmt: skip
         """Reads the coefficients, with Drake's defaults where a shape gives none."""
         self._plant, self._scene_graph = plant, scene_graph
-        self._shapes = [shape for pair in pairs for shape in pair.shapes]
+        self.shapes = [shape for pair in pairs for shape in pair.shapes]
         self.names = tuple(pair.name for pair in pairs)
         found = read_frictions(scene_graph, diagram, [pair.shapes for pair in pairs])
         self.model_coefficients = read_only(found)
@@ -210,7 +211,7 @@ class SpaceFriction:
     def impose(self, root: Context, friction: float | None) -> None:
         """Gives shapes one coefficient for sticking and sliding, in this context only."""
         source = self._plant.get_source_id()
-        impose_friction(self._scene_graph, source, root, self._shapes, friction)
+        impose_friction(self._scene_graph, source, root, self.shapes, friction)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
