@@ -213,16 +213,14 @@ def keep_off(
 
 
 # Near a grazed wall speeds change with the square root of distances: a finalist has to meet its
-# walls closely, by multipliers. With a high penalty, no step along a curved wall or toward the edge
-# of an impact's mode, where the best one often is, would be accepted: with 1e4, two discs crawl on
-# for 400 iterations and cost 0.07 % more. Steps that gain less than violations cost have to count.
+# walls closely.
 FINE = ShootingOptions(
-    (Smoothing(0.0, 40, 1e-9),), substeps=4, penalty=1e2, multiplier_updates=8, feasibility=1e-6
+    (Smoothing(0.0, 40, 1e-6),), substeps=4, penalty=1e4, multiplier_updates=8, feasibility=1e-6
 )
-# What is pressed after impacts without restitution flies off with that: three carts, of which the
-# first one pushes the others, cost 165 in place of 27.
-_PRESSED = dataclasses.replace(FINE, rungs=(Smoothing(0.0, 40, 1e-6),), penalty=1e4)
 _EXACT, _MOST_SUBSTEPS = 1e-4, 16
+# The best impact with friction is often at the edge of its mode. Steps toward it pass the edge, and
+# with a high penalty none of them would be accepted.
+_GENTLE = 1e2
 # Violations this small cost next to nothing: steps that gain less have to count, too.
 _SETTLED = ShootingOptions((Smoothing(0.0, 40, 1e-12),), multiplier_updates=24, feasibility=1e-11)
 # Walls are met to rounding in Runge-Kutta steps whose error is at most this part of the scales.
@@ -269,12 +267,6 @@ class PhasedTask(MechanismTask):
                 )
         return dataclasses.replace(motion, violation=max(motion.violation, *parts))
 
-    @property
-    def fine(self) -> ShootingOptions:
-        """How finalists are refined."""
-        presses = not self.rigid_law.has_friction and np.any(self.rigid_law.restitution == 0)
-        return _PRESSED if presses else FINE
-
     def shoot_phases(
         self,
         touches: TouchSequence,
@@ -312,7 +304,8 @@ class PhasedTask(MechanismTask):
         """
         problem, found = self.pose_phases(motion.times, motion.phases, clearances), motion
         error, is_unsteady = problem.estimate_error(found), False
-        options = dataclasses.replace(self.fine, most_promised=most)
+        penalty = _GENTLE if self.rigid_law.has_friction else FINE.penalty
+        options = dataclasses.replace(FINE, penalty=penalty, most_promised=most)
         while not found.is_left:
             wary, substeps = is_wary or is_unsteady, found.substeps
             options = dataclasses.replace(options, is_wary=wary, substeps=substeps)

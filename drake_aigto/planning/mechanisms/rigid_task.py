@@ -14,6 +14,7 @@ from drake_aigto.planning.mechanisms.closing import COARSE, Aim, begin_at
 from drake_aigto.planning.mechanisms.guesses import Guess
 from drake_aigto.planning.mechanisms.phased_task import (
     FAR,
+    FINE,
     SLOW,
     Dip,
     PhasedTask,
@@ -235,16 +236,14 @@ class RigidMechanismTask(PhasedTask):
         touches = tuple(each for i, each in enumerate(motion.touches) if i not in grazes)
         is_as_is = not grazes and len(motion.controls) == num_steps
         limit = scaled(_UNSETTLED, most)
-        first = (
-            motion if is_as_is else self.shoot_phases(touches, motion, num_steps, self.fine, limit)
-        )
+        first = motion if is_as_is else self.shoot_phases(touches, motion, num_steps, FINE, limit)
         found = self.with_depth(self.refine_phases(first, most=limit))
         clearances = self._no_clearances(found)
         if self._has_corners and not found.is_left:  # It may only have cut one.
             found, clearances = self._clear(found, clearances)
         if scaled(_OTHER, self.price(motion)) < self.price(found) and self.price(motion) < most:
             # That is another optimum, because of other steps or of a graze left out.
-            wary = self.shoot_phases(touches, motion, num_steps, self.fine.wary, limit)
+            wary = self.shoot_phases(touches, motion, num_steps, FINE.wary, limit)
             others = [self.refine_phases(wary, is_wary=True, most=limit)]
             if not is_as_is:
                 others.append(self.refine_phases(motion, most=limit))
