@@ -8,10 +8,11 @@ import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import SpatialInertia
+from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import ZeroOrderHold
+from pydrake.systems.primitives import ConstantVectorSource, ZeroOrderHold
 
-from drake_aigto import Scenario, World
+from drake_aigto import ModelPredictiveController, Planner, Scenario, World
 from drake_aigto.world import find_model, package_map
 
 
@@ -77,3 +78,12 @@ def set_start(plant: Any, root: Any, scenario: Scenario) -> Any:
     start = scenario.initial_position, scenario.initial_velocity
     plant.SetPositionsAndVelocities(context, np.concatenate(start))
     return context
+
+
+def start_at(planner: Planner, x: Any) -> None:
+    """Plans again from a state, in a Simulator that begins there."""
+    builder = DiagramBuilder()
+    source = builder.AddSystem(ConstantVectorSource(x))
+    controller = builder.AddSystem(ModelPredictiveController(planner, period=0.1))
+    builder.Connect(source.get_output_port(), controller.get_input_port(0))
+    Simulator(builder.Build()).Initialize()

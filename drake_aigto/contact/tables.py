@@ -50,7 +50,7 @@ class Mechanics(NamedTuple):
 
 
 class MechanicsMemory(NamedTuple):
-    """Room for one evaluation; w = m + R rows of contacts that are held (`hold`)."""
+    """Room for one evaluation; w = m + R rows of contacts that are held (`hold_contacts`)."""
 
     values: Floats  # of the tape
     sums: Floats  # of the tape

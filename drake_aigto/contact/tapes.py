@@ -180,7 +180,7 @@ def _mix(blend: Blend, is_rigid: bool, frictions: Sequence[FrictionTerm]) -> Sum
 
 
 def _compile(world: EquationsOfMotion, is_rigid: bool, rows: Sequence[Row]) -> SumTape:
-    """Returns the tape of M, h, φ, J, T and their derivatives; with those for `hold` if rigid.
+    """Returns the tape of M, h, φ, J, T and their derivatives; those for `hold_contacts` if rigid.
 
     Rows T are expressions, shape (n,) each.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -308,9 +308,7 @@ def _can_move(world: World, faces: Sequence[int]) -> bool:
     """Returns whether a wall has one face, and stands still; none in space does."""
     if world.in_space or len(faces) > 1:
         return False
-    frame = world.scene_graph.model_inspector().GetFrameId(world.shapes[faces[0]][1])
-    body: Any = world.plant.GetBodyFromFrameId(frame)
-    return bool(world.plant.IsAnchored(body))
+    return bool(world.plant.IsAnchored(world.find_wall(faces[0])))
 
 
 class _Seen(NamedTuple):

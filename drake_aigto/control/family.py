@@ -77,7 +77,7 @@ class ModelFamily:
                 vars(rubbing)["model_coefficients"] = value * world.rubbing.model_coefficients
                 vars(found)["rubbing"] = rubbing
                 changes = Disturbance(friction_factor=value).change_friction(world, scenario)
-                if found.dry_friction is not None:
+                if found.dry_friction is not None:  # To the bit, as worlds check it.
                     changes["dry_friction"] = found.dry_friction
                 scenario = dataclasses.replace(scenario, **changes)
         return Model(found, scenario)

@@ -40,11 +40,9 @@ class Model:
             return self._lead(x, held)
         end: Floats | None = x
         for k, control in enumerate(held.controls):
-            end = (
-                end
-                if end is None
-                else self._lead(end, HeldControl(held.times[k : k + 2], control[np.newaxis]))
-            )
+            if end is None:
+                break
+            end = self._lead(end, HeldControl(held.times[k : k + 2], control[np.newaxis]))
         return end
 
     def _lead(self, x: Floats, held: Controller) -> Floats | None:

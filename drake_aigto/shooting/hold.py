@@ -248,7 +248,7 @@ def hold_stage(
     has_slopes: bool,
     memory: MechanicsMemory,
 ) -> None:
-    """Adds the effect of held contacts to the acceleration (`hold`)."""
+    """Adds the effect of held contacts to the acceleration (`hold_contacts`)."""
     hold_contacts(closed, leans, y, has_slopes, mechanics, memory)
 
 

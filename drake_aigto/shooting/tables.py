@@ -77,7 +77,7 @@ class Program(NamedTuple):
     kinds: Ints  # FLOW, START, CHOOSE or a contact, of each stage, shape (K,)
     held: Bools  # which contacts are held in each stage, from its start, shape (K, m)
     modes: Ints  # in which mode they are, or are hit, shape (K, m); see `Phases`
-    closed: Bools  # rows of contacts that vanish in flights, or are struck, (K, m + R); see `hold`
+    closed: Bools  # rows of contacts that vanish (`hold_contacts`), or are struck, (K, m + R)
     leans: Floats  # −μ σ, the part of their forces that acts along these contacts, shape (K, m)
     restitutions: Floats  # −e, the part of speeds that is left as a phase starts, shape (K,)
     steps: Floats  # lengths of stages [s]; with phases, as shares of τ; shape (K,)

@@ -13,7 +13,6 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from pydrake.geometry import Meshcat, Rgba
 from pydrake.math import RigidTransform
-from pydrake.multibody.tree import BodyIndex
 
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.errors import AigtoError, OptionsError
@@ -95,8 +94,7 @@ class Live:
             got, expected = "bodies that float", "coordinates that sliders can set"
             raise OptionsError("the scenario", got=got, expected=expected)
         alone = [faces[0] for faces in world.solids if len(faces) == 1]
-        bodies = [world.plant.get_body(self._body_of(contact)) for contact in alone]
-        fixed = map(world.plant.IsAnchored, bodies)
+        fixed = map(world.plant.IsAnchored, map(world.find_wall, alone))
         # One contact of each: several balls may touch a wall.
         walls = {world.shapes[c][1]: c for c, is_so in zip(alone, fixed, strict=True) if is_so}
         self._walls = list(walls.values())
@@ -271,7 +269,8 @@ class Live:
             path = f"{ROOT}/world/{actor.name}"
             self.meshcat.SetObject(path, actor.shape, actor.color or Rgba(0.6, 0.6, 0.6))
             normals = [
-                (self._body_of(contact) == actor.index) * stage.touch(contact, corners[0])[1]
+                (world.find_wall(contact).index() == actor.index)
+                * stage.touch(contact, corners[0])[1]
                 for contact in self._walls
             ]
             pose = stage.pose(actor, corners[0])
@@ -284,12 +283,6 @@ class Live:
         """Shows what stands still, walls nearer than in the model [m]."""
         for path, pose, normals in self._still:
             self.meshcat.SetTransform(path, RigidTransform(nearer @ normals) @ pose)
-
-    def _body_of(self, contact: int) -> BodyIndex:
-        """Returns which body has what is touched."""
-        world = self.planner.world
-        frame = world.scene_graph.model_inspector().GetFrameId(world.shapes[contact][1])
-        return world.plant.GetBodyFromFrameId(frame).index()
 
     def _read(self) -> dict[str, Floats]:
         """Returns what the sliders say."""

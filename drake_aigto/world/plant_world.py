@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from pydrake.geometry import GeometryId, Role, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import RigidBody
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Floats
@@ -156,6 +157,12 @@ class PlantWorld(EquationsOfMotion):
     @abstractmethod
     def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
         """The shapes of each contact, in the scene graph."""
+
+    def find_wall(self, contact: int) -> RigidBody:
+        """Returns the body of a contact's wall, its second shape."""
+        frame = self.scene_graph.model_inspector().GetFrameId(self.shapes[contact][1])
+        body: Any = self.plant.GetBodyFromFrameId(frame)
+        return body
 
     @property
     @abstractmethod

@@ -245,8 +245,8 @@ class World(PlantWorld):
             ModelError: the shape is on a link that moves, or the diagram can't be copied.
         """
         face = self._reachable[contact].face
-        if not self.plant.IsAnchored(face.face_body):
-            got = f"a shape on link {face.face_body.name()!r}, which moves"
+        if not self.plant.IsAnchored(wall := self.find_wall(contact)):
+            got = f"a shape on link {wall.name()!r}, which moves"
             raise ModelError(f"the wall of {face.pair}", got, "one that stands still")
         translation = distance * face.X_BF.rotation().col(2)
         diagram = move_shape(self.diagram, face.shapes[1], translation)
