@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import os
@@ -9,9 +10,10 @@ import platform
 import re
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import IO, Any, cast
 
 import llvmlite
 import numba
@@ -70,6 +72,8 @@ class CodeCache(FunctionCache):
     Machine code holds the functions that it calls, the constants that it reads and the layout of
     its arguments, wherever these are defined. Numba itself looks at the function's file alone.
 
+    Of processes that need the same code one compiles, and the others wait for it.
+
     Code is kept beside the source, else in ``NUMBA_CACHE_DIR`` or the user's cache folder. Where
     none of them can be written to, as in a package that root installed, run by a user without a
     home, each process compiles for itself.
@@ -96,6 +100,7 @@ class CodeCache(FunctionCache):
         used = _digest(os.path.abspath(file), package)
         self._cache_file._version = numba.__version__, llvmlite.__version__, used
         folder = os.environ.get(BUILT_INTO) or (_FOLDER if _read_manifest() else None)
+        self._lock: IO[str] | None = None
         self._shipped: IndexDataCacheFile | None = None
         if folder and package == _PACKAGE:
             name = f"{function.__module__}.{function.__qualname__}.py{sys.version_info.minor}"
@@ -107,7 +112,26 @@ class CodeCache(FunctionCache):
         for key in self._list_keys(sig, target_context.codegen()) if self._shipped else ():
             if (code := self._shipped.load(key)) is not None:  # type: ignore[union-attr]
                 return self._impl.rebuild(target_context, code)
-        return super()._load_overload(sig, target_context) if self.keeps else None  # type: ignore[no-untyped-call]
+        if not self.keeps:
+            return None
+        code = super()._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        if code is None and self._lock is None:
+            with suppress(OSError):  # Some file systems have no locks: all compile for themselves.
+                self._impl.locator.ensure_cache_path()
+                self._lock = open(f"{self._cache_file._index_path}.lock", "a")  # noqa: SIM115
+                fcntl.flock(self._lock, fcntl.LOCK_EX)
+            code = super()._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        return code
+
+    @contextmanager
+    def releasing(self) -> Iterator[None]:
+        """Ends what keeps other processes from compiling: for around a compilation, as it ends."""
+        try:
+            yield
+        finally:
+            if self._lock is not None:
+                self._lock.close()
+                self._lock = None
 
     def _list_keys(self, sig: Any, codegen: Any) -> Iterator[Any]:
         """Yields keys of code that this processor may run."""

@@ -66,6 +66,7 @@ def njit(**options: Any) -> Callable[[_Function], _Function]:
         if is_inner or is_typed_in:  # Kernels keep inner functions within their own code.
             return compiled
         compiled._cache = CodeCache(function)  # As njit(cache=True) does with its own.
+        compiled.compile = compiled._cache.releasing()(compiled.compile)
         return compiled
 
     return compile_later

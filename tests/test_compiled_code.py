@@ -84,6 +84,7 @@ assert all(line.endswith("; it is kept for next time") for line in told), told
 """
 
 Run = Callable[[], tuple[float, bool]]
+Start = Callable[[], subprocess.Popen[str]]
 
 
 @pytest.fixture
@@ -97,22 +98,33 @@ def little(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def run(little: Path) -> Run:
-    """Calls the outer kernel in a process of its own: its result, and whether it was compiled."""
+def start(little: Path) -> Start:
+    """Calls the outer kernel in a process of its own."""
     path = os.pathsep.join([str(little.parent), str(CHECKOUT)])
+    environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
 
-    def run_process() -> tuple[float, bool]:
-        told = subprocess.run(
-            [sys.executable, "-c", PROGRAM],
-            env={**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"},
-            capture_output=True,
-            text=True,
-        )
-        assert told.returncode == 0, told.stderr
-        value, compiled = told.stdout.split()
-        return float(value), compiled == "True"
+    def start_process() -> subprocess.Popen[str]:
+        command = [sys.executable, "-c", PROGRAM]
+        return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
 
-    return run_process
+    return start_process
+
+
+def wait(process: subprocess.Popen[str]) -> tuple[float, bool]:
+    """Returns a process's result, and whether it compiled the kernel."""
+    value, compiled = process.communicate()[0].split()
+    assert process.returncode == 0
+    return float(value), compiled == "True"
+
+
+@pytest.fixture
+def run(start: Start) -> Run:
+    return lambda: wait(start())
+
+
+@pytest.mark.slow
+def test_of_processes_that_need_the_same_kernel_one_compiles_it(start: Start) -> None:
+    assert sorted(map(wait, [start() for _ in range(3)])) == [(16.0, False)] * 2 + [(16.0, True)]
 
 
 def edit(file: Path, old: str, new: str) -> None:
