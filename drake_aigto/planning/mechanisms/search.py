@@ -199,7 +199,7 @@ class MechanismSearch(Search):
     @property
     def chance(self) -> float:
         """The estimated chance that the next search finds a better motion (`calc_chance`)."""
-        return calc_chance(self.motions, self.searches, self.task.price(self.task.coast))
+        return calc_chance(self.motions, self.searches, self.task.rank(self.task.coast))
 
     def _draw(self, number: int) -> Proposal:
         """Returns a renewal, or every second time a random start."""

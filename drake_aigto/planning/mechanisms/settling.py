@@ -99,7 +99,9 @@ def part_far(motions: Sequence[KeptMotion]) -> tuple[list[KeptMotion], list[Kept
     return near, [each for each in motions if each.cost > most]
 
 
-def calc_chance(motions: Sequence[KeptMotion], searches: int, idle: float) -> float:
+def calc_chance(
+    motions: Sequence[KeptMotion], searches: int, idle: tuple[bool, float]
+) -> float:
     """Returns the estimated chance that the next search finds a motion better than all.
 
     Of n searches, N came near the best, and s of these found what no other did. So the next
@@ -110,10 +112,10 @@ def calc_chance(motions: Sequence[KeptMotion], searches: int, idle: float) -> fl
     Args:
         motions: that are kept, the best first.
         searches: n.
-        idle: the cost of the uncontrolled motion.
+        idle: the rank of the uncontrolled motion.
     """
     misses, cost = motions[0].rank
-    limit = misses, min(scaled(_NEARLY, cost), idle - HARDLY * abs(idle))
+    limit = min((misses, scaled(_NEARLY, cost)), (idle[0], idle[1] - HARDLY * abs(idle[1])))
     near = [motion.found for motion in motions if motion.rank <= limit]
     return (near.count(1) + 0.5) / (searches * (sum(near) + 1)) if near else 1.0
 
