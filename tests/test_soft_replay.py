@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from functools import cache
 from typing import Any
@@ -15,7 +16,7 @@ from scipy.integrate import quad, solve_ivp
 from drake_aigto import Scenario, World
 from drake_aigto.contact import calc_dissipation
 from drake_aigto.errors import ScenarioError
-from drake_aigto.simulation import Replay, make_simulator, replay_drake, replay_event_driven
+from drake_aigto.simulation import DRAKE, Replay, make_simulator, replay_drake, replay_event_driven
 from drake_aigto.world import TaskCost
 
 read = cache(build)
@@ -210,3 +211,26 @@ def test_a_simulator_of_a_soft_task_has_the_models_walls() -> None:
     q = world.plant.GetPositions(context)
     np.testing.assert_allclose(q, expected.positions[-1], atol=1e-6)
     assert expected.bounce_times
+
+
+def test_error_control_shortens_steps_no_further_after_many(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scenario = Scenario.named("pushed_block/slide")
+    world, times = World.from_scenario(scenario), np.linspace(0.0, scenario.duration, 41)
+    push = 2.0 * np.cos(3.0 * times[:-1, np.newaxis])
+    judge: Any = inspect.getmodule(type(DRAKE))
+    simulators, start = [], judge.start_plant
+
+    def remember(*given: Any) -> Any:
+        simulators.append(start(*given)[0])
+        return simulators[-1], None
+
+    monkeypatch.setattr(judge, "start_plant", remember)
+    fine = replay_drake(world, scenario, times, push)
+    monkeypatch.setattr(judge, "_MOST_STEPS", 50)
+    coarse = replay_drake(world, scenario, times, push)
+    shortest, longest = (each.get_integrator() for each in simulators)
+    assert shortest.get_smallest_adapted_step_size_taken() < 1e-6
+    assert longest.get_smallest_adapted_step_size_taken() > 1e-5
+    assert coarse.cost == pytest.approx(fine.cost, rel=1e-4)
