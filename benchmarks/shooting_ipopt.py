@@ -14,12 +14,15 @@ import numpy as np
 
 from benchmarks.local_peers import casadi
 from benchmarks.robots.judge import Control
+from drake_aigto.arrays import Floats
+from drake_aigto.kernels import borrow, kernel
 from drake_aigto.shooting import (
+    LINEARIZE,
     ShootingOptions,
     ShootingProblem,
     Smoothing,
-    expand_motion,
     make_memory,
+    travel,
 )
 
 _LADDER = ShootingOptions(rungs=tuple(Smoothing(each, 1, 1.0) for each in (0.1, 1e-2, 1e-3)))
@@ -33,6 +36,13 @@ _OPTIONS = {
     "ipopt.tol": 1e-4,
 }
 _Base: Any = object if casadi is None else casadi.Callback
+
+
+@kernel
+def expand_motion(program: Any, states: Floats, controls: Floats, eps: float, memory: Any) -> float:
+    """Computes all stages about a motion to second order, without bounds, and returns its cost."""
+    program, memory = borrow(program), borrow(memory)
+    return travel(program, states, controls, LINEARIZE, 0.0, eps, np.inf, memory)
 
 
 class ShootingProgram:

@@ -10,7 +10,7 @@ import numpy as np
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.contact import Closed, Mechanics, MechanicsMemory, Mechanism, accelerate
 from drake_aigto.kernels import borrow, kernel
-from drake_aigto.shooting import ShootingProblem, hold_contacts
+from drake_aigto.shooting import Pass, ShootingProblem, descend, hold_contacts
 from drake_aigto.world import TaskCost
 
 
@@ -45,6 +45,18 @@ def pose(
         "hard_goal": np.full(2 * n, np.nan),
     }
     return ShootingProblem(mechanism, cost, **(values | more))
+
+
+def expand_motion(
+    program: Any, states: Floats, controls: Floats, smoothing: float, memory: Any
+) -> float:
+    """Returns a motion's cost; memory has its expansion, to which bounds add next to nothing.
+
+    By the kernel that plans descend with: one of its own would be compiled for tests alone.
+    """
+    no = False
+    settings = Pass(smoothing, 1e-300, 1, np.inf, 1.0, no, np.inf, no, no, no)
+    return descend(program, states, controls, True, settings, memory).cost
 
 
 def check_held(

@@ -11,7 +11,7 @@ import pytest
 from mechanisms import build
 from pydrake.solvers import IpoptSolver, MathematicalProgram
 from pydrake.symbolic import Formula, cos, exp, sin
-from shooting_problems import pose
+from shooting_problems import expand_motion, pose
 from shooting_problems import weigh as weigh_effort
 from test_shooting import soft, weigh
 from test_shooting_phases import RESTITUTION, ball
@@ -25,7 +25,6 @@ from drake_aigto.shooting import (
     ShootingOptions,
     ShootingProblem,
     Smoothing,
-    expand_motion,
     make_memory,
 )
 from drake_aigto.transcription import Addition, Additions, Place

@@ -58,8 +58,13 @@ def track(disturbance: Disturbance | None = None, **options: Any) -> ClosedLoopR
     return run_in_loop(TrackingController(make_plan()), WALL, None, disturbance, **options)
 
 
+@cache
+def track_undisturbed() -> ClosedLoopRun:
+    return track()
+
+
 def test_a_run_is_shown_as_a_line_that_tells_what_no_cost_is_shown_without() -> None:
-    run = track()
+    run = track_undisturbed()
     shown = repr(run)
     assert "\n" not in shown and len(shown) < 400
     for told in (f"cost={run.cost:.4g}", f"promised={run.promised:.4g}", "bounces: 1", "energy"):
@@ -68,7 +73,7 @@ def test_a_run_is_shown_as_a_line_that_tells_what_no_cost_is_shown_without() -> 
 
 
 def test_without_disturbance_a_plan_keeps_its_promise_off_a_stiff_wall() -> None:
-    run = track()
+    run = track_undisturbed()
     assert run.method == "tracking" and not run.ticks and not run.switches
     assert run.promised == make_plan().cost
     # The wall is late by a tenth of a millisecond, which costs a few percent of next to nothing.
@@ -127,7 +132,7 @@ def test_a_kick_is_a_jump_and_a_plan_that_changes_its_mind_is_kept() -> None:
 
 @pytest.mark.slow
 def test_what_is_true_is_what_was_asked_for() -> None:
-    plain = track()
+    plain = track_undisturbed()
     heavy = track(Disturbance(mass_factor=1.2, restitution_factor=0.9))
     (energy,), (more,) = (run.replay.energies_before for run in (plain, heavy))
     assert more == pytest.approx(1.2 * energy, rel=0.05)

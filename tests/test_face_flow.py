@@ -29,7 +29,7 @@ def random_chain(n: int, seed: int) -> BoxPolynomial:
     return BoxPolynomial(n, tuple(blocks))
 
 
-@pytest.mark.parametrize("degree", [4, 6, 8, 10, 12])
+@pytest.mark.parametrize("degree", [4, 12])
 def test_random_polynomials_of_one_variable_are_solved_globally(degree: int) -> None:
     rng = np.random.default_rng(degree)
     for _ in range(30):

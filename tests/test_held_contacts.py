@@ -46,7 +46,6 @@ def hold(world: World, contacts: list[int]) -> Bools:
 @pytest.mark.parametrize(
     ("name", "contacts"),
     [
-        ("cart-pole", [0]),
         ("cart-pole", [1]),
         ("two discs", [0]),
         ("double pendulum", [0]),

@@ -40,6 +40,7 @@ def test_minimizers_lie_in_the_box_have_the_minimum_and_no_slope(problem: Global
         assert np.max(np.abs(problem.gradient(x))) <= 1e-11 + 1e-16 * size
 
 
+@pytest.mark.slow
 @small_function
 def test_local_searches_find_nothing_below_the_minimum(problem: GlobalProblem) -> None:
     points = random_points(problem, 2000)
@@ -104,7 +105,9 @@ def test_random_functions_come_from_their_seeds() -> None:
     assert not np.array_equal(first, other)
 
 
-@pytest.mark.parametrize(("n", "grid_points"), [(2, 801), (3, 89)])
+@pytest.mark.parametrize(
+    ("n", "grid_points"), [(2, 801), pytest.param(3, 89, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("seed", range(2))
 def test_a_chains_minimum_is_that_of_brute_force(n: int, grid_points: int, seed: int) -> None:
     problem = chain_problem(n, seed)
@@ -190,6 +193,7 @@ def test_minimizers_are_feasible_and_have_the_minimum(problem: ConstrainedProble
         assert problem.evaluate(x) == pytest.approx(problem.minimum, rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.slow
 @every_program
 def test_snopt_ends_at_the_minimum_from_there_and_never_below_it(
     problem: ConstrainedProblem,

@@ -74,7 +74,6 @@ def end(found: Replay) -> Floats:
 
 STICK, FORWARD, OPEN = Mode.STICK, Mode.FORWARD, Mode.OPEN
 MOTIONS = {
-    "slides, then rolls": ([0.0, RADIUS, 0.0], [1.5, 0.0, -20.0], [0.0] * 2, [FORWARD, STICK]),
     "lands and rolls": ([0.0, 0.15, 0.0], [1.0, -1.0, 10.0], [2.0] * 2, [OPEN, STICK]),
     "lands, slides and rolls": (
         *([0.0, 0.15, 0.0], [1.0, -1.0, -40.0]),

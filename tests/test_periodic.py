@@ -123,6 +123,7 @@ def measure_bounds(program: Any, states: Floats, controls: Floats, job: int, mem
     return visit_bounds(program, borrow(states), borrow(controls), 2.0, job, memory)
 
 
+@pytest.mark.slow
 def test_slopes_of_a_return_are_differences_along_the_manifold() -> None:
     rng = np.random.default_rng(4)
     plant = make_floating(rng)

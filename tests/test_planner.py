@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from phase_solutions import free_flight_cost
 
-from drake_aigto import Scenario
+from drake_aigto import Plan, Scenario
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import (
     LITERAL_LADDER,
@@ -53,8 +53,12 @@ def test_a_flight_costs_the_linear_quadratic_optimum(solver: LocalSolverName) ->
     assert found.replay.drake.cost == pytest.approx(found.replay.event_driven.cost, rel=1e-3)
 
 
-def test_every_candidate_comes_from_a_rung_and_the_best_is_chosen() -> None:
-    found = plan_literal(BOUNCE, QUICK)
+@pytest.fixture(scope="module")
+def found() -> Plan:
+    return plan_literal(BOUNCE, QUICK)
+
+
+def test_every_candidate_comes_from_a_rung_and_the_best_is_chosen(found: Plan) -> None:
     for candidate in found.candidates:
         if candidate.is_idle:
             continue
@@ -66,10 +70,10 @@ def test_every_candidate_comes_from_a_rung_and_the_best_is_chosen() -> None:
     assert found.trajectory is found.best.trajectory
 
 
-def test_the_same_question_gives_the_same_bits() -> None:
-    one, two = plan_literal(BOUNCE, QUICK), plan_literal(BOUNCE, QUICK)
-    assert one.trajectory == two.trajectory
-    assert [c.cost for c in one.candidates] == [c.cost for c in two.candidates]
+def test_the_same_question_gives_the_same_bits(found: Plan) -> None:
+    again = plan_literal(BOUNCE, QUICK)
+    assert again.trajectory == found.trajectory
+    assert [c.cost for c in again.candidates] == [c.cost for c in found.candidates]
 
 
 @pytest.mark.parametrize("algorithm", ["full gradient", "alternating"])

@@ -36,6 +36,7 @@ from drake_aigto.transcription import OpenProgram, RigidTranscription, Touch
 
 QUICK = PlanOptions(confirm=False)
 NEW = [name for name in scenario_names() if name.partition("/")[0] in WORLDS]
+FIRST = {name.partition("/")[0]: name for name in reversed(NEW)}  # Of each model.
 
 
 @cache
@@ -44,7 +45,10 @@ def world_of(model: str) -> World:
     return World.from_scenario(scenario)
 
 
-@pytest.mark.parametrize("name", NEW)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[] if name in FIRST.values() else pytest.mark.slow) for name in NEW],
+)
 def test_shipped_scenarios_have_plans_that_drake_confirms(name: str) -> None:
     scenario = Scenario.named(name)
     found = plan(scenario)
@@ -131,6 +135,7 @@ def test_a_block_that_the_motion_without_control_bounces_off_may_be_passed() -> 
     assert found.replay.event_driven.cost == pytest.approx(9.06e-5, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_block_is_passed_where_the_straight_way_goes_through_its_middle() -> None:
     shipped = Scenario.named("room_with_block/around")
     scenario = dataclasses.replace(shipped, mass=7.5, restitution=0.4)
@@ -329,7 +334,13 @@ def sum_at_two_knots(program: RigidTranscription) -> None:
 
 
 @pytest.mark.parametrize(
-    "add", [running_cost, cost_at_a_knot, bounds_on_the_control, sum_at_two_knots]
+    "add",
+    [
+        running_cost,
+        pytest.param(cost_at_a_knot, marks=pytest.mark.slow),
+        pytest.param(bounds_on_the_control, marks=pytest.mark.slow),
+        sum_at_two_knots,
+    ],
 )
 def test_what_users_added_counts_as_much_when_a_planner_plans_again(
     add: Callable[[OpenProgram], None],

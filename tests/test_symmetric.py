@@ -260,8 +260,7 @@ def ten_pairs(is_equality: bool, sign: float) -> tuple[MathematicalProgram, np.n
     return prog, goals
 
 
-@pytest.mark.parametrize("is_equality", [True, False])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("is_equality", "sign"), [(True, 1.0), (False, -1.0)])
 def test_small_programs_with_corners_are_solved_to_the_better_branch(
     is_equality: bool, sign: float
 ) -> None:

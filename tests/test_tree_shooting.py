@@ -10,6 +10,7 @@ import pytest
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint, RevoluteJoint
 from pydrake.systems.analysis import Simulator
+from shooting_problems import expand_motion
 from space_models import make_scenario
 from trees import AXIS, add_body, attach, sample_state
 
@@ -34,7 +35,6 @@ from drake_aigto.shooting import (
     ShootingOptions,
     ShootingProblem,
     Smoothing,
-    expand_motion,
     make_memory,
 )
 from drake_aigto.simulation import replay_event_driven
@@ -218,6 +218,7 @@ def answer(
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["arm_and_box/push", "quadruped/leap_up"])
 def test_velocities_change_alone_to_the_same_bits(name: str) -> None:
     scenario = Scenario.named(name)

@@ -217,6 +217,8 @@ class CliqueSearch(BoundSearch):
             for formula, shape in zip(group.formulas, counts[group.variables], strict=True):
                 starts = first + np.cumsum(shape) - shape
                 cells = starts + np.moveaxis(np.indices(shape), 0, -1).reshape(-1, shape.size)
+                # In this order, for which searches over cells have compiled it, too.
+                cells = np.ascontiguousarray(cells)
                 found = bound_all(self._tape, formula, sides, cells)
                 tables[formula], first = found.reshape(shape), first + np.sum(shape)
         return tables

@@ -83,7 +83,9 @@ class FlightFamily:
         return np.where(found <= most, found, np.inf)
 
     def _enclose(self, low: Floats, high: Floats, order: int) -> Floats:
-        return enclose_all(self._tape, np.zeros(len(low), dtype=np.int64), low, high, order)
+        # In the order for which searches over cells have compiled it, too.
+        ends = np.ascontiguousarray(low), np.ascontiguousarray(high)
+        return enclose_all(self._tape, np.zeros(len(low), dtype=np.int64), *ends, order)
 
     def expand(self, low: Floats, high: Floats, slopes: Floats) -> Floats:
         """Returns bounds of cost + s (x − c) over cells (E, m), about their middles c."""

@@ -3,7 +3,9 @@ from .added import AddedTerms as AddedTerms
 from .bounds import EXPAND as EXPAND
 from .bounds import PENALIZE as PENALIZE
 from .bounds import visit_bounds as visit_bounds
-from .descent import expand_motion as expand_motion
+from .descent import LINEARIZE as LINEARIZE
+from .descent import descend as descend
+from .descent import travel as travel
 from .hold import hold_contacts as hold_contacts
 from .optimal_control import FreeStart as FreeStart
 from .optimal_control import Phases as Phases
@@ -13,6 +15,7 @@ from .program import IMPLICIT as IMPLICIT
 from .solve import ShootingOptions as ShootingOptions
 from .solve import ShootingResult as ShootingResult
 from .solve import Smoothing as Smoothing
+from .tables import Pass as Pass
 from .tables import make_memory as make_memory
 
 __all__: list[str]

@@ -103,15 +103,6 @@ def travel(
     return cost
 
 
-@kernel
-def expand_motion(
-    program: Program, states: Floats, controls: Floats, eps: float, memory: Memory
-) -> float:
-    """Computes all stages about a motion to second order, without bounds, and returns its cost."""
-    program, memory = borrow(program), borrow(memory)
-    return travel(program, states, controls, LINEARIZE, 0.0, eps, np.inf, memory)
-
-
 @borrowing
 def _search(
     program: Program,

@@ -59,8 +59,8 @@ class Parabolas:
         """
         self._dynamics = dynamics
         self._walls = Walls.of(dynamics)
-        self._rules = Rules(restitutions, float(times[-1] - times[0]))
-        # A copy: Numba compiles once more for arrays that are read-only.
+        # Copies: Numba compiles once more for arrays that are read-only.
+        self._rules = Rules(np.array(restitutions), float(times[-1] - times[0]))
         self._times = np.array(times)
         self._start = start_phase(state, len(dynamics.offset))
 

@@ -99,9 +99,7 @@ def part_far(motions: Sequence[KeptMotion]) -> tuple[list[KeptMotion], list[Kept
     return near, [each for each in motions if each.cost > most]
 
 
-def calc_chance(
-    motions: Sequence[KeptMotion], searches: int, idle: tuple[bool, float]
-) -> float:
+def calc_chance(motions: Sequence[KeptMotion], searches: int, idle: tuple[bool, float]) -> float:
     """Returns the estimated chance that the next search finds a motion better than all.
 
     Of n searches, N came near the best, and s of these found what no other did. So the next
