@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.space import cover, draw_pose
+from benchmarks.space import count_held, cover, draw_in_air, draw_pose
 from drake_aigto import Planner, PlanOptions, World
 from drake_aigto.arrays import Bools, Floats
 
@@ -46,6 +46,30 @@ def test_poses_are_drawn_where_diffusion_policy_draws_them() -> None:
         edge = start[:2] + 0.04071 * np.array([-np.sin(start[2]), np.cos(start[2])])
         assert np.all((edge >= 0.1) & (edge <= 0.4))
         assert np.min(world.calc_signed_distance(start)) > 0.0
+
+
+@pytest.mark.parametrize("name", ["three_fingers/flip", "three_fingers/lift"])
+def test_cubes_start_on_the_ground_and_have_goals_in_the_air(name: str) -> None:
+    for seed in range(6):
+        world = World.from_scenario(drawn := draw_in_air(name, seed))
+        scenario = world.place(drawn)
+        start, goal = scenario.initial_position, scenario.goal_position
+        assert np.all(np.abs(start[-3:-1]) <= 0.025) and np.all(np.abs(goal[-3:-1]) <= 0.1)
+        assert np.min(world.calc_signed_distance(start)) > -0.0003  # By its weight.
+        assert 0.05 <= goal[-1] <= 0.1 and start[-5:-3] == pytest.approx([0.0, start[-4]])
+        assert drawn.to_plain() == draw_in_air(name, seed).to_plain()
+
+
+def test_a_cube_is_held_where_it_is_near_its_goal_until_the_end() -> None:
+    goal = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1])
+    there = np.tile(goal, (30, 1))
+    assert count_held(there, goal) == 30
+    there[12, -1] = 0.125
+    assert count_held(there, goal) == 17
+    there[20, :4] = -np.cos(0.15), np.sin(0.15), 0.0, 0.0  # 1 - (q q*)² is 0.022.
+    assert count_held(there, goal) == 17
+    there[20, :4] = np.cos(0.21), np.sin(0.21), 0.0, 0.0  # 0.043
+    assert count_held(there, goal) == 9
 
 
 @pytest.mark.slow  # 15 to 60 CPU s: which motions a search finds depends on a machine's rounding.

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from space_models import SPHERE, ball_and_finger, collision, link, make_scenario, slider
 
+from benchmarks.space import count_held
 from drake_aigto import Planner, PlanOptions, Scenario, World
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact import CompliantLaw, contact_law
@@ -126,6 +127,35 @@ def test_hands_stay_within_limits_and_stick_until_they_reach_anew(fingers: Finge
     assert 1 < count < 5
 
 
+def test_hands_lift_an_object_that_would_fall_and_hold_it(tmp_path: Path) -> None:
+    scenario = make_scenario(
+        tmp_path,
+        ball_and_finger(more=SECOND),
+        initial_position={
+            "thing": {"xyz": [0, 0, 0.0493]}, "x": -0.12, "z": 0.0493, "x2": 0.12, "z2": 0.0493,
+        },
+        initial_velocity=[0.0] * 12,
+        goal_position={"thing": {"xyz": [0.0, 0.0, 0.11]}},
+        stiction_speed=0.01,
+        goal_weight={"thing": {"xyz": 10.0}},
+    )  # fmt: skip
+    task = Planner(scenario).task
+    assert isinstance(task, MechanismTask) and isinstance(task.law, CompliantLaw)
+    world, scenario = task.world, task.scenario
+    assert isinstance(world, SpaceWorld)
+    limits, cost = limit_states(world, task.bounds)[:, :12], TaskCost.of(world, scenario)
+    reaches = Reaches(world, task.law, cost, np.full(12, 0.1), limits, 1.0)
+    q = scenario.initial_position
+    (height,) = (world.plant.GetJointByName("thing").position_start() + 6,)
+    assert not reaches.is_carried(q)
+    assert reaches.is_carried(q + 0.01 * np.eye(len(q))[height])
+    times, bounds, ends = np.linspace(0.0, 1.0, 51), np.array([[-20.0] * 6, [20.0] * 6]), []
+    for seed in range(6):
+        controls = reaches.push(times, (q, np.zeros(12)), 0.3, bounds, np.random.default_rng(seed))
+        ends.append(replay_event_driven(world, scenario, times, controls).positions[-1, height])
+    assert np.median(ends) > 0.1  # One that is let go lies at 0.05.
+
+
 def test_an_object_goes_where_one_hand_can_push_it_and_dampers_let_it(tmp_path: Path) -> None:
     planner = Planner(Scenario.named("push_tee/to_pose"))
     task = planner.task
@@ -181,6 +211,17 @@ def test_fingers_turn_an_object_over_several_touches_and_both_replays_confirm_it
     assert len(plan.best.contacts) > 2
     assert arrival.distance is not None and arrival.distance < 0.05
     assert arrival.angle is not None and arrival.angle < 0.2
+
+
+@pytest.mark.slow  # 134 and 265 CPU s, with Drake's replay, compiled.
+@pytest.mark.parametrize(
+    ("name", "least"), [("three_fingers/flip", 20), ("three_fingers/lift", 15)]
+)
+def test_fingers_take_a_cube_to_a_pose_in_the_air_and_hold_it(name: str, least: int) -> None:
+    plan = Planner(Scenario.named(name), PlanOptions(renewals=0, finalists=1)).plan()
+    assert plan.holds
+    for motion in (plan.trajectory, *plan.replay):
+        assert count_held(motion.positions, plan.scenario.goal_position) >= least
 
 
 @pytest.mark.slow  # 6 CPU s, compiled.

@@ -209,6 +209,11 @@ class Guesses:
         return tuple(others)
 
     @property
+    def must_carry(self) -> bool:
+        """Whether friction of hands alone holds objects where the goal is."""
+        return self._reaches is not None and self._reaches.must_carry
+
+    @property
     def sharp_starts(self) -> tuple[StartName, ...]:
         """Those closed with hardly smoothed contact, too, with and without states: in space.
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.contact import CompliantLaw
 from drake_aigto.simulation import Compliant, CompliantMotion, Held, HeldControl
 from drake_aigto.world import SpaceWorld, TaskCost
@@ -29,11 +29,13 @@ _HURRY = 0.5, 1.0
 _NEWTON, _LONGEST, _TOUCHES, _NEAR = 12, 0.5, 1e-6, 1e-3
 # Singular values below this part of the largest one are none.
 _SINGULAR = 1e-3
-# Hands that push at once, at most; the part of friction that they use.
-_MOST_HANDS, _INSIDE = 2, 0.7
+# Hands that push at once, at most, and that carry; the part of friction that they use.
+_MOST_HANDS, _INSIDE = (2, 3), 0.7
 _NOTHING = 1e-300  # No size is below.
 # Hands follow their paths at this frequency, in steps [rad]; the tolerance of their simulation.
 _TRACKING, _TOLERANCE = 0.5, 1e-6
+
+_Pairs: TypeAlias = tuple[int, ...]  # Contacts, by their numbers.
 
 
 class Stroke(NamedTuple):
@@ -43,7 +45,7 @@ class Stroke(NamedTuple):
     """
 
     positions: Floats
-    contacts: list[tuple[int, ...]]
+    contacts: list[_Pairs]
     end: int
 
 
@@ -56,7 +58,7 @@ class _Grasp(NamedTuple):
 
     most: float
     positions: Floats
-    contacts: tuple[int, ...]
+    contacts: _Pairs
     is_straight: bool
 
 
@@ -64,8 +66,8 @@ class _Following(HeldControl):
     """Drives hands along strokes, by computed torques; `controls` are those that it has held.
 
     Each stroke begins where those before it have led. While hands push, they have the forces at
-    their touches, too, that best move the object along as asked, but for what the object needs at
-    rest, as the ground under it answers that.
+    their touches, too, that best move the object along as asked. What it needs at rest, its weight,
+    they carry where its path leaves the ground, which answers that elsewhere.
     """
 
     is_open_loop = False
@@ -80,15 +82,15 @@ class _Following(HeldControl):
     ) -> None:
         super().__init__(times, np.zeros((len(times) - 1, reaches.world.num_actuators)))
         self._reaches, self._share, self._bounds, self._rng = reaches, share, bounds, rng
-        self._begin, self._stroke = 0, Stroke(np.empty(0), [], 0)
+        self._begin, self._stroke = 0, Stroke(np.empty(0), [()], 0)
 
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
         world, row = self._reaches.world, int(np.searchsorted(self.times, time, side="right")) - 1
         (q, v), h = world.split(x), self.times[row + 1] - self.times[row]
         if row >= self._begin + self._stroke.end:
-            left = len(self.times) - 1 - row
+            left, last = len(self.times) - 1 - row, self._stroke.contacts[self._stroke.end - 1]
             self._begin = row
-            self._stroke = self._reaches.find_stroke(q, left, self._share, self._rng)
+            self._stroke = self._reaches.find_stroke(q, left, self._share, self._rng, last)
         k, (positions, contacts, _) = row - self._begin, self._stroke
         pace = _TRACKING / h
         speed = world.subtract(positions[k + 1], positions[k]) / h
@@ -98,7 +100,8 @@ class _Following(HeldControl):
         bias = world.calc_bias(world.add(q, h * then), then)
         force = world.calc_mass_matrix(q) @ asked + bias
         if contacts[k]:
-            force -= self._reaches.calc_push(q, force - world.calc_bias(q, 0 * v), contacts[k])[0]
+            weight = world.calc_bias(q, 0 * v) * (not self._reaches.is_carried(positions[k + 1]))
+            force -= self._reaches.calc_push(q, force - weight, contacts[k])[0]
         self.controls[row] = np.clip(world.inverse_actuation @ force, *self._bounds)
         return Held(self.controls[row], float(self.times[row + 1]))
 
@@ -125,11 +128,12 @@ class Reaches:
     Hands stick to it: J_hand δ_hand = −J_object δ_object − n φ, with J of the velocity of the
     hand's material relative to the object's, and n the normal. That is a stroke. It is simulated,
     so that what hands do to the object is what contact does, and the next one begins where this
-    led to.
+    led to: at touches sought anew, or of an object that would fall if they let go at the same ones.
 
     Attributes:
         world: has hands and objects.
         contacts: of hands with objects that have a goal.
+        must_carry: whether hands alone hold objects at their goal.
     """
 
     def __init__(
@@ -155,8 +159,12 @@ class Reaches:
         are_objects = np.any(sides & (self._root > 0), axis=2)
         are_objects &= ~np.any(sides & self._driven, axis=2)
         self._hands = (signs != 0) & self._driven  # that a contact has, shape (m, nv)
-        self._is_moved = np.any(self._hands, axis=1)
+        is_moved = np.any(self._hands, axis=1)
+        self._moved = np.flatnonzero(is_moved)
+        self._supports = np.flatnonzero(~is_moved & are_objects.any(axis=0))
         self.contacts = np.flatnonzero((are_hands & are_objects[::-1]).any(axis=0))
+        self.must_carry = len(self.contacts) > 0  # If they have to at the goal, too.
+        self.must_carry = self.is_carried(cost.goal)
 
     def push(
         self,
@@ -184,38 +192,47 @@ class Reaches:
         return follows.controls
 
     def find_stroke(
-        self, start: Floats, count: int, share: float, rng: np.random.Generator
+        self, start: Floats, count: int, share: float, rng: np.random.Generator, last: _Pairs = ()
     ) -> Stroke:
         """Returns a stroke from q at the start (nq,), within N even steps of time.
 
-        It takes the part of them that it has of the object's way, or less.
+        It takes the part of them that it has of the way, or less. Carried objects are held on.
 
         Args:
             start: q at the start.
             count: N.
             share: of the stroke's time, in which hands reach.
             rng: of what is drawn.
+            last: contacts that pushed before it.
         """
-        contacts: list[tuple[int, ...]] = [()] * count
-        path = np.tile(start, (count + 1, 1))
-        pushed, by = self._reach(start, rng)
+        near = self.world.calc_signed_distance(start)[list(last)] < _NEAR * self._length
+        held = last if near.all() and self.is_carried(start) else ()
+        contacts, path = [held] * count, np.tile(start, (count + 1, 1))
+        size = max(self._measure(self._find_way(start)), _NOTHING)
+        if held:
+            pushed, by = self._follow(start, size / _PARTS, held, True), held
+        else:
+            pushed, by = self._reach(start, size, rng)
         if len(pushed) < 2 or count < 2:
             return Stroke(path, contacts, count)
-        ways = [self._measure(self._find_way(q)) for q in (start, pushed[-1])]
-        end = count * rng.uniform(*_HURRY) * (1 - ways[1] / ways[0])
-        last = int(np.clip(np.ceil(end), 2, count))
-        middle = int(np.clip(share * last, 1, last - 1))
-        for rows, first, then in (
-            (self._go_round(start, pushed[0]), 0, middle),
-            (np.array(pushed), middle, last),
-        ):
-            s = np.clip(np.arange(count + 1 - first) / (then - first), 0.0, 1.0)
+        end = count * rng.uniform(*_HURRY) * (1 - self._measure(self._find_way(pushed[-1])) / size)
+        then = int(np.clip(np.ceil(end), 2, count))
+        middle = 1 if held else int(np.clip(share * then, 1, then - 1))
+        reached = self._go_round(start, pushed[0])
+        for rows, first, after in ((reached, 0, middle), (np.array(pushed), middle, then)):
+            s = np.clip(np.arange(count + 1 - first) / (after - first), 0.0, 1.0)
             at = s * s * (3 - 2 * s) * (len(rows) - 1)
             k = np.minimum(at.astype(int), len(rows) - 2)
             part = (at - k)[:, np.newaxis] * self.world.subtract(rows[k + 1], rows[k])
             path[first:] = self.world.add(rows[k], part)
-        contacts[middle:last] = [by] * (last - middle)
-        return Stroke(path, contacts, last)
+        contacts[middle:then] = [by] * (then - middle)
+        return Stroke(path, contacts, then)
+
+    def is_carried(self, q: Floats) -> bool:
+        """Returns whether objects have weight, and touch hands alone; no if not at the goal."""
+        weight = self.world.calc_bias(q, np.zeros(len(self._unit)))[~self._driven]
+        distances = self.world.calc_signed_distance(q)[self._supports]
+        return self.must_carry and bool(weight.any() and np.all(distances > _NEAR * self._length))
 
     def _measure(self, way: Floats) -> float:
         """Returns the length of an object's way, by the roots of its weights."""
@@ -233,18 +250,19 @@ class Reaches:
         """Returns positions from some to others, moved out of what hands would run into."""
         path = self.world.add(q, np.outer(_ROUND, self.world.subtract(touch, q)))
         for row in range(1, len(path) - 1):
-            for _ in range(_NEWTON):
-                distances = np.where(
-                    self._is_moved, self.world.calc_signed_distance(path[row]), 0.0
-                )
-                if np.min(distances) > -_NEAR * self._length:
-                    break
-                path[row] = self._touch(path[row], (int(np.argmin(distances)),))
+            path[row] = self._move_out(path[row], self._moved, np.zeros(1), self._driven)
         return path
 
-    def calc_push(
-        self, q: Floats, wanted: Floats, contacts: tuple[int, ...]
-    ) -> tuple[Floats, float]:
+    def _move_out(self, q: Floats, among: Ints, least: Floats, driven: Bools) -> Floats:
+        """Returns positions in which some contacts are hardly nearer than the least distances."""
+        for _ in range(_NEWTON):
+            over = self.world.calc_signed_distance(q)[among] - least
+            if np.min(over, initial=0.0) > -_NEAR * self._length:
+                break
+            q = self._touch(q, (int(among[np.argmin(over)]),), driven)
+        return q
+
+    def calc_push(self, q: Floats, wanted: Floats, contacts: _Pairs) -> tuple[Floats, float]:
         """Returns Jᵀ f of contacts that comes nearest to a generalized force on objects.
 
         It is nearest in accelerations by the roots of their weights, with forces f within cones of
@@ -259,9 +277,9 @@ class Reaches:
         shares, off = scipy.optimize.nnls(by_force @ edges.T, by_force @ wanted)
         return edges.T @ shares, float(off)
 
-    def _draw_contacts(self, rng: np.random.Generator) -> tuple[int, ...]:
+    def _draw_contacts(self, rng: np.random.Generator) -> _Pairs:
         """Returns contacts of one hand, or of several that move independently."""
-        drawn, most = list[int](), int(rng.integers(1, 1 + _MOST_HANDS))
+        drawn, most = list[int](), int(rng.integers(1, 1 + _MOST_HANDS[self.must_carry]))
         moved = np.zeros(len(self._unit), dtype=bool)
         for contact in rng.permutation(self.contacts):
             if len(drawn) < most and not np.any(moved & self._hands[contact]):
@@ -270,14 +288,13 @@ class Reaches:
         return tuple(drawn)
 
     def _reach(
-        self, start: Floats, rng: np.random.Generator
-    ) -> tuple[list[Floats], tuple[int, ...]]:
+        self, start: Floats, size: float, rng: np.random.Generator
+    ) -> tuple[list[Floats], _Pairs]:
         """Returns positions of touches that push the object far to its goal, part by part.
 
-        Also returns their contacts.
+        Also returns their contacts. The object's way is this long, at least.
         """
-        best = -np.inf, list[Floats](), tuple[int, ...]()
-        size = max(self._measure(self._find_way(start)), _NOTHING)
+        best = -np.inf, list[Floats](), _Pairs()
         grasps = sorted(self._draw_grasps(start, size, rng), key=lambda each: -each.most)
         for most, q, contacts, is_straight in grasps:
             if most <= best[0]:
@@ -293,12 +310,13 @@ class Reaches:
         """Yields random ones; the object's way is this long, at least."""
         world, way = self.world, self._find_way(start)
         nearest = np.minimum(world.calc_signed_distance(start), 0.0)
-        found: dict[tuple[int, ...], Floats] = {}
+        found: dict[_Pairs, Floats] = {}
         for _ in range(_SAMPLES):
             contacts, is_straight = self._draw_contacts(rng), bool(rng.integers(2))
             if contacts not in found:
-                found[contacts] = self._touch(start, contacts)
-            q = self._touch(self._draw_pose(found[contacts], contacts, rng), contacts)
+                found[contacts] = self._touch(start, contacts, self._driven)
+            q = self._draw_pose(found[contacts], contacts, rng)
+            q = self._touch(q, contacts, self._driven)
             there = world.subtract(q, start)
             distances = world.calc_signed_distance(world.add(start, np.outer(_LOOKS, there)))
             is_near = np.all(np.abs(distances[-1, contacts]) < _NEAR * self._length)
@@ -310,7 +328,7 @@ class Reaches:
                     most -= self.calc_push(q, self._calc_inertia(q) @ way, contacts)[1] / size
                 yield _Grasp(most, q, contacts, is_straight)
 
-    def _draw_pose(self, q: Floats, contacts: tuple[int, ...], rng: np.random.Generator) -> Floats:
+    def _draw_pose(self, q: Floats, contacts: _Pairs, rng: np.random.Generator) -> Floats:
         """Returns random positions of contacts' hands: near some, or within limits of joints."""
         size = 10 ** rng.uniform(*_SPREAD) * self._unit
         moved = size * rng.normal(size=len(size))
@@ -320,14 +338,13 @@ class Reaches:
             moved[is_limited] = rng.uniform(*self._limits[:, is_limited]) - at[is_limited]
         return self.world.add(q, moved * np.any(self._hands[list(contacts)], axis=0))
 
-    def _follow(
-        self, q: Floats, part: float, contacts: tuple[int, ...], is_straight: bool
-    ) -> list[Floats]:
+    def _follow(self, q: Floats, part: float, contacts: _Pairs, is_straight: bool) -> list[Floats]:
         """Returns positions from some on while hands stick to an object that goes to its goal.
 
-        It goes straight, or as near to that as these contacts can push it.
+        It goes straight, but round what is no hand, or as near to that as these contacts can push.
         """
-        pushed = [q]
+        pushed, world, among = [q], self.world, self._supports
+        least = np.minimum(world.calc_signed_distance(q)[among], 0.0)
         while len(pushed) <= 2 * _PARTS:
             way = self._find_way(pushed[-1])
             left = self._measure(way)
@@ -339,21 +356,25 @@ class Reaches:
             size = self._measure(way)
             if size < max(part / 2, _LEAST * left):
                 break
-            then = self._stick(pushed[-1], way * min(1.0, part / size), contacts)
+            way = way * min(1.0, part / size)
+            if is_straight and self.must_carry:
+                there = self._move_out(world.add(pushed[-1], way), among, least, ~self._driven)
+                way = world.subtract(there, pushed[-1])
+            then = self._stick(pushed[-1], way, contacts)
             if then is None:
                 break
             pushed.append(then)
         return pushed
 
-    def _touch(self, q: Floats, contacts: tuple[int, ...]) -> Floats:
-        """Returns positions in which hands touch, by Newton steps from others, one by one."""
+    def _touch(self, q: Floats, contacts: _Pairs, driven: Bools) -> Floats:
+        """Returns positions in which contacts touch, by Newton steps from others, one by one."""
         for contact in contacts:
             for _ in range(_NEWTON):
                 distances, normals, jacobians = self.world.relate(q)
                 off = float(distances[contact])
                 if abs(off) < _TOUCHES * self._length:
                     break
-                J = normals[contact] @ jacobians[contact] * self._driven
+                J = normals[contact] @ jacobians[contact] * driven
                 towards = self._unit**2 * J
                 step = -off * towards / max(J @ towards, _NOTHING)
                 longest = float(np.max(np.abs(step) / self._unit))
@@ -361,7 +382,7 @@ class Reaches:
                 q = self.world.add(q, -self._find_excess(q))
         return q
 
-    def _stick(self, q: Floats, way: Floats, contacts: tuple[int, ...]) -> Floats | None:
+    def _stick(self, q: Floats, way: Floats, contacts: _Pairs) -> Floats | None:
         """Returns positions in which the object has moved, and hands with it; None: they can't."""
         rows, (distances, normals, jacobians) = list(contacts), self.world.relate(q)
         gaps = normals[rows] * distances[rows, np.newaxis]

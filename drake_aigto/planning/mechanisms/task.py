@@ -235,7 +235,10 @@ class MechanismTask(PosedMechanism):
         """Options for closing guesses."""
         q, is_aimed = self.scenario.initial_position, self.scenario.hard_goal
         time_step = self.scenario.duration / self.search_steps
-        return self._resolve(find_closing(self.world, self.law, q, time_step, is_aimed))
+        options = find_closing(self.world, self.law, q, time_step, is_aimed)
+        if self.guesses.must_carry:  # In explicit steps friction creeps, and hands lose objects.
+            options = dataclasses.replace(options, order=IMPLICIT)
+        return self._resolve(options)
 
     @cached_property
     def _tightening(self) -> ShootingOptions:
