@@ -31,6 +31,7 @@ from drake_aigto.planning import (
     PlanStats,
     Proposal,
     Replays,
+    make_mechanism_task,
 )
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.simulation import replay_event_driven
@@ -414,10 +415,20 @@ def test_the_chance_of_a_better_motion_falls_with_every_time_that_the_best_is_fo
     scenario = Scenario.named("cart_pole/soft_06")
     search = MechanismSearch(MechanismTask(World.from_scenario(scenario), scenario, QUICK))
     first, *_ = next(search.propose())
-    for count in range(1, 5):
+    for count, chance in ((1, 1.5 / 2), (2, 0.5 / 6), (3, 0.0), (4, 0.0)):
         search.close([first])
         assert search.found == search.searches == count
-        assert search.chance == pytest.approx((1.5 if count == 1 else 0.5) / (count * (count + 1)))
+        assert search.chance == pytest.approx(chance)
+
+
+def test_a_motion_without_control_that_misses_a_hard_goal_is_no_better_one() -> None:
+    scenario = Scenario.named("sliding_block/to_rest")
+    task = make_mechanism_task(World.from_scenario(scenario), scenario, QUICK)
+    search = MechanismSearch(task)
+    waves = search.propose()
+    search.close(next(waves))
+    assert task.price(task.coast) < search.promise
+    assert search.chance < 1.0
 
 
 def test_a_search_that_found_nothing_but_the_motion_without_control_goes_on() -> None:

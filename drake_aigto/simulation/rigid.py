@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +10,6 @@ from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact import (
     RANK,
     Closed,
-    CompliantLaw,
     ContactMotion,
     Mode,
     RigidLaw,
@@ -24,9 +22,8 @@ from drake_aigto.contact import (
     refuse_modes,
     stack_rows,
 )
-from drake_aigto.errors import FrictionError, TrajectoryError
+from drake_aigto.errors import FrictionError
 from drake_aigto.simulation import flights
-from drake_aigto.simulation.compliant import Compliant
 from drake_aigto.simulation.flights import (
     MOST_IMPACTS,
     SHORTEST_HOP,
@@ -35,7 +32,7 @@ from drake_aigto.simulation.flights import (
     Rules,
     copy_phase,
 )
-from drake_aigto.simulation.recording import Impact, sample_rates
+from drake_aigto.simulation.recording import Impact
 from drake_aigto.simulation.smooth import HybridMotion
 from drake_aigto.world import World
 
@@ -83,12 +80,6 @@ class RigidMotion(HybridMotion):
         m = world.num_contacts
         self._held, self._counts = np.zeros(m, dtype=bool), np.zeros(m)
         self._log = flights.make_log(0, 0)
-        self._air_step = np.inf
-
-    @cached_property
-    def _in_air(self) -> Compliant:
-        """Dynamics without walls, compiled."""
-        return Compliant(self.world, CompliantLaw(*np.zeros((2, self.world.num_contacts))))
 
     def _advance(self, control: Floats, until: float, feels_contact: bool) -> None:
         known = len(self.recording.impacts)
@@ -101,8 +92,6 @@ class RigidMotion(HybridMotion):
 
     def _move(self, control: Floats, until: float) -> None:
         """Moves on smoothly until something may happen."""
-        if not self._held.any() and self._fly(control, until):
-            return
         n, (q, _) = self.world.num_positions, self._split()
         # Faces that may be touched, and those behind of solids that are rested on. A solid is
         # entered only when the last of the faces falls that the sphere is in front of.
@@ -125,21 +114,6 @@ class RigidMotion(HybridMotion):
         if 0 <= slid < len(beside):
             solid = self.world.contacts[beside[slid]].solid
             self._held &= [contact.solid != solid for contact in self.world.contacts]
-
-    def _fly(self, control: Floats, until: float) -> bool:
-        """Moves on in compiled code, and returns True, unless something may be touched."""
-        x = self.x.copy()
-        try:
-            flight = self._in_air.fly(x, control, (self.time, until), self._air_step)
-        except TrajectoryError:  # Without walls, it runs away.
-            flight = None
-        if flight is None:
-            return False
-        rows, self._air_step = flight
-        self.time, self.x = until, x
-        samples = sample_rates(*rows, np.tile(control, (len(rows.times) - 1, 1)))
-        self.recording.samples.append(samples)
-        return True
 
     def _close(self, contacts: Ints) -> Closed:
         """Returns contacts that are closed, and slide freely."""
