@@ -213,7 +213,7 @@ def test_fingers_turn_an_object_over_several_touches_and_both_replays_confirm_it
     assert arrival.angle is not None and arrival.angle < 0.2
 
 
-@pytest.mark.slow  # 134 and 265 CPU s, with Drake's replay, compiled.
+@pytest.mark.slow  # 199 and 265 CPU s, with Drake's replay, compiled.
 @pytest.mark.parametrize(
     ("name", "least"), [("three_fingers/flip", 20), ("three_fingers/lift", 15)]
 )
