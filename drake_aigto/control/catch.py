@@ -251,3 +251,10 @@ def keep_within(plan: Plan, world: World, scenario: Scenario, period: float) -> 
         return motion
     horizon = make_horizon(Planner(asked, world=world), False, _ITERATIONS, period)
     return horizon.advance(motion, 0.0, asked.initial_state) or motion
+
+
+def find_patience(planner: Planner, period: float) -> int | None:
+    """Returns the number of periods [s] that searches are waited for; None: balls' are not."""
+    if planner.is_of_balls:
+        return None
+    return max(1, int(np.ceil(_PART * planner.scenario.duration / period)))

@@ -225,13 +225,13 @@ class Horizon(ABC):
             positions, velocities = self.world.split(path[1])
             asked |= {"reference_times": path[0], "reference_positions": positions}
             asked["reference_velocities"] = velocities
-        return self._asking(dataclasses.replace(scenario, **asked))  # type: ignore[arg-type]
+        return self.asking(dataclasses.replace(scenario, **asked))  # type: ignore[arg-type]
 
     def hold(self) -> Horizon | None:
         """Returns the task to hold the goal from then on; None where it is not known how."""
         return None
 
-    def _asking(self: AnyHorizon, scenario: Scenario) -> AnyHorizon:
+    def asking(self: AnyHorizon, scenario: Scenario) -> AnyHorizon:
         """Returns the same for another task in the same world."""
         other = copy.copy(self)
         other.scenario, other._task = scenario, self._task.again(scenario)

@@ -120,7 +120,7 @@ class _ShootingHorizon(Horizon):
         regulator = Regulator.of(world, scenario, goal, self._step)
         if regulator is None:
             return None
-        held = self._asking(regulator.pose(world, scenario))
+        held = self.asking(regulator.pose(world, scenario))
         held.is_receding, held.regulator = True, regulator
         return held
 
@@ -161,8 +161,9 @@ class CompliantHorizon(_ShootingHorizon):
         problem = self._task.shooting(self.num_steps)
         return dataclasses.replace(problem, duration=self.scenario.duration)
 
-    def _asking(self: AnyHorizon, scenario: Scenario) -> AnyHorizon:
-        other: Any = super()._asking(scenario)
+    def asking(self: AnyHorizon, scenario: Scenario) -> AnyHorizon:
+        """Returns the same for another task; see `Horizon`."""
+        other: Any = super().asking(scenario)
         other._problem = other._pose()
         return other
 

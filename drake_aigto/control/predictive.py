@@ -13,6 +13,7 @@ from pydrake.systems.framework import Context, EventStatus, State
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
+from drake_aigto.control.catch import find_patience
 from drake_aigto.control.estimation import ModelEstimate
 from drake_aigto.control.family import Unknown
 from drake_aigto.control.ports import (
@@ -92,7 +93,7 @@ class ModelPredictiveController(LoopController):
         search_every: int | None = None,
         margin: float = 0.02,
         surprise: float = 0.5,
-        search_ticks: int | None = None,
+        search_ticks: int | Literal["auto"] | None = "auto",
         learns: bool = True,
         waits: bool = True,
         plan: Plan | None = None,
@@ -113,14 +114,13 @@ class ModelPredictiveController(LoopController):
                 mechanisms there up to five times as many, or a fixed number where these lead to
                 nothing. None: as many as take half of a period, at most 15, measured at the start;
                 a run is the same again if it is given what `TickStatus.iterations` says.
-            search_every: ticks from one search to the next; None: only at the start, and after a
-                surprise. What a search takes is in the planner's options.
+            search_every: ticks between searches; None: only at the start, and after a surprise.
             margin: what another sequence has to be better by, as a share of the cost.
-            surprise: by how much more than the one before a plan may cost, as a share of that,
-                before there is a search; infinite: any.
+            surprise: share by which a plan may cost more than the last, without a search.
             search_ticks: after how many ticks a search is done that runs in a thread beside warm
                 ones: begun at tick k, from where the plan is going to be at tick k + search_ticks,
-                it is waited for there. None: searches end in their tick.
+                it is waited for there. None: searches end in their tick. "auto": None for balls,
+                else as many as take a quarter of the scenario's duration.
             learns: whether what rigid walls return, and where they stand, is learned
                 (`SeenBounces`); the scenario and the model are what is thought of it before.
             waits: whether a search in a thread is waited for, so that a run is the same again; else
@@ -144,10 +144,6 @@ class ModelPredictiveController(LoopController):
             remedy = "Give it Planner(plan.scenario)." if isinstance(given, Plan) else ""
             got = type(given).__name__
             raise ControlError("planner", got=got, expected="a Planner", remedy=remedy)
-        counts = ("iterations", iterations), ("search_every", search_every)
-        for name, value in (*counts, ("search_ticks", search_ticks)):
-            if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
-                raise ControlError(name, got=value, expected="a count of at least 1")
         if horizon not in ("receding", "shrinking"):
             raise ControlError("horizon", got=horizon, expected="'receding' or 'shrinking'")
         for name, share in (("margin", margin), ("surprise", surprise)):
@@ -158,6 +154,11 @@ class ModelPredictiveController(LoopController):
             is_rare = asked.contact == "compliant" and period > asked.time_step
             feedback_period = asked.time_step / OFTEN if is_rare else None
         super().__init__(*about, period, delay, start_time, safety, feedback_period)
+        ticks = find_patience(planner, self.period) if search_ticks == "auto" else search_ticks
+        counts = ("iterations", iterations), ("search_every", search_every)
+        for name, value in (*counts, ("search_ticks", ticks)):
+            if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
+                raise ControlError(name, got=value, expected="a count of at least 1")
         self.feedback_period = feedback_period
         if feedback_period is not None:
             name, most = "feedback_period", self.period
@@ -166,18 +167,18 @@ class ModelPredictiveController(LoopController):
             plan.find_world(planner.world)  # Refuses another world's.
         self._first = PlannedMotion.of(plan.best) if plan is not None else None
         self._learns = learns
-        posed = planner, self._scenario, horizon == "receding", iterations or 1, self.period
-        self._horizons = Horizons(*posed, has_thread=search_ticks is not None)
+        is_receding, most = horizon == "receding", iterations or 1
+        self._horizons = Horizons(planner, self._scenario, is_receding, most, self.period)
         self._horizon, self._iterations = self._horizons.own, iterations
         if planner.is_of_balls and "walls" in estimate:
             got, expected = "walls of balls, which learns=True finds", "what is not learned so"
             raise ControlError("estimate", got=got, expected=expected)
         known = ModelEstimate.of(self._world, self._scenario, estimate) if estimate else None
-        often = search_every, search_ticks, waits
+        often = search_every, ticks, waits
         self._searches = Searches(self.period, margin, surprise, *often)
         nx, own = len(self._units), self._horizon
         never = -np.inf, np.zeros(nx)
-        nowhere = TickQuestion(*never, SeenBounces(), own, own, None, never)
+        nowhere = TickQuestion(*never, SeenBounces(), own, lambda: own, None, never)
         status = TickStatus(-np.inf, np.inf, (), "", 0.0, restitution=own.restitution)
         empty = self._no_commands, status, -1, nowhere, nowhere.seen, None, known
         self._nothing = TickMemory(TickChoice(own.rest(0.0, nowhere.x), ""), *empty)
@@ -244,8 +245,8 @@ class ModelPredictiveController(LoopController):
             ahead = model.find_end(x, self._find_held(before.commands, time, time + self.delay))
             later, sample = (x, "far off") if ahead is None else (ahead, sample)
         posed = self._read_reference(context), now, before.known, before.iterations
-        *found, catch = self._horizons.find(*posed)
-        horizon, aside = (each.knowing(seen) for each in found)
+        task, aside, catch = self._horizons.find(*posed)
+        horizon = task.knowing(seen)
         return TickQuestion(now, later, seen, horizon, aside, catch, (time, x), sample, off)
 
     def _start(self, context: Context, state: State) -> EventStatus:
@@ -393,8 +394,7 @@ class ModelPredictiveController(LoopController):
                 hits = moment.find_hits(question, self.period)
                 u = feedback.sample(at, question.x, hits).control
         u, is_limited = self._limit(u, moment.commands, time)
-        status = dataclasses.replace(moment.status, mode=mode, is_limited=is_limited)
-        sample, off = question.sample, question.deviation
-        status = dataclasses.replace(status, sample=sample, deviation=off)
+        judged: dict[str, Any] = {"sample": question.sample, "deviation": question.deviation}
+        status = dataclasses.replace(moment.status, mode=mode, is_limited=is_limited, **judged)
         commands = append_command(moment.commands, time, u)
         return dataclasses.replace(moment, commands=commands, status=status)

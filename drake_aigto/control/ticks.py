@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,7 +67,7 @@ class TickQuestion(NamedTuple):
         x: the state then, led on from the sample.
         seen: what is known of walls.
         horizon: knows that, and the goal.
-        aside: the same, for a thread.
+        aside: compiles the same for a thread, which calls it.
         catch: what finds motions to rest, where the horizon ends soon; None: it does not, or
             nothing does.
         sampled: the sample itself, and the context's time of it [s].
@@ -77,7 +79,7 @@ class TickQuestion(NamedTuple):
     x: Floats
     seen: SeenBounces
     horizon: Horizon
-    aside: Horizon
+    aside: Callable[[], Horizon]
     catch: Catch | None
     sampled: tuple[float, Floats]
     sample: Sample = "valid"
@@ -202,9 +204,8 @@ class Horizons:
         is_receding: bool,
         iterations: int,
         period: float,
-        has_thread: bool,
     ) -> None:
-        """Compiles the task; arguments are those of `make_horizon`, and whether there is a thread.
+        """Compiles the task; arguments are those of `make_horizon`.
 
         The scenario is the planner's, within limits of the control.
 
@@ -214,21 +215,16 @@ class Horizons:
         check_planner(planner)
         if scenario is not planner.scenario:
             planner = Planner(scenario, planner.options, planner.world)
-        self._options, self._has_thread = planner.options, has_thread
-        self._posed = is_receding, iterations, period
-        self._period, self._own = period, self._make(planner)
-        self._learned: tuple[Any, tuple[Horizon, Horizon]] = (None, self._own)
+        self._options, self._period = planner.options, period
+        self._posed = is_receding, iterations
+        self.own = self._make(planner)  # The task as it was given.
+        self._given = self._learned = planner, self.own
+        self._models: Any = None  # What is learned is of these.
         self._catch: tuple[Any, Catch | None] = (None, None)
+        self._aside: tuple[Planner | None, Horizon] = None, self.own
 
-    def _make(self, planner: Planner) -> tuple[Horizon, Horizon]:
-        own = make_horizon(planner, *self._posed)
-        # What is in a thread shares nothing that changes.
-        return own, make_horizon(planner, *self._posed) if self._has_thread else own
-
-    @property
-    def own(self) -> Horizon:
-        """The task as it was given."""
-        return self._own[0]
+    def _make(self, planner: Planner) -> Horizon:
+        return make_horizon(planner, *self._posed, self._period)
 
     def find(
         self,
@@ -236,8 +232,8 @@ class Horizons:
         now: float,
         known: ModelEstimate | None = None,
         iterations: int | None = None,
-    ) -> tuple[Horizon, Horizon, Catch | None]:
-        """Returns the task of ticks and of threads, and after its end what holds the goal.
+    ) -> tuple[Horizon, Callable[[], Horizon], Catch | None]:
+        """Returns the task, what compiles it in a thread, and after its end what holds the goal.
 
         Args:
             reference: what it is to follow.
@@ -245,12 +241,19 @@ class Horizons:
             known: of the model.
             iterations: of a tick's descent; None: as they were given.
         """
-        own, aside = self._find_learned(known)
+        planner, own = self._find_learned(known)
         aimed = reference.aim(own if iterations is None else own.within(iterations), now)
         aimed = aimed if known is None else aimed.wary(known.wall_doubts)
-        aside = aimed if aside is own else reference.aim(aside, now)
         is_ending = aimed.is_over(now + max(self._period, SOON))
+        aside = partial(self._compile_aside, planner, aimed.scenario)
         return aimed, aside, self._hold(aimed) if is_ending else None
+
+    def _compile_aside(self, planner: Planner, asked: Scenario) -> Horizon:
+        """Returns the task for a thread: with ticks it shares nothing that changes."""
+        if self._aside[0] is not planner:
+            self._aside = planner, self._make(planner)
+        horizon = self._aside[1]
+        return horizon if horizon.scenario is asked else horizon.asking(asked)
 
     def _hold(self, task: Horizon) -> Catch | None:
         world, scenario = task.world, task.scenario
@@ -261,17 +264,18 @@ class Horizons:
             self._catch = same, catch if catch.task else None
         return self._catch[1]
 
-    def _find_learned(self, known: ModelEstimate | None) -> tuple[Horizon, Horizon]:
+    def _find_learned(self, known: ModelEstimate | None) -> tuple[Planner, Horizon]:
         if known is None or known.is_of_the_model:
-            return self._own
-        if self._learned[0] is not known.models:
+            return self._given
+        if self._models is not known.models:
             world, scenario = known.models[0].world, known.models[0].scenario
             try:
-                pair = self._make(Planner(scenario, self._options, world))
+                planner = Planner(scenario, self._options, world)
+                self._learned = planner, self._make(planner)
             except AigtoError:  # Where the task starts there is a wall now.
-                pair = self._learned[1]
-            self._learned = known.models, pair
-        return self._learned[1]
+                pass
+            self._models = known.models
+        return self._learned
 
     def measure(self, question: TickQuestion, motion: PlannedMotion) -> int:
         """Returns how many iterations of a descent a tick has time for, by the clock."""
@@ -360,7 +364,7 @@ class Searches:
         x = motion.calc_state(ahead) if motion else np.array(x)
         if horizon.is_over(ahead) or horizon.is_inside(x):
             return False, None, None
-        begun = self._thread.submit(question.aside.search, ahead, x)
+        begun = self._thread.submit(_search, question, ahead, x)
         return False, None, PendingSearch(tick + self._ticks, begun)
 
     def _calc_surprise(self, cost: float, scale: float) -> float:
@@ -368,6 +372,11 @@ class Searches:
         if np.isinf(self._surprise):  # What costs nothing any more, too.
             return np.inf
         return self._surprise * cost + _NOTHING * scale
+
+
+def _search(question: TickQuestion, ahead: float, x: Floats) -> PlannedMotion | None:
+    """Returns what a search beside the loop finds from a state."""
+    return question.aside().knowing(question.seen).search(ahead, x)
 
 
 def _hold(last: TickChoice, question: TickQuestion, catch: Catch) -> TickChoice:
