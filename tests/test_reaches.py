@@ -213,15 +213,16 @@ def test_fingers_turn_an_object_over_several_touches_and_both_replays_confirm_it
     assert arrival.angle is not None and arrival.angle < 0.2
 
 
-@pytest.mark.slow  # 199 and 265 CPU s, with Drake's replay, compiled.
-@pytest.mark.parametrize(
-    ("name", "least"), [("three_fingers/flip", 20), ("three_fingers/lift", 15)]
-)
-def test_fingers_take_a_cube_to_a_pose_in_the_air_and_hold_it(name: str, least: int) -> None:
+@pytest.mark.slow  # 87 and 358 CPU s, with Drake's replay.
+@pytest.mark.parametrize("name", ["three_fingers/flip", "three_fingers/lift"])
+def test_fingers_take_a_cube_to_a_pose_in_the_air_and_hold_it(name: str) -> None:
     plan = Planner(Scenario.named(name), PlanOptions(renewals=0, finalists=1)).plan()
     assert plan.holds
+    times = plan.trajectory.times
     for motion in (plan.trajectory, *plan.replay):
-        assert count_held(motion.positions, plan.scenario.goal_position) >= least
+        rows = np.minimum(np.searchsorted(motion.times, times), len(motion.times) - 1)
+        # As many steps as Jin (2024) asks for.
+        assert count_held(motion.positions[rows], plan.scenario.goal_position) >= 20
 
 
 @pytest.mark.slow  # 6 CPU s, compiled.
