@@ -27,7 +27,7 @@ DOCS = Path(__file__).parent
 PICTURES, PAGE = DOCS / "images" / "gallery", DOCS / "index.md"
 MOTIONS = DOCS.parent / "tests" / "shipped_motions.json"
 
-_WIDTH, _RATE, _QUALITY = 4.0, 12, 50  # of animations [hundreds of pixels], [1/s]
+_WIDTH, _RATE, _QUALITY = 4.0, 12, 40  # of animations [hundreds of pixels], [1/s]
 _SECONDS = 2.0  # that an animation takes at most, but for the end's stand
 _KNOTS, _DIGITS = 25, 5  # of a motion in the tests: rows, and digits of each number
 _BEGIN, _END = "<!-- gallery -->\n", "<!-- end of the gallery -->\n"

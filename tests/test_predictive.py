@@ -76,10 +76,7 @@ def test_a_pole_stands_up_between_walls_and_again_after_a_kick() -> None:
     assert np.abs(run.advance(3.2)[1] - np.pi) > 0.1
     np.testing.assert_allclose(run.advance(6.0), [0.0, np.pi, 0.0, 0.0], atol=0.05)
     after = [status for status in run.statuses if status.time > 2.99]
-    # The search that the kick begins is taken after a quarter of the duration.
-    taken = next(status for status in after if status.reason != "warm")
-    assert taken.reason.startswith(("warm; a search", "switched"))
-    assert taken.time == pytest.approx(3.0 + SCENARIO.duration / 4, abs=0.02)
+    assert after[0].reason.startswith(("warm; a search", "switched"))
 
 
 def test_a_horizon_that_shrinks_costs_what_the_first_plan_promised() -> None:
@@ -96,7 +93,7 @@ def test_a_horizon_that_shrinks_costs_what_the_first_plan_promised() -> None:
 
 
 def test_searches_are_when_they_are_due_and_switch_for_the_better() -> None:
-    run = Run(search_every=10, margin=0.0, search_ticks=None)
+    run = Run(search_every=10, margin=0.0)
     run.advance(0.45)
     searched = [status for status in run.statuses if status.reason != "warm"]
     assert [round(status.time, 9) for status in searched] == [0.0, 0.2, 0.4]

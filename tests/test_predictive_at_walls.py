@@ -51,9 +51,7 @@ def test_a_pendulum_is_brought_to_its_goal_off_a_rigid_wall() -> None:
 @pytest.mark.slow
 def test_a_pole_that_is_kicked_bounces_off_a_rigid_wall_as_it_promises_then() -> None:
     truth = Disturbance(kick=np.array([0.3, 0.5]), kick_time=0.4)
-    # Its tick waits for the search: what one beside finds comes too late, and the run costs 128.
-    options: dict[str, Any] = {"feedback_period": 0.005, "search_ticks": None}
-    run = swing(Scenario.named("cart_pole/rigid_06"), truth, renewals=8, **options)
+    run = swing(Scenario.named("cart_pole/rigid_06"), truth, renewals=8, feedback_period=0.005)
     assert run.replay.bounce_contacts
     # Where a later tick misses, the plan that the pole is on goes on: nothing worse is taken.
     kicked = next(tick for tick in run.ticks if tick.time >= truth.kick_time)

@@ -93,7 +93,7 @@ class ModelPredictiveController(LoopController):
         search_every: int | None = None,
         margin: float = 0.02,
         surprise: float = 0.5,
-        search_ticks: int | Literal["auto"] | None = "auto",
+        search_ticks: int | Literal["auto"] | None = None,
         learns: bool = True,
         waits: bool = True,
         plan: Plan | None = None,
@@ -120,7 +120,7 @@ class ModelPredictiveController(LoopController):
             search_ticks: after how many ticks a search is done that runs in a thread beside warm
                 ones: begun at tick k, from where the plan is going to be at tick k + search_ticks,
                 it is waited for there. None: searches end in their tick. "auto": None for balls,
-                else as many as take a quarter of the scenario's duration.
+                else as many as take a quarter of the scenario's duration, as a robot needs.
             learns: whether what rigid walls return, and where they stand, is learned
                 (`SeenBounces`); the scenario and the model are what is thought of it before.
             waits: whether a search in a thread is waited for, so that a run is the same again; else
