@@ -48,14 +48,11 @@ class Model:
     def _lead(self, x: Floats, held: Controller) -> Floats | None:
         if self._dynamics is not None:
             try:
-                if not self._has_impacts:
-                    return self._dynamics.lead(x, held)
-                end, first = np.array(x, dtype=float), held.sample(held.start, x, ())
-                span = held.start, first.until
-                if span[1] == held.end and self._dynamics.fly(end, first.control, span):
-                    return end
+                end = self._dynamics.lead(x, held, flies=self._has_impacts)
             except TrajectoryError:
                 return None
+            if end is not None:
+                return end
         found = self.predict(x, held)
         return found and found[0]
 

@@ -127,8 +127,14 @@ class Compliant:
             yield time, self._room[:count], step
             passed, time = passed + _BLOCK, end if done == left else time + done
 
-    def lead(self, x: Floats, controller: Controller) -> Floats:
-        """Returns (q, v) after a controller that begins at x, both (nx,), and keeps nothing else.
+    def lead(self, x: Floats, controller: Controller, flies: bool = False) -> Floats | None:
+        """Returns (q, v) after a controller, shape (nx,), and keeps nothing of the way there.
+
+        Args:
+            x: (q, v) at its start.
+            controller: is run to its end.
+            flies: whether nothing may be touched; None is returned where a solid is nearer at the
+                end of a step than it moves in any.
 
         Raises:
             TrajectoryError: see `follow`.
@@ -137,22 +143,16 @@ class Compliant:
         while time < controller.end:
             held = controller.sample(time, x.copy(), ())
             control, span = np.array(held.control, dtype=float), (time, held.until)
-            for _, _, tried in self._move(x, control, span, step, self.tolerance):
+            for _, rows, tried in self._move(x, control, span, step, self.tolerance):
                 step = tried
+                if flies and self._may_touch(rows):
+                    return None
             time = held.until
         return x
 
-    def fly(
-        self, x: Floats, control: Floats, span: tuple[float, float], step: float = np.inf
-    ) -> tuple[Rows, float] | None:
-        """Returns what `follow` does, or None where something may be touched.
-
-        Nothing can be where each solid is farther away at the end of any step than it moves in one.
-        """
-        rows, step = self.follow(x, np.array(control), span, step, self.tolerance)
-        clear = self.world.calc_clearance(rows.states[:, : self.world.num_positions])
-        touches = clear.min(axis=0) <= np.abs(np.diff(clear, axis=0)).max(axis=0)
-        return None if np.any(touches) else (rows, step)
+    def _may_touch(self, rows: Floats) -> bool:
+        clear = self.world.calc_clearance(rows[:, 1 : 1 + self.world.num_positions])
+        return bool(np.any(np.min(clear, axis=0) <= np.max(np.abs(np.diff(clear, axis=0)), axis=0)))
 
     def _list_edges(self) -> list[str]:
         """Returns the names of pairs in which an edge touches a half space."""

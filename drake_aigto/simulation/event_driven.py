@@ -23,7 +23,7 @@ from drake_aigto.simulation.flights import (
     start_phase,
 )
 from drake_aigto.simulation.recording import Controller, HeldControl, Recording, list_impacts
-from drake_aigto.simulation.rigid import RigidMotion, SlidingMotion
+from drake_aigto.simulation.rigid import Flights, RigidMotion, SlidingMotion
 from drake_aigto.world import Scenario, World
 
 # Of the first log; what has more impacts runs a second time.
@@ -122,18 +122,6 @@ class Parabolas:
             roll_out(self._walls, self._rules, phase, knots, accelerations, *moments, log)
             ends[c] = phase.q
         return ends
-
-
-class Flights(RigidMotion):
-    """The same where flight is a parabola: by roots alone, without integration."""
-
-    def _advance(self, control: Floats, until: float, feels_contact: bool) -> None:
-        dynamics = self.world.constant_dynamics
-        acceleration = dynamics.gain @ control + dynamics.drift
-        self._pass(Walls.of(dynamics), acceleration, until, feels_contact)
-
-    def _find_depth(self) -> float:
-        return calc_depth(Walls.of(self.world.constant_dynamics), self.recording.positions)
 
 
 class EventDriven:

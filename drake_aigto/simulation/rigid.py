@@ -16,6 +16,7 @@ from drake_aigto.contact import (
     Touching,
     Walls,
     calc_contact_turning,
+    calc_depth,
     calc_velocity_after,
     find_modes,
     list_modes,
@@ -173,6 +174,18 @@ class RigidMotion(HybridMotion):
         states = np.concatenate([samples.states for samples, _ in self.recording.samples])
         clearances = self.world.calc_clearance(states[:, : self.world.num_positions])
         return max(0.0, -float(np.min(clearances, initial=0.0)))
+
+
+class Flights(RigidMotion):
+    """The same where flight is a parabola: by roots alone, without integration."""
+
+    def _advance(self, control: Floats, until: float, feels_contact: bool) -> None:
+        dynamics = self.world.constant_dynamics
+        acceleration = dynamics.gain @ control + dynamics.drift
+        self._pass(Walls.of(dynamics), acceleration, until, feels_contact)
+
+    def _find_depth(self) -> float:
+        return calc_depth(Walls.of(self.world.constant_dynamics), self.recording.positions)
 
 
 class SlidingMotion(RigidMotion):
