@@ -41,7 +41,7 @@ SOLVING = ("certify", "presolve")
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Has one process begin with what compiles one half, and the next one with the other half.
 
-    Each of W processes begins with so many tests in a row, a part of 4 W of all.
+    Of N tests, pytest-xdist gives each of W processes N / (4 W) in a row to begin with.
     """
     first, second, rest = list[pytest.Item](), list[pytest.Item](), list[pytest.Item]()
     for item in items:

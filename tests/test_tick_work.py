@@ -63,9 +63,8 @@ def test_the_work_of_a_tick_is_bounded_where_a_wall_stands_elsewhere(
     plan = planner.plan()
     beside.clear()
     for nearer in (0.12, 0.06):  # A fifth and a tenth of its room [m].
-        about: Any = {"plan": plan, "estimate": UNKNOWN, "feedback_period": 0.005}
-        about["search_ticks"] = "auto"
-        controller = Counting(planner, 0.02, "shrinking", **about)
+        given: Any = {"plan": plan, "estimate": UNKNOWN, "search_ticks": "auto"}
+        controller = Counting(planner, 0.02, "shrinking", feedback_period=0.005, **given)
         run_in_loop(controller, SCENARIO, world, Disturbance(wall_shift=nearer))
         most = Counter[str]()
         for each in controller.counts:

@@ -27,8 +27,8 @@ from drake_aigto.simulation.verdict import calc_compliance_error, calc_lateness
 from drake_aigto.world import Scenario, SpaceWorld, World
 
 # Forces that jump from step to step, as where Drake iterates for the depth of two capsules, bring
-# error control to a standstill. After as many steps, four times what shipped scenarios take at
-# most, none is shorter than this part of the simulated time, whatever its error.
+# error control to a standstill. After this number of steps, four times the most that eight shipped
+# scenarios took, none is shorter than this part of the time that is left, whatever its error.
 _MOST_STEPS, _SHORTEST = 50_000, 2e-5
 
 
@@ -82,7 +82,7 @@ def _simulate(world: World, scenario: Scenario, controller: Controller) -> tuple
     root = simulator.get_mutable_context()
     context = plant.GetMyMutableContextFromRoot(root)
     trace = StepTrace(world) if contacts is None else ContactTrace(world)
-    # A strong reference, and neither would ever be freed.
+    # A simulator holds its monitor: with a strong reference, neither would ever be freed.
     running = weakref.ref(simulator)
 
     def watch(root: Context) -> EventStatus:

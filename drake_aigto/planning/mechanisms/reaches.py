@@ -100,7 +100,8 @@ class _Following(HeldControl):
         bias = world.calc_bias(world.add(q, h * then), then)
         force = world.calc_mass_matrix(q) @ asked + bias
         if contacts[k]:
-            weight = world.calc_bias(q, 0 * v) * (not self._reaches.is_carried(positions[k + 1]))
+            is_carried = self._reaches.must_carry and self._reaches.is_carried(positions[k + 1])
+            weight = world.calc_bias(q, 0 * v) * (not is_carried)
             force -= self._reaches.calc_push(q, force - weight, contacts[k])[0]
         self.controls[row] = np.clip(world.inverse_actuation @ force, *self._bounds)
         return Held(self.controls[row], float(self.times[row + 1]))
@@ -163,8 +164,7 @@ class Reaches:
         self._moved = np.flatnonzero(is_moved)
         self._supports = np.flatnonzero(~is_moved & are_objects.any(axis=0))
         self.contacts = np.flatnonzero((are_hands & are_objects[::-1]).any(axis=0))
-        self.must_carry = len(self.contacts) > 0  # If they have to at the goal, too.
-        self.must_carry = self.is_carried(cost.goal)
+        self.must_carry = len(self.contacts) > 0 and self.is_carried(cost.goal)
 
     def push(
         self,
@@ -206,7 +206,7 @@ class Reaches:
             last: contacts that pushed before it.
         """
         near = self.world.calc_signed_distance(start)[list(last)] < _NEAR * self._length
-        held = last if near.all() and self.is_carried(start) else ()
+        held = last if self.must_carry and near.all() and self.is_carried(start) else ()
         contacts, path = [held] * count, np.tile(start, (count + 1, 1))
         size = max(self._measure(self._find_way(start)), _NOTHING)
         if held:
@@ -229,10 +229,10 @@ class Reaches:
         return Stroke(path, contacts, then)
 
     def is_carried(self, q: Floats) -> bool:
-        """Returns whether objects have weight, and touch hands alone; no if not at the goal."""
+        """Returns whether objects have weight, and hands alone may touch them."""
         weight = self.world.calc_bias(q, np.zeros(len(self._unit)))[~self._driven]
         distances = self.world.calc_signed_distance(q)[self._supports]
-        return self.must_carry and bool(weight.any() and np.all(distances > _NEAR * self._length))
+        return bool(weight.any() and np.all(distances > _NEAR * self._length))
 
     def _measure(self, way: Floats) -> float:
         """Returns the length of an object's way, by the roots of its weights."""
