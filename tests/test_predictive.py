@@ -169,7 +169,11 @@ def test_a_state_beyond_its_limits_is_planned_from() -> None:
         ({"period": 0.0}, "^period: got 0.0, expected seconds above zero"),
         ({"iterations": 0}, "^iterations: got 0, expected a count"),
         ({"search_every": 2.5}, "^search_every: got 2.5"),
-        ({"search_ticks": 0}, "^search_ticks: got 0, expected a count"),
+        ({"search_ticks": 0}, "^search_ticks: got 0, expected a count of at least 1, or 'auto'"),
+        (
+            {"search_ticks": "soon"},
+            "^search_ticks: got soon, expected a count of at least 1, or 'auto'",
+        ),
         ({"margin": -1.0}, "^margin: got -1.0"),
         ({"surprise": np.nan}, "^surprise: got nan, expected a number of at least 0"),
         ({"horizon": "fixed"}, "^horizon: got fixed, expected 'receding' or 'shrinking'"),

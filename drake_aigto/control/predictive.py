@@ -155,10 +155,10 @@ class ModelPredictiveController(LoopController):
             feedback_period = asked.time_step / OFTEN if is_rare else None
         super().__init__(*about, period, delay, start_time, safety, feedback_period)
         ticks = find_patience(planner, self.period) if search_ticks == "auto" else search_ticks
-        counts = ("iterations", iterations), ("search_every", search_every)
-        for name, value in (*counts, ("search_ticks", ticks)):
+        counts = ("iterations", iterations, ""), ("search_every", search_every, "")
+        for name, value, other in (*counts, ("search_ticks", ticks, ", or 'auto'")):
             if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
-                raise ControlError(name, got=value, expected="a count of at least 1")
+                raise ControlError(name, got=value, expected=f"a count of at least 1{other}")
         self.feedback_period = feedback_period
         if feedback_period is not None:
             name, most = "feedback_period", self.period
