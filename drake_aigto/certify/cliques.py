@@ -179,7 +179,7 @@ class CliqueSearch(BoundSearch):
         slopes, bends, owners = [], [], []
         for group in self._groups:
             of, local, own = group.bins(self._starts)
-            ends, at = self.hull[:, group.variables[of]], np.arange(own.size)
+            ends, at = np.take(self.hull, group.variables[of], axis=1), np.arange(own.size)
             ends[0, at, local], ends[1, at, local] = self._low[own], self._high[own]
             over = enclose_all(self._tape, group.formulas[of], ends[0], ends[1], HESSIAN)
             slopes.append(over[at, 1 + local])

@@ -113,7 +113,7 @@ def solve_band(factors: Floats, x: Floats) -> None:
 _THRESHOLD = 1e-8
 
 
-@kernel
+@borrowing
 def _swap(front: Floats, active: Ints, i: int, j: int, count: int) -> None:
     """Exchanges two unknowns of the front."""
     if i == j:
@@ -125,7 +125,7 @@ def _swap(front: Floats, active: Ints, i: int, j: int, count: int) -> None:
         front[k, i], front[k, j] = front[k, j], front[k, i]
 
 
-@kernel
+@borrowing
 def _largest(front: Floats, i: int, without: int, count: int) -> float:
     """Returns the largest entry of row i in absolute value, but for columns i and `without`."""
     largest = 0.0
@@ -135,7 +135,7 @@ def _largest(front: Floats, i: int, without: int, count: int) -> float:
     return largest
 
 
-@kernel
+@borrowing
 def _is_pair_stable(front: Floats, i: int, j: int, count: int) -> bool:
     """Tests a 2×2 pivot: whether |P⁻¹| times its rows' largest entries is at most 1/u."""
     a, b, c = abs(front[i, i]), abs(front[i, j]), abs(front[j, j])
@@ -147,7 +147,7 @@ def _is_pair_stable(front: Floats, i: int, j: int, count: int) -> bool:
     return _THRESHOLD * growth <= determinant
 
 
-@kernel
+@borrowing
 def _choose_pivot(front: Floats, active: Ints, count: int, summed: int) -> tuple[int, int]:
     """Returns the first pivot that passes, of those `summed`: (i, −1), (i, j) or (−1, −1)."""
     for i in range(count):
@@ -168,7 +168,7 @@ def _choose_pivot(front: Floats, active: Ints, count: int, summed: int) -> tuple
     return -1, -1
 
 
-@kernel
+@borrowing
 def _force_pivot(front: Floats, active: Ints, count: int, summed: int) -> int:
     """Returns the largest diagonal entry among unknowns below `summed`, −1 if all are 0."""
     chosen, largest = -1, 0.0
@@ -178,7 +178,7 @@ def _force_pivot(front: Floats, active: Ints, count: int, summed: int) -> int:
     return chosen
 
 
-@kernel
+@borrowing
 def _enter(band: Floats, front: Floats, active: Ints, count: int, unknown: int) -> None:
     """Puts an unknown's row into the front, as its last."""
     bandwidth = band.shape[0] - 1
@@ -190,7 +190,7 @@ def _enter(band: Floats, front: Floats, active: Ints, count: int, unknown: int) 
     active[count] = unknown
 
 
-@kernel
+@borrowing
 def _eliminate_one(
     front: Floats, active: Ints, count: int, indices: Ints, entries: Floats, fill: int
 ) -> int:
@@ -207,7 +207,7 @@ def _eliminate_one(
     return fill
 
 
-@kernel
+@borrowing
 def _eliminate_pair(
     front: Floats, active: Ints, count: int, indices: Ints, entries: Floats, fill: int
 ) -> int:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.kernels import kernel
+from drake_aigto.kernels import borrowing, kernel
 from drake_aigto.local import PolynomialNlp
 from drake_aigto.terms import FunctionKind, StackedTerms, Term, stack_terms
 
@@ -29,7 +29,7 @@ Bounds = tuple[Floats, Floats]
 Range = tuple[float, float]
 
 
-@kernel
+@borrowing
 def _affine(scale: float, offset: float, low: float, high: float) -> Range:
     """Returns the range of scale · x + offset over x in [low, high]."""
     a, b = scale * low + offset, scale * high + offset
@@ -43,7 +43,7 @@ def product(a: float, b: float, c: float, d: float) -> Range:
     return min(products), max(products)
 
 
-@kernel
+@borrowing
 def _times(a: float, b: float) -> float:
     return 0.0 if a == 0.0 or b == 0.0 else a * b
 
@@ -192,7 +192,7 @@ def _sweep(stacked: StackedTerms, lower: Floats, upper: Floats) -> float:
     return most
 
 
-@kernel
+@borrowing
 def _tighten_factors(
     coefficient: float,
     ends: Range,
@@ -238,14 +238,14 @@ def _tighten_factors(
     return most
 
 
-@kernel
+@borrowing
 def _range_of(factor: Any, low: float, high: float) -> Range:
     """Returns bounds of a factor of `StackedTerms`."""
     f = factor
     return factor_range(f.kind, f.exponent, f.scale, f.offset, low, high, False)
 
 
-@kernel
+@borrowing
 def _root_range(a: float, b: float, exponent: int, low: float, high: float) -> Range:
     """Returns bounds of the y in [low, high] with y^p in [a, b]; upside down if there is none."""
     if exponent == 0:
