@@ -42,7 +42,7 @@ _Base: Any = object if casadi is None else casadi.Callback
 def expand_motion(program: Any, states: Floats, controls: Floats, eps: float, memory: Any) -> float:
     """Computes all stages about a motion to second order, without bounds, and returns its cost."""
     program, memory = borrow(program), borrow(memory)
-    return travel(program, states, controls, LINEARIZE, 0.0, eps, np.inf, memory)
+    return travel(program, states, controls, LINEARIZE, 0.0, eps, np.inf, 0, memory)
 
 
 class ShootingProgram:

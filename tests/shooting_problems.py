@@ -55,7 +55,7 @@ def expand_motion(
     By the kernel that plans descend with: one of its own would be compiled for tests alone.
     """
     no = False
-    settings = Pass(smoothing, 1e-300, 1, np.inf, 1.0, no, np.inf, no, no, no)
+    settings = Pass(smoothing, 1e-300, 1, np.inf, 1.0, no, np.inf, no, no, no, -1)
     return descend(program, states, controls, True, settings, memory).cost
 
 

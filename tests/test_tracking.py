@@ -21,9 +21,15 @@ from drake_aigto import Plan, Planner, PlanOptions, Scenario, TrackingController
 from drake_aigto.contact import contact_law, make_mechanism
 from drake_aigto.control import Disturbance, run_in_loop
 from drake_aigto.errors import ControlError, ModelError
-from drake_aigto.planning import Feedback, MechanismTask, Sweep
+from drake_aigto.planning import Feedback, FeedbackPhase, MechanismTask, Sweep
 from drake_aigto.shooting import ShootingProblem
-from drake_aigto.simulation import make_simulator, replay_drake, replay_event_driven
+from drake_aigto.simulation import (
+    EVENT_DRIVEN,
+    make_simulator,
+    replay_drake,
+    replay_event_driven,
+    replay_with,
+)
 from drake_aigto.trajectory import Trajectory
 
 QUICK = PlanOptions(renewals=48, finalists=1, confirm=False)
@@ -209,10 +215,39 @@ def test_gains_of_friction_are_those_of_the_motion_whatever_steps_a_plan_is_made
     states = problem.simulate(controls, 128).states
     none = np.zeros((len(times), world.num_contacts))
     motion = Trajectory(times, states[:, :n], states[:, n:], controls, none, none[1:])
-    (phase,) = Feedback(world, scenario, motion, period=0.01).phases
+    period = float(np.max(np.diff(times)))
+    (phase,) = Feedback(world, scenario, motion, period=period).phases
     exact = problem.linearize(controls, 1024, 1e-4, states).gains
     off, size = (np.linalg.norm(each, axis=(1, 2)) for each in (phase.gains - exact, exact))
     assert np.max(off / size) < 0.1
+
+
+def test_off_its_plan_tracking_costs_no_more_than_any_gains_that_know_of_walls_from_elsewhere() -> (
+    None
+):
+    scenario = Scenario.named("cart_pole/soft_06")
+    world = World.from_scenario(scenario)
+    told = json.loads(Path(__file__).with_name("shipped_motions.json").read_text("utf-8"))
+    times, controls = (
+        np.array(told["cart_pole/soft_06"][key]) for key in ("control_times", "controls")
+    )
+    mechanism = make_mechanism(world, contact_law(world, scenario))
+    states = ShootingProblem.of(world, scenario, mechanism, times).simulate(controls, 16).states
+    none = np.zeros((len(times), world.num_contacts))
+    motion = Trajectory(times, states[:, :2], states[:, 2:], controls, none, none[1:])
+    tracking = Feedback(world, scenario, motion, period=0.005)
+    (phase,) = tracking.phases
+    problem = ShootingProblem.of(world, scenario, mechanism, phase.times)
+    laws = [tracking]
+    for smoothing in (0.0, 1e-2, 1e-1):
+        gains = problem.linearize(phase.controls, 2, smoothing, phase.states).gains
+        alone = FeedbackPhase(phase.times, phase.states, phase.controls, gains)
+        laws.append(Feedback(world, scenario, motion, [alone]))
+    for push in (0.4, -0.8, 1.2):
+        start = scenario.initial_velocity + np.array([push, 0.0])
+        pushed = dataclasses.replace(scenario, initial_velocity=start)
+        cost, *others = [replay_with(EVENT_DRIVEN, world, pushed, each).cost for each in laws]
+        assert cost <= 1.01 * min(others)
 
 
 def test_where_a_state_is_not_finite_the_plan_plays_on_and_no_nan_leaves_a_port() -> None:

@@ -7,6 +7,7 @@ from .descent import LINEARIZE as LINEARIZE
 from .descent import descend as descend
 from .descent import travel as travel
 from .hold import hold_contacts as hold_contacts
+from .laws import FeedbackLaws as FeedbackLaws
 from .optimal_control import FreeStart as FreeStart
 from .optimal_control import Phases as Phases
 from .problem import ShootingProblem as ShootingProblem

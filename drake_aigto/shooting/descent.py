@@ -52,22 +52,23 @@ def travel(
     length: float,
     eps: float,
     most: float,
+    first: int,
     memory: Memory,
 ) -> float:
-    """Goes through all stages, and returns their cost and the end's; infinite above `most`.
+    """Goes through all stages from the first one on, and returns their cost and the end's.
+
+    That is infinite above `most`.
 
     ROLL computes the states after the first one, LINEARIZE the problem to second order about a
-    motion, and FOLLOW a trial under the control law with a step length α, with gaps that shrink
-    likewise: z_{k+1} = f(z_k, u_k) − (1 − α) gap_k.
+    motion, and FOLLOW a trial from its own start under the control law with a step length α, with
+    gaps that shrink likewise: z_{k+1} = f(z_k, u_k) − (1 − α) gap_k.
     """
     feedforward, gains, gaps = memory.sweep.feedforward, memory.sweep.gains, memory.expansion.gaps
     lower, upper = program.bounds.lower_control, program.bounds.upper_control
     trial_states, trial_controls, kinds = memory.states, memory.controls, program.kinds
     K, nz, cost, has_added = controls.shape[0], gaps.shape[1], 0.0, program.added.factors.any()
     mechanics, room, off = program.mechanics, memory.flow.mechanics, memory.sweep.v1
-    for i in range(states.shape[1]):
-        trial_states[0, i] = states[0, i]
-    for k in range(K):
+    for k in range(first, K):
         z, u, after = states[k], controls[k], states[k + 1]
         size, norm = find_size(program, k)
         if mode == FOLLOW:
@@ -117,6 +118,7 @@ def _search(
     """Returns the first step length that is good enough, 0 if none is."""
     length, eps = 1.0, settings.eps
     count = _FITTED_LENGTHS if settings.holds_states else _LENGTHS
+    _copy(states[:1], memory.states)
     rise, short = (_WARY_RISE, _WARY_SHORT) if settings.is_wary else (_RISE, _SHORT)
     for _ in range(count):
         most, part = cost - _SHARE * length * drop, 0.5
@@ -124,7 +126,7 @@ def _search(
             most = np.inf if length < short else rise * (abs(cost) + drop)
         is_fitted = settings.holds_states and not has_gaps
         limit = np.inf if is_fitted else most
-        found = travel(program, states, controls, FOLLOW, length, eps, limit, memory)
+        found = travel(program, states, controls, FOLLOW, length, eps, limit, 0, memory)
         if found < np.inf:
             penalty, trial = settings.penalty, memory.controls
             found += visit_bounds(program, memory.states, trial, penalty, PENALIZE, memory)
@@ -184,7 +186,8 @@ def descend(
 ) -> Outcome:
     """Improves a motion in place until the expansion promises nearly nothing.
 
-    With an infinite tolerance it is only expanded, and stays as it is.
+    With an infinite tolerance it is only expanded, and stays as it is. Where a law is to be
+    followed, only the trial in the memory changes.
 
     Args:
         program: the problem.
@@ -199,12 +202,16 @@ def descend(
     damping, is_converged, count, slow, before = _DAMPING, False, 0, 0, np.inf
     is_left, eps, cost, is_possible = False, settings.eps, 0.0, settings.iterations > 0
     plain = np.inf
+    if settings.first >= 0:
+        most, first = settings.most, settings.first
+        cost = travel(program, states, controls, FOLLOW, 1.0, eps, most, first, memory)
+        return Outcome(cost, 0, False, cost == np.inf, 0.0)
     if not has_gaps:
-        cost = travel(program, states, controls, ROLL, 0.0, eps, np.inf, memory)
+        cost = travel(program, states, controls, ROLL, 0.0, eps, np.inf, 0, memory)
         is_possible = is_possible and np.isfinite(cost)
     while is_possible and count < settings.iterations:
         count += 1
-        plain = travel(program, states, controls, LINEARIZE, 0.0, eps, np.inf, memory)
+        plain = travel(program, states, controls, LINEARIZE, 0.0, eps, np.inf, 0, memory)
         cost = plain + visit_bounds(program, states, controls, settings.penalty, EXPAND, memory)
         if not np.isfinite(cost):
             break
@@ -232,7 +239,7 @@ def descend(
     if settings.tolerance == np.inf:
         cost = plain
     elif has_gaps or is_possible:
-        cost = travel(program, states, controls, ROLL, 0.0, eps, np.inf, memory)
+        cost = travel(program, states, controls, ROLL, 0.0, eps, np.inf, 0, memory)
     job = UPDATE if settings.updates else MEASURE
     violation = visit_bounds(program, states, controls, settings.penalty, job, memory)
     return Outcome(cost, count, is_converged, is_left, violation)

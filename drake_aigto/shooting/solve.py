@@ -348,6 +348,7 @@ class ShootingRun:
             holds_states=self._holds_states(rung),
             # Of trees, patience takes half as long again, for costs that are as often worse.
             is_patient=not isinstance(self._program.mechanics, TreeMechanics),
+            first=-1,
         )
         has_gaps, memory = self._has_gaps, self._memory
         return descend(self._program, states, self._controls, has_gaps, settings, memory)

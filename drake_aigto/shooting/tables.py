@@ -174,6 +174,7 @@ class Pass(NamedTuple):
     updates: bool  # whether multipliers are updated in the end
     holds_states: bool  # by damping, not controls; and lengths of steps are fitted to costs
     is_patient: bool  # whether steps that are held do not end it, however little they promise
+    first: int  # the stage from which gains are followed, and that is all; −1: it descends
 
 
 class Outcome(NamedTuple):
