@@ -54,7 +54,8 @@ def test_contact_that_steps_cannot_resolve_is_refused_with_the_stiffness_that_th
     name: str,
 ) -> None:
     material: Any = {"*": {"stiffness": 2e9}}
-    stiff = dataclasses.replace(Scenario.named(name), material=material)
+    scenario = Scenario.named(name)
+    stiff = dataclasses.replace(scenario, material=material, duration=10 * scenario.time_step)
     with pytest.raises(ModelError, match=r"a stiffness of 1e\+09 N/m.*at most") as refused:
         Planner(stiff, QUICK).plan()
     assert refused.value.remedy is not None and "contact: rigid" in refused.value.remedy
