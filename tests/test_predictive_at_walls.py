@@ -113,8 +113,9 @@ def test_a_wall_that_is_nearer_than_anyone_knew_is_not_hit_in_passing() -> None:
     assert run.cost < 1.1 * found.cost
 
 
-def test_walls_in_doubt_are_kept_off_where_nothing_is_to_touch_them() -> None:
-    asked = Scenario.named("cart_pole/rigid_06")
+@pytest.mark.parametrize("name", ["cart_pole/rigid_06", "cart_pole/soft_06"])
+def test_walls_in_doubt_are_kept_off_where_nothing_is_to_touch_them(name: str) -> None:
+    asked = Scenario.named(name)
     world, q, v = World.from_scenario(asked), np.array([0.0, np.pi]), np.zeros(2)
     goal = np.array([world.calc_signed_distance(q)[1] - 0.05, np.pi])
     asked = dataclasses.replace(asked, initial_position=q, initial_velocity=v, goal_position=goal)

@@ -11,7 +11,7 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, interpolate
 from drake_aigto.control.horizon import AnyHorizon, BallHorizon, Horizon
-from drake_aigto.control.touches import PlannedMotion, choose, find_left, keep_apart
+from drake_aigto.control.touches import PlannedMotion, choose, find_left, go_on, keep_apart
 from drake_aigto.errors import OptionsError, TrajectoryError
 from drake_aigto.planning import (
     FeedbackPhase,
@@ -59,11 +59,10 @@ _MUCH = 1e-2
 # A contact that lasts is this near to its wall, as a part of the task's length, and this slow, as a
 # part of its speed.
 _AT_WALL, _STILL = 1e-4, 1e-2
-# Times that differ by less than this part are the same.
-_SAME = 1e-9
 # Walls that a motion does not touch are kept off by this part of how much they are in doubt, if
 # that costs no more than this part above the last plan. cart_pole/rigid_06 whose walls were 0, 6
-# and 12 cm nearer cost 80.3, 80.7 and 81.9, and 79.8, 174 and 164 where none was kept off.
+# and 12 cm nearer cost 80.3, 80.7 and 81.9, and 79.8, 174 and 164 where none was kept off;
+# soft_06 80.4, 80.6 and 81.5, and 80.0, 90.5 and 125.
 _OFF, _WORTH = 1 / 3, 0.1
 # How often a tick's iterations are run again, until walls are met.
 _UPDATES = 4
@@ -103,6 +102,20 @@ class _ShootingHorizon(Horizon):
         super().__init__(planner, is_receding, period)
         self._task = make_mechanism_task(planner.world, planner.scenario, planner.options)
         self.num_steps, self.cost_scale = self._task.search_steps, self._task.scales.cost
+        self._doubts = np.zeros(self.world.num_contacts)
+
+    def wary(self, doubts: Floats) -> _ShootingHorizon:
+        """Returns the same task, which keeps off walls that are not known well; see `Horizon`."""
+        other = copy.copy(self)
+        other._doubts = doubts
+        return other
+
+    def _find_least(self, last: PlannedMotion, q: Floats) -> Floats:
+        """Returns φ at least from q on, of contacts in doubt that none is to touch, (m,)."""
+        room = self.world.calc_signed_distance(q)
+        least = np.where(self._doubts > 0, np.minimum(_OFF * self._doubts, room), -np.inf)
+        least[[each.contact for each in last.touches]] = -np.inf
+        return least
 
     def within(self, iterations: int) -> _ShootingHorizon:
         """Returns the same task with other iterations; see `Horizon`."""
@@ -185,7 +198,12 @@ class CompliantHorizon(_ShootingHorizon):
 
     def _lead(self, last: PlannedMotion, left: Trajectory) -> PlannedMotion | None:
         """Returns what a few iterations make of what is left of a motion."""
-        return self._descend(left.times, left.states, left.controls, self._options, last.cost)
+        asked = left.times, left.states, left.controls, self._options, last.cost
+        if np.any(self._doubts):
+            wary = self._descend(*asked, self._find_least(last, left.positions[0]))
+            if wary and wary.cost <= (1 + _WORTH) * last.cost:
+                return wary
+        return self._descend(*asked)
 
     def search(self, now: float, x: Floats) -> PlannedMotion | None:
         """Returns the best motion that boxes and renewals find from a state; None if none."""
@@ -203,6 +221,7 @@ class CompliantHorizon(_ShootingHorizon):
         controls: Floats,
         options: ShootingOptions,
         last_cost: float,
+        least: Floats | None = None,
     ) -> PlannedMotion | None:
         """Returns the best motion near another one, whose gaps it closes; None if it finds none.
 
@@ -210,7 +229,8 @@ class CompliantHorizon(_ShootingHorizon):
         friction, what the controls lead to is tried before, from which no step costs more than the
         one before; gaps are closed where that costs more than the last plan did.
         """
-        problem = dataclasses.replace(self._problem, times=times, start=states[0])
+        known = {"times": times, "start": states[0], "least_distances": least}
+        problem = dataclasses.replace(self._problem, **known)
         starts = (None, states) if self._has_friction else (states,)
         tried = (self._read(problem.solve(controls, start, options)) for start in starts)
         found = choose(tried, last_cost)
@@ -244,13 +264,6 @@ class RigidHorizon(_ShootingHorizon):
         super().__init__(planner, is_receding, period)
         rungs = (Smoothing(0.0, iterations, _TOLERANCE),)
         self._options = dataclasses.replace(_MORE, rungs=rungs, multiplier_updates=_UPDATES)
-        self._doubts = np.zeros(self.world.num_contacts)
-
-    def wary(self, doubts: Floats) -> RigidHorizon:
-        """Returns the same task, which keeps off walls that are not known well; see `Horizon`."""
-        other = copy.copy(self)
-        other._doubts = doubts
-        return other
 
     def is_inside(self, x: Floats) -> bool:
         """Returns whether a wall is touched, and no contact lasts there.
@@ -284,13 +297,11 @@ class RigidHorizon(_ShootingHorizon):
         """Returns what a few iterations make of what is left of a motion; None if that is none."""
         now, q, v = float(left.times[0]), left.positions[0], left.velocities[0]
         duration, rates = float(left.times[-1]) - now, self.world.calc_contact_rate(q, v)
-        touches, slips = _go_on(last), self._read_slips(np.concatenate([q, v]))
+        touches, slips = go_on(last), self._read_slips(np.concatenate([q, v]))
         sequences = find_left(touches, now, duration, self._period, rates, None, slips)
         missed = list[ShootingResult]()
         if np.any(self._doubts):
-            room, met = self.world.calc_signed_distance(q), [each.contact for each in last.touches]
-            least = np.where(self._doubts > 0, np.minimum(_OFF * self._doubts, room), -np.inf)
-            least[met] = -np.inf
+            least = self._find_least(last, q)
             wary = choose(self._close(left, sequences[:1], self._options, [], least), last.cost)
             if wary and wary.cost <= (1 + _WORTH) * last.cost:
                 return wary
@@ -387,12 +398,3 @@ class RigidHorizon(_ShootingHorizon):
             return None
         motion = make_trajectory(self.world, found)
         return PlannedMotion(motion, self._task.price(found), found.touches).later(now)
-
-
-def _go_on(motion: PlannedMotion) -> TouchSequence:
-    """Returns the touches of a motion; what lasts to its end goes on beyond it."""
-    end = (1 - _SAME) * float(motion.trajectory.times[-1])
-    return tuple(
-        dataclasses.replace(touch, end=np.inf) if touch.lasts and touch.end >= end else touch
-        for touch in motion.touches
-    )

@@ -23,6 +23,8 @@ _NEAR = 2.0
 _DEARER = 0.05
 # Touches are kept this part of the time that is left apart, and away from both ends.
 _APART = 1e-4
+# Times that differ by less than this part are the same.
+_SAME = 1e-9
 # A ball that is deeper in a wall than this part of how far off walls may be shows that it stands
 # elsewhere; then it is thought of as farther away in steps of that part.
 _DEEP, _STEP = 0.025, 0.1
@@ -165,6 +167,15 @@ def _find_last(found: Sequence[Touch], touch: Touch) -> float:
         return 0.0
     overlaps = found[-1].lasts and found[-1].contact != touch.contact
     return found[-1].start if overlaps else found[-1].end
+
+
+def go_on(motion: PlannedMotion) -> TouchSequence:
+    """Returns the touches of a motion; what lasts to its end goes on beyond it."""
+    end = (1 - _SAME) * float(motion.trajectory.times[-1])
+    return tuple(
+        dataclasses.replace(touch, end=np.inf) if touch.lasts and touch.end >= end else touch
+        for touch in motion.touches
+    )
 
 
 def _begin(sequence: TouchSequence, lasting: Mapping[int, int], near: float) -> TouchSequence:
