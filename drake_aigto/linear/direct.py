@@ -181,12 +181,12 @@ def _force_pivot(front: Floats, active: Ints, count: int, summed: int) -> int:
 @borrowing
 def _enter(band: Floats, front: Floats, active: Ints, count: int, unknown: int) -> None:
     """Puts an unknown's row into the front, as its last."""
-    bandwidth = band.shape[0] - 1
+    bandwidth = band.shape[1] - 1
     for k in range(count):
         distance = unknown - active[k]
-        entry = band[distance, active[k]] if distance <= bandwidth else 0.0
+        entry = band[active[k], distance] if distance <= bandwidth else 0.0
         front[count, k] = front[k, count] = entry
-    front[count, count] = band[0, unknown]
+    front[count, count] = band[unknown, 0]
     active[count] = unknown
 
 
@@ -241,7 +241,7 @@ def factorize_indefinite(
     """Factorizes; returns the number of negative eigenvalues, −1 if singular.
 
     Args:
-        band: Lower band storage (b + 1, size).
+        band: Lower band storage, transposed (size, b + 1).
         front: Work space (F, F).
         active: Work space (F,): the unknowns in the front.
         pivots: Filled with the unknowns in order of elimination (size,); the first of a 2×2 pivot
@@ -251,7 +251,7 @@ def factorize_indefinite(
         indices: Filled with that column's unknowns.
         entries: Filled with its entries, pairs of them for the first of a 2×2 pivot.
     """
-    bandwidth, size = band.shape[0] - 1, band.shape[1]
+    size, bandwidth = band.shape[0], band.shape[1] - 1
     count = entered = done = fill = negative = 0
     while done < size:
         summed = size if entered == size else entered - bandwidth

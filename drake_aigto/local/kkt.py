@@ -114,7 +114,7 @@ class BandFactors(SymmetricFactors):
 
     def _factorize(self, matrix: Floats) -> int:
         front, active = self._work
-        return factorize_indefinite(matrix, front, active, *self._columns)
+        return factorize_indefinite(matrix.T, front, active, *self._columns)
 
     def _solve(self, right: Floats) -> Floats:
         solution = right.copy()
