@@ -360,8 +360,9 @@ class EquationsOfMotion(Coordinates):
         masses, n = self._mass_map(q), self.num_velocities
         if q.shape != momentum.shape:
             shape = np.broadcast_shapes(q.shape, momentum.shape)
-            momentum = np.broadcast_to(momentum, shape)
-            masses = np.broadcast_to(masses, (*shape, n))
+            # Copies, as views may be in any order and read-only: each kind would be compiled anew.
+            momentum = np.array(np.broadcast_to(momentum, shape), order="C")
+            masses = np.array(np.broadcast_to(masses, (*shape, n)), order="C")
         found = load_kernels().divide_by_masses(masses.reshape(-1, n * n), momentum.reshape(-1, n))
         return np.asarray(found.reshape(momentum.shape))
 
