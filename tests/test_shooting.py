@@ -239,6 +239,24 @@ def test_bounds_at_knots_and_a_hard_goal_hold() -> None:
     assert same.cost == result.cost
 
 
+def test_any_penalty_and_tolerance_lead_to_one_optimum_that_meets_a_hard_goal() -> None:
+    goal = np.array([0.1, 0.2, 0.0, np.nan])
+    problem = pose(soft("cart-pole"), weigh([0, np.pi]), np.zeros(4), hard_goal=goal)
+    costs = []
+    for tolerance in (1e-2, 1e-3, 1e-4):
+        for penalty in (10.0, 1e3, 1e5):
+            options = ShootingOptions(
+                (Smoothing(0.1, 40, tolerance),),
+                penalty=penalty,
+                feasibility=1e-9,
+                multiplier_updates=24,
+            )
+            result = problem.solve(np.ones((30, 1)), options=options)
+            assert result.violation <= 1e-9
+            costs.append(result.cost)
+    np.testing.assert_allclose(costs, costs[0], rtol=1e-7)
+
+
 @pytest.mark.parametrize("how", ["is_modulo", "is_chordal"])
 def test_a_hard_goal_is_met_at_the_nearest_turn_where_turns_do_not_count(how: str) -> None:
     goal = np.array([np.nan, 0.5, 0.0, 0.0])

@@ -24,8 +24,11 @@ from drake_aigto.transcription import Touch, TouchSequence
 # factor as well. Around a cart-pole between soft walls, steps that may do so lead to better plans.
 _SHORTER = 2
 # Bounds are infeasible near a motion if this many updates in a row, with growing penalties, each
-# leave more than this part of their violation.
+# leave more than this part of their violation, though steps were made or would be.
 _PATIENCE, _STUCK = 4, 0.9
+# After a pass without a step, the next one has a tolerance finer by this factor, down to rounding:
+# with a larger ρ it would step, too, but hardly move.
+_FINER, _FINEST = 1e-2, 1e-13
 # After a pass that was cut off, costs may still fall by up to this factor: of 280 motions of discs
 # that swap places, none fell further below the limit.
 _FALLING = 2.5
@@ -264,23 +267,25 @@ class ShootingRun:
 
     def run(self) -> ShootingResult:
         """Runs all rungs, then the last one until bounds hold, or J is above the most."""
-        rungs, before, stuck = self._choose_rungs(), np.inf, 0
-        most = self._options.most_promised
-        for rung in rungs:
+        before, stuck, most = np.inf, 0, self._options.most_promised
+        for rung in self._choose_rungs():
             outcome = self._run_rung(rung, before)
             before = outcome.violation
             outcome = outcome._replace(is_left=outcome.is_left or outcome.cost > rung.most)
             if outcome.is_left:
                 return self.finish(outcome)
         for _ in range(self._options.multiplier_updates if self._is_bounded else 0):
-            before, has_ended = outcome.violation, outcome.iterations < rungs[-1].iterations
+            before, has_ended = outcome.violation, outcome.iterations < rung.iterations
             limit = most if has_ended else most + (_FALLING - 1) * abs(most)
             outcome = outcome._replace(is_left=outcome.is_left or outcome.cost > limit)
             is_done = before <= self._options.feasibility or stuck == _PATIENCE
             if is_done or outcome.is_left:
                 break
-            outcome = self._run_rung(rungs[-1], before)
-            stuck = stuck + 1 if outcome.violation > _STUCK * before else 0
+            if outcome.iterations == 1:  # Violations cost less than steps have to gain.
+                rung = rung._replace(tolerance=max(_FINER * rung.tolerance, _FINEST))
+            outcome = self._run_rung(rung, before)
+            tells = outcome.iterations > 1 or rung.tolerance <= _FINEST
+            stuck = stuck + tells if outcome.violation > _STUCK * before else 0
         return self.finish(outcome)
 
     def linearize(self) -> MotionExpansion:
@@ -311,10 +316,10 @@ class ShootingRun:
         return (rungs[-1]._replace(iterations=sum(rung.iterations for rung in rungs)),)
 
     def _run_rung(self, rung: Smoothing, before: float) -> Outcome:
-        """Returns the outcome of a rung; ρ grows if bounds are violated as much as before it."""
+        """Returns the outcome of a rung; ρ grows if its steps leave violations as they were."""
         outcome = self._descend(rung, self._states, self._is_bounded)
         self._iterations, self._has_gaps = self._iterations + outcome.iterations, False
-        if self._is_bounded and outcome.violation > before / 4:
+        if self._is_bounded and outcome.iterations > 1 and outcome.violation > before / 4:
             self._penalty *= 10
         return outcome
 

@@ -221,8 +221,8 @@ _EXACT, _MOST_SUBSTEPS = 1e-4, 16
 # The best impact with friction is often at the edge of its mode. Steps toward it pass the edge, and
 # with a high penalty none of them would be accepted.
 _GENTLE = 1e2
-# Violations this small cost next to nothing: steps that gain less have to count, too.
-_SETTLED = ShootingOptions((Smoothing(0.0, 40, 1e-12),), multiplier_updates=24, feasibility=1e-11)
+# Multipliers soon meet walls to rounding; until they do, more steps a pass creep along them.
+_SETTLED = ShootingOptions((Smoothing(0.0, 10, 1e-9),), multiplier_updates=24, feasibility=1e-11)
 # Walls are met to rounding in Runge-Kutta steps whose error is at most this part of the scales.
 _TRUE = 1e-7
 # A motion is steady if other steps move its end by less than this part of its scales.
