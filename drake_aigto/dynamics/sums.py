@@ -182,7 +182,8 @@ class SumMap:
             if len(self._shape) == 1:  # Simulations ask for distances in every step.
                 return values
         else:
-            rows = np.ascontiguousarray(points, dtype=float).reshape(-1, points.shape[-1])
+            # A copy, as what is read-only would be compiled anew.
+            rows = np.array(points, dtype=float, order="C").reshape(-1, points.shape[-1])
             values = load_kernels().evaluate_sums(rows, *self.tables)
         return values.reshape(*points.shape[:-1], *self._shape)
 
