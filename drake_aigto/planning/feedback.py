@@ -291,8 +291,8 @@ class Feedback(Controller):
             ]
             self.phases = [FeedbackPhase(times, states, u, self._gains[0])]
             if len(from_far) > 1:
-                brief = -(-whole // parts), 4 if mechanism.has_friction else 2
-                self._laws = FeedbackLaws(problem, states, u, self._gains, *brief)
+                brief = -(-whole // parts)
+                self._laws = FeedbackLaws(problem, states, u, self._gains, brief, 2)
 
     @property
     def stretches(self) -> list[Stretch]:
