@@ -188,27 +188,6 @@ class _KernelLowering(NativeLowering):
         return True
 
 
-def _remember_signatures() -> None:
-    """Has Numba remember what its own functions return for arguments of some types.
-
-    To find that, it tries all that it knows of a function, for each + anew: an eighth of the time.
-    What is added to a function makes another type of it, and that is looked up anew.
-    """
-    of_numba: Any = types.BaseFunction
-    find, found = of_numba.get_call_type, dict[Any, Any]()
-
-    def get_call_type(function: Any, context: Any, args: Any, kws: Any) -> Any:
-        key = function, context, args, tuple(kws.items())
-        if key not in found:
-            found[key] = find(function, context, args, kws)
-        return found[key]
-
-    of_numba.get_call_type = get_call_type
-
-
-_remember_signatures()
-
-
 class _Pipeline(CompilerBase):
     """Numba's pipeline with a lowering of ours."""
 
