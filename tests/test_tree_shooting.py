@@ -30,6 +30,7 @@ from drake_aigto.kernels import borrow, kernel
 from drake_aigto.planning import MechanismTask, PlanOptions
 from drake_aigto.shooting import (
     IMPLICIT,
+    TWO_STAGES,
     FreeStart,
     Phases,
     ShootingOptions,
@@ -124,7 +125,7 @@ def replay(plant: MultibodyPlant, start: Floats, times: Floats, controls: Floats
 # Turns are rotation vectors about a stage's start: moved with it, its steps have other errors.
 @pytest.mark.parametrize(
     ("seed", "order", "substeps", "off"),
-    [(0, 4, 2, 1e-5), (1, 4, 2, 1e-5), (1, IMPLICIT, 16, 2e-4)],
+    [(0, 4, 2, 1e-5), (1, 4, 2, 1e-5), (1, IMPLICIT, 16, 2e-4), (1, TWO_STAGES, 16, 2e-4)],
 )
 @pytest.mark.parametrize(
     ("phases", "is_free"),
@@ -238,15 +239,19 @@ def test_velocities_change_alone_to_the_same_bits(name: str) -> None:
         np.testing.assert_array_equal(alone, whole)
 
 
-def test_the_error_of_implicit_steps_falls_with_their_length() -> None:
+@pytest.mark.parametrize(("order", "falls"), [(IMPLICIT, 2), (TWO_STAGES, 4)])
+def test_the_error_of_implicit_steps_falls_with_their_length(order: int, falls: float) -> None:
     rng = np.random.default_rng(5)
     plant = make_arm(rng, 2)
     problem = make_problem(plant, np.zeros(2), np.zeros(2), 10, 1.0, np.ones(4))
     controls = rng.normal(size=(10, 2))
-    exact = problem.simulate(controls, 256).states[-1]
-    ends = [problem.simulate(controls, n, order=IMPLICIT).states[-1] for n in (16, 32, 64)]
-    errors = [np.abs(end - exact).max() for end in ends]
-    assert 1.8 < errors[0] / errors[1] < 2.3 and 1.8 < errors[1] / errors[2] < 2.3
+    problem = replace(problem, cost=replace(problem.cost, Q=np.ones(2), Qv=np.ones(2)))
+    exact = problem.simulate(controls, 256)
+    found = [problem.simulate(controls, n, order=order) for n in (16, 32, 64)]
+    ends = [np.abs(each.states[-1] - exact.states[-1]).max() for each in found]
+    costs = [abs(each.cost - exact.cost) for each in found]
+    for off in (ends, costs):
+        np.testing.assert_allclose(np.divide(off[:-1], off[1:]), falls, rtol=0.15)
 
 
 def test_an_arm_of_seven_joints_goes_to_a_pose_and_drake_agrees() -> None:
@@ -279,7 +284,8 @@ def test_a_body_without_a_foothold_turns_by_its_arms_and_drake_agrees() -> None:
 
 
 @pytest.mark.parametrize(
-    ("order", "substeps", "left", "back"), [(2, 2, 0.05, 1e-3), (IMPLICIT, 1, 5e-4, 5e-3)]
+    ("order", "substeps", "left", "back"),
+    [(2, 2, 0.05, 1e-3), (IMPLICIT, 1, 5e-4, 5e-3), (TWO_STAGES, 1, 5e-4, 1e-2)],
 )
 def test_a_slip_ends_in_long_steps_without_turning_round(
     tmp_path: Path, order: int, substeps: int, left: float, back: float

@@ -25,7 +25,7 @@ from drake_aigto.planning.stretches import (
     is_at_rest_on,
     touches_walls,
 )
-from drake_aigto.shooting import IMPLICIT, FeedbackLaws, ShootingProblem
+from drake_aigto.shooting import TWO_STAGES, FeedbackLaws, ShootingProblem
 from drake_aigto.simulation import Controller, Growth, Held, calc_growth, tangent_scales
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scales, Scenario, TaskCost, World
@@ -274,7 +274,7 @@ class Feedback(Controller):
         elif not phases:
             mechanism = mechanism or make_mechanism(world, contact_law(world, scenario))
             is_stiff = isinstance(mechanism, TreeMechanism) and mechanism.has_friction
-            parts, whole, order = 1, _SOFT_SUBSTEPS, IMPLICIT if is_stiff else 4
+            parts, whole, order = 1, _SOFT_SUBSTEPS, TWO_STAGES if is_stiff else 4
             if in_loop := period is not None and not is_stiff:
                 parts = int(np.ceil(self.longest_hold / self._goal[-1] - _SAME))
             if not is_stiff:

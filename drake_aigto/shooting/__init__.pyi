@@ -13,6 +13,7 @@ from .optimal_control import Phases as Phases
 from .problem import ShootingProblem as ShootingProblem
 from .problem import limit_states as limit_states
 from .program import IMPLICIT as IMPLICIT
+from .program import TWO_STAGES as TWO_STAGES
 from .solve import ShootingOptions as ShootingOptions
 from .solve import ShootingResult as ShootingResult
 from .solve import Smoothing as Smoothing

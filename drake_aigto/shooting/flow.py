@@ -119,9 +119,12 @@ def flow(
                     K[i, c], K[n + i, c] = X[n + i, c], 0.0
         bend(mechanics, x, has_slopes, slope, X, K, room.mechanics)
         if method.shape[0] == 1:  # Of trees.
-            step_implicitly(mechanics, k, s, z, u, eps, delta, unit, has_slopes, is_trial, room)
+            step_implicitly(
+                mechanics, k, s, z, u, eps, delta, unit, method[0, 1], has_slopes, is_trial, room
+            )
             if is_measured:
-                time, lag = start + (s + 1) * delta, (s + 1) * unit
+                ahead = s + method[0, 0]
+                time, lag = start + ahead * delta, ahead * unit
                 cost += _add_part(program, time, lag, delta, unit, z, has_slopes, nz, room, l1, l2)
             continue
         for r in range(method.shape[0]):

@@ -12,7 +12,7 @@ from drake_aigto.contact import AnyMechanism, TreeMechanism
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.optimal_control import OptimalControlProblem
-from drake_aigto.shooting.program import IMPLICIT, make_program
+from drake_aigto.shooting.program import TWO_STAGES, is_implicit, make_program
 from drake_aigto.shooting.solve import (
     MotionExpansion,
     ShootingOptions,
@@ -146,9 +146,11 @@ class ShootingProblem(OptimalControlProblem):
     ) -> tuple[MotionExpansion, int]:
         """Returns the problem about a motion, and the number of steps that resolve its friction.
 
-        Bodies that stick have stiff friction: in steps that are too long errors grow by powers of
-        ten where those of the motion fade. So steps are halved until their transitions agree. In
-        the plane friction follows the steps, which are halved only where it has to be exact.
+        Bodies that stick have stiff friction: in explicit steps that are too long errors grow by
+        powers of ten where those of the motion fade. So these are halved until their transitions
+        agree. In the plane friction follows the steps, which are halved only where it has to be
+        exact. Implicit steps are stable in any length, and have two stages here: half way through a
+        plan of quadruped/leap_up, 8 of these are as exact as 128 of one stage.
 
         Args:
             controls: see `linearize`, as for states and order.
@@ -161,6 +163,8 @@ class ShootingProblem(OptimalControlProblem):
             ProgramError: from `linearize`.
         """
         known: Floats | float = np.nan
+        if is_implicit(order):
+            return self.linearize(controls, substeps, 0.0, states, TWO_STAGES), substeps
         is_exact = is_exact or isinstance(self.mechanism, TreeMechanism)
         while True:
             is_last = substeps >= _MOST_SUBSTEPS or not is_exact
@@ -311,4 +315,4 @@ def limit_states(world: World, bounds: Limits) -> Floats:
 
 def _refine(result: ShootingResult) -> tuple[int, int]:
     """Returns the number and the order of steps that those of a result are compared with."""
-    return 2 * result.substeps, IMPLICIT if result.order == IMPLICIT else 4
+    return 2 * result.substeps, result.order if is_implicit(result.order) else 4

@@ -12,13 +12,16 @@ from drake_aigto.shooting.optimal_control import OptimalControlProblem, StageLay
 from drake_aigto.shooting.tables import CHORDAL, EXACT, FLOW, MODULO, Bounds, CostTable, Program
 from drake_aigto.world import TaskCost
 
-# Steps of this order are implicit in velocities (`step_implicitly`).
-IMPLICIT = 1
+# Steps that are implicit in velocities (`step_implicitly`): of order 1, and of order 2, in two
+# stages.
+IMPLICIT, TWO_STAGES = 1, -2
 # Time of each evaluation of a Runge-Kutta step, as a part of the step, and its weight. Its state is
 # ahead of the start by that part of the slope before it; before the first one only positions move.
-# So order 2 is the leapfrog method for forces without velocities, which suits stiff springs.
+# So order 2 is the leapfrog method for forces without velocities, which suits stiff springs. Of
+# implicit steps it is the time at which the cost's rate is taken, and γ.
 _METHODS = {
     IMPLICIT: np.array([[1.0, 1.0]]),
+    TWO_STAGES: np.array([[0.5, 1 - np.sqrt(0.5)]]),
     2: np.array([[0.5, 0.0], [0.5, 1.0]]),
     4: np.array([[0.0, 1 / 6], [0.5, 1 / 3], [0.5, 1 / 3], [1.0, 1 / 6]]),
 }
@@ -26,6 +29,11 @@ _METHODS = {
 _FLOOR = 1e-6
 # No phase is shorter than this share of the longest total.
 _SHORTEST = 1e-3
+
+
+def is_implicit(order: int) -> bool:
+    """Returns whether steps are implicit in velocities."""
+    return order in (IMPLICIT, TWO_STAGES)
 
 
 def make_program(
@@ -36,15 +44,15 @@ def make_program(
     Args:
         problem: the task.
         substeps: Runge-Kutta steps of a stage.
-        order: of their error, 4, 2 or `IMPLICIT`.
+        order: of their error, 4 or 2; `IMPLICIT` or `TWO_STAGES`.
         other: of the same problem in other steps, which shares all that does not depend on them.
 
     Raises:
         OptionsError: implicit steps of what is no tree of joints.
     """
-    if order == IMPLICIT and not isinstance(problem.mechanism, TreeMechanism):
+    if is_implicit(order) and not isinstance(problem.mechanism, TreeMechanism):
         raise OptionsError("order", "implicit steps in the plane", "an order of 2 or 4")
-    mechanics, method = problem.fit_mechanism(substeps, order == IMPLICIT), _METHODS[order]
+    mechanics, method = problem.fit_mechanism(substeps, is_implicit(order)), _METHODS[order]
     if other is not None:
         mechanics = copy_writable(mechanics)
         return other._replace(mechanics=mechanics, substeps=substeps, method=method)

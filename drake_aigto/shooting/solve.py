@@ -14,7 +14,7 @@ from drake_aigto.contact import SOURCE, TreeMechanics
 from drake_aigto.errors import OptionsError, ProgramError, check_counts, check_positive
 from drake_aigto.shooting.descent import descend
 from drake_aigto.shooting.optimal_control import OptimalControlProblem, Phases
-from drake_aigto.shooting.program import IMPLICIT
+from drake_aigto.shooting.program import is_implicit
 from drake_aigto.shooting.tables import FLOW, Outcome, Pass, Program, make_memory
 from drake_aigto.simulation import Replay
 from drake_aigto.transcription import Touch, TouchSequence
@@ -61,7 +61,7 @@ class ShootingOptions:
         rungs: passes at falling smoothing. Without compliance or friction, the last one with all
             iterations replaces them.
         substeps: steps of a stage, by a Runge-Kutta method, or implicit ones.
-        order: of their error: 4, or 2 with half as many evaluations; `IMPLICIT`, 1, is for trees.
+        order: of their error: 4, or 2 with half as many evaluations; or implicit (`is_implicit`).
         penalty: ρ at first, in units of cost per squared scale.
         multiplier_updates: further passes of the last rung, until bounds at knots hold.
         feasibility: their largest violation, in units of the state's scales.
@@ -99,7 +99,7 @@ class ShootingOptions:
             ("smoothing", rungs, "numbers of at least 0", all(r.smoothing >= 0 for r in rungs)),
             ("iterations", rungs, "at least 1", all(r.iterations >= 1 for r in rungs)),
             ("tolerance", rungs, "numbers above 0", all(r.tolerance > 0 for r in rungs)),
-            ("order", self.order, "1, 2 or 4", self.order in (IMPLICIT, 2, 4)),
+            ("order", self.order, "1, -2, 2 or 4", self.order in (2, 4) or is_implicit(self.order)),
             ("most_promised", self.most_promised, "a number", not math.isnan(self.most_promised)),
         )
         for name, got, expected, holds in checks:

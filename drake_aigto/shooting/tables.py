@@ -83,8 +83,8 @@ class Program(NamedTuple):
     steps: Floats  # lengths of stages [s]; with phases, as shares of τ; shape (K,)
     times: Floats  # starts of stages, without phases, shape (K + 1,) [s]
     substeps: int  # Runge-Kutta steps of a stage
-    # Time of each evaluation, as a part of a step, and its weight, shape (E, 2); a single one is of
-    # velocities at the end of the step (`implicit`).
+    # Time of each evaluation, as a part of a step, and its weight, shape (E, 2); a single row is of
+    # implicit steps, with their γ (`implicit`).
     method: Floats
 
 
@@ -194,7 +194,8 @@ def make_memory(program: Program) -> Memory:
     width = implicit = 0  # Of states beyond tangents; steps.
     if isinstance(mechanics, TreeMechanics):
         width = mechanics.num_positions - len(mechanics.places)
-        implicit = program.substeps if len(program.method) == 1 else 0
+        if len(program.method) == 1:
+            implicit = program.substeps * (1 if program.method[0, 1] == 1.0 else 2)
     nu, nx, nz = program.task.control.size, program.task.running.size, program.bounds.does_turn.size
     nc, C, code = nz + nu, nx + nu, program.added.code
     return Memory(

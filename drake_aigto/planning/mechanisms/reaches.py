@@ -370,11 +370,11 @@ class Reaches:
         """Returns positions in which contacts touch, by Newton steps from others, one by one."""
         for contact in contacts:
             for _ in range(_NEWTON):
-                distances, normals, jacobians = self.world.relate(q)
+                distances, slopes = self.world.approach(q)
                 off = float(distances[contact])
                 if abs(off) < _TOUCHES * self._length:
                     break
-                J = normals[contact] @ jacobians[contact] * driven
+                J = slopes[contact] * driven
                 towards = self._unit**2 * J
                 step = -off * towards / max(J @ towards, _NOTHING)
                 longest = float(np.max(np.abs(step) / self._unit))
