@@ -66,7 +66,9 @@ def sweep_back(
     drop = 0.0
     for k in range(K - 1, -1, -1):
         size, norm = find_size(program, k)
-        _expand_control(k, nz, size, has_gaps, expansion, memory)
+        _expand_value(k, nz, nz + size, has_gaps, expansion, memory)
+        for i in range(nz):
+            Q2[i, i] += holding * bounds.weights[i]
         for i in range(size):
             for j in range(size):
                 H[i, j] = Q2[nz + i, nz + j]
@@ -87,16 +89,15 @@ def sweep_back(
             for i in range(size):
                 du[i] = target[i] - u[i]
         _find_gains(k, nz, size, is_on_ball, u, du, memory)
-        gains, weights = memory.gains[k], bounds.weights
-        drop += _step_back(k, nz, size, multiplier, holding, weights, du, gains, expansion, memory)
+        drop += _step_back(nz, size, multiplier, du, memory.gains[k], memory)
     return drop
 
 
 @borrowing
-def _expand_control(
-    k: int, nz: int, size: int, has_gaps: bool, expansion: Expansion, memory: SweepMemory
+def _expand_value(
+    k: int, nz: int, nc: int, has_gaps: bool, expansion: Expansion, memory: SweepMemory
 ) -> None:
-    """Computes gradient and Hessian, by (z, u), of the cost from stage k on, in their rows of u."""
+    """Computes gradient and Hessian of the cost from stage k on, by (z, u)."""
     F, l1, l2, gaps = expansion.F, expansion.l1, expansion.l2, expansion.gaps
     V1, V2, v1, VF, Q1, Q2 = memory.V1, memory.V2, memory.v1, memory.VF, memory.Q1, memory.Q2
     for i in range(nz):
@@ -104,20 +105,25 @@ def _expand_control(
         if has_gaps:
             for j in range(nz):
                 v1[i] += V2[i, j] * gaps[k, j]
-        for d in range(nz, nz + size):
-            VF[i, d] = 0.0
-            for j in range(nz):
-                VF[i, d] += V2[i, j] * F[k, j, d]
-    for d in range(nz, nz + size):
-        Q1[d] = l1[k, d]
-        for c in range(nz + size):
-            Q2[d, c] = l2[k, min(c, d), max(c, d)]
+        for c in range(nc):
+            VF[i, c] = 0.0
+        for j in range(nz):
+            V2_ij = V2[i, j]
+            for c in range(nc):
+                VF[i, c] += V2_ij * F[k, j, c]
+    for c in range(nc):
+        Q1[c] = l1[k, c]
+        for d in range(c, nc):
+            Q2[c, d] = l2[k, c, d]
     for i in range(nz):
-        for d in range(nz, nz + size):
-            VF_id = VF[i, d]
-            Q1[d] += F[k, i, d] * v1[i]
-            for c in range(nz + size):
-                Q2[d, c] += VF_id * F[k, i, c]
+        for c in range(nc):
+            F_ic = F[k, i, c]
+            Q1[c] += F_ic * v1[i]
+            for d in range(c, nc):
+                Q2[c, d] += F_ic * VF[i, d]
+    for c in range(nc):
+        for d in range(c):
+            Q2[c, d] = Q2[d, c]
 
 
 @borrowing
@@ -266,69 +272,36 @@ def _find_gains(
 
 @borrowing
 def _step_back(
-    k: int,
-    nz: int,
-    size: int,
-    multiplier: float,
-    holding: float,
-    weights: Floats,
-    du: Floats,
-    gains: Floats,
-    expansion: Expansion,
-    memory: SweepMemory,
+    nz: int, size: int, multiplier: float, du: Floats, gains: Floats, memory: SweepMemory
 ) -> float:
-    """Computes the cost to go before the stage, and returns the gain of its control.
-
-        V = [I, K]ᵀ ∇²l [I, K] + (F_z + F_u K)ᵀ V⁺ (F_z + F_u K)
-
-    is a sum of parts that are positive by themselves (Bucy & Joseph, 1968), and rounds three to
-    five times less than a difference of Hessians does, under penalties of 1e6 to 1e14.
-    """
-    Q1, Q2, V1, V2, v1, VF = memory.Q1, memory.Q2, memory.V1, memory.V2, memory.v1, memory.VF
-    F, l1, l2, gain = expansion.F[k], expansion.l1[k], expansion.l2[k], 0.0
-    slope, closed = memory.room[0], memory.Q2
+    """Computes the cost to go before the stage, and returns the gain of its control."""
+    Q1, Q2, V1, V2, slope = memory.Q1, memory.Q2, memory.V1, memory.V2, memory.room[0]
+    both, gain = memory.VF, 0.0
     for i in range(size):
         Hu = 0.0
-        slope[i] = l1[nz + i]
         for j in range(size):
             Hu += Q2[nz + i, nz + j] * du[j]
-            slope[i] += l2[nz + min(i, j), nz + max(i, j)] * du[j]
         gain -= du[i] * (Q1[nz + i] + Hu / 2)
-    for i in range(nz):
+        slope[i] = Q1[nz + i] + Hu
+    for i in range(size):
+        Q2[nz + i, nz + i] += multiplier
+    # V2 = Q_zz + Kᵀ (Q_uu K + Q_uz) + Q_zu K.
+    for i in range(size):
+        for d in range(nz):
+            both[i, d] = Q2[nz + i, d]
         for j in range(size):
-            v1[i] += VF[i, nz + j] * du[j]
-        for c in range(nz):
-            closed[i, c] = F[i, c]
-        for j in range(size):
-            F_ij = F[i, nz + j]
-            for c in range(nz):
-                closed[i, c] += F_ij * gains[j, c]
-    for i in range(nz):
-        for c in range(nz):
-            VF[i, c] = 0.0
-        for j in range(nz):
-            V2_ij = V2[i, j]
-            for c in range(nz):
-                VF[i, c] += V2_ij * closed[j, c]
+            Q2_ij = Q2[nz + i, nz + j]
+            for d in range(nz):
+                both[i, d] += Q2_ij * gains[j, d]
     for c in range(nz):
-        V1[c] = l1[c]
+        V1[c] = Q1[c]
         for d in range(c, nz):
-            V2[c, d] = l2[c, d]
-        V2[c, c] += holding * weights[c]
+            V2[c, d] = Q2[c, d]
         for i in range(size):
-            V1[c] += l2[c, nz + i] * du[i] + gains[i, c] * slope[i]
-            pull = l2[c, nz + i] + multiplier * gains[i, c]
-            for j in range(size):
-                pull += l2[nz + min(i, j), nz + max(i, j)] * gains[j, c]
+            gain_ic, Q2_ic = gains[i, c], Q2[nz + i, c]
+            V1[c] += Q2_ic * du[i] + gain_ic * slope[i]
             for d in range(c, nz):
-                V2[c, d] += pull * gains[i, d] + gains[i, c] * l2[d, nz + i]
-    for i in range(nz):
-        for c in range(nz):
-            closed_ic = closed[i, c]
-            V1[c] += closed_ic * v1[i]
-            for d in range(c, nz):
-                V2[c, d] += closed_ic * VF[i, d]
-    for c in range(nz):
+                V2[c, d] += gain_ic * both[i, d] + Q2_ic * gains[i, d]
         for d in range(c + 1, nz):
             V2[d, c] = V2[c, d]
     return gain
