@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
@@ -26,6 +27,9 @@ from drake_aigto.world import Scenario, World
 # Runge-Kutta steps between two rows of a replay, where contacts neither begin nor end; more while
 # gaps are above this part of the states, until steps do not cause them.
 _STEPS, _MOST_STEPS, _EXACT = 32, 512, 1e-8
+# Between compliant walls, the parts of an interval in which it is integrated again while it ends
+# off by more than this part of the states: a graze is over within a step of the check.
+_PARTS, _MOST_PARTS, _CLOSE = 8, 64, 1e-7
 # Distances and speeds below this part of the largest coordinate, or 1, count as zero.
 _STILL = 1e-10
 
@@ -87,14 +91,19 @@ def _trace_compliant(
 ) -> tuple[Trajectory, Floats]:
     """Returns the same between compliant walls, in other steps from each knot to the next."""
     q, v = replay.states_at(times)
-    x, forces = np.hstack([q, v]), np.zeros((len(controls), dynamics.world.num_contacts))
-    ends, step = x[:-1].copy(), np.inf
+    x, step = np.hstack([q, v]), np.inf
+    forces = np.zeros((len(controls), dynamics.world.num_contacts))
+    gaps, most = np.zeros(x.shape[1]), np.maximum(_CLOSE * np.max(np.abs(x), axis=0), _STILL)
     for k, u in enumerate(np.array(controls)):
-        span = float(times[k]), float(times[k + 1])
-        rows, step = dynamics.follow(ends[k], u, span, step, FINE)
-        forces[k] = dynamics.calc_mean_forces(rows)
+        parts, off = 1, np.full_like(most, np.inf)
+        while parts <= _MOST_PARTS and not np.all(off <= most):
+            end, pushes = x[k].copy(), []
+            for span in pairwise(np.linspace(times[k], times[k + 1], parts + 1).tolist()):
+                rows, step = dynamics.follow(end, u, span, step, FINE)
+                pushes.append(dynamics.calc_mean_forces(rows))
+            off, forces[k], parts = np.abs(end - x[k + 1]), np.mean(pushes, axis=0), _PARTS * parts
+        gaps = np.maximum(gaps, off)
     none = np.zeros((len(times), dynamics.world.num_contacts))
-    gaps = np.abs(ends - x[1:]).max(axis=0)
     return Trajectory(times, q, v, controls, none, forces), gaps
 
 
