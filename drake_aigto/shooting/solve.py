@@ -26,8 +26,7 @@ _SHORTER = 2
 # Bounds are infeasible near a motion if this many updates in a row, with growing penalties, each
 # leave more than this part of their violation, though steps were made or would be.
 _PATIENCE, _STUCK = 4, 0.9
-# After a pass without a step, the next one has a tolerance finer by this factor, down to rounding:
-# with a larger ρ it would step, too, but hardly move.
+# After a pass without a step, tolerances are finer by this factor: larger ρ would damp steps, too.
 _FINER, _FINEST = 1e-2, 1e-13
 # After a pass that was cut off, costs may still fall by up to this factor: of 280 motions of discs
 # that swap places, none fell further below the limit.
@@ -281,11 +280,11 @@ class ShootingRun:
             is_done = before <= self._options.feasibility or stuck == _PATIENCE
             if is_done or outcome.is_left:
                 break
-            if outcome.iterations == 1:  # Violations cost less than steps have to gain.
+            if self._tells_nothing(outcome):
                 rung = rung._replace(tolerance=max(_FINER * rung.tolerance, _FINEST))
             outcome = self._run_rung(rung, before)
-            tells = outcome.iterations > 1 or rung.tolerance <= _FINEST
-            stuck = stuck + tells if outcome.violation > _STUCK * before else 0
+            waits = self._tells_nothing(outcome) and rung.tolerance > _FINEST
+            stuck = stuck + (not waits) if outcome.violation > _STUCK * before else 0
         return self.finish(outcome)
 
     def linearize(self) -> MotionExpansion:
@@ -319,9 +318,13 @@ class ShootingRun:
         """Returns the outcome of a rung; ρ grows if its steps leave violations as they were."""
         outcome = self._descend(rung, self._states, self._is_bounded)
         self._iterations, self._has_gaps = self._iterations + outcome.iterations, False
-        if self._is_bounded and outcome.iterations > 1 and outcome.violation > before / 4:
-            self._penalty *= 10
+        stays = outcome.violation > before / 4 and not self._tells_nothing(outcome)
+        self._penalty *= 10 if self._is_bounded and stays else 1
         return outcome
+
+    def _tells_nothing(self, outcome: Outcome) -> bool:
+        """Returns whether a pass between rigid walls made no step: violations cost too little."""
+        return outcome.iterations == 1 and self._problem.phases is not None
 
     def _holds_states(self, rung: Smoothing) -> bool:
         """Returns whether damping holds states: of trees, and where compliant contacts slide.
@@ -389,11 +392,7 @@ class ShootingRun:
 
 
 def _take(name: str, values: Floats, shape: tuple[int, ...]) -> Floats:
-    """Returns a copy to work on.
-
-    Raises:
-        ProgramError: its shape is another.
-    """
+    """Returns a copy to work on, or raises a ProgramError as its shape is another."""
     array = np.array(values, dtype=float)
     if array.shape != shape:
         raise ProgramError(name, got=f"shape {array.shape}", expected=f"{shape}")
