@@ -282,8 +282,8 @@ class Feedback(Controller):
                 whole = max(whole, least)
             times, states, u = _refine(world, trajectory, parts)
             problem = ShootingProblem.of(world, scenario, mechanism, times)
-            is_exact = period is not None and mechanism.has_friction
-            exact, steps = problem.resolve(u, -(-whole // parts), states, order, is_exact)
+            is_exact, fewest = period is not None and mechanism.has_friction, -(-whole // parts)
+            exact, steps = problem.resolve(u, fewest, states, order, is_exact)
             self._transitions = exact.transitions
             from_far = _ON_PLANTS if in_loop and mechanism.is_smoothed else (_SMOOTHING,)
             self._gains = [
@@ -291,8 +291,7 @@ class Feedback(Controller):
             ]
             self.phases = [FeedbackPhase(times, states, u, self._gains[0])]
             if len(from_far) > 1:
-                brief = -(-whole // parts)
-                self._laws = FeedbackLaws(problem, states, u, self._gains, brief, 2)
+                self._laws = FeedbackLaws(problem, states, u, self._gains, fewest, 2)
 
     @property
     def stretches(self) -> list[Stretch]:

@@ -45,6 +45,19 @@ class FeedbackLaws:
             ShootingOptions((Smoothing(0.0, 1, 1.0),), substeps, order)
         )
         self._motion = np.array(states), np.array(controls)
+        self._follow = Pass(
+            eps=0.0,
+            penalty=0.0,
+            iterations=0,
+            tolerance=0.0,
+            scale=0.0,
+            is_wary=False,
+            most=np.inf,
+            updates=False,
+            holds_states=False,
+            is_patient=False,
+            first=0,
+        )
         self._memories = [make_memory(self._program) for _ in gains]
         for memory, each in zip(self._memories, gains, strict=True):
             memory.sweep.gains[...] = each
@@ -54,7 +67,7 @@ class FeedbackLaws:
         best, least = 0, np.inf
         for i, memory in enumerate(self._memories):
             memory.states[k] = x
-            follow = Pass(0.0, 0.0, 0, 0.0, 0.0, False, least, False, False, False, k)
+            follow = self._follow._replace(most=least, first=k)
             cost = descend(self._program, *self._motion, False, follow, memory).cost
             if cost < least:
                 best, least = i, cost

@@ -194,8 +194,7 @@ def make_memory(program: Program) -> Memory:
     width = implicit = 0  # Of states beyond tangents; steps.
     if isinstance(mechanics, TreeMechanics):
         width = mechanics.num_positions - len(mechanics.places)
-        if len(program.method) == 1:
-            implicit = program.substeps * (1 if program.method[0, 1] == 1.0 else 2)
+        implicit = 2 * program.substeps if len(program.method) == 1 else 0  # Of up to two stages.
     nu, nx, nz = program.task.control.size, program.task.running.size, program.bounds.does_turn.size
     nc, C, code = nz + nu, nx + nu, program.added.code
     return Memory(

@@ -283,11 +283,6 @@ class SpaceWorld(SpaceCoordinates, World):
         self._measure(q, J.reshape(len(list_rows(q)), *J.shape[-2:]))
         return J
 
-    def approach(self, q: Floats) -> tuple[Floats, Floats]:
-        """Returns φ, shape (m,) [m], and J, shape (m, nv), of one state (nq,)."""
-        J = np.empty((1, self.num_contacts, self.num_velocities))
-        return self._measure(q, J)[0][0], J[0]
-
     def calc_slides(self, q: Floats, v: Floats) -> Floats:
         """Returns how the first shape of each pair slides along the second, (…, m, 3) [m/s]."""
         found = []

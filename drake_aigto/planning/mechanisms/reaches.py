@@ -370,11 +370,10 @@ class Reaches:
         """Returns positions in which contacts touch, by Newton steps from others, one by one."""
         for contact in contacts:
             for _ in range(_NEWTON):
-                distances, slopes = self.world.approach(q)
-                off = float(distances[contact])
+                off = float(self.world.calc_signed_distance(q)[contact])
                 if abs(off) < _TOUCHES * self._length:
                     break
-                J = slopes[contact] * driven
+                J = self.world.calc_contact_jacobian(q)[contact] * driven
                 towards = self._unit**2 * J
                 step = -off * towards / max(J @ towards, _NOTHING)
                 longest = float(np.max(np.abs(step) / self._unit))
