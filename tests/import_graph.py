@@ -8,10 +8,17 @@ from pathlib import Path
 
 
 @functools.cache
+def statements(source: str) -> tuple[ast.Import | ast.ImportFrom | ast.ClassDef, ...]:
+    """Returns the imports and classes of a file, wherever they are."""
+    kinds = ast.Import, ast.ImportFrom, ast.ClassDef
+    return tuple(node for node in ast.walk(ast.parse(source)) if isinstance(node, kinds))
+
+
+@functools.cache
 def imported_modules(source: str, package: str) -> tuple[str, ...]:
     """Returns the dotted names of all that a file of the package imports, wherever it does."""
     names: list[str] = []
-    for node in ast.walk(ast.parse(source)):
+    for node in statements(source):
         if isinstance(node, ast.Import):
             names += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

@@ -77,14 +77,6 @@ def cost_of(line: Line, bounces: Sequence[LineBounce]) -> float:
     return effort + line.weight * (path[-1] - line.goal) ** 2
 
 
-def bounces_by_chance(line: Line, count: int, rng: np.random.Generator) -> list[LineBounce]:
-    """Returns some bounces."""
-    times = np.sort(rng.uniform(0.02, 0.98, count))
-    speeds = rng.uniform(0.0, 1.5, count) * max(abs(line.velocity), 1.0, abs(line.gravity) / 4)
-    walls = rng.integers(0, len(line.walls), count)
-    return [LineBounce(*bounce) for bounce in zip(times, walls.tolist(), speeds, strict=True)]
-
-
 @cache
 def world_of(name: str) -> World:
     (scenario,) = WORLDS[name].draw(1, seed=0)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow
 from phase_solutions import MET, solve
 from pydrake.solvers import LorentzConeConstraint
 from pydrake.symbolic import exp, sin
@@ -239,7 +240,7 @@ def removing(t: RigidTranscription) -> None:
             "contradict each other: got 'nonpenetration' on q(9); 'constraint on q(9)' on q(9)",
         ),
         (square, "contradict each other: got 'square' on q(9); 'constraint on q(9)' on q(9),"),
-        (beyond_the_disc, "'wide' on u(3), u(4), u(5), u(6), u(7); 'ball' on u(3), u(4)"),
+        *slow((beyond_the_disc, "'wide' on u(3), u(4), u(5), u(6), u(7); 'ball' on u(3), u(4)")),
         (lambda t: t.state(21), "state(21): got knot 21, expected one of 0 … 20"),
         (lambda t: t.state(-1), "state(-1): got knot -1, expected one of 0 … 20"),
         (lambda t: t.input(20), "input(20): got knot 20, expected one of 0 … 19"),

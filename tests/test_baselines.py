@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from marks import slow
 from replay_worlds import make_diagram, make_scenario
 
 from benchmarks.baselines import BASELINES, Recorder, run_baseline
@@ -75,7 +76,11 @@ def test_time_has_to_be_a_positive_number(world: World, scenario: Scenario, seco
         Recorder(world, scenario, seconds)
 
 
-@pytest.mark.parametrize("name", [name for name in BASELINES if "literal" not in name])
+RIGID = [name for name in BASELINES if "literal" not in name]
+QUICK = [name for name in RIGID if not name.startswith(SLOW)]
+
+
+@pytest.mark.parametrize("name", [*QUICK, *slow(*(name for name in RIGID if name not in QUICK))])
 def test_every_rigid_baseline_finds_that_nothing_is_to_be_done(
     world: World, scenario: Scenario, name: str
 ) -> None:

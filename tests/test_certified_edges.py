@@ -20,6 +20,7 @@ from drake_aigto.solver import AigoOptions, AigoSolver
 SMALL, TINY = -8.437660688527946e-86, -3.8056667485585995e-75
 
 
+@pytest.mark.slow
 def test_a_bound_that_is_missing_is_derived_or_named() -> None:
     prog = MathematicalProgram()
     (x,) = prog.NewContinuousVariables(1, "speed")

@@ -68,6 +68,7 @@ def test_prices_of_rows_prove_a_chain_once_its_best_point_is_found() -> None:
     assert details.lower_bound <= problem.minimum + 1e-9
 
 
+@pytest.mark.slow
 def test_rows_of_all_variables_leave_the_bound_that_a_chain_has_without_them() -> None:
     size = 12
     prog, x = box(size)
@@ -122,6 +123,7 @@ def test_a_constrained_optimum_is_proven(make: Callable[[], Any], below: float) 
     assert least - below <= details.lower_bound <= least
 
 
+@pytest.mark.slow
 def test_more_cells_are_spent_without_being_asked_for_as_long_as_they_soon_prove_it() -> None:
     prog, least = hs29()
     details = AigoSolver().Solve(prog).get_solver_details()
@@ -260,6 +262,7 @@ def test_seconds_end_a_proof_and_progress_is_told() -> None:
     assert lines[0].startswith("bound ")
 
 
+@pytest.mark.slow
 def test_an_interruption_keeps_the_bound_so_far() -> None:
     prog = long_proof()
     known = certify(prog, cells=100).lower_bound
@@ -380,6 +383,7 @@ def test_few_rows_that_contradict_each_other_are_told_with_numbers() -> None:
     assert explain_infeasibility(prog) in str(details)
 
 
+@pytest.mark.slow
 def test_rows_that_cells_alone_prove_to_contradict_each_other_are_told_with_numbers() -> None:
     """Where Σ x_i ≥ 2.5, Σ x_i² ≥ 1.25; ranges of either row say nothing of the other."""
     prog, x = program(lambda *x: (x[0] - 0.3) ** 2, 5)

@@ -24,7 +24,8 @@ def keep_apart(name: str, clearance: dict[str, float]) -> Scenario:
     return dataclasses.replace(Scenario.named(name), **changes)
 
 
-@pytest.mark.parametrize("name", [SOFT, pytest.param(RIGID, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [SOFT, RIGID])
 def test_a_pole_swings_up_at_a_distance_from_its_walls(name: str) -> None:
     scenario = keep_apart(name, {"pole against *": DISTANCE})
     found = plan(scenario, QUICK)

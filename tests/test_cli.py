@@ -55,6 +55,7 @@ def test_plan_writes_what_it_prints_and_replay_its_own_verdict(
     assert "verdict     holds" in printed
 
 
+@pytest.mark.slow
 def test_a_literal_plan_that_fails_on_a_rigid_wall_exits_with_1(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -255,8 +256,8 @@ def test_bad_words_are_one_line_and_say_where_help_is(
     assert remedy.endswith(f" Try {command} --help.\n")
 
 
-def test_who_reads_only_the_head_sees_no_traceback(plan_file: Path) -> None:
-    command = [sys.executable, "-m", "drake_aigto", "replay", str(plan_file)]
+def test_who_reads_only_the_head_sees_no_traceback() -> None:
+    command = [sys.executable, "-m", "drake_aigto", "list"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()

@@ -158,6 +158,7 @@ def test_the_table_says_what_the_study_says(page: Path) -> None:
     assert "Not all of these" not in text
 
 
+@pytest.mark.slow
 def test_the_page_is_the_same_again(page: Path, tmp_path: Path) -> None:
     again = tmp_path / page.name
     assert main(["page", str(page.with_name("rivals.json")), "--out", str(again)]) == FINE

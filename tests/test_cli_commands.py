@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from marks import slow
 from refusals import check_refused, refuse_work
 from scenario_fields import ALL_FIELDS
 
@@ -58,11 +59,8 @@ def test_help_fits_and_its_examples_are_understood(
             PARSER.parse_args(words[1:])
 
 
-@pytest.mark.parametrize("name", [[], ["--quiet"]])
-def test_without_a_command_help_is_shown(
-    name: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(name) == BAD_INPUT
+def test_without_a_command_help_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--quiet"]) == BAD_INPUT
     shown = capsys.readouterr()
     assert not shown.out
     assert shown.err.startswith("usage: drake-aigto") and "\nexamples:\n" in shown.err
@@ -110,7 +108,7 @@ def _as_words(value: Any) -> list[str]:
     return [",".join(map(str, item)) if isinstance(item, list) else str(item) for item in items]
 
 
-@pytest.mark.parametrize("flags", [[], ["--beside", "gradient"], ["--optimization"]])
+@pytest.mark.parametrize("flags", [[], ["--beside", "gradient"], *slow(["--optimization"])])
 def test_play_writes_a_page(
     flags: list[str], plan_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -149,6 +147,7 @@ def test_a_plan_that_can_not_be_read_leaves_no_page(
     assert not list(page.parent.iterdir())
 
 
+@pytest.mark.slow
 def test_report_writes_a_page_without_a_display(
     plan_file: Path,
     tmp_path: Path,
@@ -203,11 +202,12 @@ def test_table1_writes_a_page_and_tells_an_interruption(
     assert ("Interrupted: 3 of 3 cells" in capsys.readouterr().out) == (status == INTERRUPTED)
 
 
+@pytest.mark.slow
 def test_control_writes_a_log_and_a_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log, page = tmp_path / "run.json", tmp_path / "run.html"
-    words = ["control", "table1/1", "--method", "tracking", "--mass-factor", "1.1"]
+    words = ["control", "table1/1", "--method=tracking", "--period=0.01", "--mass-factor=1.1"]
     assert main([*words, "--json", str(log), "--html", str(page)]) == FINE
     told = capsys.readouterr().out
     assert told.startswith("goal        reached") and "masses times 1.1" in told
@@ -233,6 +233,7 @@ def test_control_plans_again_where_it_can_and_shows_it_live(
     assert "ModelPredictiveController" in told and "press" in told
 
 
+@pytest.mark.slow
 def test_control_says_that_it_was_interrupted(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

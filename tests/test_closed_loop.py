@@ -55,7 +55,9 @@ def replan() -> ClosedLoopRun:
 
 
 def track(disturbance: Disturbance | None = None, **options: Any) -> ClosedLoopRun:
-    return run_in_loop(TrackingController(make_plan()), WALL, None, disturbance, **options)
+    return run_in_loop(
+        TrackingController(make_plan(), period=0.01), WALL, None, disturbance, **options
+    )
 
 
 @cache
@@ -85,6 +87,7 @@ def test_without_disturbance_a_plan_keeps_its_promise_off_a_stiff_wall() -> None
     assert 0 < run.replay.max_penetration < 1e-3
 
 
+@pytest.mark.slow
 def test_the_record_is_of_what_a_diagram_does() -> None:
     diagram, plant = close_loop(POLE.model, make_controller())
     simulator = Simulator(diagram)

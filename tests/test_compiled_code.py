@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import gc
 import os
 import signal
@@ -17,7 +16,7 @@ import pytest
 from numba.core.event import Event, Listener, install_listener
 
 import drake_aigto
-from drake_aigto import code_cache, kernels
+from drake_aigto import kernels
 from drake_aigto.arrays import Floats
 
 CHECKOUT = Path(drake_aigto.__file__).parents[1]
@@ -281,22 +280,3 @@ def test_ctrl_c_ends_what_compiles_once_that_is_whole() -> None:
     with install_listener("numba:compile", interruption):
         assert (caller(2.0), called(2.0)) == (6.0, 3.0)
     assert interruption.count == 2
-
-
-def imported_names(file: Path) -> set[tuple[str, str, str]]:
-    """Returns leading dots, modules and names of a file's imports, found by Python's own parser."""
-    found = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            found |= {("", alias.name, "") for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            found |= {("." * node.level, node.module or "", alias.name) for alias in node.names}
-    return found
-
-
-def test_no_import_is_overlooked() -> None:
-    for file in (CHECKOUT / "drake_aigto").rglob("*.py*"):
-        if file.suffix in (".py", ".pyi"):
-            imports = code_cache._imports(str(file))
-            found = {(*origin, name) for *origin, names in imports for name in names or ("",)}
-            assert imported_names(file) <= found, file

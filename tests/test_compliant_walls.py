@@ -40,7 +40,7 @@ def miss(rigid: Replay, drake: Replay) -> float:
 
 
 @pytest.mark.parametrize("e", [1.0, 0.8])
-@pytest.mark.parametrize("bounces", [1, 2, 6])
+@pytest.mark.parametrize("bounces", [1, 6])
 def test_lateness_adds_up_in_the_corridor_as_foretold(bounces: int, e: float) -> None:
     # From the middle at such a speed that the n-th flight ends at 1.3 s of 1.5.
     v = (0.5 + sum(e**-n for n in range(1, bounces))) / 1.3
@@ -137,8 +137,7 @@ def test_each_contact_has_its_own_delay() -> None:
     assert contact_delay(world) == far == pytest.approx(np.pi * np.sqrt(4e-9))
 
 
-@pytest.mark.parametrize("bounces", [1, 8])
-@pytest.mark.parametrize("part", [0.1, 0.9])
+@pytest.mark.parametrize(("bounces", "part"), [(1, 0.9), (8, 0.1)])
 def test_lateness_stays_lateness_through_later_bounces(bounces: int, part: float) -> None:
     # Of a ball that hops, e = 1: each delay leaves it that much later for good, so the end is off
     # by the last speed times all delays, but for what integration may miss of the energy.

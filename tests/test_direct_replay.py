@@ -167,8 +167,7 @@ def test_support_is_the_nearest_point_of_a_cone(seed: int, m: int, n: int) -> No
         assert way @ direction >= -rounding
 
 
-@pytest.mark.parametrize("distance", [0.013, -0.2])
-@pytest.mark.parametrize("e", [1.0, 0.7])
+@pytest.mark.parametrize(("distance", "e"), [(0.013, 0.7), (-0.2, 1.0)])
 def test_moving_the_wall_is_moving_start_and_goal_the_other_way(distance: float, e: float) -> None:
     scenario = make_scenario(restitution=e)
     shifted = dataclasses.replace(

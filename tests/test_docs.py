@@ -23,6 +23,7 @@ from typing import Any, get_origin
 
 import pytest
 import yaml
+from marks import slow
 
 import drake_aigto
 from benchmarks import records
@@ -210,17 +211,20 @@ def assert_same_output(printed: str, promised: str) -> None:
     assert got == pytest.approx(expected, rel=RELATIVE_TOLERANCE)
 
 
-@pytest.mark.parametrize(
-    ("code", "promised"),
-    [
-        *examples(README),
-        *(
-            pytest.param(*example, marks=pytest.mark.slow)
-            for page in (MODELS_PAGE, TASKS_PAGE, LOOP_PAGE, CERTIFICATES_PAGE)
-            for example in examples(page)
-        ),
-    ],
-)
+QUICK = [
+    each
+    for each in examples(README)
+    if not re.search("TrackingController|plan_many|plan_literal", each[0])
+]
+LONG = [
+    each
+    for page in (README, MODELS_PAGE, TASKS_PAGE, LOOP_PAGE, CERTIFICATES_PAGE)
+    for each in examples(page)
+    if each not in QUICK
+]
+
+
+@pytest.mark.parametrize(("code", "promised"), [*QUICK, *slow(*LONG)])
 def test_an_example_prints_what_is_promised(
     code: str, promised: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,6 +13,7 @@ import mpmath
 import numpy as np
 import pydrake.symbolic as sym
 import pytest
+from marks import slow
 from pydrake.solvers import ExpressionConstraint, MathematicalProgram
 from random_functions import (
     FUNCTIONS,
@@ -127,7 +128,7 @@ ONE: dict[str, Callable[..., Any]] = {
 }
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(4000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [60, *slow(4000)])
 @pytest.mark.parametrize("name", ONE)
 def test_a_function_of_one_variable_is_enclosed(name: str, count: int) -> None:
     """Value and derivatives hold over cells of widths from nothing to the size of x."""
@@ -181,10 +182,10 @@ def values_of(tape: Tape, x: Sequence[Any]) -> list[Any]:
     return values
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, *slow(1)])
 def test_relaxations_hold_at_all_points_of_a_cell_in_high_precision(seed: int) -> None:
     rng = np.random.default_rng([8, seed])
-    for _ in range(15):
+    for _ in range(6):
         size = int(rng.integers(1, 5))
         prog, x = box(size, -1.0, 2.0)
         for k in range(3):
@@ -218,7 +219,7 @@ def test_relaxations_hold_at_all_points_of_a_cell_in_high_precision(seed: int) -
 @pytest.mark.parametrize("reach", [1.0, np.inf])
 def test_a_cell_keeps_its_points_that_cost_no_more_than_the_cutoff(reach: float) -> None:
     rng, exact = np.random.default_rng(12), SimpleNamespace(**HIGH_PRECISION)
-    for _ in range(60):
+    for _ in range(20):
         size = int(rng.integers(2, 4))
         point = rng.normal(size=size)
         reaches = np.where(rng.random((2, size)) < 0.5, reach, 1e-3)
@@ -274,11 +275,7 @@ def test_however_bad_the_multipliers_are_the_bound_holds() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seed", "count"),
-    [
-        *(([7, number], 40) for number in range(2)),
-        *(pytest.param([9, number], 1000, marks=pytest.mark.slow) for number in range(10)),
-    ],
+    ("seed", "count"), [([7, 0], 15), *slow(*(([9, number], 1000) for number in range(10)))]
 )
 def test_a_feasible_point_is_never_excluded(seed: list[int], count: int) -> None:
     """Rows and bounds that a point meets just about, fixed variables and rows twice among them.

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from loops import set_start
+from marks import slow
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.analysis import Simulator
@@ -84,7 +85,7 @@ def test_what_differs_from_the_model_is_found() -> None:
 
 
 @pytest.mark.parametrize("scenario", [BALL, Scenario.named("pendulum/off_the_wall")])
-@pytest.mark.parametrize("shift", [0.03, pytest.param(-0.03, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("shift", [0.03, *slow(-0.03)])
 def test_a_rigid_wall_is_as_near_as_it_is_said_to_be(scenario: Scenario, shift: float) -> None:
     world = World.from_scenario(scenario)
     truth = Disturbance(mass_factor=1.2, wall_shift=shift).apply(world, scenario)
@@ -258,10 +259,10 @@ def apply(world: World, scenario: Scenario, known: ModelEstimate, values: Any) -
     ("name", "unknown"),
     [
         ("cart_pole/soft_06", ["mass", "stiffness", "walls", "force"]),
-        ("cart_pole/rigid_06", ["mass", "walls", "force"]),
-        ("cart_pole/dry", ["mass", "friction", "force"]),
-        ("hopper/hop", ["mass", "friction", "stiffness", "walls"]),
-        ("pushed_block/slide", ["mass", "walls", "friction"]),
+        *slow(("cart_pole/rigid_06", ["mass", "walls", "force"])),
+        *slow(("cart_pole/dry", ["mass", "friction", "force"])),
+        *slow(("hopper/hop", ["mass", "friction", "stiffness", "walls"])),
+        *slow(("pushed_block/slide", ["mass", "walls", "friction"])),
         ("table1/1", ["mass", "walls"]),
         ("payload/transport", ["mass"]),
     ],

@@ -170,21 +170,21 @@ def test_a_turn_in_space_is_filtered() -> None:
     assert np.linalg.norm(found[-1][:4]) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(
-    "name", ["floor/rebound", pytest.param("room/bank_shot", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["floor/rebound", "room/bank_shot"])
 def test_no_command_answers_a_bounce_with_what_was_before_it(name: str) -> None:
     """It would take 54 N for a moment: felt and filtered, a bounce is not at the same time."""
     rebound = plan(name)
     noise = Disturbance(noise=np.repeat([2e-3, 2e-2], len(rebound.scenario.initial_position)))
-    controller = TrackingController(rebound)
+    controller = TrackingController(rebound, period=0.01)
     loop = run_in_loop(controller, rebound.scenario, disturbance=noise, filters=True)
     assert loop.is_filtered and "(seed 0), filtered before the controller" in format_run(loop)
     assert np.max(np.abs(loop.controls)) < 3.0
     assert loop.cost < 1.2 * rebound.cost
 
 
-@pytest.mark.parametrize("again", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("again", [False, True])
 def test_a_loop_costs_less_with_a_filter(again: bool) -> None:
     base, planner = plan("table1/1"), Planner(BALL)
     noise = Disturbance(noise=5e-3 * np.array([1.0, 10.0]))

@@ -102,6 +102,7 @@ def test_a_missing_solver_of_binaries_is_named_with_its_extra(
         friction_peer.solve_modes(Scenario.named("sliding_block/to_rest"), 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(friction_peer.pyscipopt is None, reason="SCIP is not installed")
 def test_binaries_of_stick_and_slip_lead_to_the_closed_form() -> None:
     scenario = Scenario.named("sliding_block/to_rest")

@@ -14,14 +14,7 @@ from space_models import ball_and_finger, make_scenario
 
 from drake_aigto import Scenario, World
 from drake_aigto.contact import RigidLaw
-from drake_aigto.planning import (
-    Aim,
-    Measures,
-    MechanismTask,
-    PlanOptions,
-    make_mechanism_task,
-    soften,
-)
+from drake_aigto.planning import Measures, MechanismTask, PlanOptions, make_mechanism_task, soften
 from drake_aigto.world import SpaceWorld
 
 
@@ -44,32 +37,6 @@ def test_the_same_draw_gives_the_same_bits_from_the_start_within_bounds(name: st
             np.testing.assert_allclose(one.states[0], start, atol=1e-12)
 
 
-def test_a_motion_is_extended_by_a_wait_and_by_rest() -> None:
-    task = make_task("acrobot/swing_up")
-    longer = dataclasses.replace(task.scenario, duration=3 * task.scenario.duration)
-    guesses = MechanismTask(task.world, longer, PlanOptions()).guesses
-    motion = task.close(task.guesses.plain("line"), Aim())
-    guess = guesses.extend(motion, 2.0)
-    assert guess.states is not None
-    waits, rests = guess.times <= 2.0, guess.times > 4.0 + 1e-9
-    np.testing.assert_allclose(guess.states[waits], motion.states[:1].repeat(waits.sum(), axis=0))
-    np.testing.assert_allclose(guess.states[rests][:, 2:], 0.0)
-    np.testing.assert_allclose(guess.states[rests][:, :2] - motion.states[-1, :2], 0.0, atol=1e-12)
-    np.testing.assert_array_equal(guess.controls[waits[1:]], 0.0)
-    assert "coast" not in guesses.starts  # It hangs still.
-
-
-def test_where_every_joint_is_driven_the_controls_of_a_path_follow_it() -> None:
-    scenario = Scenario.named("pendulum/off_the_wall")
-    scenario = dataclasses.replace(scenario, initial_velocity=[0.0], control_upper=None)
-    task = MechanismTask(World.from_scenario(scenario), scenario, PlanOptions())
-    guess = task.guesses.plain("line")
-    assert guess.states is not None
-    followed = task.shooting(task.search_steps).simulate(guess.controls, substeps=4)
-    away = np.abs(followed.states[:, 0] - guess.states[:, 0])
-    assert np.max(away) < 0.02 * np.ptp(guess.states[:, 0])
-
-
 def test_lines_lead_to_the_goal_from_both_sides_where_turns_do_not_count() -> None:
     task = make_task("cart_pole/soft_06")
     ends = [task.guesses.plain(start).states for start in ("line", "turn")]
@@ -78,32 +45,6 @@ def test_lines_lead_to_the_goal_from_both_sides_where_turns_do_not_count() -> No
     assert np.cos(angles[0]) == pytest.approx(np.cos(task.scenario.goal_position[1]))
     exact = dataclasses.replace(task.scenario, angles="exact")
     assert "turn" not in MechanismTask(task.world, exact, PlanOptions()).guesses.starts
-
-
-def test_moves_wait_first_or_rest_at_the_end_for_any_time() -> None:
-    scenario = dataclasses.replace(Scenario.named("acrobot/swing_up"), duration=6.0)
-    task = MechanismTask(World.from_scenario(scenario), scenario, PlanOptions())
-    assert task.measures.period == pytest.approx(0.976, rel=1e-2)
-    waits, rests = [], []
-    for seed in range(60):
-        guess = task.guesses.draw("controls", np.random.default_rng(seed))
-        acts = np.flatnonzero(np.any(guess.controls, axis=1))
-        waits.append(guess.times[acts[0]] / 6)
-        rests.append(1 - guess.times[acts[-1] + 1] / 6)
-    assert min(waits) < 0.05 and max(waits) > 0.7
-    assert min(rests) < 0.05 and max(rests) > 0.7
-
-
-def test_a_renewal_perturbs_a_stretch_alone_or_moves_all_of_a_motion() -> None:
-    task = make_task("acrobot/swing_up")
-    motion = task.close(task.guesses.plain("line"), Aim())
-    kept = 0
-    for seed in range(30):
-        guess = task.guesses.renew(motion, np.random.default_rng(seed))
-        assert guess.controls.shape == motion.controls.shape
-        same = np.isclose(guess.controls, motion.controls, atol=1e-9).all(axis=1)
-        kept += bool(same.any() and not same.all())
-    assert kept > 10
 
 
 def slide(length: float, mass: float, time: float, damping: float = 0.0) -> tuple[World, Scenario]:

@@ -50,6 +50,7 @@ def hold(world: World, contacts: list[int]) -> Bools:
 
 
 # At once, no more contacts than coordinates: else forces are not unique.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "contacts"),
     [
@@ -129,6 +130,7 @@ def test_carts_push_each_other_apart_and_a_simulation_agrees() -> None:
     np.testing.assert_allclose(states, result.states[beyond], atol=0.01)
 
 
+@pytest.mark.slow
 def test_drake_confirms_carts_that_push_each_other_and_refuses_what_they_do_not() -> None:
     result, world = push_apart(), carts()
     replay = replay_drake(world, CARTS, result.times, result.controls)
@@ -157,6 +159,7 @@ def test_what_lasts_yields_more_and_other_contacts_as_before() -> None:
         assert read(0) == pytest.approx(world.stiffness[0])
 
 
+@pytest.mark.slow
 def test_what_is_held_stays_at_the_wall_and_pushes() -> None:
     result, world = push_apart(), carts()
     phi = world.calc_signed_distance(result.states[:, :3])

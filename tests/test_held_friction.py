@@ -61,6 +61,7 @@ def press(
     return forces, memory.acceleration[0], memory.by_force.T, memory.slopes.T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("modes", [[0], [1], [-1], [1, 1], [0, -1]])
 def test_what_sticks_or_slips_moves_as_coulomb_says_and_its_derivatives_are_those_of_differences(
     modes: list[int],
@@ -212,6 +213,7 @@ UNTIL = np.sqrt(6 / (MU * G))
 LEAST = 4 / 3 * (MU * G) ** 2 * UNTIL
 
 
+@pytest.mark.slow
 def test_the_cheapest_push_to_rest_lets_the_floor_brake() -> None:
     problem = make_mechanism_task(World.from_scenario(BLOCK), BLOCK, PlanOptions())
     assert isinstance(problem, RigidMechanismTask)

@@ -1,4 +1,8 @@
-"""The road: a package imports only from those before it, and importing ours is quick."""
+"""The road: a package imports only from those before it, and importing ours is quick.
+
+No import is overlooked by the cache of machine code. One name, one thing: no two classes of the
+package share a name, private ones neither.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +11,14 @@ import graphlib
 import importlib
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
-from import_graph import import_graph, imported_modules
+from import_graph import import_graph, imported_modules, statements
 
 import drake_aigto
+from drake_aigto import code_cache
 
 PACKAGE = Path(drake_aigto.__file__).parent
 ROAD = (
@@ -226,3 +232,43 @@ def test_a_name_that_left_the_top_level_says_where_it_is(name: str) -> None:
 def test_a_name_that_left_a_room_says_what_stands_for_it(room: str, name: str, stands: str) -> None:
     with pytest.raises(ImportError, match=rf"{name} is gone: use {stands}"):
         getattr(importlib.import_module(f"drake_aigto.{room}"), name)
+
+
+def imported_names(file: Path) -> set[tuple[str, str, str]]:
+    """Returns leading dots, modules and names of a file's imports, found by Python's own parser."""
+    found = set()
+    for node in statements(file.read_text(encoding="utf-8")):
+        if isinstance(node, ast.Import):
+            found |= {("", alias.name, "") for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found |= {("." * node.level, node.module or "", alias.name) for alias in node.names}
+    return found
+
+
+def test_no_import_is_overlooked() -> None:
+    for file in (CHECKOUT / "drake_aigto").rglob("*.py*"):
+        if file.suffix in (".py", ".pyi"):
+            imports = code_cache._imports(str(file))
+            found = {(*origin, name) for *origin, names in imports for name in names or ("",)}
+            assert imported_names(file) <= found, file
+
+
+def classes_by_name(root: Path) -> dict[str, list[str]]:
+    """Returns the files of a package that define a class, by its name without underscores."""
+    found = defaultdict(list)
+    for path in sorted(root.rglob("*.py")):
+        for node in statements(path.read_text(encoding="utf-8")):
+            if isinstance(node, ast.ClassDef):
+                found[node.name.lstrip("_")].append(str(path.relative_to(root)))
+    return found
+
+
+def test_no_two_classes_share_a_name() -> None:
+    shared = {name: files for name, files in classes_by_name(PACKAGE).items() if len(files) > 1}
+    assert shared == {}
+
+
+def test_a_private_class_shares_the_name_of_a_public_one(tmp_path: Path) -> None:
+    (tmp_path / "one.py").write_text("class Walls: ...", encoding="utf-8")
+    (tmp_path / "other.py").write_text("def f():\n    class _Walls: ...", encoding="utf-8")
+    assert classes_by_name(tmp_path) == {"Walls": ["one.py", "other.py"]}

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow
 
 from drake_aigto import PlanOptions, Scenario, plan
 from drake_aigto.errors import TrajectoryError
@@ -16,8 +17,7 @@ PENDULUM = Scenario.named("pendulum/off_the_wall")
 
 
 @pytest.mark.parametrize(
-    ("name", "share"),
-    [("cart_pole/soft_10", 0.95), pytest.param("cart_pole/rigid_10", 1.0, marks=pytest.mark.slow)],
+    ("name", "share"), [("cart_pole/soft_10", 0.95), *slow(("cart_pole/rigid_10", 1.0))]
 )
 def test_a_motion_that_is_known_is_led_on(name: str, share: float) -> None:
     """One start alone finds less."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from marks import slow
 from numpy.typing import NDArray
 from pydrake.solvers import SnoptSolver, SolverOptions
 from scipy.optimize import minimize
@@ -105,9 +106,7 @@ def test_random_functions_come_from_their_seeds() -> None:
     assert not np.array_equal(first, other)
 
 
-@pytest.mark.parametrize(
-    ("n", "grid_points"), [(2, 801), pytest.param(3, 89, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("n", "grid_points"), [(2, 801), *slow((3, 89))])
 @pytest.mark.parametrize("seed", range(2))
 def test_a_chains_minimum_is_that_of_brute_force(n: int, grid_points: int, seed: int) -> None:
     problem = chain_problem(n, seed)
@@ -120,7 +119,7 @@ def test_a_chains_minimum_is_that_of_brute_force(n: int, grid_points: int, seed:
     np.testing.assert_allclose(x, best, atol=2.0 * (axis[1] - axis[0]))
 
 
-@pytest.mark.parametrize("n", [10, 170])
+@pytest.mark.parametrize("n", [10, *slow(170)])
 def test_no_local_search_gets_below_a_chains_minimum(n: int) -> None:
     problem = chain_problem(n, 0)
     x = exact_chain_minimum(problem)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow
 from rubbing_worlds import RADIUS, make_discs
 
 from drake_aigto import PlanOptions, Scenario, TrackingController, World, plan
@@ -90,7 +91,13 @@ MOTIONS = {
 }
 
 
-@pytest.mark.parametrize("name", MOTIONS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "is pushed until it slips",
+        *slow(*(each for each in MOTIONS if each != "is pushed until it slips")),
+    ],
+)
 def test_deviations_end_where_simulations_lead_them(name: str) -> None:
     q, v, pushes, modes = MOTIONS[name]
     world, scenario = build(tilts=len(q) == 4), pose(q, v)
@@ -106,12 +113,11 @@ def test_deviations_end_where_simulations_lead_them(name: str) -> None:
     np.testing.assert_allclose(slopes, whole, rtol=2e-3, atol=2e-4)
 
 
-@pytest.mark.parametrize("spin", [5.0, 0.0])
-@pytest.mark.parametrize("tilts", [False, True])
-def test_a_gain_of_one_period_is_the_best_answer_in_simulations(spin: float, tilts: bool) -> None:
-    q, v, push = [0.05, RADIUS, 0.0, *[0.0] * tilts], [0.5, 0.0, spin, *[0.0] * tilts], 2.0
+@pytest.mark.parametrize("spin", [0.0, *slow(5.0)])
+def test_a_gain_of_one_period_is_the_best_answer_in_simulations(spin: float) -> None:
+    q, v, push = [0.05, RADIUS, 0.0, 0.0], [0.5, 0.0, spin, 0.0], 2.0
     scenario = pose(q, v, duration=0.03, time_step=0.03)
-    world, times = build(tilts=tilts), np.array([0.0, 0.03])
+    world, times = build(tilts=True), np.array([0.0, 0.03])
     trajectory = make_plan(world, scenario, times, [push])
     sweep, h = Sweep(world, scenario, trajectory), 1e-4
     (stretch,), (phase,) = sweep.stretches, sweep.run()
@@ -139,6 +145,7 @@ def run(
     return np.array(EVENT_DRIVEN.simulate(world, true, controller, start).positions[-1])
 
 
+@pytest.mark.slow
 def test_a_wheel_whose_motor_moves_it_through_friction_alone_is_brought_back() -> None:
     world = build(drives=True)
     scenario = pose([0.0, RADIUS, 0.0], [0.0] * 3, goal_weight=[100.0, 0.0, 0.0])
@@ -154,7 +161,7 @@ def test_a_wheel_whose_motor_moves_it_through_friction_alone_is_brought_back() -
     assert abs(run(world, scenario, open_loop, off)[0] - planned) > 0.9 * off[0]
 
 
-@pytest.mark.parametrize("friction", [0.27, 0.33])
+@pytest.mark.parametrize("friction", [0.27, *slow(0.33)])
 def test_a_block_that_lands_and_slides_gets_nearer_to_its_goal_than_in_open_loop(
     friction: float,
 ) -> None:

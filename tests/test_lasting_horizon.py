@@ -42,6 +42,7 @@ def push(now: float, x: Floats, control: Floats, friction: float) -> Floats:
     return np.concatenate([recording.positions[-1], recording.velocities[-1]])
 
 
+@pytest.mark.slow
 def test_a_block_is_pushed_to_its_goal_on_a_floor_with_other_friction() -> None:
     horizon, motion, friction = find_horizon(), find_plan(), 0.33
     times, controls = motion.trajectory.times, motion.trajectory.controls

@@ -14,6 +14,7 @@ import pytest
 from box_programs import arrow, dense, grid, whole
 from hypothesis import given
 from hypothesis import strategies as st
+from marks import slow
 from pydrake.solvers import ExpressionConstraint, ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Variable
 
@@ -145,7 +146,7 @@ def choose(size: int, edges: np.ndarray, may_be_dense: bool = False) -> Storage:
         (5000, arrow(5000)[:, : 2 * 4996], True, Factorization.BAND),
         (900, grid(30), True, Factorization.BAND),
         (10000, grid(100), False, Factorization.BAND),
-        (62500, grid(250), False, Factorization.SPARSE),
+        *slow((62500, grid(250), False, Factorization.SPARSE)),
         (1000, arrow(1000), True, Factorization.SPARSE),
         (400, np.indices((400, 400)).reshape(2, -1), True, Factorization.DENSE),
         (400, np.indices((400, 400)).reshape(2, -1), False, Factorization.BAND),
@@ -220,6 +221,7 @@ def in_variable_order(f: BoxPolynomial, matrix: np.ndarray, stride: int) -> np.n
     return matrix[np.ix_(places, places)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("centers_only", [True, False])
 def test_sparse_hessians_are_the_banded_ones(centers_only: bool) -> None:
     f = shared_variable(250)
@@ -245,13 +247,9 @@ def test_sparse_hessians_are_the_banded_ones(centers_only: bool) -> None:
         np.testing.assert_allclose(ours, theirs, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "make",
-    [pytest.param(lambda: shared_variable(250), marks=pytest.mark.slow), lambda: on_grid(30)],
-)
-@pytest.mark.parametrize(
-    "algorithm", [Annealing(), pytest.param(BoundedAnnealing(), marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [lambda: shared_variable(250), lambda: on_grid(30)])
+@pytest.mark.parametrize("algorithm", [Annealing(), BoundedAnnealing()])
 def test_boxes_end_where_banded_systems_lead(make, algorithm) -> None:  # type: ignore[no-untyped-def]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
@@ -274,6 +272,7 @@ def test_boxes_end_where_banded_systems_lead(make, algorithm) -> None:  # type: 
     assert sparse.cost == pytest.approx(band.cost, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_newtons_method_keeps_within_bounds_and_to_its_free_variables() -> None:
     f = shared_variable(250)
     free = np.random.default_rng(1).random(250) < 0.5

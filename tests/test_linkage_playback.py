@@ -217,6 +217,7 @@ def test_boxes_that_no_file_tells_of_are_refused(plan: Plan) -> None:
             run_boxes(other)
 
 
+@pytest.mark.slow
 def test_a_literal_plan_has_the_boxes_of_its_options() -> None:
     scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.05)
     options = LiteralOptions(algorithm="full gradient", ladder=LITERAL_LADDER[3:4], confirm=False)
@@ -276,6 +277,7 @@ def painted(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
     return figures
 
 
+@pytest.mark.slow
 def test_each_coordinate_has_its_panel_and_nothing_passes_for_a_motion(
     painted: list[Figure],
 ) -> None:

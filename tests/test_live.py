@@ -78,6 +78,7 @@ def test_a_plan_near_the_last_comes_first_and_the_whole_search_once_sliders_rest
     assert not any("searching" in label for label in live.labels)
 
 
+@pytest.mark.slow
 def test_another_question_ends_the_search_for_the_one_before() -> None:
     live = Live(Scenario.named("room/two_walls"))
     live.open()
@@ -97,6 +98,7 @@ def test_another_question_ends_the_search_for_the_one_before() -> None:
     assert seen == {asked} and asked == pytest.approx(live.planner.scenario.control_weight)
 
 
+@pytest.mark.slow
 def test_a_mechanism_s_first_plan_is_of_few_starts_beside_the_last_motion() -> None:
     live = Live(dataclasses.replace(Scenario.named("table1/1"), control_upper=[2.0]))
     live.open()

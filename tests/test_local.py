@@ -177,7 +177,7 @@ def test_random_starts_converge_within_bounds() -> None:
     transcription = literal(True, row=2)
     nlp = compiled(transcription)
     rng = np.random.default_rng(3)
-    starts = rng.normal(scale=2.0, size=(10, nlp.num_variables))
+    starts = rng.normal(scale=2.0, size=(4, nlp.num_variables))
     results = [InteriorPoint().solve(nlp, start) for start in starts]
     assert all(result.is_success for result in results)
     for result in results:

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from marks import slow
 from pydrake.geometry import AddContactMaterial, HalfSpace, ProximityProperties, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
@@ -19,7 +20,7 @@ from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInert
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_aigto import Plan, Planner, PlanningError, Scenario, World
-from drake_aigto.errors import ModelError, OptionsError, TrajectoryError
+from drake_aigto.errors import ModelError, OptionsError
 from drake_aigto.planning import (
     BALL_LADDER,
     Aim,
@@ -31,7 +32,6 @@ from drake_aigto.planning import (
     PlanStats,
     Proposal,
     Replays,
-    make_mechanism_task,
 )
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.simulation import replay_event_driven
@@ -49,7 +49,7 @@ def plan(cart_pole: Planner) -> Plan:
     return Planner(cart_pole.scenario, PlanOptions(), cart_pole.world).plan()
 
 
-@pytest.mark.parametrize("name", ["cart_pole/soft_06", "puck/spin"])
+@pytest.mark.parametrize("name", ["cart_pole/soft_06", *slow("puck/spin")])
 def test_contact_that_steps_cannot_resolve_is_refused_with_the_stiffness_that_they_can(
     name: str,
 ) -> None:
@@ -124,6 +124,7 @@ def test_what_passes_its_bounds_between_knots_has_narrower_ones_there(cart_pole:
     assert np.max(slow.states[1:, 3]) < 7.0 - fastest + 1e-2
 
 
+@pytest.mark.slow
 def test_what_passes_its_bounds_from_starts_that_are_off_is_polished_within_narrower_ones(
     cart_pole: Planner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,6 +146,7 @@ def test_what_passes_its_bounds_from_starts_that_are_off_is_polished_within_narr
     assert -0.202 < leftmost[0] < -0.199 and leftmost[1] > -0.192
 
 
+@pytest.mark.slow
 def test_what_simulations_contradict_gives_way_to_what_was_left_out_for_it(
     cart_pole: Planner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -166,6 +168,7 @@ def test_what_simulations_contradict_gives_way_to_what_was_left_out_for_it(
     assert veto.candidate.cost == first.cost
 
 
+@pytest.mark.slow
 def test_a_finalist_whose_simulation_costs_far_more_lets_the_next_one_have_its_turn(
     cart_pole: Planner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -222,7 +225,7 @@ def test_a_plan_is_that_of_any_number_of_threads(cart_pole: Planner, plan: Plan)
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        ("cart_pole/soft_06", PlanOptions(renewals=2, confirm=False, threads=2)),
+        *slow(("cart_pole/soft_06", PlanOptions(renewals=0, starts=4, confirm=False, threads=2))),
         ("room/bank_shot", PlanOptions(confirm=False, threads=2)),
     ],
 )
@@ -246,6 +249,7 @@ def test_garbage_is_collected_in_the_main_thread_while_a_search_has_others(
     assert collecting == {threading.main_thread()}
 
 
+@pytest.mark.slow
 def test_plans_on_the_way_hold_and_the_last_one_is_that_of_planning_anew(
     cart_pole: Planner,
 ) -> None:
@@ -329,52 +333,6 @@ def test_light_links_that_cheap_controls_fling_about_are_led_to_the_goal_with_ca
     assert sum(map(problem.is_of_use, rough)) < sum(map(problem.is_of_use, careful))
 
 
-def test_a_search_closes_what_may_be_kept_and_no_more_than_it_has_to() -> None:
-    class Watched(MechanismTask):
-        aims: ClassVar[list[Aim]] = []
-
-        def close(self, guess: Guess, aim: Aim) -> ShootingResult:
-            self.aims.append(aim)
-            return super().close(guess, aim)
-
-    scenario = Scenario.named("cart_pole/soft_06")
-    search = MechanismSearch(Watched(World.from_scenario(scenario), scenario, QUICK))
-    search.explore()
-    aims, starts = Watched.aims, QUICK.starts
-    assert aims[:starts] == [Aim()] * starts
-    assert not aims[-1].is_patient and search.motions[-1].cost <= aims[-1].most < np.inf
-
-
-def test_what_costs_far_more_than_the_best_is_refined_only_if_nothing_else_is_a_candidate() -> None:
-    class Watched(MechanismTask):
-        refined: ClassVar[list[ShootingResult]] = []
-        fails: ClassVar[bool] = False
-
-        def tighten(self, motion: ShootingResult, least: float = np.inf) -> ShootingResult:
-            self.refined.append(motion)
-            return super().tighten(motion, least)
-
-        def judge(self, *args: Any) -> Candidate:
-            if self.fails:
-                raise TrajectoryError("motion", got="one that fails", expected="none")
-            return super().judge(*args)
-
-    scenario = Scenario.named("cart_pole/soft_06")
-    options = dataclasses.replace(QUICK, renewals=0)
-    search = MechanismSearch(Watched(World.from_scenario(scenario), scenario, options))
-    search.explore()
-    best = search.motions[0]
-    far = dataclasses.replace(best, result=search.motions[1].result, rank=(False, 11 * best.cost))
-    search.motions = [best, far]
-    search.judge()
-    assert Watched.refined == [best.result] and len(search.candidates) == 1
-    Watched.fails = True
-    other = MechanismSearch(search.task)
-    other.motions = [best, far]
-    other.judge()
-    assert Watched.refined == [best.result, best.result, far.result] and not other.candidates
-
-
 def test_what_is_near_a_motion_that_a_simulation_contradicts_is_judged_too() -> None:
     class Watched(MechanismTask):
         judged: ClassVar[list[ShootingResult]] = []
@@ -420,26 +378,6 @@ def test_the_chance_of_a_better_motion_falls_with_every_time_that_the_best_is_fo
         search.close([first])
         assert search.found == search.searches == count
         assert search.chance == pytest.approx((1.5 if count == 1 else 0.5) / (count * (count + 1)))
-
-
-def test_a_motion_without_control_that_misses_a_hard_goal_is_no_better_one() -> None:
-    scenario = Scenario.named("sliding_block/to_rest")
-    task = make_mechanism_task(World.from_scenario(scenario), scenario, QUICK)
-    search = MechanismSearch(task)
-    waves = search.propose()
-    search.close(next(waves))
-    assert task.price(task.coast) < search.promise
-    assert search.chance < 1.0
-
-
-def test_a_search_that_found_nothing_but_the_motion_without_control_goes_on() -> None:
-    scenario = Scenario.named("push_circle/round_it")
-    search = MechanismSearch(MechanismTask(World.from_scenario(scenario), scenario, QUICK))
-    first, *_ = next(search.propose())
-    for _ in range(8):
-        search.close([first])
-    assert search.found == 8 and search.promise >= 0.99 * search.task.coast.cost
-    assert search.chance == 1.0
 
 
 @pytest.mark.parametrize(

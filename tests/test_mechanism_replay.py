@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow
 from mechanisms import MECHANISMS, build, build_world
 from pydrake.multibody.tree import JacobianWrtVariable
 from scipy.integrate import solve_ivp
@@ -46,15 +47,15 @@ def calc_energy(run: Replay) -> Any:
     return INERTIA * v**2 / 2 - MOMENT * np.cos(q)
 
 
-def test_a_free_pendulum_keeps_its_energy_over_a_hundred_bounces() -> None:
+def test_a_free_pendulum_keeps_its_energy_over_dozens_of_bounces() -> None:
     # It leans on the wall from above, and hops.
-    run = swing((math.pi - WALL + 0.05, 0.0), 22.0)
-    assert len(run.bounce_times) >= 100
+    run = swing((math.pi - WALL + 0.05, 0.0), 7.0)
+    assert len(run.bounce_times) >= 30
     np.testing.assert_allclose(calc_energy(run), calc_energy(run)[0], rtol=1e-8)
     assert run.max_penetration <= 1e-12
 
 
-@pytest.mark.parametrize("e", [1.0, 0.8, 0.3])
+@pytest.mark.parametrize("e", [1.0, 0.3])
 def test_bounce_times_and_speeds_are_those_of_elliptic_integrals(e: float) -> None:
     start = -2.0
     run = swing((start, 0.0), 8.0, e)
@@ -78,7 +79,7 @@ def test_bounce_times_and_speeds_are_those_of_elliptic_integrals(e: float) -> No
     np.testing.assert_allclose(run.energies_before, energies * powers, rtol=1e-8)
 
 
-@pytest.mark.parametrize("depth", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("depth", [1e-3, 1e-9])
 @pytest.mark.parametrize("steps", [1, 7])
 def test_a_dip_within_one_step_is_seen(depth: float, steps: int) -> None:
     # Free flight would turn round this far behind the wall.
@@ -88,7 +89,7 @@ def test_a_dip_within_one_step_is_seen(depth: float, steps: int) -> None:
     assert run.energies_before[0] == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
 
-@pytest.mark.parametrize("e", [1.0, 0.5, 0.0])
+@pytest.mark.parametrize("e", [1.0, 0.0])
 def test_a_graze_changes_nothing(e: float) -> None:
     run = swing((-WALL, 0.0), 4.0, e)
     calm = swing((-WALL + 1e-9, 0.0), 4.0, e)
@@ -96,9 +97,9 @@ def test_a_graze_changes_nothing(e: float) -> None:
     assert run.max_penetration <= 1e-12
 
 
-@pytest.mark.parametrize("e", [1.0, 0.5])
-@pytest.mark.parametrize("shift", [0.0, 1e-15, -1e-15, 1e-13, -1e-13, 1e-9, -1e-9])
-def test_a_bounce_on_a_knot_happens_once(e: float, shift: float) -> None:
+@pytest.mark.parametrize("shift", [0.0, 1e-15, -1e-15, 1e-9, -1e-9])
+def test_a_bounce_on_a_knot_happens_once(shift: float) -> None:
+    e = 0.5
     whole = swing((-1.0, 2.0), 1.0, e)
     (bounce,) = whole.bounce_times
     times = [0.0, bounce + shift, 1.0]
@@ -107,7 +108,7 @@ def test_a_bounce_on_a_knot_happens_once(e: float, shift: float) -> None:
     np.testing.assert_allclose(run.positions[-1], whole.positions[-1], atol=1e-10)
 
 
-@pytest.mark.parametrize("v", [-3.0, -1e-6, 0.0, 1e-6, 3.0])
+@pytest.mark.parametrize("v", [-3.0, 0.0, 1e-6, 3.0])
 @pytest.mark.parametrize("torque", [-30.0, 0.0, 30.0])
 @pytest.mark.parametrize("e", [0.6, 0.0])
 def test_a_start_at_the_wall(v: float, torque: float, e: float) -> None:
@@ -191,7 +192,7 @@ def test_it_slides_along_a_wall_as_the_mechanism_with_its_tip_on_a_line() -> Non
 def test_a_contact_lets_go_on_its_way_when_its_force_would_pull() -> None:
     start = [[0.55 - 0.8 * math.sin(0.4), 0.4], [0, 0]]
     whole = replay("cart-pole", start, [0, 1.8], [[2.0]], 0.0)
-    fine = replay("cart-pole", start, np.linspace(0, 1.8, 91), np.full((90, 1), 2.0), 0.0)
+    fine = replay("cart-pole", start, np.linspace(0, 1.8, 37), np.full((36, 1), 2.0), 0.0)
     tip = fine.positions[:, 0] + 0.8 * np.sin(fine.positions[:, 1]) - 0.55
     held = (fine.times > 1.0) & (fine.times < 1.3)
     assert np.all(np.abs(tip[held]) <= 1e-12)
@@ -200,7 +201,7 @@ def test_a_contact_lets_go_on_its_way_when_its_force_would_pull() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["cart-pole", "acrobot_and_wall", "arm with a slider", "two discs"]
+    "name", ["cart-pole", "two discs", *slow("acrobot_and_wall", "arm with a slider")]
 )
 def test_an_interval_cut_in_parts_is_the_same(name: str) -> None:
     world, rng = read(name), np.random.default_rng(3)

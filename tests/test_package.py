@@ -75,6 +75,7 @@ def names_in_wheel(directory: Path) -> set[str]:
         return set(archive.namelist())
 
 
+@pytest.mark.slow
 def test_wheel_has_the_models_and_nothing_beside_the_package(dist: Path) -> None:
     names = names_in_wheel(dist)
     models = CHECKOUT / "models"
@@ -89,6 +90,7 @@ def test_wheel_has_the_models_and_nothing_beside_the_package(dist: Path) -> None
     assert not [name for name in names if name.endswith((".pyc", ".nbc", ".nbi"))]
 
 
+@pytest.mark.slow
 def test_sdist_makes_the_same_wheel(dist: Path, tmp_path: Path) -> None:
     (sdist,) = dist.glob("*.tar.gz")
     # The tarfile module of some Pythons warns without a filter, that of others does not know one.
@@ -103,6 +105,7 @@ def test_models_have_the_version_of_the_package() -> None:
     assert version == drake_aigto.__version__
 
 
+@pytest.mark.slow
 def test_installed_wheel_finds_its_own_models(installed: Path) -> None:
     program = """
 import numpy as np
@@ -124,6 +127,7 @@ print(models, *world.calc_signed_distance(np.array([1.0])), sep="|")
     assert float(distance) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_installed_wheel_has_the_command(installed: Path) -> None:
     result = subprocess.run(
         [sys.executable, str(installed / "bin" / "drake-aigto"), "plan", "--help"],
@@ -137,6 +141,7 @@ def test_installed_wheel_has_the_command(installed: Path) -> None:
     assert "table1/1" in result.stdout
 
 
+@pytest.mark.slow
 def test_pages_can_be_made_from_an_installed_wheel(installed: Path) -> None:
     program = """
 from drake_aigto.show import Page
@@ -178,6 +183,7 @@ factor_mean(0, 2, 1.0, 0.0, 3.0, 1.0, np.zeros(6))
     assert list(cache.rglob("functions.factor_mean-*.nbc"))
 
 
+@pytest.mark.slow
 def test_importing_has_no_side_effects(installed: Path) -> None:
     program = f"""
 import logging, os, threading, warnings

@@ -41,16 +41,16 @@ def test_one_wall_is_bounded_by_the_exact_optimum_for_every_restitution() -> Non
         assert gap <= 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "seed", "change"),
     [
-        pytest.param("corridor", 3, {}, marks=pytest.mark.slow),
+        ("corridor", 3, {}),
         # Four touches, and hundreds of thousands of flights between their cells.
-        pytest.param("corridor", 0, {"restitution": 0.8}, marks=pytest.mark.slow),
-        pytest.param("corridor", 3, {"restitution": 0.5}, marks=pytest.mark.slow),
-        ("corridor", 6, {"restitution": 0.5}),  # A second of CPU: its optimum has one touch.
-        pytest.param("room", 3, {}, marks=pytest.mark.slow),
-        pytest.param("floor", 3, {}, marks=pytest.mark.slow),
+        ("corridor", 0, {"restitution": 0.8}),
+        ("corridor", 3, {"restitution": 0.5}),
+        ("room", 3, {}),
+        ("floor", 3, {}),
     ],
 )
 def test_several_walls_are_bounded_by_the_exact_optimum(
@@ -110,6 +110,7 @@ def test_a_place_is_folded_into_a_room_of_mirrors() -> None:
         assert np.allclose(folded, place, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("restitution", [0.0, 1.0])
 def test_a_force_between_two_walls_is_bounded(restitution: float) -> None:
     places, line = (0.0, 1.0), {"position": 0.4, "velocity": -2.0, "goal": 0.7, "weight": 20.0}

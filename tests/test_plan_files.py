@@ -146,7 +146,6 @@ def test_a_plan_of_unknown_options_says_so(
         BAD_INPUT
     )
     assert "got a plan that names no options" in capsys.readouterr().err
-    assert "The plan's file does not say its options." in html.unescape(report_plan(unknown))
     corridor = World.from_scenario(Scenario.named("corridor/three_bounces"))
     with pytest.raises(ModelError, match=r"Give the world that the plan was made in"):
         unknown.replayed(corridor)

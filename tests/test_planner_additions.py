@@ -146,6 +146,7 @@ def test_a_plan_that_a_simulation_breaks_a_constraint_of_does_not_hold() -> None
     assert "waypoint violated by 3e-03 of the task's scales" in text
 
 
+@pytest.mark.slow
 def test_what_no_motion_meets_is_an_error_that_names_it() -> None:
     pushed = planner()
     program = pushed.transcription
@@ -188,6 +189,7 @@ def test_a_report_names_what_was_added_and_a_gradient_solver_does_without(
     assert main(["play", str(path), "--html", str(page), "--optimization"]) == 2
 
 
+@pytest.mark.slow
 def test_a_rest_goes_on_past_a_time_that_is_bound() -> None:
     # Without rebound, on a floor: staying there costs nothing, and hovering does.
     world = World.from_diagram(make_diagram(gravity=9.81))
@@ -222,10 +224,11 @@ def bound_velocities(program: OpenProgram) -> None:
         program.AddConstraintToAllKnotPoints([v <= fastest, v >= -fastest], "slow")
 
 
-EITHER = pytest.mark.parametrize("name", [SOFT, pytest.param(RIGID, marks=pytest.mark.slow)])
+EITHER = pytest.mark.parametrize("name", [SOFT, RIGID])
 
 
-@pytest.mark.parametrize("name", [SOFT, pytest.param(RIGID, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [SOFT, RIGID])
 def test_constraints_of_every_knot_are_met_as_the_scenarios_bounds_are(name: str) -> None:
     # A dozen searches end in one of several optima, here in the same.
     bounded = make_planner(name, 2, velocity_lower=-FASTEST, velocity_upper=FASTEST).plan()
@@ -239,6 +242,7 @@ def test_constraints_of_every_knot_are_met_as_the_scenarios_bounds_are(name: str
     assert found.cost == pytest.approx(bounded.cost, rel=2e-2)
 
 
+@pytest.mark.slow
 @EITHER
 def test_a_running_cost_of_control_counts_as_its_weight_does(name: str) -> None:
     weight = Scenario.named(name).control_weight

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow
 from pydrake.solvers import MathematicalProgram
 from replay_worlds import make_diagram, shipped_world
 
@@ -36,7 +37,7 @@ from drake_aigto.transcription import OpenProgram, RigidTranscription, Touch
 
 QUICK = PlanOptions(confirm=False)
 NEW = [name for name in scenario_names() if name.partition("/")[0] in WORLDS]
-FIRST = {name.partition("/")[0]: name for name in reversed(NEW)}  # Of each model.
+FIRST = ("corridor/lossy", "two_masses/apart")
 
 
 @cache
@@ -45,10 +46,7 @@ def world_of(model: str) -> World:
     return World.from_scenario(scenario)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[] if name in FIRST.values() else pytest.mark.slow) for name in NEW],
-)
+@pytest.mark.parametrize("name", [*FIRST, *slow(*(name for name in NEW if name not in FIRST))])
 def test_shipped_scenarios_have_plans_that_drake_confirms(name: str) -> None:
     scenario = Scenario.named(name)
     found = plan(scenario)
@@ -67,9 +65,7 @@ def test_shipped_scenarios_have_plans_that_drake_confirms(name: str) -> None:
             assert len(at_once) <= 3
 
 
-@pytest.mark.parametrize(
-    "model", ["corridor", "floor", pytest.param("room", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("model", ["corridor", *slow("floor", "room")])
 def test_plans_are_optimal(model: str) -> None:
     world = world_of(model)
     for scenario in WORLDS[model].draw(2, seed=40):
@@ -79,9 +75,8 @@ def test_plans_are_optimal(model: str) -> None:
         assert found.cost >= (1 - 1e-6) * optimum.cost - 1e-9
 
 
-@pytest.mark.parametrize("times", [3, 6])
-def test_a_fast_ball_bounces_as_often_as_by_itself(times: float) -> None:
-    shipped = Scenario.named("corridor/six_bounces")
+def test_a_fast_ball_bounces_as_often_as_by_itself() -> None:
+    times, shipped = 3, Scenario.named("corridor/six_bounces")
     T = shipped.duration * times
     scenario = dataclasses.replace(shipped, duration=T, time_step=shipped.time_step * times)
     world = World.from_scenario(scenario)
@@ -95,6 +90,7 @@ def test_a_fast_ball_bounces_as_often_as_by_itself(times: float) -> None:
     assert found.cost == pytest.approx(d**2 / (1 / w + T**3 / (3 * R * m**2)), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_contacts_of_unequal_masses_that_nothing_but_the_motion_without_control_has_are_found() -> (
     None
 ):
@@ -112,6 +108,7 @@ def test_contacts_of_unequal_masses_that_nothing_but_the_motion_without_control_
     assert found.replay.event_driven.cost == pytest.approx(5.6154e-06, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_masses_that_meet_in_front_of_a_wall_may_hit_it_first() -> None:
     scenario = Scenario(
         model="package://drake_aigto_models/two_masses.sdf",
@@ -127,6 +124,7 @@ def test_masses_that_meet_in_front_of_a_wall_may_hit_it_first() -> None:
     assert found.cost == pytest.approx(2.639e-4, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_block_that_the_motion_without_control_bounces_off_may_be_passed() -> None:
     scenario = next(islice(WORLDS["room_with_block"].draw(16, seed=0), 15, None))
     coarse = dataclasses.replace(scenario, time_step=0.03)
@@ -275,9 +273,7 @@ def draw(world: str, count: int, seed: int) -> list[Scenario]:
 
 
 # Corridors and rooms have a floor's kind of walls; rooms with a block have a pair, as two masses.
-@pytest.mark.parametrize(
-    "world", ["point mass", "floor", pytest.param("two_masses", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("world", ["point mass", *slow("floor", "two_masses")])
 def test_a_changed_scenario_is_planned_as_by_a_new_planner_to_the_last_bit(world: str) -> None:
     first, *others = draw(world, 2, seed=5)
     planner = Planner(first, EXHAUSTIVE)
@@ -288,13 +284,10 @@ def test_a_changed_scenario_is_planned_as_by_a_new_planner_to_the_last_bit(world
     assert_same(last, Planner(first, EXHAUSTIVE).plan())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changed",
-    [
-        pytest.param({"duration": 1.4}, marks=pytest.mark.slow),
-        pytest.param({"control_weight": 3e-3, "goal_weight": 5.0}, marks=pytest.mark.slow),
-        {"duration": 0.8, "goal_weight": 0.2, "goal_position": 0.6},
-    ],
+    [{"control_weight": 3e-3}, {"duration": 0.8, "goal_weight": 0.2, "goal_position": 0.6}],
 )
 def test_weights_and_duration_change_as_ends_do(changed: dict[str, Any]) -> None:
     # Of a spring, as its bias reads the time step.
@@ -334,13 +327,7 @@ def sum_at_two_knots(program: RigidTranscription) -> None:
 
 
 @pytest.mark.parametrize(
-    "add",
-    [
-        running_cost,
-        pytest.param(cost_at_a_knot, marks=pytest.mark.slow),
-        pytest.param(bounds_on_the_control, marks=pytest.mark.slow),
-        sum_at_two_knots,
-    ],
+    "add", [*slow(running_cost, cost_at_a_knot, bounds_on_the_control), sum_at_two_knots]
 )
 def test_what_users_added_counts_as_much_when_a_planner_plans_again(
     add: Callable[[OpenProgram], None],

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from loops import Wrapper, close_loop, hold_samples, set_start, start_at
+from marks import slow
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput, TrajectorySource
@@ -63,6 +64,7 @@ class Run:
         return np.array(self.plant.GetPositionsAndVelocities(self.context))
 
 
+@pytest.mark.slow
 def test_a_pole_stands_up_between_walls_and_again_after_a_kick() -> None:
     run = Run()
     x = run.advance(3.0)
@@ -92,13 +94,15 @@ def test_a_horizon_that_shrinks_costs_what_the_first_plan_promised() -> None:
     assert {each.mode for each in run.statuses[-3:]} == {"holding"}  # By motions to rest.
 
 
+@pytest.mark.slow
 def test_searches_are_when_they_are_due_and_switch_for_the_better() -> None:
-    run = Run(search_every=10, margin=0.0)
-    run.advance(0.45)
+    run = Run(search_every=4, margin=0.0)
+    run.advance(0.17)
     searched = [status for status in run.statuses if status.reason != "warm"]
-    assert [round(status.time, 9) for status in searched] == [0.0, 0.2, 0.4]
+    assert [round(status.time, 9) for status in searched] == [0.0, 0.08, 0.16]
 
 
+@pytest.mark.slow
 def test_iterations_that_are_measured_make_the_same_run_if_they_are_given() -> None:
     measured = Run(iterations=None)
     x = measured.advance(0.1)
@@ -112,7 +116,7 @@ def test_iterations_that_are_measured_make_the_same_run_if_they_are_given() -> N
     ("bad", "reason"),
     [
         ([np.nan, np.inf], "the estimated state is not finite"),
-        ([[0.0, 0.0, 0.0, 1e6], [0.0, 0.0, 1e3, 0.0]], "no motion was found"),
+        *slow(([[0.0, 0.0, 0.0, 1e6], [0.0, 0.0, 1e3, 0.0]], "no motion was found")),
     ],
 )
 def test_what_is_not_finite_or_far_from_all_leaves_the_last_plan(bad: Any, reason: str) -> None:
@@ -140,6 +144,7 @@ def test_what_is_not_finite_or_far_from_all_leaves_the_last_plan(bad: Any, reaso
     assert controls[0, -1] != controls[0, 0]
 
 
+@pytest.mark.slow
 def test_a_simulator_that_is_initialized_again_on_its_way_keeps_its_plan() -> None:
     run, other = Run(), Run()
     for each in (run, other):
@@ -239,7 +244,7 @@ def fly(
     return plant.GetPositions(context)[0], list(statuses.values())
 
 
-@pytest.mark.parametrize(("off", "e"), [(0.03, 1.0), (-0.03, 1.0), (0.0, 0.9)])
+@pytest.mark.parametrize(("off", "e"), [(0.03, 1.0), (0.0, 0.9)])
 def test_a_ball_is_brought_to_its_goal_off_a_rigid_wall(off: float, e: float) -> None:
     end, ticks = fly(off, e, horizon="shrinking")
     assert end == pytest.approx(BALL.goal_position[0], abs=2e-3)

@@ -129,6 +129,7 @@ def test_walls_in_doubt_are_kept_off_where_nothing_is_to_touch_them(name: str) -
     assert nearest[0] < 0.1 and nearest[1] > 0.19
 
 
+@pytest.mark.slow
 def test_what_whole_steps_lead_far_off_goes_on_at_a_rigid_wall() -> None:
     """Whatever they led to was taken, and a pendulum that is kicked ended at 29 times the cost."""
     planner = Planner(PENDULUM, PlanOptions(renewals=0, threads=1))

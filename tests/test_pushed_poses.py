@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from marks import slow
 
 from benchmarks.space import count_held, cover, draw_in_air, draw_pose
 from drake_aigto import Planner, PlanOptions, World
@@ -35,7 +36,7 @@ def test_what_a_tee_covers_is_the_share_of_points_in_both(moved: tuple[float, ..
 
 
 def test_poses_are_drawn_where_diffusion_policy_draws_them() -> None:
-    scenarios = [draw_pose(seed) for seed in (0, 1, 2, 14)]
+    scenarios = [draw_pose(seed) for seed in (0, 14)]
     assert scenarios[0].to_plain() == draw_pose(0).to_plain()
     for drawn in scenarios:
         world = World.from_scenario(drawn)
@@ -48,9 +49,9 @@ def test_poses_are_drawn_where_diffusion_policy_draws_them() -> None:
         assert np.min(world.calc_signed_distance(start)) > 0.0
 
 
-@pytest.mark.parametrize("name", ["three_fingers/flip", "three_fingers/lift"])
+@pytest.mark.parametrize("name", ["three_fingers/lift", *slow("three_fingers/flip")])
 def test_cubes_start_on_the_ground_and_have_goals_in_the_air(name: str) -> None:
-    for seed in range(6):
+    for seed in range(2):
         world = World.from_scenario(drawn := draw_in_air(name, seed))
         scenario = world.place(drawn)
         start, goal = scenario.initial_position, scenario.goal_position

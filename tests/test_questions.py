@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import slow
 
 from benchmarks.local_peers import casadi
 from benchmarks.questions import NEAR, WIDE, Row, draw, format_results, main
@@ -19,7 +20,7 @@ from drake_aigto.planning import make_mechanism_task
 ROW = Row("cart_pole/soft_06", 0, 80.0, 80.0, 168.0, 79.0, math.inf, False, 60, 3, 1.0)
 
 
-@pytest.mark.parametrize("name", ["cart_pole/soft_06", "corridor/lossy"])
+@pytest.mark.parametrize("name", ["corridor/lossy", *slow("cart_pole/soft_06")])
 def test_questions_are_the_same_again_others_to_tune_on_and_fit_their_world(name: str) -> None:
     shipped, asked = Scenario.named(name), [draw(name, number, False) for number in range(2)]
     assert len({*asked, *(draw(name, number, True) for number in range(2)), shipped}) == 5
@@ -57,6 +58,7 @@ SWAYING = replace(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(casadi is None, reason="CasADi is not installed")
 def test_ipopt_has_the_optimum_of_our_shooting() -> None:
     world = World.from_scenario(SWAYING)
@@ -70,6 +72,7 @@ def test_ipopt_has_the_optimum_of_our_shooting() -> None:
     assert control.values == pytest.approx(ours.controls, abs=1e-2 * np.abs(ours.controls).max())
 
 
+@pytest.mark.slow
 def test_rivals_find_the_optimum_of_an_easy_task_and_no_less() -> None:
     world = World.from_scenario(SWAYING)
     problem = make_mechanism_task(world, SWAYING, PlanOptions()).shooting(SWAYING.num_steps)

@@ -127,6 +127,7 @@ def test_hands_stay_within_limits_and_stick_until_they_reach_anew(fingers: Finge
     assert 1 < count < 5
 
 
+@pytest.mark.slow
 def test_hands_lift_an_object_that_would_fall_and_hold_it(tmp_path: Path) -> None:
     scenario = make_scenario(
         tmp_path,
@@ -156,6 +157,7 @@ def test_hands_lift_an_object_that_would_fall_and_hold_it(tmp_path: Path) -> Non
     assert np.median(ends) > 0.1  # One that is let go lies at 0.05.
 
 
+@pytest.mark.slow
 def test_an_object_goes_where_one_hand_can_push_it_and_dampers_let_it(tmp_path: Path) -> None:
     planner = Planner(Scenario.named("push_tee/to_pose"))
     task = planner.task
@@ -266,6 +268,7 @@ def test_servos_that_follow_a_line_bring_a_quadruped_to_its_feet_in_drake_too() 
     assert task.idle_candidate().replay.goal_error > 1.0
 
 
+@pytest.mark.slow
 def test_what_costs_far_more_than_kept_motions_after_wide_passes_is_left_there() -> None:
     task = Planner(Scenario.named("puck/spin")).task
     assert isinstance(task, MechanismTask)

@@ -42,9 +42,7 @@ def test_drakes_elastic_wall_is_late_by_its_contact_and_else_agrees(row: int) ->
     assert confirms(rigid.cost, drake, Scales.of(world, scenario), rigid.goal_error)
 
 
-@pytest.mark.parametrize(
-    ("e", "speed"), [(1.0, 2.0), (1.0, 20.0), (0.9, 20.0), (0.5, 2.0), (0.2, 2.0), (0, 20)]
-)
+@pytest.mark.parametrize(("e", "speed"), [(1.0, 2.0), (0.9, 20.0), (0.2, 2.0), (0, 20)])
 def test_what_a_compliant_wall_does_to_the_end_is_known_beforehand(e: float, speed: float) -> None:
     world, scenario = shipped_world(), make_scenario(1.0, -speed, restitution=e, goal_weight=3.0)
     rigid = replay_event_driven(world, scenario, *hold(0.0))

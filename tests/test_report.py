@@ -25,6 +25,9 @@ FIT = f"[document.querySelector('{FRAME}').clientHeight, {VIEWER}.camera.zoom]"
 ASIDE = "document.querySelector('#player-aside')"
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def path(report: tuple[str, list[str]], tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("report") / "report.html"
@@ -200,7 +203,6 @@ def test_nothing_that_moves_is_ever_cut_off(page: Page) -> None:
         assert min(side.min() for side in sides) > 0.9, seconds
 
 
-@pytest.mark.slow
 def test_a_slow_browser_shows_the_scene_at_the_same_size(page: Page, path: Path) -> None:
     with start_browser(path.parent / "slow") as slow:
         slow.call("Emulation.setCPUThrottlingRate", rate=4)

@@ -102,8 +102,10 @@ def test_a_question_names_each_pair_once(name: str, pair: str) -> None:
     assert words(page.to_html()).count(pair) == 1
 
 
+@pytest.mark.slow
 def test_boxes_that_can_not_be_run_again_are_said_to_be_missing(plan: Plan) -> None:
     text = words(report_plan(dataclasses.replace(plan, options=None)))
+    assert "The plan's file does not say its options." in text
     assert "AIGO's boxes are missing: the plan's boxes can't be run again: got a plan" in text
 
 
@@ -141,6 +143,7 @@ def test_what_is_added_is_text() -> None:
     assert "<script>" not in text and "<i>" not in text
 
 
+@pytest.mark.slow
 def test_table_1_has_a_row_for_each_plan_with_all_that_it_is_worth(plan: Plan) -> None:
     entry = Entry("AIGTO, rigid", plan.best, plan.replay.drake, plan.holds)
     method = TableMethod("AIGTO, rigid", (plan.cost,), 1, (entry,), 0.5)

@@ -46,7 +46,7 @@ def check_impacts(plan: Plan) -> None:
         assert after == pytest.approx(-e[i] * (J @ t.velocities[k]), abs=1e-9)
 
 
-@pytest.mark.parametrize("restitution", [0.8, 0.4, 0.0])
+@pytest.mark.parametrize("restitution", [0.4, 0.0])
 @pytest.mark.parametrize("lasts", [True, False])
 def test_contact_is_held_from_an_impact_on_only_where_bodies_do_not_bounce_off(
     pendulum: Planner, restitution: float, lasts: bool
@@ -86,6 +86,7 @@ def test_the_pendulum_comes_back_off_the_wall(plan: Plan) -> None:
     check_impacts(plan)
 
 
+@pytest.mark.slow
 def test_a_plan_costs_what_it_promises_in_both_simulations(plan: Plan, throw: Plan) -> None:
     for each in (plan, throw):
         assert each.replay.event_driven.cost == pytest.approx(each.cost, rel=1e-6)
@@ -94,6 +95,7 @@ def test_a_plan_costs_what_it_promises_in_both_simulations(plan: Plan, throw: Pl
         assert max(each.defects.values()) < 1e-9
 
 
+@pytest.mark.slow
 def test_a_thrown_ball_bounces_six_times(throw: Plan) -> None:
     """With five bounces the same task costs 11.3, with seven 7.1."""
     assert throw.holds
@@ -124,6 +126,7 @@ def test_who_needs_no_wall_touches_none(pendulum: Planner) -> None:
     assert free.replay.event_driven.max_penetration == 0
 
 
+@pytest.mark.slow
 def test_who_starts_fast_towards_a_wall_hits_it_instead_of_braking() -> None:
     """A search over times and speeds of bounces knows 0.1391; to brake and graze costs 0.387."""
     scenario = dataclasses.replace(

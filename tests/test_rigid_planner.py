@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow
 from replay_worlds import (
     COARSE,
     UNCONFIRMED,
@@ -36,8 +37,8 @@ from drake_aigto.show import format_plan
 from drake_aigto.transcription import Touch
 
 
-@pytest.mark.parametrize("steps", [1, pytest.param(3, marks=pytest.mark.slow), 20])
-@pytest.mark.parametrize("name", ["table1/1", "table1/3", "corridor/six_bounces", "room/two_walls"])
+@pytest.mark.parametrize("steps", [1, *slow(3), 20])
+@pytest.mark.parametrize("name", ["table1/1", *slow("corridor/six_bounces", "room/two_walls")])
 def test_which_contacts_a_plan_has_does_not_depend_on_the_time_step(name: str, steps: int) -> None:
     fine, world = fine_plan(name), World.from_scenario(Scenario.named(name))
     scenario = Scenario.named(name)
@@ -124,14 +125,14 @@ def test_boxes_get_steps_enough_to_tell_a_bounce_from_the_start() -> None:
     assert make_ball_task(world, table1(1), PlanOptions(aigo_steps=7)).box.center.size == 3 * 8 - 1
 
 
-@pytest.mark.parametrize("e", [pytest.param(1.0, marks=pytest.mark.slow), 0.5])
+@pytest.mark.parametrize("e", [*slow(1.0), 0.5])
 @pytest.mark.parametrize(
     ("plant", "joints"),
     [
-        ({"gravity": 9.81}, 1),
-        ({"spring": 5.0, "reference": -0.5}, 1),
+        *slow(({"gravity": 9.81}, 1)),
+        *slow(({"spring": 5.0, "reference": -0.5}, 1)),
         ({"num_joints": 2}, 2),
-        ({"num_joints": 2, "spring": 5.0, "reference": 0.3}, 2),
+        *slow(({"num_joints": 2, "spring": 5.0, "reference": 0.3}, 2)),
     ],
     ids=["gravity", "spring", "two joints", "two joints and a spring"],
 )

@@ -12,6 +12,7 @@ from functools import cache
 from typing import Any
 
 import pytest
+from marks import slow
 from replay_worlds import COARSE, UNCONFIRMED, bounce_plan, make_diagram, shipped_world, table1
 
 from benchmarks.study import ScenarioQuestion
@@ -52,7 +53,7 @@ def test_every_candidate_was_read_off_a_box() -> None:
     assert {len(c.contacts) for c in all_candidates().candidates} >= {0, 1}
 
 
-@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("number", [0, *slow(1, 2)])
 def test_boxes_that_are_left_out_would_find_nothing_better(number: int) -> None:
     scenario = ScenarioQuestion(seed=11, num_steps=50).scenario(number)
     before = dataclasses.replace(scenario, initial_velocity=0.0)
@@ -124,19 +125,7 @@ def test_candidates_are_ranked_by_their_replay() -> None:
     assert found.best is found.candidates[0]
 
 
-def test_ctrl_c_keeps_the_candidates_so_far() -> None:
-    def interrupt(line: str) -> None:
-        if line.startswith("AIGO 2"):
-            raise KeyboardInterrupt
-
-    options = dataclasses.replace(UNCONFIRMED, threads=1, exhaustive=True)
-    found = Planner(table1(1, **COARSE), options).plan(progress=interrupt)
-    first = Origin("annealing", BALL_LADDER[0])
-    assert found.is_interrupted
-    assert all(each.origin == first for each in found.candidates if not each.is_idle)
-
-
-@pytest.mark.parametrize("gravity", [0.0, 9.81])
+@pytest.mark.parametrize("gravity", [0.0, *slow(9.81)])
 def test_threads_change_no_bit(gravity: float) -> None:
     world = World.from_diagram(make_diagram(gravity=gravity))
     one, three = (
@@ -152,6 +141,7 @@ def test_threads_change_no_bit(gravity: float) -> None:
     assert one.stats.aigo_steps == three.stats.aigo_steps
 
 
+@pytest.mark.slow
 def test_boxes_of_many_variables_get_threads() -> None:
     scenario = table1(1, time_step=1e-3)
     several: list[dict[str, Any]] = [{}, {"aigo_steps": 500}, {"aigo_steps": 500, "threads": 3}]

@@ -137,6 +137,7 @@ def calc_energy(world: World, found: Replay) -> Floats:
     return kinetic + G * found.positions[:, 1::3].sum(axis=1)
 
 
+@pytest.mark.slow
 def test_a_rod_that_jams_is_refused_by_name() -> None:
     """Painlevé's: a long rod pushed along ground that is rougher than 4/3, tip ahead."""
     world = build(feet=((0.5, -1.0),))
@@ -253,6 +254,7 @@ def problem() -> RigidMechanismTask:
     return found
 
 
+@pytest.mark.slow
 def test_a_figure_has_the_impulse_of_an_impact_that_sticks_at_the_edge_of_its_cone() -> None:
     rough = shot()
     world, motion = rough.find_world(), motions_of_plan(rough)[0]

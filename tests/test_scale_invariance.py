@@ -43,6 +43,7 @@ def test_a_ball_in_other_units_has_the_same_plan(tmp_path: Path) -> None:
     check("table1/1", ANY, BALLS, tmp_path)
 
 
+@pytest.mark.slow
 def test_an_acrobot_in_other_units_has_the_same_plan(tmp_path: Path) -> None:
     check("acrobot/swing_up", FALLING, FEW, tmp_path)
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenario_fields import ALL_FIELDS
 
@@ -104,6 +104,7 @@ def tasks(draw: st.DrawFn) -> Scenario:
     )
 
 
+@settings(max_examples=8)
 @given(scenarios() | tasks())
 def test_a_task_survives_files_copies_and_pickles(scenario: Scenario) -> None:
     with tempfile.TemporaryDirectory() as directory:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
+from marks import slow
 from replay_worlds import hold_still, make_line, make_task, make_wedge, shipped, shipped_world
 
 from drake_aigto.simulation import Replay, replay_event_driven
@@ -55,7 +56,7 @@ WORLDS: dict[str, tuple[World, float, float | None, float]] = {
 
 
 @pytest.mark.parametrize("name", WORLDS)
-@settings(max_examples=41)
+@settings(max_examples=16)
 @given(
     *(st.tuples(places, speeds) for _ in range(2)),
     held_forces(2),
@@ -129,9 +130,7 @@ def test_the_ball_rests_in_a_corner_and_slides_out_of_it() -> None:
     np.testing.assert_allclose(replay.velocities[-1], [1, 0], atol=1e-11)
 
 
-@pytest.mark.parametrize(
-    "n", [2, pytest.param(3, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.slow), 5]
-)
+@pytest.mark.parametrize("n", [5, *slow(2, 3, 4)])
 @given(st.floats(0.1, 0.9), st.floats(-3, 3), st.floats(-3, 3))
 def test_an_elastic_wedge_of_a_whole_part_of_a_half_turn_folds_a_free_flight(
     n: int, place: float, x: float, y: float

@@ -227,6 +227,7 @@ def test_a_duration_at_the_end_of_its_range_is_told(least: float, most: float, e
     assert f"its {end} bound" in format_plan(found)
 
 
+@pytest.mark.slow
 def test_a_swing_up_off_a_wall_takes_the_time_that_is_best() -> None:
     """With as much time as its scenario has by default, it costs more."""
     given = Scenario.named("cart_pole/soft_06")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
+from marks import slow
 
 from drake_aigto import PlanOptions, Scenario, World, plan
 from drake_aigto.planning import draw_shots
@@ -24,7 +25,7 @@ def make_room(start: list[float], velocity: list[float], goal: list[float]) -> S
     )
 
 
-@pytest.mark.parametrize("name", ["room/two_walls", "corridor/six_bounces", "floor/rebound"])
+@pytest.mark.parametrize("name", ["floor/rebound", *slow("room/two_walls", "corridor/six_bounces")])
 def test_the_first_shot_bounces_where_the_best_plan_does(name: str) -> None:
     scenario = dataclasses.replace(Scenario.named(name), restitution=1.0)
     best, world = plan(scenario, QUICK), World.from_scenario(scenario)

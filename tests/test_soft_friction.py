@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow
 from matplotlib.figure import Figure
 from rubbing_worlds import accelerate, calc_drag
 from shooting_problems import differ
@@ -51,7 +52,7 @@ def test_both_replays_agree_on_a_ball_that_spins_off_a_wall() -> None:
     assert without.velocities[-1, 2] == pytest.approx(20.0 + 0.01 / 0.004, abs=1e-6)
 
 
-@pytest.mark.parametrize("stiffness", [1e4, 1e6, 1e8])
+@pytest.mark.parametrize("stiffness", [1e6, *slow(1e8)])
 def test_both_replays_agree_where_a_ball_sticks_to_a_stiff_wall(stiffness: float) -> None:
     changes: dict[str, Any] = {"material": {"*": {"stiffness": stiffness}}, "stiction_speed": 1e-3}
     scenario = dataclasses.replace(ask(), initial_velocity=[0.1, -1.0, 2.0], **changes)
@@ -79,12 +80,12 @@ def test_friction_is_mu_times_the_push_and_turns_with_the_slip() -> None:
 @pytest.mark.parametrize(
     ("name", "changes", "least_touches"),
     [
-        ("cart_pole/soft_06", {}, 50),
+        ("cart_pole/soft_06", {}, 10),
         ("cart_pole/dry", {"contact": "compliant", "dry_friction": [2.0, 0.3]}, 0),
-        ("hopper/hop", {}, 50),
-        ("pushed_block/slide", {}, 50),
-        ("spinner/two_radians", {}, 50),
-        ("spinning_ball/off_the_wall", {}, 50),
+        ("hopper/hop", {}, 10),
+        ("pushed_block/slide", {}, 10),
+        ("spinner/two_radians", {}, 10),
+        ("spinning_ball/off_the_wall", {}, 10),
     ],
 )
 def test_compiled_rates_are_those_of_the_world_and_their_slopes_those_of_differences(
@@ -94,7 +95,7 @@ def test_compiled_rates_are_those_of_the_world_and_their_slopes_those_of_differe
     world, rng = World.from_scenario(scenario), np.random.default_rng(0)
     law, n, touched = contact_law(world, scenario), world.num_positions, 0
     mechanism = Mechanism.of(world, law)
-    for i in range(1000):
+    for i in range(200):
         q = scenario.initial_position + rng.uniform(-0.6, 0.6, n)
         v, u = 10 ** rng.uniform(-3, 0) * rng.normal(size=n), rng.normal(size=world.num_actuators)
         touched += int(calc_pushes(world, law, q, v).any())

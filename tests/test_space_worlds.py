@@ -213,6 +213,7 @@ def make_arm(folder: Path, count: int) -> Scenario:
     )
 
 
+@pytest.mark.slow
 def test_an_arm_of_many_hinges_that_touches_nothing_is_a_world_in_space(tmp_path: Path) -> None:
     world = World.from_scenario(make_arm(tmp_path, 6))
     assert isinstance(world, SpaceWorld) and not world.contacts

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow
 from phase_solutions import Solved, solve
 from replay_worlds import make_task, make_wedge, shipped
 
@@ -141,7 +142,7 @@ def make_scenario(distance: float, **fields: Any) -> Scenario:
     return Scenario(initial_position=distance, **ends, restitution=0.8, **fields)
 
 
-@pytest.mark.parametrize("distance", [1e-12, 1e-8, pytest.param(1e-5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("distance", [1e-12, *slow(1e-8, 1e-5)])
 @pytest.mark.parametrize("fields", [{}, {"model": CORRIDOR}], ids=["wall", "corridor"])
 def test_a_plan_is_the_optimum_however_near_to_a_wall_it_starts(
     distance: float, fields: dict[str, str]
@@ -223,6 +224,7 @@ def test_contacts_that_do_not_feel_each_other_share_no_gaps() -> None:
     assert [contact for _, contact in found] == [between] * 3
 
 
+@pytest.mark.slow
 def test_a_bounce_that_no_box_shows_is_inserted() -> None:
     (*_, scenario) = WORLDS["two_masses"].draw(9, seed=21)
     world = World.from_scenario(scenario)
@@ -308,6 +310,7 @@ def test_hops_end_before_the_jump_however_short_the_time_is(
     assert max(replay.bounce_times) < touch.end
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scenario", "gravity", "mass"),
     [
@@ -319,10 +322,7 @@ def test_hops_end_before_the_jump_however_short_the_time_is(
             marks=pytest.mark.slow,
         ),
         (on_floor(0.595983, -1.02674, 0.903772, 1.5, 0.1), 19.1117, 0.83202),
-        pytest.param(
-            *(on_floor(0.518778, 1.97036, 0.243520, 1.1, 0.1), 16.23448, 0.42458),
-            marks=pytest.mark.slow,
-        ),
+        *slow((on_floor(0.518778, 1.97036, 0.243520, 1.1, 0.1), 16.23448, 0.42458)),
     ],
 )
 def test_a_ball_that_settles_rests_until_it_is_time_to_jump(
@@ -337,6 +337,7 @@ def test_a_ball_that_settles_rests_until_it_is_time_to_jump(
     assert times == pytest.approx(made.replay.event_driven.bounce_times[: len(times)], abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scenario", "gravity", "mass"),
     [

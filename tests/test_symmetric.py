@@ -14,6 +14,7 @@ import pytest
 from box_programs import dense, whole
 from hypothesis import given
 from hypothesis import strategies as st
+from marks import slow
 from pydrake.solvers import MathematicalProgram, SnoptSolver
 from pydrake.symbolic import sin
 
@@ -260,6 +261,7 @@ def ten_pairs(is_equality: bool, sign: float) -> tuple[MathematicalProgram, np.n
     return prog, goals
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("is_equality", "sign"), [(True, 1.0), (False, -1.0)])
 def test_small_programs_with_corners_are_solved_to_the_better_branch(
     is_equality: bool, sign: float
@@ -287,9 +289,7 @@ def test_at_corners_the_smaller_of_each_pair_is_zero(is_equality: bool) -> None:
     np.testing.assert_allclose(pairs, expected, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "form", ["equalities", pytest.param("inequalities", marks=pytest.mark.slow), "variables"]
-)
+@pytest.mark.parametrize("form", ["variables", *slow("equalities", "inequalities")])
 def test_a_push_bot_swings_up_between_soft_walls_however_it_is_written(form: Form) -> None:
     # SPOT's fourth start; the least cost that hundreds of local solves know is 40.084188.
     prog = push_bot((0.8677, -0.0292, 0.6817, -2.7230), 1.0, form)
@@ -326,6 +326,7 @@ def test_tightened_products_stay_below_their_bound_and_reach_it(relaxation: floa
     assert np.max(products) == pytest.approx(relaxation, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_payload_slides_to_its_goal_where_friction_alone_does_not_get_it_there() -> None:
     start, goal = np.array([0.02, 0.0, 0.0, 0.0]), np.zeros(4)
     result = AigoSolver(AigoOptions(rounds=20)).Solve(payload(start, goal, 12))

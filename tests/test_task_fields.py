@@ -24,7 +24,6 @@ from drake_aigto.show import (
     angle_text,
     format_plan,
     miss_text,
-    report_plan,
     simulation_label,
     task_items,
 )
@@ -318,15 +317,6 @@ def test_a_plan_that_keeps_its_promise_may_miss_its_goal_and_says_what_for(
     assert f'{"holds" if reached else "fails"}">{"✓" if reached else "✗"} Goal ' in page.to_html()
     loaded = dataclasses.replace(plan, world=None)
     assert "reached" not in repr(loaded)  # Its world would have to be built.
-
-
-def test_a_report_of_a_mechanism_is_written() -> None:
-    scenario = Scenario(**SWING, velocity_weight=[0.0, 1.0], angles="modulo", contact="compliant")
-    found = dataclasses.replace(make_plan(scenario), transcription="shooting")
-    written = report_plan(found, cart_pole())
-    assert "Links at evenly spaced times" in written and "boxes can" not in written
-    for part in ("R = 0.001; Q_v = [0, 1]; Q_T = [1, 2]", "λ = k x max(0, 1 + d ẋ)", "3 rad)"):
-        assert part in written
 
 
 def test_where_nothing_touches_no_wall_is_told_of() -> None:

@@ -49,6 +49,7 @@ def touching(bodies: Bodies, count: int) -> list[tuple[Floats, Floats]]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", PAIRS, ids="-".join)
 def test_contact_forces_are_those_of_drakes_continuous_plant(kinds: tuple[str, str]) -> None:
     bodies = Bodies.of(*kinds)
@@ -63,6 +64,7 @@ def test_contact_forces_are_those_of_drakes_continuous_plant(kinds: tuple[str, s
         np.testing.assert_allclose(force, expected, rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("eps", "slowing"), [(0.0, 0.0), (0.02, 0.0), (0.02, 5e-3)])
 @pytest.mark.parametrize(
     "kinds", [*PAIRS, ("capsule", "capsule"), ("capsule", "box"), ("ball", "hull")], ids="-".join
@@ -85,6 +87,7 @@ def test_derivatives_of_forces_are_exact(
             assert np.max(np.abs(slopes[:, [j, n + j]] - differences)) <= 1e-5 * size
 
 
+@pytest.mark.slow
 def test_two_capsules_are_as_far_apart_as_the_nearest_balls_on_their_axes() -> None:
     bodies, rng = Bodies.of("capsule", "capsule"), np.random.default_rng(1)
     along = np.linspace(-0.15, 0.15, 301)
@@ -100,6 +103,7 @@ def test_two_capsules_are_as_far_apart_as_the_nearest_balls_on_their_axes() -> N
         assert nearest <= np.hypot(distance, 2 * half_step) + 1e-12
 
 
+@pytest.mark.slow
 def test_a_capsule_is_as_far_from_a_box_as_their_difference_is_from_zero() -> None:
     """That is the convex hull of corners less ends of the axis, by which both part the soonest."""
     bodies, rng, pierced = Bodies.of("capsule", "box"), np.random.default_rng(1), 0
@@ -129,6 +133,7 @@ def find_nearest(points: Floats) -> float:
     return float(np.linalg.norm(points.T @ weights))
 
 
+@pytest.mark.slow
 def test_a_ball_is_as_far_from_a_hull_as_the_nearest_mixture_of_its_corners() -> None:
     bodies, rng, insides = Bodies.of("ball", "hull"), np.random.default_rng(1), 0
     for _ in range(60):
@@ -175,8 +180,7 @@ def test_a_mesh_touches_what_its_convex_hull_touches(tmp_path: Path) -> None:
 TABLE = "<box><size>1 1 0.1</size></box>"
 
 
-@pytest.mark.parametrize("on_table", [False, True])
-@pytest.mark.parametrize("is_mesh", [False, True])
+@pytest.mark.parametrize(("is_mesh", "on_table"), [(False, True), (True, False)])
 def test_what_stands_on_a_face_stays_there(tmp_path: Path, is_mesh: bool, on_table: bool) -> None:
     """Drake's own touch, the lowest corner, is another one all the time: no motion can be found."""
     corners = np.array(list(itertools.product((-0.05, 0.05), repeat=3)))
@@ -268,6 +272,7 @@ def test_touches_of_capsules_in_drake_are_compared_with_the_exact_ones(tmp_path:
     assert find_touch_error(exact, near) == 0.0  # It has no capsules.
 
 
+@pytest.mark.slow
 def test_smoothed_contact_pushes_from_afar_and_ends_at_the_law() -> None:
     bodies = Bodies.of("ball", "ground")
     for q, v in touching(bodies, 5):

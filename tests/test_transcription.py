@@ -80,7 +80,7 @@ def plant(
 
 
 @pytest.mark.parametrize("kind", [LiteralTranscription, LiteralWithForces])
-@settings(max_examples=10)
+@settings(max_examples=3)
 @given(controls=CONTROLS)
 def test_rows_vanish_on_the_papers_euler_and_only_there(
     kind: type[LiteralTranscription], plant: tuple[Scenario, dict[str, float]], controls: np.ndarray
@@ -106,7 +106,7 @@ def test_rows_vanish_on_the_papers_euler_and_only_there(
         assert not prog.CheckSatisfied(prog.GetAllConstraints(), x, 1e-9)
 
 
-@settings(max_examples=10)
+@settings(max_examples=3)
 @given(controls=CONTROLS, seed=st.integers(0, 1000))
 def test_closing_the_rows_takes_a_solvers_rounding_out_of_the_dynamics(
     plant: tuple[Scenario, dict[str, float]], controls: np.ndarray, seed: int

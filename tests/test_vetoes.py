@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow
 from replay_worlds import (
     COARSE,
     UNCONFIRMED,
@@ -168,6 +169,7 @@ def test_nothing_that_holds_is_an_error_that_says_what_was_tried(
     assert caught.value.plan.cost == cost
 
 
+@pytest.mark.slow
 def test_a_hard_goal_that_all_candidates_miss_is_told_with_the_nearest() -> None:
     # A force of 12 N does not push 1 kg 30 m far in 2 s.
     block = Scenario.named("sliding_block/to_rest")
@@ -204,6 +206,7 @@ def test_where_no_polish_succeeds_there_is_still_doing_nothing(
     assert "this is the plan: no other plan that holds costs less" in format_plan(found)
 
 
+@pytest.mark.slow
 def test_a_dead_stop_from_high_speed_is_no_reason_for_a_veto() -> None:
     scenario = table1(1, initial_velocity=-100.0, restitution=0.0)
     found = plan(scenario)
@@ -222,7 +225,9 @@ def one_coordinate(model: str, start: float, velocity: float, **fields: Any) -> 
     "scenario",
     [
         one_coordinate("corridor", 0.5, 20.0),  # 20 bounces.
-        one_coordinate("floor", 0.29, -0.07, duration=0.9, goal_position=0.3, restitution=0.3),
+        *slow(
+            one_coordinate("floor", 0.29, -0.07, duration=0.9, goal_position=0.3, restitution=0.3)
+        ),
     ],
     ids=["corridor", "floor"],
 )

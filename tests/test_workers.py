@@ -191,6 +191,7 @@ def test_plans_on_the_workers_of_a_scheduler_are_the_same() -> None:
     assert there == {name: plan(scenario, FAST).cost for name, scenario in two.items()}
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_lost_ends_the_work_and_what_was_done_is_kept(tmp_path: Path) -> None:
     with scheduler() as local:
         address = local.scheduler_address

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from marks import slow
 from optimum_worlds import SAMPLES, Leg, draw, ends, legs_of, restitutions, seeds, solve, world_of
 from replay_worlds import make_diagram, make_scenario, shipped_world
 
@@ -45,21 +46,7 @@ def test_one_wall_has_the_optimum_by_algebra(
         assert times == pytest.approx(known.bounce_times, rel=1e-3)
 
 
-@pytest.mark.slow
-@settings(max_examples=10)
-@given(seeds, restitutions, st.sampled_from(["corridor", "floor", "one wall"]))
-def test_twice_the_mass_is_four_times_the_control_weight(seed: int, e: float, name: str) -> None:
-    scenario = draw("corridor" if name == "one wall" else name, seed, restitution=e)
-    optimum: Optimum = WORLDS[name].optimum if name in WORLDS else rigid_optimum
-    if name == "one wall":
-        scenario = dataclasses.replace(scenario, model=make_scenario().model)
-    heavy = dataclasses.replace(scenario, mass=2.0)
-    dear = dataclasses.replace(scenario, control_weight=4 * scenario.control_weight)
-    costs = [optimum(World.from_scenario(each), each).cost for each in (heavy, dear)]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-7, abs=1e-15)
-
-
-@settings(max_examples=15)
+@settings(max_examples=5)
 @given(seeds, restitutions)
 def test_a_room_costs_what_its_two_corridors_cost(seed: int, e: float) -> None:
     scenario = draw("room", seed, restitution=e)
@@ -75,7 +62,7 @@ def test_a_room_costs_what_its_two_corridors_cost(seed: int, e: float) -> None:
         assert [touch.start for touch in mine] == [touch.start for touch in corridor.touches]
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, *slow(1)])
 def test_a_room_with_a_block_costs_no_more_than_the_empty_one_if_that_is_clear(seed: int) -> None:
     scenario = draw("room_with_block", seed)
     empty = dataclasses.replace(scenario, model=draw("room", 0).model)
@@ -191,7 +178,7 @@ def optimal_controls(
 
 
 @pytest.mark.parametrize("name", ["corridor", "floor", "room", "room_with_block"])
-@pytest.mark.parametrize(("seed", "e"), [(0, 1.0), (1, 0.8), (2, 0.8)])
+@pytest.mark.parametrize(("seed", "e"), [(0, 1.0), *slow((1, 0.8), (2, 0.8))])
 def test_the_replayed_optimum_touches_and_costs_as_it_says(name: str, seed: int, e: float) -> None:
     scenario = draw(name, seed, restitution=e)
     optimum = solve(name, scenario)

@@ -178,12 +178,12 @@ def add_fields(group: Any, kind: type[Any], *skipped: str, note: str = "") -> No
     Its help is the first sentence of the field's description, after a note; its kind is that of its
     annotation. Flags that are left out are not in the options (`read_fields`).
     """
-    about: dict[str, str] = {}
+    about, hints = dict[str, str](), get_type_hints(kind)
     for each in kind.__mro__[:-1]:
         about |= _read_attributes(each)
     for field in dataclasses.fields(kind):
         if field.name not in skipped:
-            text, look = about.get(field.name, ""), _look(get_type_hints(kind)[field.name])
+            text, look = about.get(field.name, ""), _look(hints[field.name])
             if isinstance(field.default, int | float | str) and kind is not world.Scenario:
                 text = f"{text} (default: {field.default})"
             look |= {"help": f"{note}{text}", "default": argparse.SUPPRESS}

@@ -24,7 +24,6 @@ from .feedback import Regulator as Regulator
 from .feedback import calc_divergence as calc_divergence
 from .mechanisms.closing import COARSE as COARSE
 from .mechanisms.closing import Aim as Aim
-from .mechanisms.closing import close_gaps as close_gaps
 from .mechanisms.closing import find_tight as find_tight
 from .mechanisms.guesses import Guess as Guess
 from .mechanisms.guesses import Guesses as Guesses
@@ -40,7 +39,6 @@ from .mechanisms.reaches import Reaches as Reaches
 from .mechanisms.rigid_task import RigidMechanismTask as RigidMechanismTask
 from .mechanisms.rigid_task import make_mechanism_task as make_mechanism_task
 from .mechanisms.search import MechanismSearch as MechanismSearch
-from .mechanisms.settling import settle as settle
 from .mechanisms.settling import steady as steady
 from .mechanisms.task import MechanismTask as MechanismTask
 from .mechanisms.task import soften as soften
