@@ -1,8 +1,8 @@
-"""Rivals of plans on any task: IPOPT, shooting and cross-entropy, each from random controls.
+"""Rivals of plans on any task: IPOPT, shooting and samplers, each from random controls.
 
 Where contact is compliant or none, IPOPT and our shooting start from roll-outs, with contact wide
-at first. Where walls are rigid, shooting has listed touches. The cross-entropy method samples
-controls that are linear between a few knots, for balls `baselines.sampling`'s.
+at first. Where walls are rigid, shooting has listed touches. Samplers have controls that are linear
+between a few knots, for balls `baselines.sampling`'s.
 """
 
 from __future__ import annotations
@@ -29,9 +29,13 @@ _Found: TypeAlias = Iterator[tuple[float, Control]]
 # What promises more than this times the best is not replayed.
 _PROMISING = 1.05
 _MOST_TOUCHES = 2
-# Of cross-entropy: knots, samples, those that are kept, the part of the spread that is kept, and
-# generations of a run.
-_KNOTS, _SAMPLES, _ELITE, _KEPT, _GENERATIONS = 8, 60, 10, 0.3, 20
+SAMPLERS = ("cross-entropy", "MPPI", "predictive sampling")
+# Of these: knots, samples, and generations of a run.
+_KNOTS, _SAMPLES, _GENERATIONS = 8, 60, 20
+# Of cross-entropy: samples that are kept, and the part of the spread that is.
+_ELITE, _KEPT = 10, 0.3
+# Of MPPI: the temperature, as a part of the mean excess, and what is left of the spread each time.
+_TEMPERATURE, _NARROWS = 0.03, 0.95
 # Of bounds that a sample leaves by their scale, in the task's.
 _PRICE = 10.0
 # They soon tell whether a start is any good.
@@ -86,10 +90,10 @@ def _list_rivals(world: World, scenario: Scenario) -> Iterator[_Found]:
     problem = make_mechanism_task(world, scenario, PlanOptions()).shooting(scenario.num_steps)
     if scenario.contact == "rigid" and world.contacts:
         yield _shoot(problem, lambda rng: _list_touches(world, scenario, problem, rng))
-        yield _sample(problem, lambda each: _replay(world, scenario, each))
+        yield sample(problem, lambda each: _replay(world, scenario, each))
         return
     yield _shoot(problem, lambda _: problem)
-    yield _sample(problem, lambda each: _roll_out(problem, each))
+    yield sample(problem, lambda each: roll_out(problem, each))
     if casadi is not None and ShootingProgram.fits(problem):
         yield _ask_ipopt(problem)
 
@@ -130,24 +134,53 @@ def _ask_ipopt(problem: ShootingProblem) -> _Found:
         yield program.solve(problem.simulate(controls, substeps=2).states, controls)
 
 
-def _sample(problem: ShootingProblem, calc_cost: Callable[[Control], float]) -> _Found:
-    """Yields the best of each generation."""
-    rng, size = np.random.default_rng(2), (_KNOTS, len(problem.control_scales))
+def sample(
+    problem: ShootingProblem,
+    calc_cost: Callable[[Control], float],
+    method: str = "cross-entropy",
+    seed: int = 2,
+) -> _Found:
+    """Yields the best of each generation, of a mean and samples about it.
+
+    The next mean is that of the best samples, as is the spread (cross-entropy); the mean of all,
+    weighed by exp(-excess / temperature) (MPPI); or the best of all (predictive sampling). Runs
+    begin at zero with random spreads.
+    """
+    rng, size = np.random.default_rng(seed), (_KNOTS, len(problem.control_scales))
     while True:
         mean, spread = np.zeros(size), np.full(size, 10 ** rng.uniform(-1.0, 0.7))
         for _ in range(_GENERATIONS):
             points = mean + spread * rng.normal(size=(_SAMPLES, *size))
+            points[0] = mean
             controls = [Control(problem.times, _hold(problem, each)) for each in points]
             costs = np.array([calc_cost(each) for each in controls])
-            order = np.argsort(costs, kind="stable")[:_ELITE]
+            order = np.argsort(costs, kind="stable")
             yield float(costs[order[0]]), controls[order[0]]
-            mean = _KEPT * mean + (1 - _KEPT) * points[order].mean(axis=0)
-            spread = _KEPT * spread + (1 - _KEPT) * points[order].std(axis=0)
+            if not np.isfinite(costs[order[0]]):
+                continue
+            if method == "cross-entropy":
+                elite = points[order[:_ELITE]]
+                mean = _KEPT * mean + (1 - _KEPT) * elite.mean(axis=0)
+                spread = _KEPT * spread + (1 - _KEPT) * elite.std(axis=0)
+            elif method == "MPPI":
+                excess = costs - costs[order[0]]
+                unit = _TEMPERATURE * np.mean(excess[np.isfinite(excess)]) or 1.0
+                weights = np.exp(-excess / unit)
+                mean = np.einsum("i,i...->...", weights / weights.sum(), points)
+                spread = _NARROWS * spread
+            else:
+                mean = points[order[0]]
 
 
-def _roll_out(problem: ShootingProblem, control: Control) -> float:
-    """Returns what the motion of a control costs, and a price for how far it leaves its bounds."""
-    motion = problem.simulate(control.values, substeps=4)
+def roll_out(problem: ShootingProblem, control: Control, order: int = 4) -> float:
+    """Returns what the motion of a control costs, and a price for how far it leaves its bounds.
+
+    Args:
+        problem: of the task.
+        control: what acts.
+        order: of Runge-Kutta steps, see `ShootingOptions`.
+    """
+    motion = problem.simulate(control.values, substeps=4, order=order)
     cost = motion.exact_cost + _PRICE * problem.cost_scale * motion.violation
     return cost if np.isfinite(cost) else np.inf
 

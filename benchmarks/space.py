@@ -2,12 +2,18 @@
 
     python -m benchmarks.space [--only push] [--seeds 5] [--renewals 48] [--keep FILE]
     python -m benchmarks.space --poses 50 [--only three_fingers/lift] [--renewals 0]
+    python -m benchmarks.space --rivals [--only push] [--seeds 1] [--renewals 24]
 
 What counts was fixed beforehand: objects within 2 cm and 0.1 rad of their goals, in our own
 integration and on Drake's continuous plant. Exits with 1 where a plan misses that. Worlds of MJCFs
 (extra "models") are simulated in MuJoCo, too, with the file's own contact and the plan's feedback:
 what is asked for has to end within 5 cm and 0.3 rad of its goal there, limits that were chosen
 after the first such run.
+
+With `--rivals`, samplers have as many CPU seconds each as the plan took: the cross-entropy method,
+MPPI and predictive sampling (`benchmarks.rivals`), of controls over the whole task, by their cost
+in the plan's own compiled dynamics, in implicit steps. The best control of each is judged as the
+plan is, by our integration. Where one alone reaches the goal, it is better, else the cheaper one.
 
 With `--poses`, tasks of one world are drawn, and Drake's plant judges. push_tee's T, where none is
 named, starts at random poses, and at the end has to cover 95 % of its goal. Both are diffusion
@@ -25,7 +31,8 @@ x and y; lifted, 0.05 to 0.1 m high and turned by up to 180° about (0, 1, 1) + 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import NamedTuple
 
@@ -34,11 +41,14 @@ from matplotlib.path import Path
 from matplotlib.transforms import Bbox
 
 from benchmarks.mujoco_judge import MujocoJudge
+from benchmarks.rivals import SAMPLERS, roll_out, sample
+from benchmarks.robots.judge import Control
 from benchmarks.script import clock, machine, read_flags, run_all, run_as
 from drake_aigto import Planner, PlanOptions, Scenario, World, scenario_names
 from drake_aigto.arrays import Floats
-from drake_aigto.planning import Feedback
-from drake_aigto.simulation import replay_with
+from drake_aigto.planning import Feedback, make_mechanism_task
+from drake_aigto.shooting import IMPLICIT
+from drake_aigto.simulation import Replay, replay_event_driven, replay_with
 from drake_aigto.world import TaskCost
 
 FROM_WHEELS = ("dm_cheetah/leap", "gymnasium_hopper/hop", "half_cheetah/leap", "walker2d/step")
@@ -97,16 +107,19 @@ def main() -> int:
         seeds=(5, "of each world"),
         renewals=(48, "of each plan"),
         poses=(0, "tasks that are drawn of one world, push_tee/to_pose if none is named"),
+        rivals=(False, "compare plans with samplers"),
     )
     print(machine())
     if arguments.poses:
         return plan_drawn(arguments)
-    ends = ("plan", "ours", "Drake", "MuJoCo")
-    heads = "".join(f"{f'{each} mm':>10} {'rad':>8}" for each in ends)
-    print(f"{'':24}{'cost':>12}{'in Drake':>12}{heads}  {'':9}{'CPU s':>8}")
     known, seeds = set(scenario_names()), range(arguments.seeds)
     worlds = [each for each in WORLDS if arguments.only in each and each in known]
     names = [f"{world} {seed}" for world in worlds for seed in seeds]
+    if arguments.rivals:
+        return compare(names, arguments)
+    ends = ("plan", "ours", "Drake", "MuJoCo")
+    heads = "".join(f"{f'{each} mm':>10} {'rad':>8}" for each in ends)
+    print(f"{'':24}{'cost':>12}{'in Drake':>12}{heads}  {'':9}{'CPU s':>8}")
     runs = run_all(partial(run, renewals=arguments.renewals), names, arguments)
     for each in runs:
         print(each)
@@ -229,25 +242,84 @@ def _turn(angle: float) -> Floats:
 
 def run(name: str, *, renewals: int) -> Run:
     """Plans for one world from one seed, code compiled before."""
-    world, _, seed = name.partition(" ")
-    scenario = Scenario.named(world)
-    _compile(world)
-    planner = Planner(scenario, PlanOptions(renewals=renewals, finalists=1, seed=int(seed)))
+    planner = _make_planner(name, renewals)
     plan, spent = clock(planner.plan)
-    cost, turns = TaskCost.of(planner.world, planner.scenario), planner.world.turns
-
-    def miss(positions: Floats) -> tuple[float, float]:
-        off = np.abs(np.where(cost.is_asked, cost.goal_errors(positions[-1]), 0.0))
-        return float(np.max(off[~turns])), float(np.max(off[turns], initial=0.0))
-
     replays, in_drake = list(plan.replay), plan.replay.drake
     assert in_drake is not None, "options confirm"
-    if world in FROM_WHEELS:
+    if name.partition(" ")[0] in FROM_WHEELS:
         feedback = Feedback(planner.world, planner.scenario, plan.trajectory)
         replays.append(replay_with(MujocoJudge(), planner.world, planner.scenario, feedback))
     ends = [plan.trajectory.positions, *(replay.positions for replay in replays)]
-    misses = tuple(map(miss, ends))
+    misses = tuple(_miss(planner, each[-1]) for each in ends)
     return Run(name, plan.cost, in_drake.cost, misses, plan.holds, spent.cpu)
+
+
+def _make_planner(name: str, renewals: int) -> Planner:
+    """Returns a planner for a world and a seed, machine code compiled."""
+    world, _, seed = name.partition(" ")
+    _compile(world)
+    return Planner(
+        Scenario.named(world), PlanOptions(renewals=renewals, finalists=1, seed=int(seed))
+    )
+
+
+def _miss(planner: Planner, end: Floats) -> tuple[float, float]:
+    """Returns how far sliders and turns that the goal asks for are off it, [m] and [rad]."""
+    cost, turns = TaskCost.of(planner.world, planner.scenario), planner.world.turns
+    off = np.abs(np.where(cost.is_asked, cost.goal_errors(end), 0.0))
+    return float(np.max(off[~turns])), float(np.max(off[turns], initial=0.0))
+
+
+class Judged(NamedTuple):
+    """What our integration makes of a control."""
+
+    cost: float
+    miss: tuple[float, float]  # of its goal [m], [rad]
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Reaching the goal comes first, then the cost."""
+        return bool(np.any(np.array(self.miss) > MOST)), self.cost
+
+    def __str__(self) -> str:
+        """Returns three columns of a table."""
+        return f"{self.cost:11.4g}{1e3 * self.miss[0]:8.1f}{self.miss[1]:7.3f}"
+
+
+def compare(names: Sequence[str], arguments: argparse.Namespace) -> int:
+    """Compares plans with samplers, and prints a table and how often plans are better."""
+    print(f"{'':27}{'plan':>11}{'mm':>8}{'rad':>7}", end="")
+    print("".join(f"{each:>22}{'':4}" for each in SAMPLERS) + f"{'CPU s':>8}")
+    better, work = 0, partial(ask_samplers, renewals=arguments.renewals)
+    found = run_all(work, names, arguments)
+    for name, ours, others, seconds in found:
+        print(f"{name:27}{ours}{''.join(map(str, others))}{seconds:8.1f}")
+        better += all(ours.rank < each.rank for each in others)
+    print(f"{better} of {len(found)} plans are better than all samplers with as many CPU seconds")
+    return 0 if better >= 8 / 9 * len(found) else 1
+
+
+def ask_samplers(name: str, *, renewals: int) -> tuple[str, Judged, list[Judged], float]:
+    """Returns the name, what a plan and each sampler have, and the CPU seconds of each."""
+    planner = _make_planner(name, renewals)
+    plan, spent = clock(planner.plan)
+    world, scenario = planner.world, planner.scenario
+    problem = make_mechanism_task(world, scenario, planner.options).shooting(scenario.num_steps)
+
+    def judge(replay: Replay) -> Judged:
+        return Judged(replay.cost, _miss(planner, replay.positions[-1]))
+
+    def calc_cost(control: Control) -> float:
+        return roll_out(problem, control, IMPLICIT)
+
+    others = []
+    for method in SAMPLERS:
+        end, generations = time.process_time() + spent.cpu, sample(problem, calc_cost, method)
+        best = next(generations)
+        while time.process_time() < end:
+            best = min(best, next(generations), key=lambda found: found[0])
+        others.append(judge(replay_event_driven(world, scenario, *best[1])))
+    return name, judge(plan.replay.event_driven), others, spent.cpu
 
 
 class Drawn(NamedTuple):

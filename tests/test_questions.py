@@ -11,7 +11,7 @@ from marks import slow
 
 from benchmarks.local_peers import casadi
 from benchmarks.questions import NEAR, WIDE, Row, draw, format_results, main
-from benchmarks.rivals import ask_rivals
+from benchmarks.rivals import SAMPLERS, ask_rivals, roll_out, sample
 from benchmarks.shooting_ipopt import ShootingProgram
 from drake_aigto import PlanOptions, Scenario, World
 from drake_aigto.errors import ScenarioError
@@ -78,3 +78,16 @@ def test_rivals_find_the_optimum_of_an_easy_task_and_no_less() -> None:
     problem = make_mechanism_task(world, SWAYING, PlanOptions()).shooting(SWAYING.num_steps)
     least = problem.solve(np.zeros((SWAYING.num_steps, 1)), None).cost
     assert ask_rivals(world, SWAYING, 0.3, np.inf) == pytest.approx(least, rel=1e-2)
+
+
+@pytest.mark.parametrize("method", SAMPLERS)
+def test_samplers_find_less_from_generation_to_generation(method: str) -> None:
+    far = replace(SWAYING, goal_position=[1.0, -0.5])
+    world = World.from_scenario(far)
+    problem = make_mechanism_task(world, far, PlanOptions()).shooting(far.num_steps)
+    least = problem.solve(np.full((far.num_steps, 1), 0.1), None).cost
+    generations = sample(problem, lambda each: roll_out(problem, each), method)
+    costs = [next(generations)[0] for _ in range(20)]
+    assert least < min(costs) < 1.02 * least < costs[0]
+    if method == "predictive sampling":  # The mean is one of the samples.
+        assert all(np.diff(costs) <= 0)
