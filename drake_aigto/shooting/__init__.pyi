@@ -14,6 +14,7 @@ from .problem import ShootingProblem as ShootingProblem
 from .problem import limit_states as limit_states
 from .program import IMPLICIT as IMPLICIT
 from .program import TWO_STAGES as TWO_STAGES
+from .program import is_implicit as is_implicit
 from .solve import ShootingOptions as ShootingOptions
 from .solve import ShootingResult as ShootingResult
 from .solve import Smoothing as Smoothing

@@ -18,6 +18,7 @@ from drake_aigto.shooting import (
     ShootingProblem,
     ShootingResult,
     Smoothing,
+    is_implicit,
 )
 from drake_aigto.world import SpaceWorld, World
 
@@ -249,7 +250,7 @@ def close_gaps(
         wary = states, dataclasses.replace(options, is_wary=True), prices
         alone = None, options, prices
         in_space = isinstance(problem.mechanism, TreeMechanism)
-        if in_space and options.order == motion.order:
+        if in_space and is_implicit(options.order) == is_implicit(motion.order):
             first = options.rungs[0]._replace(most=min(options.rungs[0].most, most))
             brief = dataclasses.replace(options, rungs=(first, *options.rungs[1:]))
             wary = states, dataclasses.replace(brief, is_wary=True), prices

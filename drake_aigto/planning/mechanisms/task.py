@@ -30,7 +30,7 @@ from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, sample_cubic
 from drake_aigto.planning.mechanisms.posed import PosedMechanism
 from drake_aigto.planning.mechanisms.settling import MOST_KEPT, MOST_RENEWED, settle, steady
 from drake_aigto.planning.search import scaled
-from drake_aigto.shooting import IMPLICIT, ShootingOptions, ShootingResult
+from drake_aigto.shooting import IMPLICIT, ShootingOptions, ShootingResult, is_implicit
 from drake_aigto.world import SpaceWorld, World, find_anywhere
 
 # Price of violating bounds (relative to the state's scales) in the task's scale. As a violation may
@@ -214,7 +214,7 @@ class MechanismTask(PosedMechanism):
 
     def _is_stiff(self, motion: ShootingResult) -> bool:
         """Returns whether explicit steps of a motion soften the friction of shapes in space."""
-        return self._rubs_in_space and motion.order != IMPLICIT
+        return self._rubs_in_space and not is_implicit(motion.order)
 
     @property
     def _is_sliding(self) -> bool:
