@@ -32,6 +32,7 @@ from drake_aigto.planning import (
     PlanStats,
     Proposal,
     Replays,
+    make_mechanism_task,
 )
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.simulation import replay_event_driven
@@ -378,6 +379,28 @@ def test_the_chance_of_a_better_motion_falls_with_every_time_that_the_best_is_fo
         search.close([first])
         assert search.found == search.searches == count
         assert search.chance == pytest.approx((1.5 if count == 1 else 0.5) / (count * (count + 1)))
+
+
+@pytest.mark.slow
+def test_a_motion_without_control_that_misses_a_hard_goal_is_no_better_one() -> None:
+    scenario = Scenario.named("sliding_block/to_rest")
+    task = make_mechanism_task(World.from_scenario(scenario), scenario, QUICK)
+    search = MechanismSearch(task)
+    waves = search.propose()
+    search.close(next(waves))
+    assert task.price(task.coast) < search.promise
+    assert search.chance < 1.0
+
+
+@pytest.mark.slow
+def test_a_search_that_found_nothing_but_the_motion_without_control_goes_on() -> None:
+    scenario = Scenario.named("push_circle/round_it")
+    search = MechanismSearch(MechanismTask(World.from_scenario(scenario), scenario, QUICK))
+    first, *_ = next(search.propose())
+    for _ in range(8):
+        search.close([first])
+    assert search.found == 8 and search.promise >= 0.99 * search.task.coast.cost
+    assert search.chance == 1.0
 
 
 @pytest.mark.parametrize(
