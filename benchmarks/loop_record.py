@@ -8,11 +8,12 @@ ends; costs are those of what happened, and CPU is that of a tick (the median of
 all).
 
 Controllers: the plan's control alone; a time-varying LQR as one writes it by hand, by the clock,
-about the smooth dynamics, compliant walls included; `TrackingController`;
-`ModelPredictiveController` from the same plan, which estimates what mechanisms' models may have
-wrong; and MPPI, which moves the plan's control to samples about it, by their cost in our own
-simulation. The tracker and what plans again are told the delay and the limits of actuators. Where
-states are measured with noise, all of these get as many from a `StateFilter`.
+about the smooth dynamics, compliant walls included; `TrackingController`, which estimates mass,
+friction and stiffness where its laws are judged by a model; `ModelPredictiveController` from the
+same plan, which estimates what mechanisms' models may have wrong; and MPPI, which moves the plan's
+control to samples about it, by their cost in our own simulation. The tracker and what plans again
+are told the delay and the limits of actuators. Where states are measured with noise, all of these
+get as many from a `StateFilter`.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ from drake_aigto.control import (
 )
 from drake_aigto.planning import make_mechanism_task
 from drake_aigto.simulation import EVENT_DRIVEN, Held, HeldControl, Parabolas, summarize
-from drake_aigto.world import Scales, TaskCost
+from drake_aigto.world import Scales, SpaceWorld, TaskCost
 
 WORLDS = (
     *("table1/1", "corridor/three_bounces", "room/bank_shot", "floor/rebound"),
@@ -362,13 +363,15 @@ def make_controller(method: str, prepared: Prepared, disturbance: Disturbance) -
         return Clocked(planner, period, plan=plan, **known, **options)
     # No sensor of noise is read more often by one than by another.
     often = period if disturbance.noise.any() else min(period, plan.scenario.time_step / 5)
-    controller: Any = TrackingController(plan, world, period=often, **known)
-    if method == "TVLQR":
-        controller = TrackingController(plan, world, period=often)
-        controller.feedback = Regulated(plan, world)
-    elif method == "MPPI":
-        controller = TrackingController(plan, world, period=period)
-        controller.feedback = Sampled(plan, prepared)
+    if method == "tracking":
+        unknown = [each for each in options.get("estimate", ()) if each != "walls"]
+        is_judged = plan.scenario.contact == "compliant" and not isinstance(world, SpaceWorld)
+        known["estimate"] = unknown if is_judged and world.contacts else ()
+        return TrackingController(plan, world, period=often, **known)
+    law = Regulated(plan, world) if method == "TVLQR" else Sampled(plan, prepared)
+    each = often if method == "TVLQR" else period
+    controller: Any = TrackingController(plan, world, period=each)
+    controller.feedback = law
     return controller
 
 

@@ -292,7 +292,7 @@ def test_other_models_are_those_that_would_be_read(
     monkeypatch.setattr(World, "from_diagram", refuse)
     monkeypatch.setattr(TapeBuilder, "build", refuse)
     for values, end in zip(tried, expected, strict=True):
-        ends = list(map(lead, dataclasses.replace(known, values=values)._build().models))
+        ends = list(map(lead, dataclasses.replace(known, values=values).build().models))
         np.testing.assert_allclose(ends[0], end, rtol=1e-8, atol=1e-9)
         assert not np.array_equal(ends[1], end)
 

@@ -31,6 +31,7 @@ from drake_aigto.simulation import (
 )
 from drake_aigto.trajectory import Trajectory
 
+MASS: Any = "mass", "stiffness"
 QUICK = PlanOptions(renewals=16, finalists=1, confirm=False)
 
 
@@ -52,19 +53,27 @@ def track(plan: Plan, off: Any, feels: bool, period: float = 0.01) -> tuple[Any,
     return x, controller.count_bounces(controller.GetMyContextFromRoot(root))
 
 
-def end_among(plan: Plan, shift: float) -> tuple[Any, tuple[int, ...]]:
-    """Returns the same as `track` in a plant whose walls stand nearer, and touches are inferred."""
-    true, _ = Disturbance(wall_shift=shift).apply(plan.find_world(), plan.scenario)
-    builder, controller = DiagramBuilder(), TrackingController(plan, period=0.01)
+def move_among(
+    plan: Plan, controller: TrackingController, disturbance: Disturbance, time: float
+) -> tuple[Any, Any]:
+    """Returns where a plant is by a time that is not the plan's, and the Diagram's context."""
+    true, _ = disturbance.apply(plan.find_world(), plan.scenario)
+    builder = DiagramBuilder()
     plant = builder.AddSystem(true.diagram.Clone())
     builder.AddSystem(controller)
     builder.Connect(plant.GetOutputPort("state"), controller.GetInputPort("estimated_state"))
     builder.Connect(controller.GetOutputPort("control"), plant.GetInputPort("actuation"))
     world = true.of_diagram(builder.Build())
     simulator = make_simulator(world, plan.scenario)
-    simulator.AdvanceTo(plan.scenario.duration)
-    root = simulator.get_context()
-    x = world.plant.GetPositionsAndVelocities(world.plant.GetMyContextFromRoot(root))
+    simulator.AdvanceTo(time)
+    root = simulator.get_context().Clone()
+    return world.plant.GetPositionsAndVelocities(world.plant.GetMyContextFromRoot(root)), root
+
+
+def end_among(plan: Plan, shift: float) -> tuple[Any, tuple[int, ...]]:
+    """Returns the same as `track` in a plant whose walls stand nearer, and touches are inferred."""
+    controller, nearer = TrackingController(plan, period=0.01), Disturbance(wall_shift=shift)
+    x, root = move_among(plan, controller, nearer, plan.scenario.duration)
     return x, controller.count_bounces(controller.GetMyContextFromRoot(root))
 
 
@@ -243,6 +252,43 @@ def test_off_its_plan_tracking_costs_no_more_than_any_gains_that_know_of_walls_f
         pushed = dataclasses.replace(scenario, initial_velocity=start)
         cost, *others = [replay_with(EVENT_DRIVEN, world, pushed, each).cost for each in laws]
         assert cost <= 1.01 * min(others)
+
+
+def test_laws_are_judged_by_what_is_learned_of_a_model_and_that_is_in_the_context() -> None:
+    plan, heavy, unknown = make_plan("cart_pole/soft_06"), Disturbance(mass_factor=1.2), MASS[:1]
+    controllers = [TrackingController(plan, estimate=each) for each in (unknown, unknown, ())]
+    x, root = move_among(plan, controllers[0], heavy, 0.4)
+    learned = controllers[0].GetMyContextFromRoot(root)
+    (mass,) = controllers[0].read_status(learned).estimated
+    assert mass == pytest.approx(1.2, abs=0.01)
+    answers = list[Any]()
+    for k in range(12):  # Each 5 ms on, as if it were held there: off the plan, more and more.
+        answers.append([])
+        for controller in controllers:
+            context = controller.CreateDefaultContext()
+            if controller.estimated:
+                context.SetTimeStateAndParametersFrom(learned)
+            context.SetTime(0.405 + 0.005 * k)
+            controller.get_input_port_estimated_state().FixValue(context, x)
+            controller.update(context)
+            answers[-1].append(controller.get_output_port_control().Eval(context).item())
+    learns, copied, believes = np.array(answers).T
+    np.testing.assert_array_equal(learns, copied)
+    assert np.any(learns != believes)
+
+
+def test_a_tracker_with_one_law_at_a_time_learns_nothing_of_its_model() -> None:
+    with pytest.raises(ControlError, match=r"one law at a time"):
+        TrackingController(make_plan("table1/1"), estimate=MASS)
+
+
+def test_a_plant_that_is_heavier_is_tracked_by_the_model_that_explains_it() -> None:
+    plan, heavy = make_plan("cart_pole/soft_06"), Disturbance(mass_factor=1.2)
+    costs = [
+        run_in_loop(TrackingController(plan, estimate=unknown), plan.scenario, disturbance=heavy)
+        for unknown in ((), MASS)
+    ]
+    assert costs[1].cost < 0.95 * costs[0].cost
 
 
 @pytest.mark.parametrize("feels", [*slow(False), True])

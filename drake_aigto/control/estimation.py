@@ -106,7 +106,7 @@ class ModelEstimate:
         empty = np.diag(none), none, 0.0, 0.0
         scales = np.repeat(_NOISE, world.num_velocities) * tangent_scales(world, scenario)
         family = ModelFamily(Model(world, world.place(scenario)), parameters)
-        return cls(world, scenario, parameters, family, usual, empty, usual, (), scales)._build()
+        return cls(world, scenario, parameters, family, usual, empty, usual, (), scales).build()
 
     def __deepcopy__(self, memo: object) -> ModelEstimate:
         """Returns itself: it never changes."""
@@ -158,7 +158,7 @@ class ModelEstimate:
     def _units(self) -> Floats:
         return np.array([each.unit for each in self.parameters])
 
-    def _build(self) -> ModelEstimate:
+    def build(self) -> ModelEstimate:
         """Returns the same with models about its values."""
         steps = np.diag(_LINEAR * self._units)
         changed = [self.values, *(self.values + steps), *(self.values - steps)]
@@ -184,7 +184,7 @@ class ModelEstimate:
             return found
         near, most = best, self._price(best, samples, held)
         for _ in builds:
-            known = dataclasses.replace(self, values=near)._build()
+            known = dataclasses.replace(self, values=near).build()
             found = self._pass(known, samples, held, known._predict(samples, held), builds)
             if self._price(found.values, samples, held) <= most:
                 break
@@ -209,7 +209,7 @@ class ModelEstimate:
             is_near = np.all(np.abs(found.values - found.about) <= near)
             if is_near or next(builds, None) is None:
                 return found
-            known = found._build()
+            known = found.build()
             errors = known._predict(samples, held)
 
     def _list_nearer(self, x: Floats) -> Iterator[Floats]:

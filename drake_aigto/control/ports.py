@@ -175,8 +175,11 @@ class LoopController(LeafSystem):
         start_time: float = 0.0,
         safety: Safety | None = None,
         often: float | None = None,
+        memory: float = 0.0,
     ) -> None:
         """Declares the input port; heirs their state, then others. Commands may come `often`.
+
+        They are remembered until they act, and for as long as the `memory` [s] after that.
 
         Raises:
             ControlError: an argument is out of its range.
@@ -197,7 +200,7 @@ class LoopController(LeafSystem):
         self._model = Model(world, self._scenario)
         self._estimate = self.DeclareVectorInputPort("estimated_state", len(self._units))
         a_period = max(_COMMANDS, int(np.ceil(self.period / (often or self.period))))
-        count = 2 + a_period * int(np.ceil(1 + self.delay / self.period))
+        count = 2 + a_period * int(np.ceil(1 + (self.delay + memory) / self.period))
         self._no_commands = np.zeros((count, 1 + world.num_actuators))
         self._no_commands[:, 0] = -np.inf
 

@@ -9,8 +9,9 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydrake.multibody.plant import ContactResults
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.planning import Candidate
 from drake_aigto.shooting import ShootingProblem
 from drake_aigto.trajectory import Trajectory
@@ -30,6 +31,8 @@ _SAME = 1e-9
 _DEEP, _STEP = 0.025, 0.1
 # No wall returns more than it is hit with, but for noise; a kick may.
 _MOST_RETURNED = 1.2
+# What turns round more slowly than this part of the slowest impact that is planned is noise.
+_FAINT = 0.2
 # Walls may stand this part of the task's length from where they are thought to be.
 WALL_DOUBT = 0.2
 
@@ -330,6 +333,28 @@ def find_bounce(
     return Bounce(i, float(place[i]), float(comes[i]), float(leaves[i]))
 
 
+def infer_touched(
+    world: World,
+    samples: tuple[Floats, Floats],
+    elapsed: float,
+    control: Floats,
+    speeds: Mapping[int, float],
+    doubt: float,
+) -> Bools:
+    """Returns which contacts were touched between two samples (`find_bounce`), shape (m,).
+
+    There J_i v < 0, and φ_i(q + v t + a t² / 2) ≤ 0 later; or it turns round as at planned speeds.
+    """
+    q, v = world.split(samples[0])
+    moved = elapsed * (v + elapsed / 2 * world.calc_acceleration(q, v, control))
+    comes = world.calc_contact_rate(q, v) < 0
+    touched = np.asarray(comes & (world.calc_signed_distance(world.add(q, moved)) <= 0))
+    bounce = find_bounce(world, samples, elapsed, control, doubt) if speeds else None
+    if bounce and -bounce.comes > _FAINT * speeds.get(bounce.contact, np.inf):
+        touched[bounce.contact] = True
+    return touched
+
+
 def find_bodies(world: World) -> list[list[set[str]]]:
     """Returns the names of both bodies that meet in each contact, plain and with their model's."""
     inspector, plant = world.scene_graph.model_inspector(), world.plant
@@ -337,7 +362,33 @@ def find_bodies(world: World) -> list[list[set[str]]]:
     return [[{body.name(), str(body.scoped_name())} for body in pair] for pair in bodies]
 
 
-def name_body(plant: Any, index: Any) -> str:
+def read_touched(
+    results: ContactResults, bodies: Sequence[Sequence[set[str]]], distances: Floats
+) -> Bools:
+    """Returns which contacts a plant reports as touched, shape (m,).
+
+    Of several contacts between the same two bodies it is the nearest to its wall.
+
+    Args:
+        results: the plant's.
+        bodies: by name (`find_bodies`).
+        distances: φ, shape (m,).
+    """
+    touched, plant = np.zeros(len(distances), dtype=bool), results.plant()
+    for k in range(results.num_point_pair_contacts()):
+        info = results.point_pair_contact_info(k)
+        a, b = (_name_body(plant, index) for index in (info.bodyA_index(), info.bodyB_index()))
+        same = [
+            i
+            for i, (one, other) in enumerate(bodies)
+            if (a in one and b in other) or (a in other and b in one)
+        ]
+        if same:
+            touched[min(same, key=lambda i: distances[i])] = True
+    return touched
+
+
+def _name_body(plant: Any, index: Any) -> str:
     """Returns a body's name, with its model's if other bodies of the plant have the same."""
     body = plant.get_body(index)
     is_alone = plant.NumBodiesWithName(body.name()) == 1

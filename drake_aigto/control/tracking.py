@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time as clock
+from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +15,8 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.control.catch import Catch, keep_within
+from drake_aigto.control.family import Unknown
+from drake_aigto.control.learning import LearnedModel
 from drake_aigto.control.ports import (
     MODES,
     OFTEN,
@@ -25,14 +29,18 @@ from drake_aigto.control.ports import (
     may_be_unsampled,
 )
 from drake_aigto.control.ticks import append_command
-from drake_aigto.control.touches import WALL_DOUBT, find_bodies, find_bounce, list_hits, name_body
+from drake_aigto.control.touches import (
+    WALL_DOUBT,
+    find_bodies,
+    infer_touched,
+    list_hits,
+    read_touched,
+)
 from drake_aigto.planning import Cut, Feedback, Plan, is_at_rest_on
 from drake_aigto.world import Scales, World
 
 # A period of what happens once [s]; and how near to a sample is the same, as a part of the period.
 _ONCE, _SAME = 1e12, 1e-6
-# What turns round more slowly than this part of the slowest impact that is planned is noise.
-_FAINT = 0.2
 # Of a contact: it is touched, or was and is not over yet; it has lasted since the start; none.
 _TOUCHED, _LASTS, _APART = 1.0, -1.0, 0.0
 _REASONS: dict[Mode, str] = {
@@ -52,6 +60,7 @@ class _Groups(NamedTuple):
     last: DiscreteStateIndex  # the time of the last valid sample, q and v, shape (1 + nq + n,)
     caught: DiscreteStateIndex  # the motion to rest that is asked for (`Catch`), (2 + nq + n,)
     before: DiscreteStateIndex  # the bounces before that begins, shape (m,)
+    learned: DiscreteStateIndex  # of the model (`LearnedModel`)
     told: DiscreteStateIndex  # time, mode, sample, deviation, is_limited, seconds, shape (6,)
 
 
@@ -98,6 +107,7 @@ class TrackingController(LoopController):
         delay: float = 0.0,
         start_time: float = 0.0,
         safety: Safety | None = None,
+        estimate: Sequence[Unknown] = (),
     ) -> None:
         """Computes the gains.
 
@@ -108,6 +118,8 @@ class TrackingController(LoopController):
             delay: see `LoopController`, as for the other arguments.
             start_time: the context's time at which the plan begins [s].
             safety: limits, and the fallback.
+            estimate: what of the model is not known (`ModelEstimate.of`): laws between compliant
+                walls are judged by the model with what is learned of it.
 
         Raises:
             ModelError: from `Plan.find_world`.
@@ -116,11 +128,14 @@ class TrackingController(LoopController):
         """
         world = plan.find_world(world)
         period = plan.scenario.time_step / OFTEN if period is None else period
-        super().__init__(world, plan.scenario, period, delay, start_time, safety)
+        interval = max(period, plan.scenario.time_step) if estimate else 0.0
+        super().__init__(world, plan.scenario, period, delay, start_time, safety, None, interval)
         self.plan = plan
         self._motion = keep_within(plan, world, self._scenario, self.period)
         of = self._scenario, self._motion.trajectory
         self.feedback = Feedback(world, *of, period=self.period)
+        self._learned = LearnedModel(world, of[0], self.feedback, estimate, interval)
+        self.estimated = self._learned.names
         self._bodies = find_bodies(world)
         self._results = self.DeclareAbstractInputPort("contact_results", Value(ContactResults()))
         self._doubt = WALL_DOUBT * Scales.of(world, plan.scenario).length
@@ -130,8 +145,9 @@ class TrackingController(LoopController):
         self._never = np.append(-np.inf, np.zeros(len(self._units)))
         self._catch = Catch(world, self._scenario, self.period)
         none = np.zeros((2, world.num_contacts))
-        groups = self._no_commands.ravel(), *none, self._never, self._catch.nothing, none[0]
-        self._groups = _Groups(*map(self.DeclareDiscreteState, (*groups, np.zeros(6))))
+        rest = self._never, self._catch.nothing, none[0], self._learned.nothing
+        self._empty = self._no_commands.ravel(), *none, *rest
+        self._groups = _Groups(*map(self.DeclareDiscreteState, (*self._empty, np.zeros(6))))
         self.DeclareInitializationDiscreteUpdateEvent(self._start)
         self.DeclarePeriodicDiscreteUpdateEvent(self.period, 0.0, self._sample)
         for knot in _find_between(self.start_time + plan.trajectory.times, self.period):
@@ -162,6 +178,7 @@ class TrackingController(LoopController):
             deviation=float(off),
             is_limited=bool(is_limited),
             is_late=bool(seconds > self.period),
+            estimated=self._learned.read(self._read(context, self._groups.learned)),
         )
 
     def update(self, context: Context) -> None:
@@ -197,9 +214,7 @@ class TrackingController(LoopController):
         elapsed = context.get_time() - last
         if 0 < elapsed <= (1 + _SAME) * self.period or (elapsed == 0 and np.array_equal(x, before)):
             return self._sample(context, values)
-        none = np.zeros(self._world.num_contacts)
-        empty = self._no_commands.ravel(), none, none, self._never, self._catch.nothing, none
-        for group, known in zip(self._groups, empty, strict=False):
+        for group, known in zip(self._groups, self._empty, strict=False):
             values.set_value(group, known)
         if self._is_empty(context, x):
             return self._play(context, values, x, self._no_commands, "none", np.inf)
@@ -283,45 +298,18 @@ class TrackingController(LoopController):
         return EventStatus.Succeeded()
 
     def _feel(self, context: Context, x: Floats) -> Bools:
-        """Returns which contacts are touched now: as the plant reports, or else φ_i ≤ 0.
-
-        Bodies are known by their names. Of several contacts between the same two bodies it is the
-        nearest to its wall.
-        """
+        """Returns which contacts are touched now: as the plant reports, or else φ_i ≤ 0."""
         phi = self._world.calc_signed_distance(self._world.split(x)[0])
         if not self._results.HasValue(context):
             return np.asarray(phi <= 0)
-        results: ContactResults = self._results.Eval(context)
-        felt, plant = np.zeros(len(phi), dtype=bool), results.plant()
-        for k in range(results.num_point_pair_contacts()):
-            info = results.point_pair_contact_info(k)
-            a, b = (name_body(plant, index) for index in (info.bodyA_index(), info.bodyB_index()))
-            same = [
-                i
-                for i, (one, other) in enumerate(self._bodies)
-                if (a in one and b in other) or (a in other and b in one)
-            ]
-            if same:
-                felt[min(same, key=lambda i: phi[i])] = True
-        return felt
+        return read_touched(self._results.Eval(context), self._bodies, phi)
 
     def _infer(self, context: Context, x: Floats) -> Bools:
-        """Returns which contacts were touched between the last sample and this one.
-
-        That is where J_i v < 0 at the last one, and φ_i(q + v t + a t² / 2) ≤ 0 now; or what has
-        turned round as an impact that is planned does.
-        """
-        world, (time, *before) = self._world, self._read(context, self._groups.last)
-        last, u = np.array(before), self._find_acting(self._read_commands(context), time)
-        elapsed, (q, v) = context.get_time() - time, world.split(last)
-        moved = elapsed * (v + elapsed / 2 * world.calc_acceleration(q, v, u))
-        ahead = world.add(q, moved)
-        comes = world.calc_contact_rate(q, v) < 0
-        reached = np.asarray(comes & (world.calc_signed_distance(ahead) <= 0))
-        bounce = find_bounce(world, (last, x), elapsed, u, self._doubt) if self._speeds else None
-        if bounce and -bounce.comes > _FAINT * self._speeds.get(bounce.contact, np.inf):
-            reached[bounce.contact] = True
-        return reached
+        """Returns which contacts were touched between the last sample and this one."""
+        time, *before = self._read(context, self._groups.last)
+        u = self._find_acting(self._read_commands(context), time)
+        seen = (np.array(before), x), context.get_time() - time, u
+        return infer_touched(self._world, *seen, self._speeds, self._doubt)
 
     def _step(self, context: Context, values: DiscreteValues) -> EventStatus:
         """Notes touches that the plant reports, and samples at once where one is over."""
@@ -372,14 +360,22 @@ class TrackingController(LoopController):
             return self._play(context, values, x, commands, "far off", off)
         later, more = led
         ahead = bounces + np.bincount(more, minlength=len(bounces))
-        u, *caught = self._answer(context, time + self.delay, later, ahead)
-        known = bounces, touches, np.append(now, x), *caught
-        for group, value in zip(self._groups[1:6], known, strict=True):
+        learned = self._learn(context, x, commands)
+        u, *caught = self._answer(context, time + self.delay, later, ahead, learned)
+        known = bounces, touches, np.append(now, x), *caught, learned
+        for group, value in zip(self._groups[1:7], known, strict=True):
             values.set_value(group, value)
         return self._command(context, values, u, commands, "running", sample, off, begin)
 
+    def _learn(self, context: Context, x: Floats, commands: Floats) -> Floats:
+        """Returns what is known of the model after a sample, until the plan ends."""
+        known, held = self._read(context, self._groups.learned), partial(self._find_held, commands)
+        if self._find_time(context) >= self.feedback.end:
+            return known
+        return self._learned.watch(known, context.get_time(), x, held)
+
     def _answer(
-        self, context: Context, time: float, x: Floats, bounces: Floats
+        self, context: Context, time: float, x: Floats, bounces: Floats, learned: Floats
     ) -> tuple[Floats, Floats, Floats]:
         """Returns the control of the plan, or of a motion to rest, which, and bounces before."""
         groups, catch, plan = self._groups, self._catch, self.feedback
@@ -389,7 +385,8 @@ class TrackingController(LoopController):
             before = bounces if is_new else before
             u = law.sample(time, x, list_hits(bounces - before)).control
         else:
-            u = plan.sample(time, x, list_hits(bounces)).control
+            law = self._learned.judge(learned, plan)
+            u = law.sample(time, x, list_hits(bounces)).control
             asked = catch.begin(asked, time, plan.end, x, u)
         return u, asked, before
 

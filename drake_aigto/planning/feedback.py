@@ -5,6 +5,7 @@ The regulator holds the goal once the plan is over.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Sequence
 from functools import cached_property
@@ -229,6 +230,9 @@ class Feedback(Controller):
 
     After its end the goal is held by a `Regulator` where there is one, else the last state by the
     last gains.
+
+    Attributes:
+        laws: of which a model tells the best; None: there is one at a time.
     """
 
     def __init__(
@@ -265,7 +269,7 @@ class Feedback(Controller):
         touches = scenario.contact == "rigid" and touches_walls(world, trajectory)
         self.feels_contact = touches or not needs_shooting(world, scenario)
         self._sweep: Sweep | None = None
-        self._laws: FeedbackLaws | None = None
+        self.laws: FeedbackLaws | None = None
         if phases:
             self.phases = list(phases)
         if self.feels_contact:
@@ -291,12 +295,19 @@ class Feedback(Controller):
             ]
             self.phases = [FeedbackPhase(times, states, u, self._gains[0])]
             if len(from_far) > 1:
-                self._laws = FeedbackLaws(problem, states, u, self._gains, fewest, 2)
+                self.laws = FeedbackLaws(problem, states, u, self._gains, fewest, 2)
 
     @property
     def stretches(self) -> list[Stretch]:
         """Stretches of the plan, which the phases are of; none of a plan that is one phase."""
         return self._sweep.stretches if self._sweep else []
+
+    def judged_by(self, world: World, scenario: Scenario) -> Feedback:
+        """Returns the same, where a model that has been learned tells which law is best."""
+        assert self.laws
+        other, law = copy.copy(self), contact_law(world, scenario)
+        other.laws = self.laws.judged_by(make_mechanism(world, law))
+        return other
 
     @cached_property
     def phases(self) -> list[FeedbackPhase]:
@@ -327,8 +338,8 @@ class Feedback(Controller):
         k = int(np.clip(np.searchsorted(phase.times, at, side="right") - 1, 0, last))
         error = self._world.calc_error(x, phase.calc_state(time))
         until, planned, gains = float(phase.times[k + 1]), phase.controls[k], phase.gains[k]
-        if self._laws and time >= self.start:
-            gains = self._gains[self._laws.find_best(k, self._move(phase.states[k], error))][k]
+        if self.laws and time >= self.start:
+            gains = self._gains[self.laws.find_best(k, self._move(phase.states[k], error))][k]
         control = self._limit(planned + gains @ error)
         added = float(np.linalg.norm(control - planned))
         # A phase that should have ended in a bounce goes on beyond the end.

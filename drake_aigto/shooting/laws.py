@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 
 from drake_aigto.arrays import Floats
+from drake_aigto.contact import AnyMechanism
 from drake_aigto.shooting.descent import descend
 from drake_aigto.shooting.problem import ShootingProblem
 from drake_aigto.shooting.solve import ShootingOptions, Smoothing
@@ -41,10 +43,10 @@ class FeedbackLaws:
             substeps: see `ShootingProblem.simulate`.
             order: see `ShootingOptions`.
         """
-        self._program = problem.make_program(
-            ShootingOptions((Smoothing(0.0, 1, 1.0),), substeps, order)
-        )
-        self._motion = np.array(states), np.array(controls)
+        options = ShootingOptions((Smoothing(0.0, 1, 1.0),), substeps, order)
+        self._problem, self._program = problem, problem.make_program(options)
+        self._motion, self._gains = (np.array(states), np.array(controls)), gains
+        self._steps = substeps, order
         self._follow = Pass(
             eps=0.0,
             penalty=0.0,
@@ -61,6 +63,11 @@ class FeedbackLaws:
         self._memories = [make_memory(self._program) for _ in gains]
         for memory, each in zip(self._memories, gains, strict=True):
             memory.sweep.gains[...] = each
+
+    def judged_by(self, mechanism: AnyMechanism) -> FeedbackLaws:
+        """Returns the same laws, where another mechanism tells which one is best."""
+        problem = dataclasses.replace(self._problem, mechanism=mechanism)
+        return FeedbackLaws(problem, *self._motion, self._gains, *self._steps)
 
     def find_best(self, k: int, x: Floats) -> int:
         """Returns which law costs least from a state (nq + n,) at a knot; the first of equals."""
