@@ -67,7 +67,7 @@ def chain(n: int, weight: float = 3.0) -> BoxPolynomial:
     )
 
 
-@settings(max_examples=5)
+@settings(max_examples=3)
 @given(degree=st.sampled_from([4, 6, 8]), seed=st.integers(0, 10**6), shift=st.floats(-20, 20))
 def test_the_papers_algorithm_solves_one_variable_globally(
     degree: int, seed: int, shift: float

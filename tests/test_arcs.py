@@ -20,7 +20,7 @@ from drake_aigto import Scenario, World
 from drake_aigto.errors import OptionsError, UnsupportedTermError
 from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp
 from drake_aigto.planning import ArcPrograms, Arcs, PhaseMotion, PhaseProblem, solve_in_arcs
-from drake_aigto.transcription import Facing, Touch, TouchSequence, find_facings
+from drake_aigto.transcription import Facing, Touch, TouchSequence
 
 # Contacts of the room, and of the block in it.
 LEFT, FRONT_WALL = 0, 2
@@ -166,53 +166,6 @@ def room() -> World:
 
 def make_block_task(q: Any, v: Any, goal: Any, steps: int = 40) -> Scenario:
     return make_scenario(q, v, goal, model=MODELS.format("room_with_block"), time_step=1 / steps)
-
-
-def faces_along(path: list[list[float]], *touches: Touch) -> list[int]:
-    times = np.linspace(0, 1, len(path))
-    return [facing.contact for facing in find_facings(room(), times, np.array(path), touches)]
-
-
-def test_a_path_is_in_front_of_few_faces() -> None:
-    assert faces_along([[0.1, 0.1], [0.3, 0.9]]) == [BLOCK_LEFT]
-    # Past a corner either face does, and no third one is needed.
-    assert faces_along([[0.1, 0.1], [0.1, 0.9], [0.9, 0.9]]) == [BLOCK_LEFT, BACK]
-    assert faces_along([[0.1, 0.1], [0.9, 0.1]]) == [FRONT]
-    around = [[0.1, 0.5], [0.1, 0.9], [0.9, 0.9], [0.9, 0.1], [0.1, 0.1]]
-    assert faces_along(around) == [BLOCK_LEFT, BACK, BLOCK_RIGHT, FRONT]
-
-
-@pytest.mark.parametrize(("height", "side"), [(0.53, BACK), (0.47, FRONT)])
-def test_a_path_through_the_block_goes_around_the_nearer_side(height: float, side: int) -> None:
-    path = [[0.1, height], [0.9, height]]
-    assert faces_along(path) == [BLOCK_LEFT, side, BLOCK_RIGHT]
-    facings = find_facings(room(), np.array([0.0, 2.0]), np.array(path))
-    turns = [facing.start for facing in facings]
-    # It comes in at x = 0.4 and is nearer to the side from 0.47 on.
-    assert turns == pytest.approx([0.0, 2 * (0.47 - 0.1) / 0.8, 2 * (0.53 - 0.1) / 0.8], abs=0.02)
-
-
-@pytest.mark.parametrize(("height", "side"), [(0.9, BACK), (0.1, FRONT)])
-def test_a_path_through_the_middle_of_the_block_leans_to_another(height: float, side: int) -> None:
-    times = np.array([0.0, 0.5, 1.0])
-    through = np.array([[0.1, 0.5], [0.5, 0.5], [0.9, 0.5]])
-    other = np.array([[0.1, 0.5], [0.5, height], [0.9, 0.5]])
-    facings = find_facings(room(), times, through, leaning=other)
-    assert [facing.contact for facing in facings] == [BLOCK_LEFT, side, BLOCK_RIGHT]
-
-
-def test_a_touched_face_is_the_one_in_force() -> None:
-    path = [[0.2, 0.2], [0.4, 0.5], [0.2, 0.8]]
-    assert faces_along(path, Touch.bounce(0.5, BLOCK_LEFT)) == [BLOCK_LEFT]
-    along = [[0.2, 0.9], [0.5, 0.6], [0.55, 0.6], [0.9, 0.9]]
-    assert faces_along(along, Touch(1 / 3, 2 / 3, BACK)) == [BACK]
-
-
-def test_worlds_without_boxes_have_no_faces_to_choose() -> None:
-    world = World.from_scenario(
-        make_scenario([0.1, 0.1], [0, 0], [0.5, 0.5], model=MODELS.format("room"))
-    )
-    assert find_facings(world, np.array([0.0, 1.0]), np.array([[0.1, 0.1], [0.9, 0.9]])) == ()
 
 
 def clearances(found: Solved) -> Array:

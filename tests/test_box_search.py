@@ -12,6 +12,7 @@ import pytest
 from box_programs import power
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from marks import slow
 
 from drake_aigto.aigo import (
     Annealing,
@@ -69,7 +70,7 @@ def rosenbrock_pair() -> BoxPolynomial:
     return BoxPolynomial(2, (TermBlock("valley", terms, [[0, 1]]),))
 
 
-@pytest.mark.parametrize("n", [2, 10])
+@pytest.mark.parametrize("n", [10, *slow(2)])
 def test_chains_reach_their_exact_minimum(n: int) -> None:
     for seed in range(2):
         f, a, b = sextic_chain(n, seed)
@@ -79,6 +80,7 @@ def test_chains_reach_their_exact_minimum(n: int) -> None:
         assert found >= exact * 1.01 - 1.0  # The grid is within 1 % of the true minimum.
 
 
+@pytest.mark.slow
 def test_renewal_lowers_what_one_run_leaves() -> None:
     n = 40
     f, a, b = sextic_chain(n, 0)

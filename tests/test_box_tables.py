@@ -223,6 +223,7 @@ def sum_of(systems: list[NewtonSystem]) -> NewtonSystem:
     return NewtonSystem(sum(value), np.sum(gradient, axis=0), np.sum(band, axis=0))
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(
     random_blocks(copies=3),

@@ -11,6 +11,7 @@ import pytest
 from box_programs import evaluate, exact_factor_mean, exact_row
 from hypothesis import given
 from hypothesis import strategies as st
+from marks import slow
 
 from drake_aigto.box import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE, factor_mean
 from drake_aigto.terms import WAVES, Factor, FunctionKind
@@ -107,7 +108,7 @@ def test_mean_and_derivatives_are_those_of_exact_arithmetic(box: Box) -> None:
 @pytest.mark.parametrize("kind", WAVES)
 @pytest.mark.parametrize(
     ("exponent", "center", "half_width"),
-    [(0, 0.0, 1e-30), (0, -3.5, 1e-300), (1, 0.0, 1e-300), (3, -3.5, 1e-30)],
+    [(0, 0.0, 1e-30), (0, -3.5, 1e-300), *slow((1, 0.0, 1e-300)), (3, -3.5, 1e-30)],
 )
 def test_tiny_widths_lose_no_digit(
     kind: FunctionKind, exponent: int, center: float, half_width: float

@@ -252,6 +252,7 @@ def long_proof() -> MathematicalProgram:
     return prog
 
 
+@pytest.mark.slow
 def test_seconds_end_a_proof_and_progress_is_told() -> None:
     lines: list[str] = []
     start = time.monotonic()

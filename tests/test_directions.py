@@ -19,7 +19,6 @@ from drake_aigto.transcription import ImpulseDirections, RigidTranscription
 Array = npt.NDArray[np.float64]
 
 NAMES = ("corridor/three_bounces", "floor/rebound", "room/bank_shot", "two_masses/apart")
-ALL = np.ones((1, 1), dtype=bool)
 
 
 def world_of(name: str) -> World:
@@ -77,37 +76,6 @@ def world_of_cached(name: str) -> World:
     if name not in _WORLDS:
         _WORLDS[name] = world_of(name)
     return _WORLDS[name]
-
-
-def test_two_walls_of_a_corner_push_at_once() -> None:
-    world = world_of("room/bank_shot")
-    normals = [contact.name for contact in world.contacts]
-    impulses = np.zeros(4)
-    # One of each axis: the walls are two and two.
-    J = ImpulseDirections.of(world.constant_inertia).jacobians
-    first = 0
-    second = next(i for i in range(4) if abs(J[i] @ J[first]) < 1e-12)
-    impulses[[first, second]] = 2.0, 3.0
-    distances = np.where(impulses > 0, 0.0, 1.0)
-    np.testing.assert_allclose(
-        pushes_of(world, impulses, distances), impulses, err_msg=str(normals)
-    )
-
-
-def test_a_pull_is_the_nearest_walls() -> None:
-    ways = ImpulseDirections.of(world_of("floor/rebound").constant_inertia)
-    pull = ways.contact_impulses(np.array([[-2.0]]), np.array([[0.3]]), ALL)
-    np.testing.assert_allclose(pull, [[-2.0]])
-
-
-def test_a_contact_that_is_not_in_force_pushes_nothing() -> None:
-    ways = ImpulseDirections.of(world_of("corridor/three_bounces").constant_inertia)
-    net, distances = np.array([[1.5]]), np.array([[0.2, 0.8]])
-    none = ways.contact_impulses(net, distances, np.array([[False, False]]))
-    np.testing.assert_array_equal(none, 0.0)
-    # The only one in force takes what it could not push.
-    one = ways.contact_impulses(net, distances, np.array([[False, True]]))
-    np.testing.assert_allclose(one, [[0.0, -1.5]])
 
 
 def motion(name: str, restitution: float) -> tuple[Scenario, RigidTranscription, Trajectory]:

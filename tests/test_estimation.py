@@ -84,7 +84,7 @@ def test_what_differs_from_the_model_is_found() -> None:
     assert known.deviations[0] < 0.1
 
 
-@pytest.mark.parametrize("scenario", [BALL, Scenario.named("pendulum/off_the_wall")])
+@pytest.mark.parametrize("scenario", [BALL, *slow(Scenario.named("pendulum/off_the_wall"))])
 @pytest.mark.parametrize("shift", [0.03, *slow(-0.03)])
 def test_a_rigid_wall_is_as_near_as_it_is_said_to_be(scenario: Scenario, shift: float) -> None:
     world = World.from_scenario(scenario)

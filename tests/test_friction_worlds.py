@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow
 from pydrake.solvers import MathematicalProgram
 from rubbing_worlds import accelerate
 
@@ -117,7 +118,7 @@ def test_binaries_of_stick_and_slip_lead_to_the_closed_form() -> None:
 
 
 @pytest.mark.skipif(casadi is None, reason="CasADi is not installed")
-@pytest.mark.parametrize("name", ["hopper/hop", "spinner/two_radians"])
+@pytest.mark.parametrize("name", ["hopper/hop", *slow("spinner/two_radians")])
 def test_the_gradient_peer_has_the_worlds_equations(name: str) -> None:
     scenario = Scenario.named(name)
     world, rng = World.from_scenario(scenario), np.random.default_rng(0)

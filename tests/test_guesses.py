@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mechanisms import LEFT, MECHANISMS, build_world, drop_ball, joint, link, plane, sphere, wall
+from mechanisms import build_world, drop_ball, joint, link, plane, sphere, wall
 from space_models import ball_and_finger, make_scenario
 
 from drake_aigto import Scenario, World
@@ -101,14 +101,6 @@ def test_the_scale_of_controls_moves_by_the_unit_in_the_duration_whatever_brakes
     assert 0.5 < way / problem.scales[i] < 1.0
 
 
-def test_hinges_are_measured_in_radians_and_their_contacts_by_their_arms() -> None:
-    measures = make_task("spinner/two_radians").measures
-    np.testing.assert_array_equal(measures.position, np.ones(3))
-    assert 0.5 < measures.length < 2.5  # links of 1 m
-    # Nothing slides or touches: the length has no use.
-    assert make_task("acrobot/swing_up").measures.length == 1.0
-
-
 def test_servos_are_no_forces_that_move_a_mechanism_without_control() -> None:
     bare = Scenario.named("acrobot/swing_up")
     held = Scenario.from_plain({**bare.to_plain(), "servos": {"*": [1e4, 1.0]}})
@@ -125,10 +117,3 @@ def test_springs_in_place_of_rigid_walls_return_what_these_do_at_one_speed() -> 
         push = law.stiffness[0] * depth * (1 + law.dissipation[0] * speed)
         speed -= h * push / 2.0
     assert speed == pytest.approx(-0.6 * 1.5, rel=1e-3)
-
-
-def test_a_wall_below_a_rod_that_hangs_has_a_finite_spring_in_its_place() -> None:
-    world = build_world(MECHANISMS["pendulum"].replace(LEFT, "0 0 -0.9 0 0 0"))
-    assert not np.any(world.calc_contact_jacobian(np.zeros(1)))
-    law = soften(world, RigidLaw(np.ones(1)), 0.02, 1.5)
-    assert np.all(np.isfinite(law.stiffness)) and np.all(law.stiffness > 0)

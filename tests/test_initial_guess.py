@@ -37,6 +37,7 @@ def test_the_touches_of_a_guess_are_a_candidate_of_balls() -> None:
     assert found.cost == pytest.approx(known.cost, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_guesses_that_fit_nothing_are_refused_before_the_search() -> None:
     known = plan(PENDULUM, PlanOptions(**FEW))
     other = Scenario.named("cart_pole/rigid_06")

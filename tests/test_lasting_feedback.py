@@ -161,7 +161,8 @@ def test_a_wheel_whose_motor_moves_it_through_friction_alone_is_brought_back() -
     assert abs(run(world, scenario, open_loop, off)[0] - planned) > 0.9 * off[0]
 
 
-@pytest.mark.parametrize("friction", [0.27, *slow(0.33)])
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", [0.27, 0.33])
 def test_a_block_that_lands_and_slides_gets_nearer_to_its_goal_than_in_open_loop(
     friction: float,
 ) -> None:

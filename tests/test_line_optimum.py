@@ -125,6 +125,7 @@ def test_a_ball_settles_for_nothing() -> None:
     assert motion.rest.start == pytest.approx(first.time + 2 * y / g * e / (1 - e), rel=1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=3)
 @given(seeds)
 def test_ghosts_that_fly_through_each_other_cost_what_listed_sequences_cost(seed: int) -> None:

@@ -308,6 +308,7 @@ def make_light_arm() -> World:
     return World.from_diagram(builder.Build())
 
 
+@pytest.mark.slow
 def test_light_links_that_cheap_controls_fling_about_are_led_to_the_goal_with_care() -> None:
     scenario = Scenario(
         model="arm",
@@ -334,6 +335,7 @@ def test_light_links_that_cheap_controls_fling_about_are_led_to_the_goal_with_ca
     assert sum(map(problem.is_of_use, rough)) < sum(map(problem.is_of_use, careful))
 
 
+@pytest.mark.slow
 def test_what_is_near_a_motion_that_a_simulation_contradicts_is_judged_too() -> None:
     class Watched(MechanismTask):
         judged: ClassVar[list[ShootingResult]] = []

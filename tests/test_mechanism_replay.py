@@ -55,7 +55,7 @@ def test_a_free_pendulum_keeps_its_energy_over_dozens_of_bounces() -> None:
     assert run.max_penetration <= 1e-12
 
 
-@pytest.mark.parametrize("e", [1.0, 0.3])
+@pytest.mark.parametrize("e", [0.3, *slow(1.0)])
 def test_bounce_times_and_speeds_are_those_of_elliptic_integrals(e: float) -> None:
     start = -2.0
     run = swing((start, 0.0), 8.0, e)
@@ -89,7 +89,7 @@ def test_a_dip_within_one_step_is_seen(depth: float, steps: int) -> None:
     assert run.energies_before[0] == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
 
-@pytest.mark.parametrize("e", [1.0, 0.0])
+@pytest.mark.parametrize("e", [0.0, *slow(1.0)])
 def test_a_graze_changes_nothing(e: float) -> None:
     run = swing((-WALL, 0.0), 4.0, e)
     calm = swing((-WALL + 1e-9, 0.0), 4.0, e)
@@ -201,7 +201,7 @@ def test_a_contact_lets_go_on_its_way_when_its_force_would_pull() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["cart-pole", "two discs", *slow("acrobot_and_wall", "arm with a slider")]
+    "name", ["cart-pole", *slow("two discs", "acrobot_and_wall", "arm with a slider")]
 )
 def test_an_interval_cut_in_parts_is_the_same(name: str) -> None:
     world, rng = read(name), np.random.default_rng(3)

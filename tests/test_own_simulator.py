@@ -272,7 +272,7 @@ def test_no_shipped_wall_is_late_because_a_rod_points_at_it_where_one_looks() ->
     [
         *slow(("cart_pole_rigid_06", "rigid", 1e-3)),
         ("cart_pole", "rigid", 1e-8),
-        ("", "compliant", 1e-5),
+        *slow(("", "compliant", 1e-5)),
     ],
 )
 def test_both_replays_agree_on_cart_poles(name: str, contact: Any, same: float) -> None:

@@ -244,7 +244,7 @@ def fly(
     return plant.GetPositions(context)[0], list(statuses.values())
 
 
-@pytest.mark.parametrize(("off", "e"), [(0.03, 1.0), (0.0, 0.9)])
+@pytest.mark.parametrize(("off", "e"), [(0.03, 1.0), *slow((0.0, 0.9))])
 def test_a_ball_is_brought_to_its_goal_off_a_rigid_wall(off: float, e: float) -> None:
     end, ticks = fly(off, e, horizon="shrinking")
     assert end == pytest.approx(BALL.goal_position[0], abs=2e-3)
@@ -253,6 +253,7 @@ def test_a_ball_is_brought_to_its_goal_off_a_rigid_wall(off: float, e: float) ->
     assert {tick.touches for tick in ticks if tick.time > 0.6} == {()}
 
 
+@pytest.mark.slow
 def test_a_kick_from_which_another_sequence_is_cheaper_is_searched_for() -> None:
     end, ticks = fly(0.0, kick=-4.0, horizon="shrinking")
     (switch,) = [tick for tick in ticks if tick.reason.startswith("switched")]

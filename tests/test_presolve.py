@@ -51,7 +51,9 @@ def test_a_lifted_function_costs_what_it_does_without_lift_and_its_rows_hold(
     assert program.nlp.evaluate(z)[0] == pytest.approx(expected, abs=1e-9 * scale)
 
 
-@pytest.mark.parametrize("problem", SMALL[::12], ids=lambda problem: str(problem.name))
+@pytest.mark.parametrize(
+    "problem", [SMALL[0], *slow(*SMALL[8::8])], ids=lambda problem: str(problem.name)
+)
 def test_variables_of_a_lift_are_gone_and_back_in_the_answer(problem: Any) -> None:
     prog = lift(problem, 3)
     result = AigoSolver(AigoOptions(cells=0)).Solve(prog)

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from marks import slow
 
 from benchmarks.local_peers import casadi
 from benchmarks.questions import NEAR, WIDE, Row, draw, format_results, main
@@ -20,7 +19,8 @@ from drake_aigto.planning import make_mechanism_task
 ROW = Row("cart_pole/soft_06", 0, 80.0, 80.0, 168.0, 79.0, math.inf, False, 60, 3, 1.0)
 
 
-@pytest.mark.parametrize("name", ["corridor/lossy", *slow("cart_pole/soft_06")])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cart_pole/soft_06", "corridor/lossy"])
 def test_questions_are_the_same_again_others_to_tune_on_and_fit_their_world(name: str) -> None:
     shipped, asked = Scenario.named(name), [draw(name, number, False) for number in range(2)]
     assert len({*asked, *(draw(name, number, True) for number in range(2)), shipped}) == 5

@@ -69,6 +69,7 @@ def test_only_what_compliance_explains_is_forgiven() -> None:
     assert not confirms(promised**2, rigid, METRE, promised - 0.0021)
 
 
+@pytest.mark.slow
 def test_drake_rests_under_a_push() -> None:
     replay = replay_drake(shipped_world(), make_scenario(0.05, 0.0, restitution=0.1), *hold(-2.0))
     # At low speeds the dissipation takes little: what is left trembles for long.

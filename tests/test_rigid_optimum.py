@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from marks import slow
 from optimum_worlds import cost_of
 from replay_worlds import make_diagram, make_scenario, shipped_world
 from rigid_worlds import AXIS, write_model
@@ -128,7 +127,8 @@ def test_the_optimum_is_a_motion_that_costs_as_much(scenario: Scenario, goal: fl
     assert cost == pytest.approx(optimum.cost, rel=1e-8, abs=1e-16)
 
 
-@pytest.mark.parametrize("key", [(1, 0.8), *slow(*((key,) for key in KNOWN if key != (1, 0.8)))])
+@pytest.mark.slow
+@pytest.mark.parametrize("key", KNOWN)
 def test_the_optimum_bounces_and_costs_as_it_says_in_both_simulations(
     key: tuple[int, float],
 ) -> None:

@@ -88,6 +88,7 @@ def test_a_plan_is_the_optimum_and_holds(row: int, e: float) -> None:
     assert len(found.trajectory.times) == scenario.num_steps + 1
 
 
+@pytest.mark.slow
 def test_random_plans_are_optimal() -> None:
     generator, world = np.random.default_rng(12), shipped_world()
     for e in (1.0, 0.8, 0.5, 0.9, 0.3, 0.0):

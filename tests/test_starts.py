@@ -143,7 +143,7 @@ def make_scenario(distance: float, **fields: Any) -> Scenario:
 
 
 @pytest.mark.parametrize("distance", [1e-12, *slow(1e-8, 1e-5)])
-@pytest.mark.parametrize("fields", [{}, {"model": CORRIDOR}], ids=["wall", "corridor"])
+@pytest.mark.parametrize("fields", [{}, *slow({"model": CORRIDOR})], ids=["wall", "corridor"])
 def test_a_plan_is_the_optimum_however_near_to_a_wall_it_starts(
     distance: float, fields: dict[str, str]
 ) -> None:

@@ -18,7 +18,7 @@ from rigid_worlds import Array, make_motion, physics_of
 
 from drake_aigto import World
 from drake_aigto.control import PlannedMotion, choose, find_left
-from drake_aigto.planning import is_same, neighbors, read_sequences, retimed, swapped
+from drake_aigto.planning import is_same, read_sequences
 from drake_aigto.simulation import PlannedContact, find_contacts
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
@@ -49,40 +49,6 @@ def times(sequence: TouchSequence) -> list[float]:
 
 def contacts(sequence: TouchSequence) -> list[int]:
     return [touch.contact for touch in sequence]
-
-
-def test_neighbors_lack_a_walls_last_touch_or_have_a_graze_more() -> None:
-    sequence = tuple(map(Touch.bounce, (0.1, 0.2, 0.3, 0.4), (0, 1, 0, 2)))
-    found = neighbors(sequence, [Touch.bounce(0.25, 3)])
-    assert sorted(map(contacts, found)) == [[0, 0, 2], [0, 1, 0], [0, 1, 2], [0, 1, 3, 0, 2]]
-    assert all(list(each) == sorted(each, key=lambda touch: touch.start) for each in found)
-    assert neighbors((), []) == []
-    assert neighbors((), [Touch.bounce(0.5)]) == [(Touch.bounce(0.5),)]
-
-
-def test_bounces_at_one_moment_change_places() -> None:
-    sequence = tuple(map(Touch.bounce, (0.1, 0.2, 0.2001, 0.4), (0, 1, 0, 1)))
-    (other,) = swapped(sequence, 1e-3)
-    assert contacts(other) == [0, 0, 1, 1]
-    assert times(other) == times(sequence)
-    assert swapped(sequence, 1e-5) == []
-    # In a corner, bounces off two walls in turn may begin with the other one.
-    corner = tuple(map(Touch.bounce, (0.2, 0.2001, 0.2002), (1, 2, 1)))
-    found = [contacts(each) for each in swapped(corner, 1e-3)]
-    assert found == [[2, 1, 1], [2, 1, 2], [1, 1, 2]]
-    # Of one wall there is nothing to swap, and what lasts stays.
-    assert swapped((Touch.bounce(0.2), Touch.bounce(0.2001)), 1e-3) == []
-    assert swapped((Touch(0.2, 0.3, 1), Touch.bounce(0.2001)), 1e-3) == []
-
-
-def test_a_bounce_is_moved_to_its_neighbors_but_no_rest_and_no_other_wall() -> None:
-    sequence = (Touch.bounce(0.4, 0), Touch.bounce(0.6, 1), Touch(0.7, 0.8, 0))
-    early, late = retimed(sequence, {0}, 1.0)
-    assert contacts(early) == contacts(late) == contacts(sequence)
-    assert early[1:] == late[1:] == sequence[1:]
-    assert 0.0 < early[0].start < 0.1
-    assert 0.55 < late[0].start < 0.6
-    assert retimed(sequence, (), 1.0) == []
 
 
 def test_what_is_no_contact_is_a_flight() -> None:
@@ -269,13 +235,6 @@ def test_near_a_touch_the_speed_tells_what_is_likelier() -> None:
     assert left_contacts(0.2, LEAVES, bounced=0) == [(1,), (0, 1)]
     assert left_contacts(0.51, COMES)[0] == (0, 1)
     assert left_contacts(0.51, LEAVES) == [(1,)]
-
-
-@pytest.mark.parametrize("now", [0.0, 0.4999, 0.51, 0.799])
-def test_touches_are_in_order_and_within_what_is_left(now: float) -> None:
-    for touches in find_left(PLAN, now, LEFT - now, PERIOD, COMES):
-        times = [0.0, *(touch.start for touch in touches), LEFT - now]
-        assert np.all(np.diff(times) > 0)
 
 
 HOLDS = (Touch(0.1, 0.4, 0, 1), Touch(0.2, 1.0, 1), Touch(0.4, 1.0, 0, 0))

@@ -355,7 +355,7 @@ def test_a_mechanism_that_bounces_is_brought_back_to_its_plan() -> None:
     assert abs(x[0] - goal[0]) < 0.05 * open_loop.goal_error
 
 
-@pytest.mark.parametrize("spin", [-40.0, -0.5])  # It slips, it sticks.
+@pytest.mark.parametrize("spin", [*slow(-40.0), -0.5])  # It slips, it sticks.
 def test_a_bounce_with_friction_does_to_deviations_what_simulations_show(spin: float) -> None:
     scenario = dataclasses.replace(
         Scenario.named("billiard/spin_shot"), initial_velocity=[0.2, 1.0, spin]

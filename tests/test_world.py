@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow
 from pydrake.geometry import SceneGraph
 from pydrake.symbolic import Expression, Variable, cos, sin
 from pydrake.systems.framework import Context
@@ -261,7 +262,11 @@ def test_a_shipped_material_is_stiff_elastic_and_frictionless(name: str) -> None
         assert friction.static_friction() == friction.dynamic_friction() == 0.0
 
 
-@pytest.mark.parametrize("name", scenario_names())
+FIRST = {name.partition("/")[0]: name for name in reversed(scenario_names())}.values()
+OTHERS = [name for name in scenario_names() if name not in FIRST]
+
+
+@pytest.mark.parametrize("name", [*FIRST, *slow(*OTHERS)])
 def test_a_shipped_scenario_fits_its_world(name: str) -> None:
     scenario = Scenario.named(name)
     world = World.from_scenario(scenario)

@@ -76,7 +76,6 @@ from .sequence_search import is_same as is_same
 from .sequence_search import kinds as kinds
 from .sequence_search import neighbors as neighbors
 from .sequence_search import read_sequences as read_sequences
-from .sequence_search import retimed as retimed
 from .sequence_search import swapped as swapped
 from .stretches import Cut as Cut
 from .stretches import is_at_rest_on as is_at_rest_on

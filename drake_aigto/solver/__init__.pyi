@@ -1,4 +1,3 @@
-from .boxes import AugmentedLagrangian as AugmentedLagrangian
 from .boxes import make_first_box as make_first_box
 from .complementarity import are_shared as are_shared
 from .complementarity import find_complementarities as find_complementarities
