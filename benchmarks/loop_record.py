@@ -105,7 +105,7 @@ def prepare(name: str) -> Prepared:
     if not world.frictions:
         options["feedback_period"] = 0.005
     if world.contacts and (scenario.contact == "rigid" or world.frictions):
-        options |= {"surprise": np.inf, "iterations": 15 if world.frictions else 5}
+        options["surprise"] = np.inf
     options["estimate"] = [each for each in _UNKNOWN if may_be_unknown(world, scenario, each)]
     period = scenario.time_step if world.frictions else 0.02
     return Prepared(world, planner.plan(), planner, period, options)

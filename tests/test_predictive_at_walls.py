@@ -21,6 +21,8 @@ from drake_aigto import (
 from drake_aigto.control import ClosedLoopRun, Disturbance, make_horizon, run_in_loop
 from drake_aigto.errors import ControlError
 from drake_aigto.planning import MechanismSearch, make_mechanism_task
+from drake_aigto.shooting import ShootingProblem
+from drake_aigto.transcription import Touch
 from drake_aigto.world import TaskCost
 
 PENDULUM = Scenario.named("pendulum/off_the_wall")
@@ -127,6 +129,29 @@ def test_walls_in_doubt_are_kept_off_where_nothing_is_to_touch_them(name: str) -
         assert motion and not motion.touches
         nearest.append(np.min(world.calc_signed_distance(motion.trajectory.positions)[:, 1]))
     assert nearest[0] < 0.1 and nearest[1] > 0.19
+
+
+@pytest.mark.parametrize("doubts", [[0.0, 0.0], [0.3, 0.6]])
+def test_walls_in_doubt_that_a_plan_touches_take_no_second_descent(
+    doubts: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planner, counted, solve = (
+        Planner(Scenario.named("cart_pole/soft_06")),
+        [],
+        ShootingProblem.solve,
+    )
+
+    def count(*given: Any) -> Any:
+        counted.append(1)
+        return solve(*given)
+
+    monkeypatch.setattr(ShootingProblem, "solve", count)
+    horizon, x = make_horizon(planner, False, 5, 0.02), planner.scenario.initial_state
+    # A plan that promises what none can keep: no other one is within what keeping off is worth.
+    touches = tuple(Touch.bounce(0.5, contact) for contact in range(2))
+    last = dataclasses.replace(horizon.rest(0.0, x), cost=1e-3, touches=touches)
+    assert horizon.wary(np.array(doubts)).advance(last, 0.0, x)
+    assert len(counted) == 1
 
 
 @pytest.mark.slow

@@ -110,12 +110,12 @@ class _ShootingHorizon(Horizon):
         other._doubts = doubts
         return other
 
-    def _find_least(self, last: PlannedMotion, q: Floats) -> Floats:
-        """Returns φ at least from q on, of contacts in doubt that none is to touch, (m,)."""
+    def _find_least(self, last: PlannedMotion, q: Floats) -> Floats | None:
+        """Returns φ at least from q on, of contacts in doubt if none is to touch some, (m,)."""
         room = self.world.calc_signed_distance(q)
         least = np.where(self._doubts > 0, np.minimum(_OFF * self._doubts, room), -np.inf)
         least[[each.contact for each in last.touches]] = -np.inf
-        return least
+        return least if np.any(least > -np.inf) else None
 
     def within(self, iterations: int) -> _ShootingHorizon:
         """Returns the same task with other iterations; see `Horizon`."""
@@ -199,8 +199,8 @@ class CompliantHorizon(_ShootingHorizon):
     def _lead(self, last: PlannedMotion, left: Trajectory) -> PlannedMotion | None:
         """Returns what a few iterations make of what is left of a motion."""
         asked = left.times, left.states, left.controls, self._options, last.cost
-        if np.any(self._doubts):
-            wary = self._descend(*asked, self._find_least(last, left.positions[0]))
+        if (least := self._find_least(last, left.positions[0])) is not None:
+            wary = self._descend(*asked, least)
             if wary and wary.cost <= (1 + _WORTH) * last.cost:
                 return wary
         return self._descend(*asked)
@@ -300,8 +300,7 @@ class RigidHorizon(_ShootingHorizon):
         touches, slips = go_on(last), self._read_slips(np.concatenate([q, v]))
         sequences = find_left(touches, now, duration, self._period, rates, None, slips)
         missed = list[ShootingResult]()
-        if np.any(self._doubts):
-            least = self._find_least(last, q)
+        if (least := self._find_least(last, q)) is not None:
             wary = choose(self._close(left, sequences[:1], self._options, [], least), last.cost)
             if wary and wary.cost <= (1 + _WORTH) * last.cost:
                 return wary

@@ -59,7 +59,7 @@ class ModelPredictiveController(LoopController):
     where searches have a thread of their own.
 
     With friction in joints or at compliant walls, ticks begin with the motion that the last plan's
-    controls lead to, in more steps; sustained contact may take 15 iterations.
+    controls lead to, in more steps.
 
     Where rigid walls stand, and what they return, balls learn from bounces that are seen between
     one tick and the next, and from being well inside of one. All else that a model has wrong of
