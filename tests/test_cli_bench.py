@@ -130,6 +130,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return page
 
 
+@pytest.mark.slow
 def test_every_picture_of_the_page_is_there(page: Path) -> None:
     links = re.findall(r"!\[(.+)\]\((.+)\)", page.read_text(encoding="utf-8"))
     assert [link for _, link in links] == [

@@ -339,6 +339,7 @@ def test_a_shared_time_step_is_found_by_sparse_kkt_systems(
     np.testing.assert_allclose(sparse.multipliers, other.multipliers, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_program_with_a_shared_variable_is_solved_and_the_choice_reported() -> None:
     n = 400
     prog = MathematicalProgram()

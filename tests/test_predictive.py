@@ -112,11 +112,12 @@ def test_iterations_that_are_measured_make_the_same_run_if_they_are_given() -> N
     np.testing.assert_array_equal(Run(iterations=count).advance(0.1), x)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("bad", "reason"),
     [
         ([np.nan, np.inf], "the estimated state is not finite"),
-        *slow(([[0.0, 0.0, 0.0, 1e6], [0.0, 0.0, 1e3, 0.0]], "no motion was found")),
+        ([[0.0, 0.0, 0.0, 1e6], [0.0, 0.0, 1e3, 0.0]], "no motion was found"),
     ],
 )
 def test_what_is_not_finite_or_far_from_all_leaves_the_last_plan(bad: Any, reason: str) -> None:
