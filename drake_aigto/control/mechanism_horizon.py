@@ -111,7 +111,7 @@ class _ShootingHorizon(Horizon):
         return other
 
     def _find_least(self, last: PlannedMotion, q: Floats) -> Floats | None:
-        """Returns φ at least from q on, of contacts in doubt if none is to touch some, (m,)."""
+        """Returns lower bounds of φ, (m,), where what is in doubt is not touched; None: nowhere."""
         room = self.world.calc_signed_distance(q)
         least = np.where(self._doubts > 0, np.minimum(_OFF * self._doubts, room), -np.inf)
         least[[each.contact for each in last.touches]] = -np.inf

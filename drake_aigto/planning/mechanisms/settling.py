@@ -223,11 +223,11 @@ def settle(
     """Returns the local optimum near a motion in space, corrected under the exact law (`steady`).
 
     Its steps are halved until that lowers its cost under that law no more, or it costs as much in
-    its steps. Where both differ by more than it costs, steps have two stages first: of an arm that
-    pushes a box and of a leap of the quadruped, 8 and 20 of these between knots cost what the law
-    says to 0.3 %, and 32 and 80 of one to 1 %. Elsewhere, they lost a cube that hands lift: 0.149
-    for 0.103. Each time contact is hardly smoothed first: with the sharp law at once, a drone
-    slipped off, for 1.4.
+    its steps. Where the two costs differ by more than the cost itself, steps get a second stage
+    first: for an arm that pushes a box and a quadruped that leaps, 8 and 20 such steps between
+    knots agree with the law to 0.3 %, and 32 and 80 steps of one stage to 1 %. Used everywhere,
+    they lost a cube that hands lift: 0.149 for 0.103. Each time contact is hardly smoothed first:
+    with the sharp law at once, a drone slipped off, for 1.4.
 
     Args:
         world: its shapes touch with friction.
