@@ -31,6 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydrake.systems.framework import Context, EventStatus, State
 
+from benchmarks.baselines import weigh
 from benchmarks.script import machine, read_flags, run_all, run_as
 from drake_aigto import (
     AigtoError,
@@ -239,9 +240,7 @@ class Sampled(ByTheClock):
         costs = np.where(np.isfinite(costs), costs, np.inf)
         if not np.any(np.isfinite(costs)):
             return self._us[k]
-        excess = costs - np.min(costs)
-        unit = _TEMPERATURE * np.mean(excess[np.isfinite(excess)]) or 1.0
-        weights = np.exp(-excess / unit)
+        weights = weigh(costs, _TEMPERATURE)
         self._us[k:] = np.tensordot(weights / weights.sum(), us, 1)
         return self._us[k]
 

@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from benchmarks.baselines import run_baseline
+from benchmarks.baselines import run_baseline, weigh
 from benchmarks.local_peers import casadi
 from benchmarks.robots.judge import Control
 from benchmarks.shooting_ipopt import ShootingProgram
@@ -135,10 +135,7 @@ def _ask_ipopt(problem: ShootingProblem) -> _Found:
 
 
 def sample(
-    problem: ShootingProblem,
-    calc_cost: Callable[[Control], float],
-    method: str = "cross-entropy",
-    seed: int = 2,
+    problem: ShootingProblem, calc_cost: Callable[[Control], float], method: str = "cross-entropy"
 ) -> _Found:
     """Yields the best of each generation, of a mean and samples about it.
 
@@ -146,7 +143,7 @@ def sample(
     weighed by exp(-excess / temperature) (MPPI); or the best of all (predictive sampling). Runs
     begin at zero with random spreads.
     """
-    rng, size = np.random.default_rng(seed), (_KNOTS, len(problem.control_scales))
+    rng, size = np.random.default_rng(2), (_KNOTS, len(problem.control_scales))
     while True:
         mean, spread = np.zeros(size), np.full(size, 10 ** rng.uniform(-1.0, 0.7))
         for _ in range(_GENERATIONS):
@@ -163,9 +160,7 @@ def sample(
                 mean = _KEPT * mean + (1 - _KEPT) * elite.mean(axis=0)
                 spread = _KEPT * spread + (1 - _KEPT) * elite.std(axis=0)
             elif method == "MPPI":
-                excess = costs - costs[order[0]]
-                unit = _TEMPERATURE * np.mean(excess[np.isfinite(excess)]) or 1.0
-                weights = np.exp(-excess / unit)
+                weights = weigh(costs, _TEMPERATURE)
                 mean = np.einsum("i,i...->...", weights / weights.sum(), points)
                 spread = _NARROWS * spread
             else:

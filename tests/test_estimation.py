@@ -230,6 +230,9 @@ def test_a_pole_of_another_mass_ends_as_near_as_one_that_is_known() -> None:
             "^estimate: got length, expected some of mass, friction, stiffness, walls, force",
         ),
         (BALL, ["stiffness"], "^estimate: got no compliant wall"),
+        (BALL, "mass", "^estimate: got 'mass', expected a list of different names"),
+        (BALL, 5, "^estimate: got 5, expected a list"),
+        (BALL, ["mass", "mass"], r"^estimate: got \['mass', 'mass'\], expected a list"),
         (Scenario.named("acrobot/swing_up"), ["walls"], "^estimate: got no wall of one face"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from benchmarks.baselines.baseline import Baseline, BaselineRun, Improvement, Recorder
 from benchmarks.baselines.registry import BASELINES, check_baselines, run_baseline
+from benchmarks.baselines.sampling import weigh
 
 __all__ = [
     "BASELINES",
@@ -11,4 +12,5 @@ __all__ = [
     "Recorder",
     "check_baselines",
     "run_baseline",
+    "weigh",
 ]

@@ -100,6 +100,18 @@ def has_converged(costs: Floats) -> bool:
     return bool(np.max(costs) - least <= _RELATIVE * least + _ABSOLUTE)
 
 
+def weigh(costs: Floats, temperature: float) -> Floats:
+    """Returns MPPI's weights of samples, w_i = exp(-(J_i - min J) / λ); where J is infinite, 0.
+
+    Args:
+        costs: J, one at least finite.
+        temperature: λ, as a part of the mean of finite J_i - min J.
+    """
+    excess = costs - np.min(costs)
+    unit = temperature * np.mean(excess[np.isfinite(excess)]) or 1.0  # All alike: any unit does.
+    return np.asarray(np.exp(-excess / unit))
+
+
 # The first standard deviation of all populations: half of where AIGO looks for controls.
 _SPREAD = 0.5
 
@@ -192,9 +204,7 @@ class PathIntegral(Baseline):
                 noise = generator.standard_normal((self._samples, space.dimension))
                 points = np.vstack([mean, mean + spread * noise])
                 costs = space.costs(points)
-                excess = costs - np.min(costs)
-                unit = self._temperature * np.mean(excess) or 1.0  # All alike: any unit does.
-                weights = np.exp(-excess / unit)
+                weights = weigh(costs, self._temperature)
                 mean = weights @ points / np.sum(weights)
                 spread *= self._factor
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, get_args
 
@@ -99,7 +99,8 @@ class ModelEstimate:
                 and "force", one that acts on each coordinate all the time [N, N m].
 
         Raises:
-            ControlError: an unknown name, or one that the model has nothing of.
+            ControlError: no list of different names, an unknown one, or one that the model has
+                nothing of.
         """
         parameters = tuple(_list_parameters(world, scenario, unknown))
         usual, none = np.array([each.usual for each in parameters]), np.zeros(len(parameters))
@@ -278,8 +279,13 @@ class ModelEstimate:
 def _list_parameters(
     world: World, scenario: Scenario, unknown: Sequence[Unknown]
 ) -> Iterator[Parameter]:
+    is_list = isinstance(unknown, Iterable) and not isinstance(unknown, str)
+    names = list(unknown) if is_list else []
+    if not is_list or len(set(map(str, names))) < len(names):
+        expected = 'a list of different names, such as ["mass", "friction"]'
+        raise ControlError("estimate", got=repr(unknown), expected=expected)
     scales = Scales.of(world, scenario)
-    for kind in unknown:
+    for kind in names:
         if kind == "stiffness" and not (scenario.contact == "compliant" and world.contacts):
             raise ControlError(
                 "estimate", got="no compliant wall", expected="walls with a stiffness"

@@ -16,7 +16,8 @@ from drake_aigto.planning import Feedback
 from drake_aigto.simulation import HeldControl
 from drake_aigto.world import Scenario, World
 
-# Of intervals: samples this part early are in time, and of more than so many nothing is learned.
+# In parts of the interval between samples: by how much one may come early, and after how long a
+# break a sample is not compared with the one before.
 _EARLY, _LONGEST = 1e-6, 2.0
 
 
@@ -75,10 +76,10 @@ class LearnedModel:
     def _unpack(self, numbers: Floats) -> tuple[float, Floats, ModelEstimate]:
         (time,), x, values, about, *sums, _ = np.split(numbers, self._parts)
         information, slopes, squares, count = sums
-        told = information.reshape(2 * slopes.shape), slopes, float(squares[0]), float(count[0])
+        totals = information.reshape(2 * slopes.shape), slopes, float(squares[0]), float(count[0])
         if not np.array_equal(about, self._known.about):
             self._known = dataclasses.replace(self._given, values=about).build()
-        known = dataclasses.replace(self._known, values=values, sums=told)
+        known = dataclasses.replace(self._known, values=values, sums=totals)
         return float(time), x, known
 
     def read(self, numbers: Floats) -> tuple[float, ...]:
