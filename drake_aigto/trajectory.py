@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -92,7 +93,7 @@ class Trajectory(ArrayRecord):
         if self.velocities.shape != self.positions.shape:
             return PiecewisePolynomial.FirstOrderHold(self.times, self.states.T), control
         polynomials = []  # Of q and v in t − t_k, on each interval.
-        for c in self._fit(0, len(self.times) - 1):
+        for c in self._cubics:
             slopes = c[1:] * np.arange(1, 4)[:, np.newaxis]
             entries = [Polynomial(coefficients) for coefficients in (*c.T, *slopes.T)]
             polynomials.append(np.array(entries).reshape(-1, 1))
@@ -107,19 +108,19 @@ class Trajectory(ArrayRecord):
         if self.velocities.shape != self.positions.shape:
             first, last = self.states[k : k + 2]
             return np.asarray(first + elapsed / (times[k + 1] - times[k]) * (last - first))
-        c = self._fit(k, k + 1)[0]
+        c = self._cubics[k]
         q = c[0] + elapsed * (c[1] + elapsed * (c[2] + elapsed * c[3]))
         return np.concatenate([q, c[1] + elapsed * (2 * c[2] + 3 * elapsed * c[3])])
 
-    def _fit(self, first: int, last: int) -> Floats:
-        """Returns the coefficients of q in t − t_k, rising, of intervals, shape (K, 4, nq)."""
-        steps, after = slice(first, last), slice(first + 1, last + 1)
-        h = (self.times[after] - self.times[steps])[:, np.newaxis]
-        mean, end = (self.positions[after] - self.positions[steps]) / h, self.velocities[after]
-        is_hit = np.any(self.impulses[steps] != 0, axis=1, keepdims=True)
-        start = np.where(is_hit, 2 * mean - end, self.velocities[steps])
+    @cached_property
+    def _cubics(self) -> Floats:
+        """Coefficients of q in t − t_k, rising, of all intervals, shape (N, 4, nq)."""
+        h, (q, v) = np.diff(self.times)[:, np.newaxis], (self.positions, self.velocities)
+        mean, end = np.diff(q, axis=0) / h, v[1:]
+        is_hit = np.any(self.impulses[:-1] != 0, axis=1, keepdims=True)
+        start = np.where(is_hit, 2 * mean - end, v[:-1])
         quadratic, cubic = (3 * mean - 2 * start - end) / h, (start + end - 2 * mean) / h**2
-        return np.stack([self.positions[steps], start, quadratic, cubic], axis=1)
+        return np.stack([q[:-1], start, quadratic, cubic], axis=1)
 
 
 def check_control(times: ArrayLike, controls: ArrayLike) -> tuple[Floats, Floats]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -94,6 +95,11 @@ class Mechanism:
         """B, shape (n, nu)."""
         return self.mechanics.actuation
 
+    @cached_property
+    def inverse_actuation(self) -> Floats:
+        """B⁺, shape (nu, n)."""
+        return np.asarray(np.linalg.pinv(self.actuation), dtype=float)
+
     @property
     def contacts(self) -> Floats:
         """Laws of contacts, see `Mechanics`, shape (m, 5)."""
@@ -158,11 +164,15 @@ class Mechanism:
         n, sums = len(q), self.calc_sums(q)
         half = n * (n + 1) // 2
         mass = np.zeros((n, n))
-        mass[np.triu_indices(n)] = sums[:half]
-        return mass + np.triu(mass, 1).T, sums[half : half + n]
+        for i in range(n):  # The upper triangle, by rows.
+            first = i * n - i * (i - 1) // 2
+            mass[i, i:] = mass[i:, i] = sums[first : first + n - i]
+        return mass, sums[half : half + n]
 
     def calc_mobilities(self, q: Floats) -> Floats:
         """Returns T M⁻¹ Tᵀ of contacts with friction, 0 of others, shape (m,) [1/kg]."""
+        if not self.has_friction:
+            return np.zeros(self.num_contacts)
         tangents, (mass, _) = self._read_tangents(q), self.calc_inertia(q)
         return np.einsum("ij,ji->i", tangents, np.linalg.solve(mass, tangents.T))
 
@@ -171,10 +181,13 @@ class Mechanism:
 
         That is Σ |T_i| μ_i N_i with N = |J M⁻¹ h| / (J M⁻¹ Jᵀ), whether it touches or not.
         """
-        (kicks, mobility), friction = self._read_kicks(q), np.zeros(self.num_contacts)
+        friction = np.zeros(self.num_contacts)
         for term in self.frictions:
             if term[SOURCE] >= 0 and self.contacts[int(term[SOURCE]), 0] == 0:
                 friction[int(term[SOURCE])] = term[COEFFICIENT]
+        if not friction.any():
+            return np.zeros(len(q))
+        kicks, mobility = self._read_kicks(q)
         loads = np.abs(self.calc_inertia(q)[1] @ kicks) / mobility
         return np.asarray((friction * loads) @ np.abs(self._read_tangents(q)))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, get_args
 
 import numpy as np
@@ -113,17 +114,17 @@ class ModelEstimate:
         """Returns itself: it never changes."""
         return self
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return tuple(each.name for each in self.parameters)
 
-    @property
+    @cached_property
     def is_of_the_model(self) -> bool:
         """Whether p₀ is the model's."""
         return bool(np.all(self.about == self._usual))
 
-    @property
+    @cached_property
     def noise(self) -> float:
         """s², by which the noise of samples is larger than it is thought to be: at least 1."""
         (information, slopes, squares, count), off = self.sums, self.values - self._usual
@@ -131,18 +132,18 @@ class ModelEstimate:
         least = 2.0 * self.world.num_velocities  # As much is thought of it as a sample tells.
         return max(1.0, float((least + left) / (least + count)))
 
-    @property
+    @cached_property
     def covariance(self) -> Floats:
         """Covariance of the values, shape (P, P)."""
         precision: Floats = self.sums[0] / self.noise + np.diag(self._units**-2.0)
         return np.asarray(np.linalg.inv(precision), dtype=float)
 
-    @property
+    @cached_property
     def deviations(self) -> Floats:
         """Standard deviations of the values, shape (P,)."""
         return np.sqrt(np.diag(self.covariance))
 
-    @property
+    @cached_property
     def wall_doubts(self) -> Floats:
         """Standard deviations of where each contact's wall stands; 0: not estimated, (m,) [m]."""
         doubts = np.zeros(self.world.num_contacts)
@@ -151,11 +152,11 @@ class ModelEstimate:
                 doubts[each.which] = off
         return doubts
 
-    @property
+    @cached_property
     def _usual(self) -> Floats:
         return np.array([each.usual for each in self.parameters])
 
-    @property
+    @cached_property
     def _units(self) -> Floats:
         return np.array([each.unit for each in self.parameters])
 
@@ -245,9 +246,11 @@ class ModelEstimate:
 
     def _predict(self, samples: tuple[Floats, Floats], held: HeldControl) -> Floats | None:
         """Returns the errors of all models, shape (1 + 2P, 2 nv); None: one predicts nothing."""
-        found = [self._calc_errors(model, samples, held) for model in self.models]
-        known = [errors for errors in found if errors is not None]
-        return np.array(known) if len(known) == len(found) else None
+        found = [model.find_end(samples[0], held) for model in self.models]
+        ends = np.array([end for end in found if end is not None])
+        if len(ends) < len(found):
+            return None
+        return np.asarray(self.world.calc_error(samples[1], ends) / self.scales)
 
     def _update(self, errors: Floats, before: ModelEstimate) -> ModelEstimate:
         """Returns the same after a sample, linear about p₀, with what was known before it."""

@@ -162,13 +162,14 @@ class CompliantHorizon(_ShootingHorizon):
         self._problem = self._pose()
         self._has_friction = self._problem.mechanism.has_friction
         is_in_space = isinstance(self.world, SpaceWorld)
-        substeps, order = _SUBSTEPS, 2
-        if self._has_friction:
-            substeps, order = _FRICTION_STEPS, IMPLICIT if is_in_space else 4
+        stiff = _FRICTION_STEPS, IMPLICIT if is_in_space else 4
+        substeps, order = stiff if self._has_friction else (_SUBSTEPS, 2)
         is_light = self._has_friction or is_in_space
         smoothing = _LIGHT if is_light else _SMOOTHING
         rungs = (Smoothing(smoothing, iterations, _TOLERANCE),)
-        self._options = ShootingOptions(rungs, substeps, order=order, multiplier_updates=1)
+        self._options = ShootingOptions(
+            rungs, substeps, order=order, multiplier_updates=1, judges=False
+        )
 
     def _pose(self) -> ShootingProblem:
         problem = self._task.shooting(self.num_steps)
@@ -188,8 +189,8 @@ class CompliantHorizon(_ShootingHorizon):
         problem = motion.problem
         if problem is None:
             problem = dataclasses.replace(self._problem, times=plan.times, start=states[0])
-        substeps, smoothing = self._options.substeps, self._options.rungs[0].smoothing
-        about = problem.linearize(plan.controls, substeps, smoothing, states)
+        steps, smoothing = self._options, self._options.rungs[0].smoothing
+        about = problem.linearize(plan.controls, steps.substeps, smoothing, states, steps.order)
         return [FeedbackPhase(plan.times, states, plan.controls, about.gains)]
 
     def is_inside(self, x: Floats) -> bool:

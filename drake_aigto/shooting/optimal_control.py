@@ -290,7 +290,7 @@ class OptimalControlProblem:
 
         Its shape is (nu,).
         """
-        inverse = np.abs(np.linalg.pinv(self.mechanism.actuation))
+        inverse = np.abs(self.mechanism.inverse_actuation)
         return inverse @ self._load.force + np.finfo(float).tiny
 
     @cached_property

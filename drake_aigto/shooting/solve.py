@@ -70,6 +70,7 @@ class ShootingOptions:
         most_promised: motions that promise to cost more in the last pass, with penalties, are
             left unfinished; so are those that cost more after a pass that ended, and far more
             after one that was cut off: as bounds count more, costs rise.
+        judges: whether the exact cost of what is found is asked, too; else it is infinite.
 
     Raises:
         OptionsError: an option is out of its range.
@@ -87,6 +88,7 @@ class ShootingOptions:
     feasibility: float = 1e-4
     is_wary: bool = False
     most_promised: float = math.inf
+    judges: bool = True
 
     def __post_init__(self) -> None:
         """Checks the ranges."""
@@ -138,7 +140,7 @@ class ShootingResult(LockedArrays, ArrayRecord):
         controls: u between them, shape (N, nu).
         cost: with the contact law smoothed as it was at the end; infinite if the start's controls
             lead nowhere.
-        exact_cost: of the same controls, without smoothing.
+        exact_cost: of the same controls, without smoothing; infinite if it was not asked for.
         violation: of bounds at knots, in units of the state's scales, at most.
         iterations: in all.
         is_converged: whether the last pass ended in its tolerance.
@@ -300,20 +302,18 @@ class ShootingRun:
             got = f"a motion that costs {outcome.cost}"
             raise ProgramError("controls", got=got, expected="a finite one")
         nx, found = len(self._problem.scales), self._memory.expansion
-        gains = self._memory.sweep.gains[flights]
         return MotionExpansion(
             cost=outcome.cost,
             gaps=np.array(found.gaps[:, :nx]),
             transitions=np.array(found.F[:, :nx, :nx]),
-            gains=np.array(gains[:, :, :nx]),
+            gains=np.array(self._memory.sweep.gains[flights][:, :, :nx]),
         )
 
     def _choose_rungs(self) -> tuple[Smoothing, ...]:
         """Returns the rungs; without springs and friction, one."""
         rungs = self._options.rungs
-        if self._problem.mechanism.is_smoothed:
-            return rungs
-        return (rungs[-1]._replace(iterations=sum(rung.iterations for rung in rungs)),)
+        whole = rungs[-1]._replace(iterations=sum(rung.iterations for rung in rungs))
+        return rungs if self._problem.mechanism.is_smoothed else (whole,)
 
     def _run_rung(self, rung: Smoothing, before: float) -> Outcome:
         """Returns the outcome of a rung; ρ grows if its steps leave violations as they were."""
@@ -366,8 +366,8 @@ class ShootingRun:
         """Returns the motion of the controls with its costs; None: without a pass."""
         last = self._options.rungs[-1]._replace(iterations=0)
         found = outcome or self._descend(last, self._states, False)
-        exact = found.cost
-        if last.smoothing:
+        exact = found.cost if self._options.judges else np.inf
+        if last.smoothing and self._options.judges:
             exact = self._descend(last._replace(smoothing=0.0), self._states.copy(), False).cost
         problem, layout, nx = self._problem, self._layout, len(self._problem.start)
         at_knots, T = self._states[[*layout.flights, -1]], float(np.ptp(problem.times))

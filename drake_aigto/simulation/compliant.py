@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import (
     CompliantLaw,
-    Mechanics,
-    MechanicsMemory,
-    TreeMechanics,
-    TreeMechanicsMemory,
-    accelerate,
-    accelerate_bodies,
     calc_time_to_wall,
     make_mechanics_memory,
     make_mechanism,
-    of_tree,
 )
-from drake_aigto.dynamics import turn_positions
 from drake_aigto.geometry import BALL, CAPSULE, HALF_SPACE
-from drake_aigto.kernels import borrow, borrowing, kernel
+from drake_aigto.simulation.embedded import MOST_STEPS, integrate
 from drake_aigto.simulation.recording import (
     Controller,
+    HeldControl,
     Impact,
     Recording,
     refuse_course,
@@ -36,27 +29,10 @@ from drake_aigto.world import SpaceWorld, World
 # Tolerances of one step, relative to positions and velocities of 1: nearly rounding of sums, which
 # are cheap; of trees, whose errors coarser steps show; and of steps that check a motion.
 _OF_SUMS, _OF_TREES, _COARSE, FINE = 1e-13, 1e-10, 1e-8, 1e-11
-# More steps are no motion any more, but numbers that run away; and rows that are read at once.
-_MOST_STEPS, _BLOCK = 1_000_000, 256
-# Steps in each hold of a control, at least: no touch is over within one.
-_FEWEST = 8
+# Rows that are read at once.
+_BLOCK = 256
 # Step of the difference that gives φ̈, as a part of 1 s.
 _DIFFERENCE = 1e-6
-
-# Dormand & Prince (1980), "A family of embedded Runge-Kutta formulae": the rule of order 5, and its
-# difference to that of order 4.
-_A = np.array(
-    [
-        [0, 0, 0, 0, 0, 0],
-        [1 / 5, 0, 0, 0, 0, 0],
-        [3 / 40, 9 / 40, 0, 0, 0, 0],
-        [44 / 45, -56 / 15, 32 / 9, 0, 0, 0],
-        [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0, 0],
-        [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0],
-        [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
-    ]
-)
-_E = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
 
 
 class Rows(NamedTuple):
@@ -105,8 +81,8 @@ class Compliant:
         Raises:
             TrajectoryError: it runs away to infinity, or goes so fast that it would take minutes.
         """
-        blocks = list[Floats]()
-        for time, rows, tried in self._move(x, control, span, step, tolerance):
+        blocks, held = list[Floats](), (control[np.newaxis], np.array(span))
+        for time, rows, tried in self._move(x, *held, step, tolerance):
             blocks.append(rows.copy())
             blocks[-1][:, 0] += time
             step = tried
@@ -114,18 +90,22 @@ class Compliant:
         return Rows(all_rows[:, 0], all_rows[:, 1:ends], all_rows[:, ends:]), step
 
     def _move(
-        self, x: Floats, control: Floats, span: tuple[float, float], step: float, tolerance: float
+        self, x: Floats, controls: Floats, knots: Floats, step: float, tolerance: float
     ) -> Iterator[tuple[float, Floats, float]]:
-        """Yields times, rows from then on, and the next step; see `follow`."""
-        (time, end), most, passed = span, (span[1] - span[0]) / _FEWEST, 0
+        """Yields times, rows from then on, all of them of one hold, and the next step.
+
+        Arguments are those of `follow`, for controls (N, nu) that are held between knots (N+1,).
+        """
+        now, hold, end, passed = float(knots[0]), 0, float(knots[-1]), 0
         kept = tolerance, self._memory, self._room
-        while time < end:
-            left, step = end - time, min(step, most)
-            done, step, count = integrate(self._tables, x, control, left, step, most, *kept)
-            if not (step > 0 and np.isfinite(x).all() and passed < _MOST_STEPS):
+        while now < end:
+            time = now
+            came = integrate(self._tables, x, controls, knots, hold, time, step, *kept)
+            hold, now, step, count = came
+            if not (step > 0 and np.isfinite(x).all() and passed < MOST_STEPS):
                 raise refuse_course(time, self._list_edges())
             yield time, self._room[:count], step
-            passed, time = passed + _BLOCK, end if done == left else time + done
+            passed += _BLOCK
 
     def lead(self, x: Floats, controller: Controller, flies: bool = False) -> Floats | None:
         """Returns (q, v) after a controller, shape (nx,), and keeps nothing of the way there.
@@ -141,13 +121,17 @@ class Compliant:
         """
         x, time, step = np.array(x, dtype=float), controller.start, np.inf
         while time < controller.end:
-            held = controller.sample(time, x.copy(), ())
-            control, span = np.array(held.control, dtype=float), (time, held.until)
-            for _, rows, tried in self._move(x, control, span, step, self.tolerance):
+            if isinstance(controller, HeldControl) and controller.is_open_loop and not flies:
+                controls, knots = controller.controls, controller.times
+            else:
+                held = controller.sample(time, x.copy(), ())
+                controls, knots = held.control[np.newaxis], np.array([time, held.until])
+            asked = np.array(controls, dtype=float), np.array(knots, dtype=float)
+            for _, rows, tried in self._move(x, *asked, step, self.tolerance):
                 step = tried
                 if flies and self._may_touch(rows):
                     return None
-            time = held.until
+            time = float(knots[-1])
         return x
 
     def _may_touch(self, rows: Floats) -> bool:
@@ -313,88 +297,3 @@ def find_depth(times: Floats, distances: Floats, rates: Floats) -> float:
     parts = np.where(turns, rates[:-1] / np.where(turns, rates[:-1] - rates[1:], 1.0), 0.0)
     lowest = distances[:-1] + rates[:-1] * parts * np.diff(times)[:, np.newaxis] / 2
     return max(0.0, -float(np.min(distances, initial=0.0)), -float(np.min(lowest, initial=0.0)))
-
-
-def _find_rates_of_bodies(
-    mechanics: TreeMechanics, x: Floats, u: Floats, rates: Floats, memory: TreeMechanicsMemory
-) -> None:
-    """Computes ẋ of a state x = (q, v) of a tree."""
-    n, nq = mechanics.tree.up.size, mechanics.num_positions
-    accelerate_bodies(mechanics, x[:nq], x[nq:], u, 0.0, False, memory)
-    turn_positions(mechanics.tree, x[:nq], x[nq:], rates[:nq])
-    for i in range(n):
-        rates[nq + i] = memory.acceleration[0, i]
-
-
-@of_tree(_find_rates_of_bodies)
-def _find_rates(
-    mechanics: Mechanics, x: Floats, u: Floats, rates: Floats, memory: MechanicsMemory
-) -> None:
-    """Computes ẋ of a state x = (q, v), of sums or of a tree."""
-    n = x.size // 2
-    accelerate(mechanics, x, u, 0.0, False, memory)
-    for i in range(n):
-        rates[i], rates[n + i] = x[n + i], memory.acceleration[0, i]
-
-
-@kernel
-def integrate(
-    tables: Any,
-    x: Floats,
-    u: Floats,
-    length: float,
-    step: float,
-    most: float,
-    tolerance: float,
-    memory: Any,
-    rows: Floats,
-) -> tuple[float, float, int]:
-    """Moves x on for a time [s], or until rows are full: times since the start, x and ẋ.
-
-    Returns:
-        The time that it moved on, the next step, 0 if steps vanish, and the number of rows.
-    """
-    tables, memory, nx = borrow(tables), borrow(memory), x.size
-    y, K, done, h = np.empty(nx), np.empty((7, nx)), 0.0, min(step, length)
-    count, tries = 0, 0
-    _find_rates(tables, x, u, K[0], memory)
-    while tries < _MOST_STEPS:
-        tries += 1
-        is_last = done + h >= length
-        used = length - done if is_last else h
-        for s in range(1, 7):
-            for i in range(nx):
-                total = 0.0
-                for r in range(s):
-                    total += _A[s, r] * K[r, i]
-                y[i] = x[i] + used * total
-            _find_rates(tables, y, u, K[s], memory)
-        error = 0.0
-        for i in range(nx):
-            total = 0.0
-            for s in range(7):
-                total += _E[s] * K[s, i]
-            error = max(error, abs(used * total) / (1.0 + abs(y[i])))
-        if not np.isfinite(error):
-            return done, 0.0, count
-        scale = 0.9 * (tolerance / max(error, 1e-30)) ** 0.2
-        if error > tolerance:
-            h = used * max(scale, 0.2)
-            continue
-        _keep(rows[count], done, x, K[0])
-        done, count = length if is_last else done + used, count + 1
-        for i in range(nx):
-            x[i], K[0, i] = y[i], K[6, i]
-        h = max(h, used * min(scale, 4.0)) if is_last else used * min(scale, 4.0)
-        h = min(h, most)
-        if is_last or count == rows.shape[0] - 1:
-            _keep(rows[count], done, x, K[0])
-            return done, h, count + 1
-    return done, 0.0, count
-
-
-@borrowing
-def _keep(row: Floats, time: float, x: Floats, rates: Floats) -> None:
-    row[0] = time
-    for i in range(x.size):
-        row[1 + i], row[1 + x.size + i] = x[i], rates[i]
