@@ -80,8 +80,8 @@ class TrackingController(LoopController):
     control is sampled as soon as they are over. Else they are *inferred* from samples: φ_i ≤ 0, or
     it would have come to that since the last one, as the control drives it; or φ̇_i has turned
     round as only an impact turns it, wherever the wall stands (`find_bounce`). The first sample in
-    a touched wall changes nothing, for no plan says how fast a ball is there. A contact that
-    lasts at the start has not bounced when it opens.
+    a touched wall changes nothing where there are phases, for none says how fast a ball is there. A
+    contact that lasts at the start has not bounced when it opens.
 
     Where a sample is of no use (`Safety`) the fallback is commanded, by default the plan's own
     control: no NaN leaves a port. The plan's goes on, too, while all of the state is zero, where
@@ -336,7 +336,8 @@ class TrackingController(LoopController):
         over = (touches != _APART) & ~pressed & is_leaving
         bounces = self._read(context, groups.bounces) + (over & (touches == _TOUCHED))
         left = np.where(over, _APART, touches)
-        if not np.any((left == _TOUCHED) & (before == _APART)):
+        is_new = np.any((left == _TOUCHED) & (before == _APART))
+        if not (is_new and self.feedback.stretches):
             return self._hold(context, values, x, bounces, left, self._read_commands(context))
         values.set_value(groups.bounces, bounces)
         values.set_value(groups.touches, left)
