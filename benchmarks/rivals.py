@@ -20,6 +20,7 @@ from benchmarks.local_peers import casadi
 from benchmarks.robots.judge import Control
 from benchmarks.shooting_ipopt import ShootingProgram
 from drake_aigto import AigtoError, PlanOptions, Scenario, World
+from drake_aigto.arrays import Floats
 from drake_aigto.planning import make_mechanism_task, needs_shooting
 from drake_aigto.shooting import Phases, ShootingOptions, ShootingProblem, ShootingResult, Smoothing
 from drake_aigto.simulation import replay_event_driven
@@ -108,12 +109,12 @@ def _list_touches(
 def draw_controls(problem: ShootingProblem, rng: np.random.Generator) -> np.ndarray:
     """Returns controls that are linear between three to eight random values, shape (N, nu)."""
     values = rng.normal(size=(int(rng.integers(3, 9)), len(problem.control_scales)))
-    return _hold(problem, 10 ** rng.uniform(-1.0, 0.7) * values)
+    return hold_linear(problem, 10 ** rng.uniform(-1.0, 0.7) * values)
 
 
-def _hold(problem: ShootingProblem, values: np.ndarray) -> np.ndarray:
-    """Returns controls between values (L, nu) in their units, held, shape (N, nu)."""
-    N = len(problem.times) - 1
+def hold_linear(problem: ShootingProblem, values: np.ndarray, steps: int = 0) -> np.ndarray:
+    """Returns controls between values (L, nu) in their units, held in (N or `steps`, nu)."""
+    N = steps or len(problem.times) - 1
     shares, middles = np.linspace(0, 1, len(values)), (np.arange(N) + 0.5) / N
     each = np.column_stack([np.interp(middles, shares, column) for column in values.T])
     return np.clip(each * problem.control_scales, *problem.control_bounds)
@@ -143,28 +144,58 @@ def sample(
     weighed by exp(-excess / temperature) (MPPI); or the best of all (predictive sampling). Runs
     begin at zero with random spreads.
     """
-    rng, size = np.random.default_rng(2), (_KNOTS, len(problem.control_scales))
+    sampler = Sampler(problem, method)
     while True:
-        mean, spread = np.zeros(size), np.full(size, 10 ** rng.uniform(-1.0, 0.7))
+        mean, spread = sampler.start()
         for _ in range(_GENERATIONS):
-            points = mean + spread * rng.normal(size=(_SAMPLES, *size))
-            points[0] = mean
-            controls = [Control(problem.times, _hold(problem, each)) for each in points]
+            points = sampler.draw(mean, spread)
+            controls = [Control(problem.times, hold_linear(problem, each)) for each in points]
             costs = np.array([calc_cost(each) for each in controls])
-            order = np.argsort(costs, kind="stable")
-            yield float(costs[order[0]]), controls[order[0]]
-            if not np.isfinite(costs[order[0]]):
-                continue
-            if method == "cross-entropy":
-                elite = points[order[:_ELITE]]
-                mean = _KEPT * mean + (1 - _KEPT) * elite.mean(axis=0)
-                spread = _KEPT * spread + (1 - _KEPT) * elite.std(axis=0)
-            elif method == "MPPI":
-                weights = weigh(costs, _TEMPERATURE)
-                mean = np.einsum("i,i...->...", weights / weights.sum(), points)
-                spread = _NARROWS * spread
-            else:
-                mean = points[order[0]]
+            best = int(np.argmin(costs))
+            yield float(costs[best]), controls[best]
+            mean, spread = sampler.improve(points, costs, mean, spread)
+
+
+class Sampler:
+    """Draws values of controls at knots, in their units, and learns from what these cost.
+
+    Args:
+        problem: whose controls they are.
+        method: one of `SAMPLERS`.
+    """
+
+    def __init__(self, problem: ShootingProblem, method: str) -> None:
+        self._rng, self._size = np.random.default_rng(2), (_KNOTS, len(problem.control_scales))
+        self._method = method
+
+    def start(self) -> tuple[Floats, Floats]:
+        """Returns a mean of zero and a random spread, (L, nu) each."""
+        return np.zeros(self._size), np.full(self._size, 10 ** self._rng.uniform(-1.0, 0.7))
+
+    def draw(self, mean: Floats, spread: Floats) -> Floats:
+        """Returns the mean and samples about it, (S, L, nu)."""
+        points = mean + spread * self._rng.normal(size=(_SAMPLES, *self._size))
+        points[0] = mean
+        return points
+
+    def improve(
+        self, points: Floats, costs: Floats, mean: Floats, spread: Floats
+    ) -> tuple[Floats, Floats]:
+        """Returns the next mean and spread after samples (S, L, nu) of some costs (S,)."""
+        order = np.argsort(costs, kind="stable")
+        if not np.isfinite(costs[order[0]]):
+            return mean, spread
+        if self._method == "cross-entropy":
+            elite, kept = points[order[:_ELITE]], _KEPT
+            return (
+                kept * mean + (1 - kept) * elite.mean(axis=0),
+                kept * spread + (1 - kept) * elite.std(axis=0),
+            )
+        if self._method == "MPPI":
+            weights = weigh(costs, _TEMPERATURE)
+            mean = np.einsum("i,i...->...", weights / weights.sum(), points)
+            return mean, _NARROWS * spread
+        return points[order[0]], spread
 
 
 def roll_out(problem: ShootingProblem, control: Control, order: int = 4) -> float:

@@ -2,7 +2,7 @@
 
     python -m benchmarks.space [--only push] [--seeds 5] [--renewals 48] [--keep FILE]
     python -m benchmarks.space --poses 50 [--only three_fingers/lift] [--renewals 0]
-    python -m benchmarks.space --rivals [--only push] [--seeds 1] [--renewals 24]
+    python -m benchmarks.space --rivals [--mujoco] [--only push] [--seeds 1] [--renewals 24]
 
 What counts was fixed beforehand: objects within 2 cm and 0.1 rad of their goals, in our own
 integration and on Drake's continuous plant. Exits with 1 where a plan misses that. Worlds of MJCFs
@@ -14,6 +14,7 @@ With `--rivals`, samplers have as many CPU seconds each as the plan took: the cr
 MPPI and predictive sampling (`benchmarks.rivals`), of controls over the whole task, by their cost
 in the plan's own compiled dynamics, in implicit steps. The best control of each is judged as the
 plan is, by our integration. Where one alone reaches the goal, it is better, else the cheaper one.
+With `--mujoco` these methods are controllers in MuJoCo, and MuJoCo judges them (`mujoco_peers`).
 
 With `--poses`, tasks of one world are drawn, and Drake's plant judges. push_tee's T, where none is
 named, starts at random poses, and at the end has to cover 95 % of its goal. Both are diffusion
@@ -34,20 +35,21 @@ import argparse
 import time
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from matplotlib.path import Path
 from matplotlib.transforms import Bbox
 
 from benchmarks.mujoco_judge import MujocoJudge
+from benchmarks.mujoco_peers import MujocoTask
 from benchmarks.rivals import SAMPLERS, roll_out, sample
 from benchmarks.robots.judge import Control
 from benchmarks.script import clock, machine, read_flags, run_all, run_as
 from drake_aigto import Planner, PlanOptions, Scenario, World, scenario_names
 from drake_aigto.arrays import Floats
 from drake_aigto.planning import Feedback, make_mechanism_task
-from drake_aigto.shooting import IMPLICIT
+from drake_aigto.shooting import IMPLICIT, ShootingProblem
 from drake_aigto.simulation import Replay, replay_event_driven, replay_with
 from drake_aigto.world import TaskCost
 
@@ -108,6 +110,7 @@ def main() -> int:
         renewals=(48, "of each plan"),
         poses=(0, "tasks that are drawn of one world, push_tee/to_pose if none is named"),
         rivals=(False, "compare plans with samplers"),
+        mujoco=(False, "samplers are controllers in MuJoCo"),
     )
     print(machine())
     if arguments.poses:
@@ -290,7 +293,8 @@ def compare(names: Sequence[str], arguments: argparse.Namespace) -> int:
     """Compares plans with samplers, and prints a table and how often plans are better."""
     print(f"{'':27}{'plan':>11}{'mm':>8}{'rad':>7}", end="")
     print("".join(f"{each:>22}{'':4}" for each in SAMPLERS) + f"{'CPU s':>8}")
-    better, work = 0, partial(ask_samplers, renewals=arguments.renewals)
+    ask = ask_controllers if arguments.mujoco else ask_samplers
+    better, work = 0, partial(compare_one, renewals=arguments.renewals, ask=ask)
     found = run_all(work, names, arguments)
     for name, ours, others, seconds in found:
         print(f"{name:27}{ours}{''.join(map(str, others))}{seconds:8.1f}")
@@ -299,27 +303,44 @@ def compare(names: Sequence[str], arguments: argparse.Namespace) -> int:
     return 0 if better >= 8 / 9 * len(found) else 1
 
 
-def ask_samplers(name: str, *, renewals: int) -> tuple[str, Judged, list[Judged], float]:
+_Ask: TypeAlias = Callable[[Planner, ShootingProblem, float], list[Judged]]
+
+
+def compare_one(name: str, *, renewals: int, ask: _Ask) -> tuple[str, Judged, list[Judged], float]:
     """Returns the name, what a plan and each sampler have, and the CPU seconds of each."""
     planner = _make_planner(name, renewals)
     plan, spent = clock(planner.plan)
-    world, scenario = planner.world, planner.scenario
-    problem = make_mechanism_task(world, scenario, planner.options).shooting(scenario.num_steps)
+    task = make_mechanism_task(planner.world, planner.scenario, planner.options)
+    others = ask(planner, task.shooting(planner.scenario.num_steps), spent.cpu)
+    return name, _judge(planner, plan.replay.event_driven), others, spent.cpu
 
-    def judge(replay: Replay) -> Judged:
-        return Judged(replay.cost, _miss(planner, replay.positions[-1]))
+
+def _judge(planner: Planner, replay: Replay) -> Judged:
+    return Judged(replay.cost, _miss(planner, replay.positions[-1]))
+
+
+def ask_samplers(planner: Planner, problem: ShootingProblem, seconds: float) -> list[Judged]:
+    """Returns what samplers of whole tasks find, in the plan's own dynamics."""
 
     def calc_cost(control: Control) -> float:
         return roll_out(problem, control, IMPLICIT)
 
     others = []
     for method in SAMPLERS:
-        end, generations = time.process_time() + spent.cpu, sample(problem, calc_cost, method)
+        end, generations = time.process_time() + seconds, sample(problem, calc_cost, method)
         best = next(generations)
         while time.process_time() < end:
             best = min(best, next(generations), key=lambda found: found[0])
-        others.append(judge(replay_event_driven(world, scenario, *best[1])))
-    return name, judge(plan.replay.event_driven), others, spent.cpu
+        replay = replay_event_driven(planner.world, planner.scenario, *best[1])
+        others.append(_judge(planner, replay))
+    return others
+
+
+def ask_controllers(planner: Planner, problem: ShootingProblem, seconds: float) -> list[Judged]:
+    """Returns what sampling controllers do in MuJoCo."""
+    task = MujocoTask(planner.world, planner.scenario, problem)
+    runs = (task.control(method, seconds) for method in SAMPLERS)
+    return [Judged(cost, _miss(planner, end)) for cost, end in runs]
 
 
 class Drawn(NamedTuple):

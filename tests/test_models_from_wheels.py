@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.mujoco_judge import MujocoJudge, load_mujoco
+from benchmarks.mujoco_judge import MujocoJudge
+from benchmarks.mujoco_model import MujocoModel
 from drake_aigto import Planner, PlanOptions, Scenario, World, scenario_names
 from drake_aigto.errors import ModelError
 from drake_aigto.planning import Feedback
@@ -41,7 +42,7 @@ def read(name: str) -> tuple[SpaceWorld, Scenario, Any]:
     world = World.from_scenario(Scenario.named(name))
     assert isinstance(world, SpaceWorld)
     scenario = world.place(Scenario.named(name))
-    return world, scenario, load_mujoco(scenario)
+    return world, scenario, MujocoModel.of(world, scenario).model
 
 
 @pytest.mark.filterwarnings("ignore:compiler attribute")
