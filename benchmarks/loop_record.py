@@ -53,9 +53,10 @@ from drake_aigto.control import (
     Safety,
     run_in_loop,
 )
+from drake_aigto.errors import ControlError
 from drake_aigto.planning import make_mechanism_task
 from drake_aigto.simulation import EVENT_DRIVEN, Held, HeldControl, Parabolas
-from drake_aigto.world import Scales, SpaceWorld, TaskCost
+from drake_aigto.world import Scales, TaskCost
 
 WORLDS = (
     *("table1/1", "corridor/three_bounces", "room/bank_shot", "floor/rebound"),
@@ -355,9 +356,10 @@ def make_controller(method: str, prepared: Prepared, disturbance: Disturbance) -
     often = period if disturbance.noise.any() else min(period, plan.scenario.time_step / 5)
     if method == "tracking":
         unknown = [each for each in options.get("estimate", ()) if each != "walls"]
-        is_judged = plan.scenario.contact == "compliant" and not isinstance(world, SpaceWorld)
-        known["estimate"] = unknown if is_judged and world.contacts else ()
-        return TrackingController(plan, world, period=often, **known)
+        try:
+            return TrackingController(plan, world, period=often, estimate=unknown, **known)
+        except ControlError:  # It has one law at a time, which no model judges.
+            return TrackingController(plan, world, period=often, **known)
     law = Regulated(plan, world) if method == "TVLQR" else Sampled(plan, prepared)
     each = often if method == "TVLQR" else period
     controller: Any = TrackingController(plan, world, period=each)

@@ -215,6 +215,10 @@ def test_what_it_can_not_plan_from_is_refused() -> None:
     planner.transcription.AddFinalCost(planner.transcription.state()[0])
     with pytest.raises(ControlError, match="got costs or constraints that were added"):
         ModelPredictiveController(planner, 0.1)
+    for unknown, message in ((5, "got 5, expected a list"), (["walls"], "got walls of balls")):
+        given: dict[str, Any] = {"period": 0.1, "estimate": unknown}
+        with pytest.raises(ControlError, match=f"^estimate: {message}"):
+            ModelPredictiveController(Planner(BALL), **given)
     with pytest.raises(ControlError, match=r"estimated_state of ModelPredictiveController: got"):
         Simulator(ModelPredictiveController(make_planner(), 0.1)).Initialize()
 

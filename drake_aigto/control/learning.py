@@ -41,7 +41,7 @@ class LearnedModel:
         unknown: Sequence[Unknown],
         interval: float,
     ) -> None:
-        """Builds the models; none where nothing is unknown.
+        """Builds the models: the model alone where nothing is unknown.
 
         Args:
             world: the model.
@@ -53,16 +53,12 @@ class LearnedModel:
         Raises:
             ControlError: from `ModelEstimate.of`; or the feedback has no laws to choose from.
         """
-        self.names: tuple[str, ...] = ()
-        self._interval, self.nothing = interval, np.zeros(0)
-        if not unknown:
-            return
-        if feedback.laws is None:
+        self._known = self._given = ModelEstimate.of(world, scenario, unknown)
+        self.names, self._interval, state = self._given.names, interval, scenario.initial_state
+        if self.names and feedback.laws is None:
             expected = "a plan of a mechanism in the plane between compliant walls"
             raise ControlError("estimate", got="a plan with one law at a time", expected=expected)
-        self._known = self._given = ModelEstimate.of(world, scenario, unknown)
         self._judged: tuple[Any, Feedback] = self._given.models, feedback
-        self.names, state = self._given.names, scenario.initial_state
         self._parts = np.cumsum([1, len(state), *map(np.size, self._list_numbers(self._given))])
         self.nothing = self._pack(-np.inf, state, self._given)
 
@@ -84,7 +80,7 @@ class LearnedModel:
 
     def read(self, numbers: Floats) -> tuple[float, ...]:
         """Returns the values."""
-        return tuple(np.split(numbers, self._parts)[2].tolist()) if self.names else ()
+        return tuple(np.split(numbers, self._parts)[2].tolist())
 
     def watch(
         self,

@@ -170,10 +170,10 @@ class ModelPredictiveController(LoopController):
         is_receding, most = horizon == "receding", iterations or 1
         self._horizons = Horizons(planner, self._scenario, is_receding, most, self.period)
         self._horizon, self._iterations = self._horizons.own, iterations
-        if planner.is_of_balls and "walls" in estimate:
+        known = ModelEstimate.of(self._world, self._scenario, estimate) if estimate else None
+        if known and planner.is_of_balls and "walls" in estimate:
             got, expected = "walls of balls, which learns=True finds", "what is not learned so"
             raise ControlError("estimate", got=got, expected=expected)
-        known = ModelEstimate.of(self._world, self._scenario, estimate) if estimate else None
         often = search_every, ticks, waits
         self._searches = Searches(self.period, margin, surprise, *often)
         nx, own = len(self._units), self._horizon
