@@ -54,13 +54,19 @@ class Mechanism:
     damping: Floats
 
     @classmethod
-    def of(cls, world: World, law: ContactLaw) -> Mechanism:
+    def of(cls, world: World, law: ContactLaw, brakes: bool = True) -> Mechanism:
         """Returns the tables of a world with a contact law. Rigid contacts do not push in flight.
+
+        Args:
+            world: the mechanism.
+            law: of its contacts.
+            brakes: whether friction is to be softened for steps (`list_friction`).
 
         Raises:
             UnsupportedTermError: an equation is no sum of products of powers, sin and cos.
         """
-        contacts, frictions = np.zeros((world.num_contacts, 5)), list_friction(world, law)
+        contacts = np.zeros((world.num_contacts, 5))
+        frictions = list_friction(world, law, brakes)
         if isinstance(law, RigidLaw):
             contacts[:, 2] = law.restitution
         else:

@@ -194,12 +194,15 @@ class FrictionTerm(NamedTuple):
     numbers: tuple[float, ...]
 
 
-def list_friction(world: World, law: ContactLaw) -> list[FrictionTerm]:
-    """Returns the friction of a world's joints and walls; that of rigid walls is for impacts."""
+def list_friction(world: World, law: ContactLaw, brakes: bool = True) -> list[FrictionTerm]:
+    """Returns the friction of a world's joints and walls; that of rigid walls is for impacts.
+
+    Where nothing asks how it brakes, as a law that no steps soften, decelerations are 0.
+    """
     n = world.num_velocities
-    frictions = [] if world.dry_friction is None else list(_list_dry(world, world.dry_friction))
+    frictions = list(_list_dry(world, brakes))
     if isinstance(law, CompliantLaw) and law.has_friction:
-        frictions += _list_touching(world, law)
+        frictions += _list_touching(world, law, brakes)
     elif law.has_friction:
         for i in np.flatnonzero(law.friction).tolist():
             numbers = float(i), law.friction[i], world.stiction_speed, *[0.0] * (3 + n)
@@ -207,17 +210,28 @@ def list_friction(world: World, law: ContactLaw) -> list[FrictionTerm]:
     return frictions
 
 
-def _list_dry(world: World, friction: Floats) -> Iterator[FrictionTerm]:
-    along = np.vectorize(Expression)(np.eye(len(friction)))
-    mobility = np.diag(np.linalg.inv(world.calc_mass_matrix(world.plant.GetDefaultPositions())))
+def _list_dry(world: World, brakes: bool) -> Iterator[FrictionTerm]:
+    if (friction := world.dry_friction) is None:
+        return
+    along, mobility = np.vectorize(Expression)(np.eye(len(friction))), np.zeros(len(friction))
+    if brakes:
+        masses = world.calc_mass_matrix(world.plant.GetDefaultPositions())
+        mobility = np.diag(np.linalg.inv(masses))
     none = [0.0] * (2 + len(friction))
     for i in np.flatnonzero(friction > 0).tolist():
         F = friction[i]
         yield FrictionTerm(along[i], (-1.0, F, world.stiction_speed, F * mobility[i], *none))
 
 
-def _list_touching(world: World, law: CompliantLaw) -> Iterator[FrictionTerm]:
+def _list_touching(world: World, law: CompliantLaw, brakes: bool) -> Iterator[FrictionTerm]:
     """Yields the friction of compliant contacts, decelerations per speed of approach."""
+    rates = _calc_brakes(world, law) if brakes else np.zeros(world.num_contacts)
+    for i in np.flatnonzero(law.friction > 0).tolist():
+        numbers = float(i), law.friction[i], world.stiction_speed, rates[i], 0.0, law.radii[i]
+        yield FrictionTerm(world.rubbing.tangents[i], (*numbers, *world.rubbing.spins[i]))
+
+
+def _calc_brakes(world: World, law: CompliantLaw) -> Floats:
     q = world.plant.GetDefaultPositions()
     J, (T, _), M = (
         world.calc_contact_jacobian(q),
@@ -225,10 +239,7 @@ def _list_touching(world: World, law: CompliantLaw) -> Iterator[FrictionTerm]:
         world.calc_mass_matrix(q),
     )
     along, across = (np.einsum("ij,ji->i", A, np.linalg.solve(M, A.T)) for A in (T, J))
-    rates = law.friction * np.sqrt(law.stiffness) * along / np.sqrt(np.maximum(across, along))
-    for i in np.flatnonzero(law.friction > 0).tolist():
-        numbers = float(i), law.friction[i], world.stiction_speed, rates[i], 0.0, law.radii[i]
-        yield FrictionTerm(world.rubbing.tangents[i], (*numbers, *world.rubbing.spins[i]))
+    return law.friction * np.sqrt(law.stiffness) * along / np.sqrt(np.maximum(across, along))
 
 
 def fit_to_steps(frictions: Floats, step: float, duration: float, speed: float) -> Floats:

@@ -270,13 +270,15 @@ class TreeMechanism:
 AnyMechanism: TypeAlias = Mechanism | TreeMechanism
 
 
-def make_mechanism(world: World, law: ContactLaw) -> AnyMechanism:
+def make_mechanism(world: World, law: ContactLaw, brakes: bool = True) -> AnyMechanism:
     """Returns the dynamics of a world with a contact law, by sums or, in space, by recursion.
+
+    Sums need not know how friction brakes where steps do not soften it (`list_friction`).
 
     Raises:
         UnsupportedTermError: an equation is no sum of products of powers, sin and cos.
     """
     if not isinstance(world, SpaceWorld):
-        return Mechanism.of(world, law)
+        return Mechanism.of(world, law, brakes)
     assert isinstance(law, CompliantLaw), "else the world refuses the scenario"
     return TreeMechanism.of(world.tree, make_touch_table(world, law))

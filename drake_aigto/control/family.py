@@ -12,9 +12,12 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.control.loop_run import Disturbance
 from drake_aigto.control.model import Model
-from drake_aigto.world import World
+from drake_aigto.world import Scenario, World
 
 Unknown: TypeAlias = Literal["mass", "friction", "stiffness", "walls", "force"]
+
+# Scenarios with other friction that are kept at most: about p there are three.
+_MOST_KEPT = 6
 
 
 class Parameter(NamedTuple):
@@ -41,6 +44,7 @@ class ModelFamily:
         """Reads these worlds."""
         self._model, self._parameters = model, tuple(parameters)
         self._above = [self._find_above(each) for each in parameters]
+        self._rubbed = dict[float, Scenario]()  # With that much friction.
 
     def _find_above(self, parameter: Parameter) -> World:
         """Returns the world with one more of a parameter: a factor of 2, 1 m, or 1 N."""
@@ -76,8 +80,12 @@ class ModelFamily:
                 vars(rubbing).pop("frictions", None)
                 vars(rubbing)["model_coefficients"] = value * world.rubbing.model_coefficients
                 vars(found)["rubbing"] = rubbing
-                changes = Disturbance(friction_factor=value).change_friction(world, scenario)
-                if found.dry_friction is not None:  # To the bit, as worlds check it.
-                    changes["dry_friction"] = found.dry_friction
-                scenario = dataclasses.replace(scenario, **changes)
+                if value not in self._rubbed:
+                    if len(self._rubbed) >= _MOST_KEPT:
+                        del self._rubbed[next(iter(self._rubbed))]
+                    changes = Disturbance(friction_factor=value).change_friction(world, scenario)
+                    if found.dry_friction is not None:  # To the bit, as worlds check it.
+                        changes["dry_friction"] = found.dry_friction
+                    self._rubbed[value] = dataclasses.replace(scenario, **changes)
+                scenario = self._rubbed[value]
         return Model(found, scenario)

@@ -11,7 +11,7 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, interpolate
 from drake_aigto.control.horizon import AnyHorizon, BallHorizon, Horizon
-from drake_aigto.control.touches import PlannedMotion, choose, find_left, go_on, keep_apart
+from drake_aigto.control.touches import DEARER, PlannedMotion, choose, find_left, go_on, keep_apart
 from drake_aigto.errors import OptionsError, TrajectoryError
 from drake_aigto.planning import (
     FeedbackPhase,
@@ -48,9 +48,8 @@ _SMOOTHING, _SUBSTEPS = 3e-3, 4
 # pushed_block/slide, planned again on its own model, cost 0.0315, with 3e-3 0.0761.
 _LIGHT = 3e-4
 # Friction that is too stiff for this number of Runge-Kutta steps in a time step is softened to what
-# they resolve. With all of the 32 and 30 steps that it asks for, ticks took twice the CPU:
-# pushed_block/slide, planned again, cost 0.0316 for 0.0319, the spinner 2.69 for 2.75, and with a
-# fifth less friction 4.11 for 4.06.
+# they resolve. With all of the 30 steps that it asks for, ticks took twice the CPU: the spinner,
+# planned again, cost 2.69 for 2.75, and with a fifth less friction 4.11 for 4.06.
 _FRICTION_STEPS = 8
 # What a search finds is led to its optimum by at most this many iterations, before it is compared.
 _FOUND = 60
@@ -61,8 +60,7 @@ _MUCH = 1e-2
 _AT_WALL, _STILL = 1e-4, 1e-2
 # Walls that a motion does not touch are kept off by this part of how much they are in doubt, if
 # that costs no more than this part above the last plan. cart_pole/rigid_06 whose walls were 0, 6
-# and 12 cm nearer cost 80.3, 80.7 and 81.9, and 79.8, 174 and 164 where none was kept off;
-# soft_06 80.4, 80.6 and 81.5, and 80.0, 90.5 and 125.
+# and 12 cm nearer cost 80.3, 80.7 and 81.9, and 79.8, 174 and 164 where none was kept off.
 _OFF, _WORTH = 1 / 3, 0.1
 # How often a tick's iterations are run again, until walls are met.
 _UPDATES = 4
@@ -164,12 +162,9 @@ class CompliantHorizon(_ShootingHorizon):
         is_in_space = isinstance(self.world, SpaceWorld)
         stiff = _FRICTION_STEPS, IMPLICIT if is_in_space else 4
         substeps, order = stiff if self._has_friction else (_SUBSTEPS, 2)
-        is_light = self._has_friction or is_in_space
-        smoothing = _LIGHT if is_light else _SMOOTHING
+        smoothing = _LIGHT if self._has_friction or is_in_space else _SMOOTHING
         rungs = (Smoothing(smoothing, iterations, _TOLERANCE),)
-        self._options = ShootingOptions(
-            rungs, substeps, order=order, multiplier_updates=1, judges=False
-        )
+        self._options = ShootingOptions(rungs, substeps, order, multiplier_updates=0, judges=False)
 
     def _pose(self) -> ShootingProblem:
         problem = self._task.shooting(self.num_steps)
@@ -228,14 +223,19 @@ class CompliantHorizon(_ShootingHorizon):
 
         Steps that close gaps let go of what is pushed by friction, and stay off it. So, with
         friction, what the controls lead to is tried before, from which no step costs more than the
-        one before; gaps are closed where that costs more than the last plan did.
+        one before; gaps are closed where that costs more than the last plan did. Else a second pass
+        makes bounds hold, if it has to.
         """
         known = {"times": times, "start": states[0], "least_distances": least}
         problem = dataclasses.replace(self._problem, **known)
-        starts = (None, states) if self._has_friction else (states,)
-        tried = (self._read(problem.solve(controls, start, options)) for start in starts)
-        found = choose(tried, last_cost)
-        return found and dataclasses.replace(found, problem=problem)
+        found = problem.solve(controls, None if self._has_friction else states, options)
+        is_dear = not np.isfinite(found.cost) or found.cost > (1 + DEARER) * last_cost
+        if is_dear and self._has_friction:
+            found = min(found, problem.solve(controls, states, options), key=lambda each: each.cost)
+        elif found.violation > options.feasibility:
+            found = problem.solve(found.controls, None, options, found.prices)
+        motion = self._read(found)
+        return motion and dataclasses.replace(motion, problem=problem)
 
     def _read(self, found: ShootingResult) -> PlannedMotion | None:
         """Returns a result as a motion; None if it leads nowhere."""

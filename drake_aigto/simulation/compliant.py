@@ -62,7 +62,8 @@ class Compliant:
         """Reads the tables of compiled code."""
         self.world, self.law = world, law
         self.tolerance = _OF_TREES if isinstance(world, SpaceWorld) else _OF_SUMS
-        self._tables = make_mechanism(world, law).fit(0.0, 1.0, 0.0)  # The law as it is.
+        law_as_it_is = make_mechanism(world, law, brakes=False)
+        self._tables = law_as_it_is.fit(0.0, 1.0, 0.0)
         self._memory = make_mechanics_memory(self._tables)
         self._room = np.empty((_BLOCK, 1 + 2 * (world.num_positions + world.num_velocities)))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -213,6 +214,10 @@ def _check_angles(angles: str, final: Floats, is_hinge: Bools) -> None:
         )
 
 
+# The last ones of each world.
+_scales: WeakKeyDictionary[EquationsOfMotion, tuple[Scenario, Scales]] = WeakKeyDictionary()
+
+
 @dataclass(frozen=True)
 class Scales:
     """Units in which tolerances are given, so that a verdict is the same at every size.
@@ -233,7 +238,13 @@ class Scales:
 
     @classmethod
     def of(cls, world: EquationsOfMotion, scenario: Scenario) -> Scales:
-        """Returns the scales of a scenario in its world."""
+        """Returns the scales of a scenario in its world, which ask for them again."""
+        if (known := _scales.get(world)) is None or known[0] is not scenario:
+            known = _scales[world] = scenario, cls._measure(world, scenario)
+        return known[1]
+
+    @classmethod
+    def _measure(cls, world: EquationsOfMotion, scenario: Scenario) -> Scales:
         q0, goal, T = scenario.initial_position, scenario.goal_position, scenario.duration
         # A slider askew to the wall has to go farther than φ; of a hinge no such factor is the same
         # all the way.
