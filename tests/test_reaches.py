@@ -278,3 +278,29 @@ def test_what_costs_far_more_than_kept_motions_after_wide_passes_is_left_there()
     assert dear.iterations < same.iterations and same.cost == whole.cost < 1e2
     refined, left = task.tighten(whole), task.tighten(whole, least=1e-6)
     assert left.is_left and not refined.is_left and refined.cost < left.cost
+
+
+def test_a_ball_lies_still_in_a_hand_whose_servos_hold_it_open() -> None:
+    scenario = Scenario.named("hand_and_ball/turn")
+    world = World.from_scenario(scenario)
+    assert isinstance(world, SpaceWorld)
+    start = (scenario := world.place(scenario)).initial_position
+    palm, *others = world.calc_signed_distance(start)
+    assert palm == pytest.approx(-0.05 * 9.81 / 500.0, rel=1e-3) and min(others) > 0.0
+    hold = world.inverse_actuation @ world.calc_bias(start, np.zeros(world.num_velocities))
+    drake = replay_drake(world, scenario, np.array([0.0, 0.2]), hold[np.newaxis])
+    assert drake.positions[-1] == pytest.approx(start, abs=1e-5)
+
+
+@pytest.mark.slow  # More than 262 CPU s, which the first plan that holds takes.
+def test_a_hand_turns_a_ball_by_a_quarter_turn_and_leaves_it_there_in_drake_too() -> None:
+    options = PlanOptions(starts=60, renewals=0, finalists=1)
+    planner = Planner(Scenario.named("hand_and_ball/turn"), options)
+    plan = planner.plan()
+    assert plan.holds
+    for motion in (plan.trajectory, *plan.replay):
+        q = motion.positions[motion.times >= motion.times[-1] - 1.0]
+        goal = np.tile(plan.scenario.goal_position, (len(q), 1))
+        off = planner.world.subtract(q, goal)[:, -6:]
+        assert np.all(np.linalg.norm(off[:, :3], axis=1) < 0.2)  # [rad]
+        assert np.all(np.linalg.norm(off[:, 3:], axis=1) < 0.02)  # [m]
