@@ -292,7 +292,7 @@ def test_a_ball_lies_still_in_a_hand_whose_servos_hold_it_open() -> None:
     assert drake.positions[-1] == pytest.approx(start, abs=1e-5)
 
 
-@pytest.mark.slow  # More than 262 CPU s, which the first plan that holds takes.
+@pytest.mark.slow  # More than 360 CPU s.
 def test_a_hand_turns_a_ball_by_a_quarter_turn_and_leaves_it_there_in_drake_too() -> None:
     options = PlanOptions(starts=60, renewals=0, finalists=1)
     planner = Planner(Scenario.named("hand_and_ball/turn"), options)
