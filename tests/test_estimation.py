@@ -17,7 +17,14 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_aigto import ModelPredictiveController, Planner, PlanOptions, Scenario, World
+from drake_aigto import (
+    ModelPredictiveController,
+    Planner,
+    PlanOptions,
+    Scenario,
+    TrackingController,
+    World,
+)
 from drake_aigto.contact import TapeBuilder
 from drake_aigto.control import Disturbance, Model, ModelEstimate, ModelEstimator, run_in_loop
 from drake_aigto.errors import ControlError
@@ -218,6 +225,14 @@ def stand_up(mass: float, *estimate: Any, is_known: bool = False) -> float:
 def test_a_pole_of_another_mass_ends_as_near_as_one_that_is_known() -> None:
     known = stand_up(1.3, is_known=True)
     assert stand_up(1.3, "mass") < 1.2 * known < 0.3 * stand_up(1.3)
+
+
+@pytest.mark.slow
+def test_a_heavier_finger_is_kept_near_its_plan_by_laws_for_which_controls_cost_little() -> None:
+    plan = Planner(SPINNER, PlanOptions(threads=1)).plan()
+    controller = TrackingController(plan, period=0.01, estimate=["mass"])
+    run = run_in_loop(controller, plan.scenario, disturbance=Disturbance(mass_factor=1.2))
+    assert run.cost < 2 * plan.cost
 
 
 @pytest.mark.parametrize(

@@ -293,7 +293,7 @@ def test_a_tracker_with_one_law_at_a_time_learns_nothing_of_its_model() -> None:
 
 
 def test_a_plant_that_is_heavier_is_tracked_by_the_model_that_explains_it() -> None:
-    plan, heavy = make_plan("cart_pole/soft_06"), Disturbance(mass_factor=1.2)
+    plan, heavy = make_plan("cart_pole/soft_06"), Disturbance(mass_factor=1.3)
     costs = [
         run_in_loop(TrackingController(plan, estimate=unknown), plan.scenario, disturbance=heavy)
         for unknown in ((), MASS)

@@ -194,11 +194,10 @@ def _discretize(A: Floats, B: Floats, period: float) -> tuple[Floats, Floats]:
 # four unstable finalists of a T that a disc pushes were lost from starts that are off, none with
 # this; a walker and cart-poles hold with either.
 _SOFT_SUBSTEPS, _SMOOTHING = 8, 1e-4
-# In the loop plants are other ones than the plan's, and states are farther off it: gains know of
-# walls from each of these, and the plan's own model tells which are the best from a state. With
-# 1e-2 alone cart_pole/soft_06 cost 85.0 after a kick and 100.2 where all is off at once, with these
-# 82.9 and 85.2; a TVLQR by the clock 83.7 and 89.6.
-_ON_PLANTS = 0.0, 1e-3, 1e-2, 3e-2, 1e-1
+# In the loop plants are other ones than the plan's: gains know walls from each of these, controls
+# cost such a share, and a model tells the best. With (1e-2, 1) alone cart_pole/soft_06 cost 100.2
+# where all is off, now 85.6; without the last two spinner/two_radians, heavier, 6.84, now 4.56.
+_ON_PLANTS = *((each, 1.0) for each in (0.0, 1e-3, 1e-2, 3e-2, 1e-1)), (0.0, 0.1), (1e-3, 0.1)
 # Periods within this part of a knot's interval are as long.
 _SAME = 1e-6
 # A slip has ended at this part of its largest value in the plan.
@@ -225,8 +224,8 @@ class Feedback(Controller):
     A plan of a mechanism between compliant walls, or one that touches nothing, is one phase. Its
     gains are those of the descent that found the plan (`ShootingProblem.linearize`), the law of
     compliant contact included. In the loop they are of holds that are as long as periods, and there
-    are several, which know of walls from near or far: those act that lead to the least cost, if the
-    plan's model follows them from the state (`FeedbackLaws`).
+    are several, which know of walls from near or far, and keep near the plan or less so: those act
+    that lead to the least cost, if the model follows them from the state (`FeedbackLaws`).
 
     After its end the goal is held by a `Regulator` where there is one, else the last state by the
     last gains.
@@ -289,12 +288,14 @@ class Feedback(Controller):
             is_exact, fewest = period is not None and mechanism.has_friction, -(-whole // parts)
             exact, steps = problem.resolve(u, fewest, states, order, is_exact)
             self._transitions = exact.transitions
-            from_far = _ON_PLANTS if in_loop and mechanism.is_smoothed else (_SMOOTHING,)
-            self._gains = [
-                problem.linearize(u, steps, each, states, order).gains for each in from_far
-            ]
+            on_plants = _ON_PLANTS if in_loop and mechanism.is_smoothed else ((_SMOOTHING, 1.0),)
+            self._gains = list[Floats]()
+            for from_far, share in on_plants:
+                cost = dataclasses.replace(problem.cost, R=share * problem.cost.R)
+                weighed = dataclasses.replace(problem, cost=cost)
+                self._gains.append(weighed.linearize(u, steps, from_far, states, order).gains)
             self.phases = [FeedbackPhase(times, states, u, self._gains[0])]
-            if len(from_far) > 1:
+            if len(on_plants) > 1:
                 self.laws = FeedbackLaws(problem, states, u, self._gains, fewest, 2)
 
     @property
