@@ -214,7 +214,7 @@ def _check_angles(angles: str, final: Floats, is_hinge: Bools) -> None:
         )
 
 
-# The last ones of each world.
+# Those of each world's last scenario: planning again asks for them at each tick, many times.
 _scales: WeakKeyDictionary[EquationsOfMotion, tuple[Scenario, Scales]] = WeakKeyDictionary()
 
 
@@ -238,7 +238,7 @@ class Scales:
 
     @classmethod
     def of(cls, world: EquationsOfMotion, scenario: Scenario) -> Scales:
-        """Returns the scales of a scenario in its world, which ask for them again."""
+        """Returns the scales of a scenario in its world."""
         if (known := _scales.get(world)) is None or known[0] is not scenario:
             known = _scales[world] = scenario, cls._measure(world, scenario)
         return known[1]
