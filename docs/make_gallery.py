@@ -27,7 +27,8 @@ DOCS = Path(__file__).parent
 PICTURES, PAGE = DOCS / "images" / "gallery", DOCS / "index.md"
 MOTIONS = DOCS.parent / "tests" / "shipped_motions.json"
 
-_WIDTH, _RATE, _QUALITY = 4.0, 12, 40  # of animations [hundreds of pixels], [1/s]
+_WIDTH, _RATE = 4.0, 12  # of animations [hundreds of pixels], [1/s]
+_QUALITIES, _MOST = (40, 30, 20, 10), 80_000  # The first one of as few bytes is taken.
 _SECONDS = 2.0  # that an animation takes at most, but for the end's stand
 _KNOTS, _DIGITS = 25, 5  # of a motion in the tests: rows, and digits of each number
 _BEGIN, _END = "<!-- gallery -->\n", "<!-- end of the gallery -->\n"
@@ -47,11 +48,14 @@ def picture_of(name: str) -> Path:
 
 
 def compress(drawn: Path, path: Path) -> None:
-    """Writes an animation as a WebP, a quarter as large."""
+    """Writes an animation as a WebP, a quarter as large or less."""
     with Image.open(drawn) as frames:
         first, *others = (frame.convert("RGB") for frame in ImageSequence.Iterator(frames))
-    look: dict[str, Any] = {"quality": _QUALITY, "method": 4, "minimize_size": True}
-    first.save(path, save_all=True, append_images=others, duration=1000 / _RATE, loop=0, **look)
+    look: dict[str, Any] = {"duration": 1000 / _RATE, "method": 4, "minimize_size": True}
+    for quality in _QUALITIES:
+        first.save(path, save_all=True, append_images=others, loop=0, quality=quality, **look)
+        if path.stat().st_size < _MOST:
+            break
 
 
 def shorten(motion: Motion) -> dict[str, Any]:
