@@ -66,6 +66,8 @@ RECORDS: Mapping[str, str] = {
     "space": "python -m benchmarks.space --seeds 2 --renewals 24",
     "space_rivals": "python -m benchmarks.space --rivals --seeds 1 --renewals 0 --workers 1"
     " --minutes 16",
+    "space_controllers": "python -m benchmarks.space --rivals --mujoco --seeds 1 --renewals 0"
+    " --workers 1 --minutes 15",
     "push_tee_poses": "python -m benchmarks.space --poses 24 --renewals 16 --workers 1"
     " --minutes 22",
     "table1": "python -m benchmarks.table1_figures",
@@ -221,6 +223,7 @@ FIGURES: Mapping[str, Figure] = {
     "friction_worlds_table": Figure("friction_worlds", r"(?s)\A[^\n]*\n(.*\S)"),
     "space_table": Figure("space", r"(?s)\A[^\n]*\n(.*\S)"),
     "space_rivals_table": Figure("space_rivals", r"(?s)\A[^\n]*\n(.*\S)"),
+    "space_controllers_table": Figure("space_controllers", r"(?s)\A[^\n]*\n(.*\S)"),
     "push_tee_poses_table": Figure("push_tee_poses", r"(?s)\A[^\n]*\n(.*\S)"),
     "loop_record_tables": Figure("loop_record", r"(?s)^(table1/1: .*\S)"),
     "estimated_tables": Figure("estimated", r"(?s)^(table1/1  .*\S)"),
