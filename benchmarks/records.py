@@ -90,6 +90,8 @@ RECORDS: Mapping[str, str] = {
     "push_bot_bounds": "python -m benchmarks.push_bot_bounds",
     "loop_record": "python -m benchmarks.loop_record --only table1,corridor,room,floor,soft,block"
     " --workers 1 --minutes 24",
+    "loop_record_unstable": "python -m benchmarks.loop_record --only rigid_06,spinner,acrobot"
+    " --workers 1 --minutes 40",
     "estimated": "python -m benchmarks.estimated --workers 1 --minutes 25",
     "held": "python -m benchmarks.held --workers 1 --minutes 70",
     "live_latency": "python -m benchmarks.live_latency",
@@ -226,6 +228,9 @@ FIGURES: Mapping[str, Figure] = {
     "space_controllers_table": Figure("space_controllers", r"(?s)\A[^\n]*\n(.*\S)"),
     "push_tee_poses_table": Figure("push_tee_poses", r"(?s)\A[^\n]*\n(.*\S)"),
     "loop_record_tables": Figure("loop_record", r"(?s)^(table1/1: .*\S)"),
+    "loop_record_unstable_tables": Figure(
+        "loop_record_unstable", r"(?s)^(cart_pole/rigid_06: cost.*\S)"
+    ),
     "estimated_tables": Figure("estimated", r"(?s)^(table1/1  .*\S)"),
     "held_table": Figure("held", r"(?s)^(acrobot/swing_up\ntracking.*\S)"),
     "live_latency_table": Figure("live_latency", r"(?s)\A(.*\S)"),
