@@ -456,7 +456,7 @@ def run_worlds(
     done = run_all(run, list_jobs(names, options.seeds), options)
     for name in names:
         if runs := [(what, found) for (other, _, what), found in done if other == name]:
-            print(report(name, runs), flush=True)
+            print(f"\n{report(name, runs)}", flush=True)
     return 0
 
 

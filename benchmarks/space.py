@@ -98,7 +98,7 @@ class Run(NamedTuple):
         misses = "".join(f"{1e3 * far:10.2f} {turn:8.4f}" for far, turn in self.misses)
         mark = "holds" if self.holds else "does not"
         costs = f"{self.cost:12.5g}{self.replayed:12.5g}"
-        return f"{self.name:24}{costs}{misses:76}  {mark:9}{self.seconds:8.1f}"
+        return f"{self.name:28}{costs}{misses:76}  {mark:9}{self.seconds:8.1f}"
 
 
 def main() -> int:
@@ -122,7 +122,7 @@ def main() -> int:
         return compare(names, arguments)
     ends = ("plan", "ours", "Drake", "MuJoCo")
     heads = "".join(f"{f'{each} mm':>10} {'rad':>8}" for each in ends)
-    print(f"{'':24}{'cost':>12}{'in Drake':>12}{heads}  {'':9}{'CPU s':>8}")
+    print(f"{'':28}{'cost':>12}{'in Drake':>12}{heads}  {'':9}{'CPU s':>8}")
     runs = run_all(partial(run, renewals=arguments.renewals), names, arguments)
     for each in runs:
         print(each)
