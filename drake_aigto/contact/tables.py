@@ -232,6 +232,7 @@ def _list_touching(world: World, law: CompliantLaw, brakes: bool) -> Iterator[Fr
 
 
 def _calc_brakes(world: World, law: CompliantLaw) -> Floats:
+    """Returns by how much friction decelerates per speed of approach, shape (m,) [1/s]."""
     q = world.plant.GetDefaultPositions()
     J, (T, _), M = (
         world.calc_contact_jacobian(q),

@@ -226,31 +226,30 @@ class ModelEstimate:
 
     def _price(self, values: Floats, samples: tuple[Floats, Floats], held: HeldControl) -> float:
         """Returns how unlikely values are by a sample, and by what was known before."""
-        errors = self._calc_errors(self.family.find(values), samples, held)
+        errors = self._calc_errors([self.family.find(values)], samples, held)
         if errors is None:
             return np.inf
         off = values - self.values
         before = float(off @ np.linalg.solve(self.covariance, off))
         return 2 * self.world.num_velocities * self._weigh(errors) + before
 
-    def _calc_errors(
-        self, model: Model, samples: tuple[Floats, Floats], held: HeldControl
-    ) -> Floats | None:
-        """Returns a prediction's errors over σ, shape (2 nv,); None: there is none."""
-        end = model.find_end(samples[0], held)
-        return None if end is None else self.world.calc_error(samples[1], end) / self.scales
-
-    def _weigh(self, errors: Floats) -> float:
-        """Returns the mean square of a prediction's errors, in standard deviations."""
-        return float(np.mean(errors**2) / self.noise)
-
     def _predict(self, samples: tuple[Floats, Floats], held: HeldControl) -> Floats | None:
         """Returns the errors of all models, shape (1 + 2P, 2 nv); None: one predicts nothing."""
-        found = [model.find_end(samples[0], held) for model in self.models]
+        return self._calc_errors(self.models, samples, held)
+
+    def _calc_errors(
+        self, models: Sequence[Model], samples: tuple[Floats, Floats], held: HeldControl
+    ) -> Floats | None:
+        """Returns predictions' errors over σ, shape (K, 2 nv); None: a model predicts nothing."""
+        found = [model.find_end(samples[0], held) for model in models]
         ends = np.array([end for end in found if end is not None])
         if len(ends) < len(found):
             return None
         return np.asarray(self.world.calc_error(samples[1], ends) / self.scales)
+
+    def _weigh(self, errors: Floats) -> float:
+        """Returns the mean square of a prediction's errors, in standard deviations."""
+        return float(np.mean(errors**2) / self.noise)
 
     def _update(self, errors: Floats, before: ModelEstimate) -> ModelEstimate:
         """Returns the same after a sample, linear about p₀, with what was known before it."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, interpolate
 from drake_aigto.control.horizon import AnyHorizon, BallHorizon, Horizon
-from drake_aigto.control.touches import DEARER, PlannedMotion, choose, find_left, go_on, keep_apart
+from drake_aigto.control.touches import MARGIN, PlannedMotion, choose, find_left, go_on, keep_apart
 from drake_aigto.errors import OptionsError, TrajectoryError
 from drake_aigto.planning import (
     FeedbackPhase,
@@ -229,8 +229,8 @@ class CompliantHorizon(_ShootingHorizon):
         known = {"times": times, "start": states[0], "least_distances": least}
         problem = dataclasses.replace(self._problem, **known)
         found = problem.solve(controls, None if self._has_friction else states, options)
-        is_dear = not np.isfinite(found.cost) or found.cost > (1 + DEARER) * last_cost
-        if is_dear and self._has_friction:
+        costs_more = not np.isfinite(found.cost) or found.cost > (1 + MARGIN) * last_cost
+        if costs_more and self._has_friction:
             found = min(found, problem.solve(controls, states, options), key=lambda each: each.cost)
         elif found.violation > options.feasibility:
             found = problem.solve(found.controls, None, options, found.prices)

@@ -21,7 +21,7 @@ from drake_aigto.world import World, find_link
 # Touches that are planned within this number of periods of now may have happened, or not yet.
 _NEAR = 2.0
 # A motion costs more than the last plan if it does by this share of that: noise makes less of it.
-DEARER = 0.05
+MARGIN = 0.05
 # Touches are kept this part of the time that is left apart, and away from both ends.
 _APART = 1e-4
 # Times that differ by less than this part are the same.
@@ -140,7 +140,7 @@ def choose(tried: Iterable[PlannedMotion | None], last: float) -> PlannedMotion 
     found: list[PlannedMotion] = []
     for motion in tried:
         found += [motion] if motion else []
-        if motion and motion.cost <= (1 + DEARER) * last:
+        if motion and motion.cost <= (1 + MARGIN) * last:
             break
     return min(found, key=lambda each: each.cost, default=None)
 
