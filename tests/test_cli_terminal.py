@@ -57,13 +57,6 @@ def open_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     return stream
 
 
-@pytest.fixture(scope="module")
-def plan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("plans") / "plan.json"
-    assert main([*FLIGHT, "--no-confirm", "--quiet", "--json", str(path)]) == FINE
-    return path
-
-
 @pytest.fixture
 def telling(monkeypatch: pytest.MonkeyPatch, plan_file: Path) -> Callable[..., None]:
     """Has a planner tell some lines, and then find the plan of the file."""
@@ -448,16 +441,3 @@ def test_what_was_probably_meant_is_said_first(
     with pytest.raises(SystemExit):
         main(words)
     assert capsys.readouterr().err.startswith(f"drake-aigto: Did you mean {meant}? ")
-
-
-def test_a_plan_without_a_scenario_says_where_their_names_are(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["plan", "table1/11"]) == BAD_INPUT
-    assert capsys.readouterr().err.startswith("drake-aigto: Did you mean 'table1/1'? unknown sce")
-    with pytest.raises(SystemExit):
-        main(["plan"])
-    assert "SCENARIO. drake-aigto list has the shipped ones. Try" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        main(["plan", "table1/1", "--html"])
-    assert "drake-aigto plan: argument --html: expected one argument." in capsys.readouterr().err

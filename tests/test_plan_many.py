@@ -19,7 +19,7 @@ from pkgutil import resolve_name
 from typing import Any
 
 import pytest
-from refusals import check_refused
+from refusals import refuse_work
 from scenario_studies import Inline
 
 from drake_aigto import (
@@ -47,10 +47,6 @@ FAST = PlanOptions(confirm=False, threads=1)
 @pytest.fixture(autouse=True)
 def inline(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drake_aigto.jobs.many.open_workers", Inline)
-
-
-def refuse_work(*arguments: Any) -> Answer:
-    raise AssertionError("work was begun")
 
 
 def dies_of(name: str) -> Callable[..., Answer]:
@@ -190,21 +186,6 @@ def test_the_command_prints_each_answer_and_keeps_it(
     *_, last = capsys.readouterr().out.splitlines()
     assert last.startswith("table1/1  failed  table1/1: got two processes that died of it")
     assert main(["replay", str(folder / "mine.json"), "--no-confirm"]) == FINE
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["table1/1", "table1/1"], "SCENARIO table1/1: got the same name twice, expected each onc"),
-        (["table1/1", "nowhere"], "unknown scenario 'nowhere'"),
-        (["no.yaml"], "no.yaml"),
-        (["table1/1", "--resume"], "--resume: got no folder, expected --into FOLDER"),
-    ],
-)
-def test_bad_input_is_one_line_and_status_2(
-    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    check_refused(["plan-many", *arguments], message, capsys)
 
 
 @pytest.mark.slow
