@@ -143,14 +143,9 @@ def _slide(mobility: Mobility, mode: Mode, friction: float) -> _Way:
 
 
 def _find_rest(first: float, later: float, rate: float, until: float, restitution: float) -> float:
-    """Returns the normal impulse of an impact whose slip ends before it does.
+    """Returns the normal impulse of an impact whose slip ends before it, at p_n = `until` [N s].
 
-    Args:
-        first: dφ̇ / dp_n until then [1/kg].
-        later: the same after it, above 0 [1/kg].
-        rate: φ̇ before the impact, < 0 [m/s].
-        until: p_n as the slip ends [N s].
-        restitution: e.
+    The rate is φ̇ before the impact; dφ̇ / dp_n is first one, later another above 0 [1/kg].
     """
     now, goal = rate + first * until, -restitution * rate
     if now < 0:  # It is still compressed.

@@ -182,15 +182,12 @@ class FrictionTerm(NamedTuple):
     Its stiction speed w is that of the world, smoothed over a length ε as contact forces are, and
     no slower than its change of s in one Runge-Kutta step h, lest steps oscillate about rest: w² =
     max(v_s, a h)² + (ε/T)², with T the duration.
-
-    Attributes:
-        row: T(q).
-        numbers: the contact of the force N, or −1 for N = 1; c; v_s [m/s, rad/s]; deceleration a
-            of s [m/s², rad/s²], for contacts per speed of approach [1/s]; 1/T [1/s], which a
-            program sets (`fit_to_steps`); radius r; and W, n numbers.
     """
 
-    row: Row
+    row: Row  # T(q)
+    # The contact of the force N, or −1 for N = 1; c; v_s [m/s, rad/s]; deceleration a of s [m/s²,
+    # rad/s²], for contacts per speed of approach [1/s]; 1/T [1/s], which a program sets
+    # (`fit_to_steps`); radius r; and W, n numbers.
     numbers: tuple[float, ...]
 
 
@@ -271,14 +268,8 @@ def calc_gives(stiffness: Floats, kicks: Floats, mobility: Floats, force: Floats
     """Returns how far springs of contacts give, g, shape (m,) [m].
 
     Springs that are smoothed over a width ε above g are softer, k g/ε. So from afar they push no
-    harder than r times as hard as a task takes: at φ = 0 with k g/2 = r |F| |M⁻¹ Jᵀ| / (J M⁻¹ Jᵀ).
-    With k, light bodies would be thrown far off.
-
-    Args:
-        stiffness: k of contacts, shape (m,) [N/m].
-        kicks: M⁻¹ Jᵀ, shape (n, m).
-        mobility: J M⁻¹ Jᵀ, shape (m,) [1/kg].
-        force: F of a `Load`, shape (n,) [N, N m].
+    harder than r times as hard as a task takes: at φ = 0 with k g/2 = r |F| |M⁻¹ Jᵀ| / (J M⁻¹ Jᵀ),
+    F being the force of a `Load`. With k, light bodies would be thrown far off.
     """
     most = 2 * _HARDEST * (force @ np.abs(kicks)) / mobility
     return np.divide(most, stiffness, out=np.full(len(most), np.inf), where=stiffness > 0)

@@ -110,12 +110,7 @@ def apply_inertia(B: Floats, v: Floats, out: Floats) -> None:
 def move_inertia(pose: Floats, m: float, center: Floats, J: Floats, B: Floats) -> None:
     """Computes the inertia B of a body in the world from its mass, center, and moments J about it.
 
-    Args:
-        pose: R by rows, and p.
-        m: the mass.
-        center: of mass, in the body's frame.
-        J: xx, xy, yy, xz, yz, zz in the body's frame.
-        B: the result.
+    The pose is R by rows, and p; J is xx, xy, yy, xz, yz, zz in the body's frame, as the center is.
     """
     x, y, z = rotate(pose, center[0], center[1], center[2])
     x, y, z = pose[9] + x, pose[10] + y, pose[11] + z

@@ -308,11 +308,7 @@ class ConstantDynamics(ConstantInertia):
 
 
 def read_constant(name: str, expressions: NDArray[Any], remedy: str) -> Floats:
-    """Returns the values of expressions of this name, of the same shape, read-only.
-
-    Raises:
-        ModelError: they vary; with the remedy.
-    """
+    """Returns the values of expressions of this name, of the same shape, read-only."""
     if not is_constant(expressions):
         got = ", ".join(map(str, expressions.flat))
         raise ModelError(name, got, expected="a constant", remedy=remedy)

@@ -54,11 +54,7 @@ class _Part(NamedTuple):
 
 
 def _split(joint: Joint) -> tuple[_Part, ...]:
-    """Returns the chain of links of a joint, from the parent outward.
-
-    Raises:
-        ModelError: there is none.
-    """
+    """Returns the chain of links of a joint, from the parent outward."""
     joint_of: Any = joint
     kind = joint.type_name()
     if kind == "revolute":
@@ -216,11 +212,7 @@ class _PlantTree:
         )
 
     def _move_thrust(self, thrust: Thrust) -> Floats:
-        """Returns the wrench of a thruster in its link's frame, shape (6,).
-
-        Raises:
-            ModelError: the body stands still.
-        """
+        """Returns the wrench of a thruster in its link's frame, shape (6,)."""
         link, X = self._places[thrust.body]
         if link < 0:
             name = self._plant.get_body(BodyIndex(thrust.body)).name()
@@ -250,11 +242,7 @@ class _PlantTree:
         return masses, centers, moments
 
     def _read_gravity(self, parents: Any) -> Floats:
-        """Returns gravity on the tree of each link, shape (L, 3).
-
-        Raises:
-            ModelError: only some bodies of a tree are without gravity.
-        """
+        """Returns gravity on the tree of each link, shape (L, 3)."""
         pull, found = self._plant.gravity_field().gravity_vector(), np.zeros((len(parents), 3))
         roots = list(range(len(parents)))
         for i, parent in enumerate(parents):
@@ -286,11 +274,7 @@ class _PlantTree:
         return read_damping(plant, context), armature, plant.MakeActuationMatrix()
 
     def _read_springs(self) -> tuple[Floats, Floats]:
-        """Returns stiffnesses and rests of links, shape (L,).
-
-        Raises:
-            ModelError: another force acts; says between what.
-        """
+        """Returns stiffnesses and rests of links, shape (L,)."""
         stiffnesses, moments = np.zeros(len(self._links)), np.zeros(len(self._links))
         place = {int(link.joint.index()): i for i, link in enumerate(self._links)}
         for k in range(self._plant.num_force_elements()):

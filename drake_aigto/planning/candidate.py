@@ -60,18 +60,14 @@ TimedContact = tuple[float, int]
 
 @dataclass(frozen=True)
 class Change:
-    """One step from a candidate to one near it.
+    """One step from a candidate to one near it."""
 
-    Attributes:
-        kind: "seen", a bounce added that the replay has and the plan lacks; "dropped" or "added",
-            one touch fewer or more; "swapped", simultaneous bounces in the other order; "moved",
-            contacts at other knots; "mode", a touch with friction that sticks or slips instead;
-            "left out", a flight that was not expected to win, tried as no other plan holds.
-        of: the contact sequence that was changed.
-    """
-
+    # "seen", a bounce added that the replay has and the plan lacks; "dropped" or "added", one touch
+    # fewer or more; "swapped", simultaneous bounces in the other order; "moved", contacts at other
+    # knots; "mode", a touch with friction that sticks or slips instead; "left out", a flight that
+    # was not expected to win, tried as no other plan holds.
     kind: ChangeName
-    of: TouchSequence
+    of: TouchSequence  # the contact sequence that was changed
 
 
 @dataclass(frozen=True)
@@ -328,12 +324,8 @@ def read_motion(
 ) -> Trajectory:
     """Returns a simulated motion between rigid walls, with a knot at each impact.
 
-    Args:
-        world: of the simulation.
-        replay: its states, and its impacts.
-        knots: of its control, shape (N+1,) [s].
-        controls: held between them, shape (N, nu) [N].
-        length: a millionth of it counts as touching [m].
+    Controls (N, nu) were held between knots (N+1,); a millionth of the length [m] counts as
+    touching.
     """
     first = np.flatnonzero(np.diff(replay.times, prepend=-1.0))
     last = np.append(first[1:], len(replay.times)) - 1

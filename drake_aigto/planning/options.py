@@ -236,11 +236,7 @@ class PlanOptions(SearchOptions):
 
 
 def check_periodic(world: World, scenario: Scenario) -> None:
-    """Refuses a motion that should repeat where that is not planned for.
-
-    Raises:
-        ScenarioError: walls are rigid, or the goal contradicts the advance.
-    """
+    """Refuses a motion that should repeat where that is not planned for."""
     if scenario.periodic is None:
         return
     if scenario.contact == "rigid" and world.contacts:

@@ -269,11 +269,7 @@ class Planner:
 
 
 def _check_guess(world: World, scenario: Scenario, guess: Trajectory) -> None:
-    """Refuses a guess that is of another world, or lasts another time.
-
-    Raises:
-        TrajectoryError: it is; or it is no `Trajectory`.
-    """
+    """Refuses a guess that is of another world, or lasts another time."""
     if not isinstance(guess, Trajectory):
         raise TrajectoryError(
             "initial_guess",
@@ -296,12 +292,7 @@ def _check_guess(world: World, scenario: Scenario, guess: Trajectory) -> None:
 
 
 def _check_friction(world: World, scenario: Scenario) -> None:
-    """Refuses friction of rigid walls if no impact ends in a mode that can be planned.
-
-    Raises:
-        ModelError: a mechanism of one coordinate hits walls with friction, so that each bounce
-            reverses its slip.
-    """
+    """Refuses friction of rigid walls if no impact ends in a mode that can be planned."""
     if scenario.contact != "rigid" or world.num_velocities > 1:
         return
     friction = world.friction_coefficients(scenario)
@@ -349,11 +340,7 @@ def _conclude(search: Search, scenario: Scenario) -> Plan:
 
 
 def _check_reach(world: World, scenario: Scenario) -> None:
-    """Refuses a hard goal that is proven to be out of reach.
-
-    Raises:
-        PlanningError: it is.
-    """
+    """Refuses a hard goal that is proven to be out of reach."""
     if reason := out_of_reach(world, scenario):
         error = PlanningError(
             "it is proven that no motion meets the hard goal",

@@ -67,19 +67,12 @@ _ON_KNOT = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A start of AIGO.
+    """A start of AIGO."""
 
-    Attributes:
-        transcription: the constrained program.
-        polynomial: its penalized cost.
-        box: the first box.
-        row_names: of the penalized rows.
-    """
-
-    transcription: Transcription
-    polynomial: BoxPolynomial
-    box: Box
-    row_names: tuple[str, ...]
+    transcription: Transcription  # the constrained program
+    polynomial: BoxPolynomial  # its penalized cost
+    box: Box  # the first box
+    row_names: tuple[str, ...]  # of the penalized rows
 
 
 class ProgramTask(ABC):

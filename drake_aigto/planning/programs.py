@@ -25,25 +25,15 @@ _CELLS = 1000  # of a proof that what users added contradicts itself
 
 @dataclass(frozen=True, eq=False)
 class CompiledProgram:
-    """The penalized program of all transcriptions of one structure.
+    """The penalized program of all transcriptions of one structure."""
 
-    Attributes:
-        polynomial: its costs, for any parameters.
-        bounds: of its variables.
-        row_names: of the rows that penalties stand for.
-    """
-
-    polynomial: ParametricPolynomial
-    bounds: Bounds
-    row_names: tuple[str, ...]
+    polynomial: ParametricPolynomial  # its costs, for any parameters
+    bounds: Bounds  # of its variables
+    row_names: tuple[str, ...]  # of the rows that penalties stand for
 
     @classmethod
     def of(cls, transcription: Transcription) -> CompiledProgram:
-        """Compiles.
-
-        Raises:
-            UnsupportedTermError: a cost or constraint that has no mean in closed form.
-        """
+        """Compiles."""
         twin, order = transcription.twin(), transcription.elimination_order()
         blocks = parse_costs(twin.penalized())
         num_parameters = transcription.parameters.vector().size
@@ -111,9 +101,6 @@ def check_added_rows(prog: MathematicalProgram, additions: Additions) -> None:
     """Refuses what users added if it is proven that it contradicts itself or bounds.
 
     The program's own rows are left out: they couple all knots, which a proof makes little of.
-
-    Raises:
-        ProgramError: it does.
     """
     names = {each.name for each in additions.constraints}
     rows = [

@@ -142,14 +142,9 @@ def swapped(sequence: TouchSequence, near: float) -> list[TouchSequence]:
 def retimed(
     sequence: TouchSequence, contacts: Container[int], duration: float
 ) -> list[TouchSequence]:
-    """Returns the sequences with a bounce soon after the touch before it, or soon before the next.
+    """Returns the sequences with a bounce of contacts soon after the touch before, or the next.
 
     Under gravity, high late bounces and low early ones are two optima of the same contacts.
-
-    Args:
-        sequence: as polished.
-        contacts: those whose bounces are moved.
-        duration: when the motion ends [s].
     """
     found = []
     for place, touch in enumerate(sequence):

@@ -35,28 +35,17 @@ class Cut(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """A part of a plan in which contacts go on as they do.
+    """A part of a plan in which contacts go on as they do."""
 
-    Attributes:
-        first: the knot at which it starts.
-        last: the knot at which it ends.
-        closed: the contacts that are, and how each of them goes on.
-        begin: when, in the plan [s].
-        end: when, in the plan [s].
-        cut: what ends it.
-        contact: which hits its wall, or stops to slip, then; −1: none.
-        speed: of a stop, the largest slip before; of an impact, the approach [m/s].
-        is_shown_by_state: whether a stop ends it, or an impact at a wall that is then held.
-    """
-
-    first: int
-    last: int
-    closed: Closed
-    begin: float
-    end: float
-    cut: Cut = Cut.CLOCK
-    contact: int = -1
-    speed: float = 0.0
+    first: int  # the knot at which it starts
+    last: int  # the knot at which it ends
+    closed: Closed  # the contacts that are, and how each of them goes on
+    begin: float  # when, in the plan [s]
+    end: float  # when, in the plan [s]
+    cut: Cut = Cut.CLOCK  # what ends it
+    contact: int = -1  # which hits its wall, or stops to slip, then; −1: none
+    speed: float = 0.0  # of a stop, the largest slip before; of an impact, the approach [m/s]
+    # Whether a stop ends it, or an impact at a wall that is then held.
     is_shown_by_state: bool = False
 
     def find_mode(self, contact: int) -> Mode:
@@ -92,15 +81,10 @@ class Stretch:
 
 
 def read_stretches(world: World, friction: Floats, trajectory: Trajectory) -> list[Stretch]:
-    """Returns the stretches of a plan.
+    """Returns the stretches of a plan, whose contacts have μ (m,).
 
     A contact is closed from one knot to the next where it is at its wall at both, and neither
     approaches nor leaves it.
-
-    Args:
-        world: of the plan.
-        friction: μ of each contact, shape (m,).
-        trajectory: the plan.
     """
     modes = _read_modes(world, friction, trajectory)
     is_hit = np.asarray(trajectory.impulses.any(axis=1))
@@ -178,11 +162,7 @@ def touches_walls(world: World, trajectory: Trajectory) -> bool:
 
 
 def check_sizes(world: World, trajectory: Trajectory, name: str = "the trajectory") -> None:
-    """Refuses the trajectory of another world, by its name in the error.
-
-    Raises:
-        TrajectoryError: says which sizes do not fit.
-    """
+    """Refuses the trajectory of another world, by its name in the error."""
     sizes = world.num_positions, world.num_actuators, world.num_contacts
     got = tuple(
         each.shape[1] for each in (trajectory.positions, trajectory.controls, trajectory.impulses)
@@ -194,11 +174,7 @@ def check_sizes(world: World, trajectory: Trajectory, name: str = "the trajector
 
 
 def check_impacts(world: World, trajectory: Trajectory) -> None:
-    """Refuses impacts that no feedback is known for.
-
-    Raises:
-        TrajectoryError: several at once, one at the start, or one that only grazes its wall.
-    """
+    """Refuses impacts that no feedback is known for."""
     times, impulses = trajectory.times, trajectory.impulses[:-1]
     remedy = "Track plans whose contacts are bounces one by one."
     if impulses[0].any():

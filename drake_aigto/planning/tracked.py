@@ -30,39 +30,23 @@ _OFF = 1e-3
 
 
 class Followed(NamedTuple):
-    """A motion under its feedback.
+    """A motion under its feedback."""
 
-    Attributes:
-        replay: of it.
-        times: from when each control was held, and the end, shape (K + 1,) [s].
-        controls: shape (K, nu) [N, N m].
-    """
-
-    replay: Replay
-    times: Floats
-    controls: Floats
+    replay: Replay  # of it
+    times: Floats  # from when each control was held, and the end, shape (K + 1,) [s]
+    controls: Floats  # shape (K, nu) [N, N m]
 
 
 class Simulated(NamedTuple):
-    """The simulation of a motion: its control alone, or with its feedback if that judges it.
+    """The simulation of a motion: its control alone, or with its feedback if that judges it."""
 
-    Attributes:
-        replay: what judges.
-        trajectory: of that replay.
-        defects: of the equations of motion.
-        growth: see `Candidate`, as for what follows.
-        gains: of the feedback that judges.
-        alone: the control alone.
-        perturbed: from starts that are off.
-    """
-
-    replay: Replay
-    trajectory: Trajectory
-    defects: dict[str, float]
-    growth: Growth | None
-    gains: tuple[FeedbackPhase, ...] = ()
-    alone: Replay | None = None
-    perturbed: tuple[Replay, ...] = ()
+    replay: Replay  # what judges
+    trajectory: Trajectory  # of that replay
+    defects: dict[str, float]  # of the equations of motion
+    growth: Growth | None  # see `Candidate`, as for what follows
+    gains: tuple[FeedbackPhase, ...] = ()  # of the feedback that judges
+    alone: Replay | None = None  # the control alone
+    perturbed: tuple[Replay, ...] = ()  # from starts that are off
 
 
 def make_feedback(

@@ -24,25 +24,15 @@ _NO_PAIRS = read_only(np.empty(0), np.int64)
 
 
 class AddedFunction(NamedTuple):
-    """A function f(q, v, u) of a user: a cost, or a row of a constraint.
+    """A function f(q, v, u) of a user: a cost, or a row of a constraint."""
 
-    Attributes:
-        name: of its cost or constraint.
-        is_cost: whether it is a cost, not a constraint.
-        is_running: whether the cost of each knot is multiplied by the time until the next one.
-        lower: bound of a constraint.
-        upper: the same.
-        time: of the knot at which it counts [s], EVERYWHERE or AT_END.
-        reads_control: whether it reads any control.
-    """
-
-    name: str
-    is_cost: bool
-    is_running: bool
-    lower: float
-    upper: float
-    time: float
-    reads_control: bool
+    name: str  # of its cost or constraint
+    is_cost: bool  # whether it is a cost, not a constraint
+    is_running: bool  # whether the cost of each knot is multiplied by the time until the next one
+    lower: float  # bound of a constraint
+    upper: float  # the same
+    time: float  # of the knot at which it counts [s], EVERYWHERE or AT_END
+    reads_control: bool  # whether it reads any control
 
 
 # The distance of a pair of shapes that are kept apart: compiled code measures it.

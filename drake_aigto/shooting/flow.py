@@ -78,16 +78,8 @@ def flow(
 ) -> float:
     """Computes the end of a flight, and returns its cost; with derivatives if asked.
 
-    Args:
-        program: the problem.
-        k: the stage.
-        z: the state at its start, shape (nz,); for phases with their duration and its time.
-        u: its control.
-        eps: the smoothing ε [m].
-        has_slopes: whether to compute derivatives.
-        is_trial: whether the motion is another one than that about which the problem is.
-        after: becomes the state at its end, shape (nz,).
-        memory: room, and of the stage F, l1 and the upper triangle of l2.
+    Of phases, z (nz,) has their duration and its time. A trial is another motion than that about
+    which the problem is. F, l1 and the upper triangle of l2 are of the stage.
     """
     task, method, mechanics, room = program.task, program.method, program.mechanics, memory.flow
     F, l1, l2 = memory.expansion.F[k], memory.expansion.l1[k], memory.expansion.l2[k]

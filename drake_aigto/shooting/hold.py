@@ -181,17 +181,9 @@ def strike(
     Both v⁺ and p are linear in v. For one contact that is the result of Routh's construction
     (`contact.impacts`) where Coulomb's inequalities hold (`measure_modes`).
 
-    Args:
-        closed: which rows of C count: those of contacts that are hit or held from then on.
-        leans: −μ σ of slipping contacts.
-        restitution: e.
-        z: the state before, (q, v, …).
-        has_slopes: whether derivatives are computed, too.
-        mechanics: the mechanism.
-        memory: with the sums of the tape at the state, of all slopes if derivatives are asked for,
-            and the factor of M. p becomes the last row of `grip`; its derivative by (q, v) that of
-            `by_force`, that of v⁺ − v becomes `slopes`, both transposed.
-        after: v⁺ becomes its entries n … 2n − 1.
+    It takes the sums of the tape at z, of all slopes if derivatives are asked for, and the factor
+    of M. v⁺ becomes entries n … 2n − 1 of the state after, p the last row of `grip`; its derivative
+    by (q, v) that of `by_force`, that of v⁺ − v becomes `slopes`, both transposed.
     """
     sums, support, impulses = memory.sums, memory.support, memory.grip[closed.size]
     n, m, w = support.shape[1], leans.size, closed.size

@@ -32,10 +32,7 @@ def measure_modes(
         σ s if slipping before,  ±s if sticking from then on       elsewhere
 
     with c = T M⁻¹ Tᵀ at the start. They are written to the memory, with weights 0 for those that do
-    not count. Knot K is the end.
-
-    Returns:
-        Whether there is anything.
+    not count. Knot K is the end. Returns whether there is anything.
     """
     weights, K = memory.modes.weights, program.kinds.size
     for i in range(weights.shape[0]):

@@ -57,11 +57,7 @@ class Phases(ArrayRecord):
     modes: Ints = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
 
     def __post_init__(self) -> None:
-        """Makes arrays read-only.
-
-        Raises:
-            ProgramError: numbers do not fit together.
-        """
+        """Makes arrays read-only."""
         count = len(self.contacts) + 1
         for name, dtype in _FIELDS.items():
             array = read_only(getattr(self, name), dtype)

@@ -41,14 +41,7 @@ def make_program(
 ) -> Program:
     """Returns the tables of a problem, its multipliers zero.
 
-    Args:
-        problem: the task.
-        substeps: Runge-Kutta steps of a stage.
-        order: of their error, 4 or 2; `IMPLICIT` or `TWO_STAGES`.
-        other: of the same problem in other steps, which shares all that does not depend on them.
-
-    Raises:
-        OptionsError: implicit steps of what is no tree of joints.
+    The other ones are of the same problem in other steps, and share what does not depend on these.
     """
     if is_implicit(order) and not isinstance(problem.mechanism, TreeMechanism):
         raise OptionsError("order", "implicit steps in the plane", "an order of 2 or 4")

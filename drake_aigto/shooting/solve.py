@@ -115,19 +115,12 @@ class ShootingOptions:
 
 
 class MotionExpansion(NamedTuple):
-    """A problem about a motion: K stages, of which N are flights.
+    """A problem about a motion: K stages, of which N are flights."""
 
-    Attributes:
-        cost: of all stages, each from its own state of the motion.
-        gaps: by how much each stage misses the next one's state, shape (K, 2n).
-        transitions: ∂(q, v) after each stage by (q, v) before it, shape (K, 2n, 2n).
-        gains: of the best feedback of held controls, shape (N, nu, 2n).
-    """
-
-    cost: float
-    gaps: Floats
-    transitions: Floats
-    gains: Floats
+    cost: float  # of all stages, each from its own state of the motion
+    gaps: Floats  # by how much each stage misses the next one's state, shape (K, 2n)
+    transitions: Floats  # ∂(q, v) after each stage by (q, v) before it, shape (K, 2n, 2n)
+    gains: Floats  # of the best feedback of held controls, shape (N, nu, 2n)
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,19 +41,10 @@ def sweep_back(
     expansion: Expansion,
     memory: SweepMemory,
 ) -> float:
-    """Computes the feedforward and the gains of each stage.
+    """Computes the feedforward and the gains of each stage, and returns by how much the cost falls.
 
-    Args:
-        program: the problem.
-        controls: of the motion that it is expanded about, shape (K, nu).
-        has_gaps: whether the motion is not a roll-out.
-        damping: share of a control's own curvature that is added to it.
-        holding: curvature that is added to states in units of their scales, which holds them.
-        expansion: the problem about that motion.
-        memory: room, and the result.
-
-    Returns:
-        The decrease of the cost in the expansion; −1 if a Hessian is not positive.
+    That is −1 if a Hessian is not positive. Damping is the share of a control's own curvature that
+    is added to it; holding is added to that of states in units of their scales.
     """
     V1, V2, Q1, Q2, H = memory.V1, memory.V2, memory.Q1, memory.Q2, memory.H
     bounds = program.bounds
@@ -153,10 +144,8 @@ def _solve_box(
     """Computes the du that minimizes g·du + ½ duᵀ H du within bounds of u + du.
 
     Projected Newton steps as of Tassa, Mansard & Todorov (2014), "Control-limited differential
-    dynamic programming". The factor that it leaves behind is of the controls that are free.
-
-    Returns:
-        Whether H is positive on them.
+    dynamic programming". The factor that it leaves behind is of the controls that are free; returns
+    whether H is positive on them.
     """
     H, is_free, factor = memory.H, memory.is_free, memory.factor
     step, trial, slope, value = memory.room[0], memory.room[1], memory.room[2], 0.0
@@ -206,11 +195,8 @@ def _solve_ball(
 ) -> float:
     """Computes the du that minimizes g·du + ½ duᵀ H du on ‖u + du‖ = norm, of the free controls.
 
-    Newton steps on 1/‖u + du‖ = 1/norm, as of Moré & Sorensen (1983). Leaves behind the factor of
-    H + ν I.
-
-    Returns:
-        ν, the multiplier.
+    Newton steps on 1/‖u + du‖ = 1/norm, as of Moré & Sorensen (1983). Leaves behind the factor of H
+    + ν I, and returns the multiplier ν.
     """
     H, is_free, factor = memory.H, memory.is_free, memory.factor
     w, y, nu, fixed = memory.room[3], memory.room[4], 0.0, 0.0

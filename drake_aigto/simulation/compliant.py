@@ -257,12 +257,7 @@ def read_touches(
 ) -> tuple[list[Impact], list[tuple[float, Floats]]]:
     """Returns touches from outside of a motion in steps, and times and states as each begins, ends.
 
-    Args:
-        world: the mechanism.
-        times: of the ends of steps, shape (K,) [s].
-        states: (q, v) there, shape (K, nx).
-        controls: just after, shape (K, nu).
-        distances: of contacts there, shape (K, m) [m].
+    States (K, nx), controls just after (K, nu) and distances (K, m) are at the ends of steps (K,).
     """
     outside, found, beside = distances > 0, list[Impact](), list[tuple[float, Floats]]()
 

@@ -77,21 +77,8 @@ def integrate(
 ) -> tuple[int, float, float, int]:
     """Moves x on to the last knot, or until rows of a hold are full: times from now on, x and ẋ.
 
-    Args:
-        tables: of the mechanism.
-        x: becomes the state where it comes to.
-        controls: shape (N, nu).
-        knots: between which these are held, shape (N+1,) [s].
-        hold: the one that it is in.
-        time: now [s].
-        step: that is tried first [s].
-        tolerance: of a step.
-        memory: room.
-        rows: room, in which those of the last hold are left.
-
-    Returns:
-        The hold and the time that it comes to, the next step, 0 if steps vanish, and the number of
-        rows.
+    Controls (N, nu) are held between knots (N+1,). Returns the hold and the time that it comes to,
+    the next step, 0 if steps vanish, and the number of rows.
     """
     tables, memory, count = borrow(tables), borrow(memory), 0
     while hold < controls.shape[0]:

@@ -91,7 +91,7 @@ def run(
     log: Floats,
     logged: int,
 ) -> int:
-    """Change a phase to what it is at the end of a moment.
+    """Change a phase to what it is at the end of a moment; return how many impacts are logged then.
 
     Impacts are one by one, each where and when the parabolas between them say. If several contacts
     are touched at once, in a corner or by bodies in a row, they take turns until none is approached
@@ -100,9 +100,6 @@ def run(
 
     The moment ends at `end` and lasts for `left` [s], or ends with the first impact if it `stops`
     there.
-
-    Returns:
-        How many impacts there were: those `logged` before, and this moment's.
     """
     q, v, resting, _ = phase
     m = resting.size
@@ -173,14 +170,11 @@ def calc_curves(walls: Walls, q: Floats, v: Floats, acceleration: Floats, curves
 def _find_event(
     firsts: Ints, resting: Bools, curves: Floats, still: float, horizon: float
 ) -> tuple[float, int, bool]:
-    """Find what happens first if φ̈ is constant.
+    """Find what happens first if φ̈ is constant: when [s], where, and if the ball slides off.
 
-    A contact at rest that others push in is touched at once. From a contact that is rested on the
-    ball slides off where it comes in front of another face of the same solid.
-
-    Returns:
-        How long until then [s], the contact, or −1 if nothing happens within the horizon [s], and
-        whether the ball slides off in front of that one instead of touching it.
+    The contact is −1 if nothing happens within the horizon [s]. A contact at rest that others push
+    in is touched at once. From a contact that is rested on the ball slides off where it comes in
+    front of another face of the same solid.
     """
     wait, contact, slides = horizon, -1, False
     for solid in range(firsts.size - 1):
@@ -209,12 +203,9 @@ def _find_event(
 def _find_entry(
     curves: Floats, first: int, last: int, still: float, horizon: float
 ) -> tuple[float, int]:
-    """Find when a solid is entered: as one of its faces is passed, the others behind.
+    """Find when a solid is entered [s], and the face that is passed, the others behind; −1: never.
 
     One that the ball is at, inside but for rounding, is entered at the face that is nearest.
-
-    Returns:
-        How long until then [s], and the face; −1 if never within the horizon.
     """
     if not _may_enter(curves, first, last, horizon):
         return math.inf, -1
@@ -290,11 +281,7 @@ def _hit(
     log: Floats,
     logged: int,
 ) -> int:
-    """Apply an impact, or bring the contact to rest, given v̇ with the other contacts at rest.
-
-    Returns:
-        1 for an impact, 0 for a touch.
-    """
+    """Apply an impact (1), or bring the contact to rest (0), given v̇ with others at rest."""
     q, v, resting, counts = phase
     jacobian, lifts, n = walls.jacobian, walls.lifts, v.size
     push = dot(jacobian, contact, others)

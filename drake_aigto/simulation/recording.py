@@ -109,20 +109,14 @@ class Rest(NamedTuple):
 
 @dataclass(frozen=True)
 class ContactPhase:
-    """A stretch of time in which a contact with friction lasts in one mode.
+    """A stretch of time in which a contact with friction lasts in one mode."""
 
-    Attributes:
-        contact: which of the world's contacts.
-        mode: "stick", which is rolling where something turns; or "forward" or "backward", slip with
-            s = T v above or below 0.
-        start: when it began [s].
-        end: when it ended [s].
-    """
-
-    contact: int
+    contact: int  # which of the world's contacts
+    # "stick", which is rolling where something turns; or "forward" or "backward", slip with s = T v
+    # above or below 0.
     mode: str
-    start: float
-    end: float
+    start: float  # when it began [s]
+    end: float  # when it ended [s]
 
 
 @dataclass
@@ -227,13 +221,9 @@ def find_impacts(times: Floats, velocities: Floats, count: int) -> Ints:
 def sample_steps(
     world: World, times: Floats, states: Floats, controls: Floats
 ) -> tuple[MotionSamples, Floats]:
-    """Returns samples between the ends of steps, and the control at each.
+    """Returns samples between the ends of steps (K,), and the control at each.
 
-    Args:
-        world: of the motion.
-        times: of the ends, shape (K,) [s].
-        states: (q, v) there, shape (K, nx).
-        controls: that led there, shape (K, nu) [N, N m].
+    States (K, nx) are there, and controls (K, nu) led there.
     """
     if world.num_positions == world.num_velocities:
         held = controls[1:][np.diff(times) > 0]
@@ -247,14 +237,7 @@ def sample_steps(
 def sample_rates(
     times: Floats, states: Floats, rates: Floats, controls: Floats
 ) -> tuple[MotionSamples, Floats]:
-    """Returns samples along cubics of states, and the control at each.
-
-    Args:
-        times: of K states [s].
-        states: (q, v), shape (K, nx).
-        rates: of the same, shape (K, nx).
-        controls: from each to the next, shape (K − 1, nu).
-    """
+    """Returns samples along cubics of K states, and the control from each to the next."""
     samples = sample_cubics(times, np.hstack([states, rates]))
     held = np.repeat(controls[np.diff(times) > 0], len(_NODES), axis=0)
     return samples._replace(states=samples.states[:, : states.shape[1]]), held
@@ -279,9 +262,7 @@ def sample_cubics(times: Floats, states: Floats) -> MotionSamples:
 def refuse_course(time: float, edges: Sequence[str] = ()) -> TrajectoryError:
     """Returns the error of a motion that can't be integrated beyond a time [s].
 
-    Args:
-        time: how far it could be [s].
-        edges: names of pairs that touch at the lowest point of an edge alone.
+    Pairs that touch at the lowest point of an edge alone may be why.
     """
     why = (
         f" Of {', '.join(edges)}, only the lowest point touches, which jumps where a flat face "

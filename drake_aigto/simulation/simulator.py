@@ -272,12 +272,8 @@ class _SolidPace:
     ) -> tuple[float, float]:
         """Returns how long to go on before planning again, and the longest step [s].
 
-        Args:
-            root: what is simulated.
-            near: where the ball is.
-            push: φ̈ without this contact [m/s²].
-            blurred: how near an integrator takes a wall for touched [m].
-            delays: how long each contact of the world would last here [s].
+        The push is φ̈ without this contact [m/s²]; an integrator takes a wall for touched where it
+        is blurred [m]; delays are how long each contact of the world would last here [s].
         """
         time, delay = root.get_time(), min(delays[i] for i in self._faces)
         self._fastest = max(self._fastest, -near.rate)

@@ -82,19 +82,11 @@ def follow(
     By the eighth-order rule of Dormand and Prince in SciPy, with dense output. On each piece of it
     every watched value is a Chebyshev polynomial whose roots are all found (J. P. Boyd, "Computing
     zeros on a real interval through Chebyshev expansion and polynomial rootfinding", SIAM J. Numer.
-    Anal. 40, 2002), so that none that falls and rises again between two steps is missed.
-
-    Args:
-        rates: f, smooth.
-        watched: smooth functions, above 0 at the start; one that is not falls at once.
-        start: [s].
-        end: [s].
-        state: (q, v) at the start, shape (2 nv,).
-        first_step: that is tried, at most to the end [s].
-        most: number of pieces, in each of which nothing moves far.
+    Anal. 40, 2002), so that none that falls and rises again between two steps is missed. Watched
+    functions are smooth, above 0 at the start; one that is not falls at once.
 
     Raises:
-        TrajectoryError: the motion runs away to infinity, or takes more pieces.
+        TrajectoryError: the motion runs away to infinity, or takes more pieces than the most.
     """
     samples, last, longest = [], state, 0.0
     first_step = min(first_step, end - start)
@@ -216,11 +208,7 @@ class HybridMotion(ABC):
         """Returns the deepest −φ, at least 0 [m]."""
 
     def _follow(self, rates: Rates, watched: Watched, control: Floats, until: float) -> int:
-        """Moves on smoothly until a watched value falls to zero.
-
-        Returns:
-            Which did; −1 if none.
-        """
+        """Moves on smoothly until a watched value falls to zero, and returns which; −1: none."""
         seen = self.recording
         most = _MOST_PIECES_IN_ALL + _MOST_EACH * len(seen.times) - len(seen.samples)
         course = follow(rates, watched, self.time, until, self.x, self._step, most)

@@ -329,11 +329,6 @@ def calc_lateness(world: World, scenario: Scenario, controller: Controller) -> L
     Where walls have friction, so it is for the slip velocity, which a contact changes in τ and not
     at once, to no less than the stiction speed v_s at which the plant's friction is whole. To that
     comes what a contact creeps while it should stick, at v_s at most.
-
-    Args:
-        world: its stiffness and its contacts.
-        scenario: the task.
-        controller: of the simulation.
     """
 
     def run(state: Floats, start: float, bounces: Sequence[int]) -> tuple[Recording, float]:

@@ -59,11 +59,7 @@ def _find_systems(diagram: Diagram, kind: type[Any]) -> list[Any]:
 
 
 def find_plant(diagram: Diagram) -> tuple[MultibodyPlant, SceneGraph]:
-    """Returns the plant and the scene graph of a diagram, at any depth.
-
-    Raises:
-        ModelError: not exactly one of each.
-    """
+    """Returns the plant and the scene graph of a diagram, at any depth."""
     found = []
     for kind in (MultibodyPlant, SceneGraph):
         matches = _find_systems(diagram, kind)
@@ -81,14 +77,8 @@ def find_plant(diagram: Diagram) -> tuple[MultibodyPlant, SceneGraph]:
 def check_plant(plant: MultibodyPlant, in_space: bool = False, has_thrusters: bool = False) -> None:
     """Refuses a plant that can't be planned for, whatever its equations are.
 
-    Args:
-        plant: finalized.
-        in_space: whether it is read as a tree (`SpaceWorld`), which joints of any kind make.
-        has_thrusters: whether these drive it, beside actuators of joints or alone.
-
-    Raises:
-        ModelError: discrete, no moving joint, q̇ ≠ v, a joint of another kind, links that are
-            constrained otherwise than by joints, no actuator, or one with a controller.
+    In space it is read as a tree (`SpaceWorld`), which joints of any kind make. Thrusters drive it
+    beside actuators of joints, or alone.
     """
     if plant.time_step() > 0:
         raise ModelError(
@@ -119,11 +109,7 @@ def scale_masses(plant: MultibodyPlant, context: Context, factor: float) -> None
 
 
 def find_hinges(plant: MultibodyPlant) -> list[bool]:
-    """Returns whether each generalized position is an angle, (nq,); other ones are lengths.
-
-    Raises:
-        ModelError: a joint of another kind than prismatic, revolute, planar or universal.
-    """
+    """Returns whether each generalized position is an angle, (nq,); other ones are lengths."""
     found = [False] * plant.num_positions()
     for index in plant.GetJointIndices():
         joint = plant.get_joint(index)
@@ -151,11 +137,7 @@ def find_anywhere(plant: MultibodyPlant) -> Floats:
 
 
 def copy_diagram(diagram: Diagram) -> Diagram:
-    """Returns a copy of a diagram, in which shapes can be changed.
-
-    Raises:
-        ModelError: a system in the diagram can't be copied.
-    """
+    """Returns a copy of a diagram, in which shapes can be changed."""
     try:
         return diagram.Clone()
     except RuntimeError as error:
@@ -273,11 +255,7 @@ def _check_velocities(plant: MultibodyPlant) -> None:
 def add_actuation(
     builder: DiagramBuilder, plant: MultibodyPlant, path: Path, thrusters: Sequence[Thruster]
 ) -> None:
-    """Exports the input ``actuation``: of joints' actuators, then of thrusters, which are added.
-
-    Raises:
-        ModelError: a thruster is on no link of the model.
-    """
+    """Exports the input ``actuation``: of joints' actuators, then of thrusters, which are added."""
     joints = plant.get_actuation_input_port()
     if not thrusters:
         builder.ExportInput(joints, "actuation")
@@ -310,11 +288,7 @@ def add_actuation(
 
 
 def find_propeller(diagram: Diagram) -> Propeller | None:
-    """Returns the thrusters of a diagram, at any depth; None: there are none.
-
-    Raises:
-        ModelError: there are several systems of them.
-    """
+    """Returns the thrusters of a diagram, at any depth; None: there are none."""
     found = _find_systems(diagram, Propeller)
     if len(found) > 1:
         remedy = "Give all PropellerInfo to one."

@@ -31,11 +31,7 @@ def as_number(
     at_most: float = math.inf,
     unit: str = "",
 ) -> float:
-    """Returns a finite float within bounds.
-
-    Raises:
-        ScenarioError: not a number (a bool is none), NaN, infinite, or out of bounds.
-    """
+    """Returns a finite float within bounds."""
     if isinstance(value, bool) or not isinstance(value, Real):
         raise ScenarioError(name, got=f"{value!r} ({type(value).__name__})", expected="a number")
     try:
@@ -57,10 +53,6 @@ def as_vector(name: str, value: Any, **bounds: Any) -> Floats:
     """Returns a read-only array (n,) of finite floats, n ≥ 1, from a scalar or a sequence.
 
     Bounds of each are those of `as_number`.
-
-    Raises:
-        ScenarioError: not numbers, NaN or infinity among them, empty, of two dimensions, or one
-            out of bounds.
     """
     is_array = isinstance(value, np.ndarray) and value.dtype == np.float64 and value.ndim == 1
     # An array of finite numbers already, as that of another scenario is.
@@ -80,21 +72,13 @@ def as_vector(name: str, value: Any, **bounds: Any) -> Floats:
 
 
 def as_weight(name: str, value: object, **bounds: float) -> float | Floats:
-    """Returns a weight on a vector's square: a number for all coordinates, or one for each, (n,).
-
-    Raises:
-        ScenarioError: as `as_vector` does.
-    """
+    """Returns a weight on a vector's square: a number for all coordinates, or (n,)."""
     weights = as_vector(name, value, **bounds)
     return float(weights[0]) if weights.size == 1 else weights
 
 
 def as_weight_matrix(name: str, value: object) -> float | Floats:
-    """Returns such a weight, not below zero, or a symmetric positive semidefinite matrix, (n, n).
-
-    Raises:
-        ScenarioError: neither of these.
-    """
+    """Returns such a weight, or a symmetric positive semidefinite matrix, (n, n)."""
     if not (_is_sequence(value) and any(map(_is_sequence, value))):
         return as_weight(name, value, at_least=0.0)
     matrix = as_table(name, value)
@@ -119,11 +103,7 @@ def as_weight_matrix(name: str, value: object) -> float | Floats:
 
 
 def as_bound(name: str, value: object) -> float | Floats:
-    """Returns a bound for all coordinates, or one for each, (n,); ±inf where there is none.
-
-    Raises:
-        ScenarioError: not numbers, or NaN among them.
-    """
+    """Returns a bound for all coordinates, or one for each, (n,); ±inf where there is none."""
     items = np.array(value, dtype=object, ndmin=1)
     is_infinite = [isinstance(item, Real) and item in (math.inf, -math.inf) for item in items]
     finite = [0.0 if skip else item for item, skip in zip(items, is_infinite, strict=True)]
@@ -132,11 +112,7 @@ def as_bound(name: str, value: object) -> float | Floats:
 
 
 def as_table(name: str, value: object) -> Floats:
-    """Returns a read-only array (K, n) of finite floats; of numbers, one per row.
-
-    Raises:
-        ScenarioError: not numbers, not finite, empty, or rows that differ in length.
-    """
+    """Returns a read-only array (K, n) of finite floats; of numbers, one per row."""
     rows = value if _is_sequence(value) else [value]
     table = [as_vector(name, row) for row in rows]
     if len({len(row) for row in table}) != 1:
@@ -154,11 +130,7 @@ def _is_sequence(value: object) -> TypeGuard[Sequence[Any]]:
 
 
 def as_range(name: str, value: object, unit: str) -> tuple[float, float]:
-    """Returns the least and the most of a quantity above zero, least ≤ most.
-
-    Raises:
-        ScenarioError: not two numbers, or the least is not above zero or is more than the most.
-    """
+    """Returns the least and the most of a quantity above zero, least ≤ most."""
     ends = as_vector(name, value)
     if len(ends) != 2:
         raise ScenarioError(name, got=ends.tolist(), expected="the least and the most")
@@ -171,11 +143,7 @@ def as_range(name: str, value: object, unit: str) -> tuple[float, float]:
 
 
 def as_names(name: str, value: object) -> tuple[str, ...]:
-    """Returns texts as a tuple, from a sequence of them.
-
-    Raises:
-        ScenarioError: something else, a single text or an empty one among them.
-    """
+    """Returns texts as a tuple, from a sequence of them."""
     if isinstance(value, list | tuple) and all(isinstance(each, str) and each for each in value):
         return tuple(value)
     raise ScenarioError(name, got=repr(value), expected="a list of names")
@@ -217,11 +185,7 @@ class ArrayField(Generic[_Held]):
 
 
 def check_steps(duration: float, time_step: float) -> None:
-    """Refuses a duration that is no whole number of time steps.
-
-    Raises:
-        ScenarioError: it is not; says which ones fit.
-    """
+    """Refuses a duration that is no whole number of time steps."""
     steps = duration / time_step
     if not math.isfinite(steps):
         raise ScenarioError(
@@ -243,11 +207,7 @@ def check_steps(duration: float, time_step: float) -> None:
 
 
 def check_counts(name: str, weighed_by: Mapping[str, Any], what: str) -> None:
-    """Refuses a field that is given, where all that would weigh it is zero or false.
-
-    Raises:
-        ScenarioError: it counts for nothing; says what would count.
-    """
+    """Refuses a field that is given, where all that would weigh it is zero or false."""
     if any(np.any(weight) for weight in weighed_by.values()):
         return
     raise ScenarioError(
@@ -259,11 +219,7 @@ def check_counts(name: str, weighed_by: Mapping[str, Any], what: str) -> None:
 
 
 def check_size(name: str, values: Floats, size: int) -> None:
-    """Refuses a vector, or rows of a table or a matrix, of another size than the model's.
-
-    Raises:
-        ScenarioError: it has another number of values than the model has coordinates or actuators.
-    """
+    """Refuses a vector, or rows of a table or a matrix, of another size than the model's."""
     got = values.shape[-1]
     if got != size:
         of_what = "actuator" if name == "control_weight" else "coordinate"
@@ -278,9 +234,6 @@ def check_bounds(quantity: str, least: Any, most: Any) -> None:
     """Refuses a lower bound above the upper one, and bounds that leave nothing.
 
     Each is a number, an array, None, or by names, which are checked once they are an array.
-
-    Raises:
-        ScenarioError: they are crossed, or of different sizes.
     """
     if isinstance(least, Mapping) or isinstance(most, Mapping):
         return
@@ -303,11 +256,7 @@ def check_bounds(quantity: str, least: Any, most: Any) -> None:
 
 
 def check_reference(times: Floats | None, tables: Mapping[str, Floats]) -> None:
-    """Refuses a reference without times, times alone, and tables of another number of rows.
-
-    Raises:
-        ScenarioError: times and tables do not go together.
-    """
+    """Refuses a reference without times, times alone, and tables of another number of rows."""
     if times is None and not tables:
         return
     if times is None or not tables:

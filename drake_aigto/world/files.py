@@ -58,11 +58,7 @@ def package_map() -> PackageMap:
 
 
 def find_packages(model: Path, given: Mapping[str, str]) -> PackageMap:
-    """Returns the packages of a model: all that are known, given ones, and those above its file.
-
-    Raises:
-        ModelError: the folder of a given package is missing.
-    """
+    """Returns the packages of a model: all that are known, given ones, and those above its file."""
     packages = package_map()
     for name, folder in given.items():
         path = Path(folder).expanduser()
@@ -84,9 +80,6 @@ def read_xml(path: Path) -> Element:
     """Returns the root of an XML file, with prefixes in its names, such as ``drake:mu_static``.
 
     Drake's parser knows its own elements by their prefix; ElementTree would give them another one.
-
-    Raises:
-        ModelError: the file is no XML.
     """
     builder, parser = TreeBuilder(), expat.ParserCreate()
     parser.StartElementHandler = builder.start

@@ -92,11 +92,7 @@ class FrameGoals:
 
 
 def find_frame(plant: MultibodyPlant, name: str) -> Frame:
-    """Returns a frame by its name; a link's has the link's.
-
-    Raises:
-        ScenarioError: there is none, or several models have one.
-    """
+    """Returns a frame by its name; a link's has the link's."""
     frames = [plant.get_frame(FrameIndex(i)) for i in range(1, plant.num_frames())]
     names = sorted({each.name() for each in frames if each.name()})
     found = [each for each in frames if each.name() == name]
@@ -188,11 +184,7 @@ def place_scenario(plant: MultibodyPlant, scenario: Scenario) -> Scenario:
 
 
 def find_advance(plant: MultibodyPlant, scenario: Scenario) -> Floats:
-    """Returns by how much a motion that repeats advances, (nq,); NaN where its start is free.
-
-    Raises:
-        ScenarioError: a name is no joint or floating body of the model, or has another size.
-    """
+    """Returns by how much a motion that repeats advances, (nq,); NaN where its start is free."""
     found = np.full(plant.num_positions(), np.nan)
     for key, advance in (scenario.periodic or {}).items():
         joint = _find(plant, "periodic", key)

@@ -230,11 +230,7 @@ def _narrow(scenario: Scenario, name: str, limits: Floats) -> Floats:
 
 
 def check_sizes(plant: MultibodyPlant, scenario: Scenario) -> None:
-    """Refuses vectors whose length is not the plant's.
-
-    Raises:
-        ScenarioError: one is; says which.
-    """
+    """Refuses vectors whose length is not the plant's."""
     for name, size in (
         ("initial_position", plant.num_positions()),
         ("initial_velocity", plant.num_velocities()),
@@ -248,18 +244,9 @@ def find_least_distances(
 ) -> Floats:
     """Returns the least φ of each contact, shape (m,) [m]; −∞ where shapes may touch.
 
-    Of two spheres that move about each other φ = (l² − R²)/(2R), l the distance of their centers,
-    so that a distance d between them is φ = d + d²/(2R).
-
-    Args:
-        world: of the contacts.
-        reaches: R of each, 0 of all but such spheres, shape (m,) [m].
-        clearance: name of a pair, also of shapes that touch with their ends, or a glob → the
-            distance to keep [m].
-
-    Raises:
-        ScenarioError: no pair has this name, or a box is passed on several sides, where the
-            distance is no single φ.
+    Of two spheres that move about each other φ = (l² − R²)/(2R), l the distance of their centers
+    and R their reach, so that a distance d between them is φ = d + d²/(2R). The clearance d is by
+    names or globs of pairs, also of shapes that touch with their ends.
     """
     names = [contact.name for contact in world.contacts]
     least, num_faces = np.full(len(names), -np.inf), world.are_of_one_solid.sum(axis=1)
@@ -287,11 +274,7 @@ def find_least_distances(
 
 
 def check_clearance(world: EquationsOfMotion, lacks: Floats) -> None:
-    """Refuses a start whose contacts lack some distance to the least ones, shape (m,) [m].
-
-    Raises:
-        ScenarioError: one is; says which.
-    """
+    """Refuses a start whose contacts lack some distance to the least ones, shape (m,) [m]."""
     if np.any(lacks > 0):
         i = int(np.argmax(lacks))
         raise ScenarioError(

@@ -83,11 +83,7 @@ def combine_springs(
 
 
 def read_stiffness(scene_graph: SceneGraph, reachable: Sequence[ReachableFace]) -> Floats:
-    """Returns k₁ k₂ / (k₁ + k₂) of contacts, shape (m,) [N/m].
-
-    Raises:
-        ModelError: a shape has none.
-    """
+    """Returns k₁ k₂ / (k₁ + k₂) of contacts, shape (m,) [N/m]; refuses shapes that have none."""
     pairs = [
         [read_given(scene_graph, shape, STIFFNESS) for shape in each.face.shapes]
         for each in reachable
@@ -210,14 +206,9 @@ def impose_friction(
     shapes: Iterable[GeometryId],
     friction: float | None,
 ) -> None:
-    """Gives shapes one coefficient for sticking and sliding, in this context only.
+    """Gives shapes one coefficient for sticking and sliding, in the diagram's root context only.
 
-    Args:
-        scene_graph: of the shapes.
-        source: of the shapes, the plant's.
-        root: of the whole diagram.
-        shapes: that slide.
-        friction: μ; None: static coefficients become the dynamic ones.
+    Without one, static coefficients become the dynamic ones.
     """
     for shape in dict.fromkeys(shapes):
         properties = read_material(scene_graph, root, shape)

@@ -38,12 +38,7 @@ _DEFAULT_DENSITY = 1000.0  # MuJoCo's [kg/m³].
 
 
 def read_mjcf(root: Element, path: Path, facts: ModelFacts) -> None:
-    """Rewrites a model in place, and adds to its facts.
-
-    Args:
-        root: <mujoco>.
-        path: of its file, which includes and meshes are relative to.
-        facts: what Drake's reader can't read in the text.
+    """Rewrites a model, <mujoco> of the file at a path, in place, and adds to its facts.
 
     Raises:
         ModelError: a file is missing, or something changes the physics that is not planned for.

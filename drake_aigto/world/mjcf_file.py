@@ -33,11 +33,7 @@ class MjcfFile:
     """
 
     def __init__(self, root: Element, path: Path, facts: ModelFacts) -> None:
-        """Puts includes in their places.
-
-        Raises:
-            ModelError: a file is missing, or includes itself.
-        """
+        """Puts includes in their places."""
         _include(root, path.parent, (path,))
         self.root, self.path, self.facts = root, path, facts
         root.set("model", root.get("model") or path.stem)
@@ -134,12 +130,8 @@ def read_actuators(
 ) -> set[str]:
     """Turns all that drives one joint into motors, and returns the joints that are driven.
 
-    Forces of several at one joint add up.
-
-    Args:
-        file: with its joints named.
-        fixed: joints that do not move any more.
-        efforts: least and largest effort of joints that have limits of their own [N, N m].
+    Forces of several at one joint add up; fixed joints move no more. Efforts limit those of joints
+    that have limits of their own [N, N m].
     """
     joints = [
         each for body, _ in file.bodies for each in body if each.tag in ("joint", "freejoint")

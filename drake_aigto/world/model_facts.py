@@ -54,49 +54,36 @@ class Spring(NamedTuple):
 
 @dataclass
 class ModelFacts:
-    """What a model says and Drake's reader does not hear.
+    """What a model says and Drake's reader does not hear."""
 
-    Attributes:
-        fields: how it is to be read.
-        mass_scale: what masses and inertias are multiplied with to get the `total_mass`.
-        stub: a mesh of four points in place of those that may touch; others are not read. None:
-            meshes are read, which may take seconds.
-        is_bare: whether it stands for any.
-        friction: F of joints that have any, −F σ(v / v_s) [N, N m].
-        springs: of joints that Drake gives none.
-        servos: of joints, by the file or the scenario.
-        efforts: least and largest u of actuators whose limits are not the same both ways [N, N m].
-        no_effort: joints whose actuator has the limit 0.
-        joint_efforts: largest effort of joints, where the model has one, driven or not [N, N m].
-        apart: pairs of shapes that may not touch.
-        planes: normals of those in whose place the text has marks, shape (3,) each.
-        total_mass: of all links [kg]; None: as they are.
-        refused: what can't be planned for: the word that allows to leave it out, what it is, and
-            what is missing without it.
-        ignored: the same of what is left out, as it was allowed.
-        unread: shapes with meshes that can't be read, and may touch.
-        unweighed: those that give links their mass.
-        notes: what else differs from the file.
-    """
-
-    fields: ModelFields
-    mass_scale: float = 1.0
+    fields: ModelFields  # how it is to be read
+    mass_scale: float = 1.0  # what masses and inertias are multiplied with to get the `total_mass`
+    # A mesh of four points in place of those that may touch; others are not read. None: meshes are
+    # read, which may take seconds.
     stub: Path | None = None
-    is_bare: bool = False
+    is_bare: bool = False  # whether it stands for any
+    # F of joints that have any, −F σ(v / v_s) [N, N m].
     friction: dict[str, float] = field(default_factory=dict)
-    springs: dict[str, Spring] = field(default_factory=dict)
-    servos: dict[str, Servo] = field(default_factory=dict)
+    springs: dict[str, Spring] = field(default_factory=dict)  # of joints that Drake gives none
+    servos: dict[str, Servo] = field(default_factory=dict)  # of joints, by the file or the scenario
+    # Least and largest u of actuators whose limits are not the same both ways [N, N m].
     efforts: dict[str, tuple[float, float]] = field(default_factory=dict)
-    no_effort: set[str] = field(default_factory=set)
+    no_effort: set[str] = field(default_factory=set)  # joints whose actuator has the limit 0
+    # Largest effort of joints, where the model has one, driven or not [N, N m].
     joint_efforts: dict[str, float] = field(default_factory=dict)
-    apart: list[tuple[str, str]] = field(default_factory=list)
+    apart: list[tuple[str, str]] = field(default_factory=list)  # pairs of shapes that may not touch
+    # Normals of those in whose place the text has marks, shape (3,) each.
     planes: list[list[float]] = field(default_factory=list)
-    total_mass: float | None = None
+    total_mass: float | None = None  # of all links [kg]; None: as they are
+    # What can't be planned for: the word that allows to leave it out, what it is, and what is
+    # missing without it.
     refused: list[tuple[str, str, str]] = field(default_factory=list)
+    # The same of what is left out, as it was allowed.
     ignored: list[tuple[str, str, str]] = field(default_factory=list)
+    # Shapes with meshes that can't be read, and may touch.
     unread: list[str] = field(default_factory=list)
-    unweighed: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    unweighed: list[str] = field(default_factory=list)  # those that give links their mass
+    notes: list[str] = field(default_factory=list)  # what else differs from the file
 
     def refuse(self, word: str, what: str, cost: str) -> bool:
         """Keeps what is not planned for, to refuse all at once (`check`); returns False."""
@@ -113,11 +100,7 @@ class ModelFacts:
         return any(fits(joint, glob) for glob in self.fields.fixed_joints)
 
     def check(self, path: Path) -> None:
-        """Refuses all that is not planned for.
-
-        Raises:
-            ModelError: there is something; lists it, and the field that leaves it out.
-        """
+        """Refuses all that is not planned for."""
         got, remedies, answer = [], [], dict[str, Any]()
         if self.unweighed:
             raise ModelError(
@@ -153,11 +136,7 @@ def fits(name: str, glob: str) -> bool:
 
 
 def pick(what: str, globs: Iterable[str], names: Collection[str]) -> list[str]:
-    """Returns the names that globs choose, in order of the names.
-
-    Raises:
-        ModelError: a glob fits none.
-    """
+    """Returns the names that globs choose, in order of the names."""
     globs = tuple(globs)
     for glob in globs:
         if not any(fits(name, glob) for name in names):
@@ -182,11 +161,7 @@ def calc_servo_forces(
 def read_numbers(
     path: Path, text: str, count: int | None = 1, what: str = "a number"
 ) -> list[float]:
-    """Returns numbers of an attribute, at least `count`.
-
-    Raises:
-        ModelError: they are none, NaN, or fewer.
-    """
+    """Returns numbers of an attribute, at least `count`."""
     try:
         numbers = [float(each) for each in text.split()]
     except ValueError:
@@ -197,11 +172,7 @@ def read_numbers(
 
 
 def read_range(path: Path, text: str, what: str) -> tuple[float, float]:
-    """Returns the least and the most of a range.
-
-    Raises:
-        ModelError: they are no numbers, or the first one is larger.
-    """
+    """Returns the least and the most of a range."""
     lower, upper = read_numbers(path, text, 2, what)[:2]
     if lower > upper:
         raise ModelError(

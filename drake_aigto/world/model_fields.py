@@ -88,12 +88,7 @@ _BOUNDS: dict[str, dict[str, Any]] = {
 def as_pose(name: str, value: Any) -> tuple[float, ...]:
     """Returns a pose as the rows of a matrix (4, 4), 16 numbers.
 
-    Args:
-        name: of the field in errors.
-        value: x, y, z [m]; these and roll, pitch, yaw [rad]; or a matrix (4, 4).
-
-    Raises:
-        ScenarioError: something else, or a matrix without a rotation in it.
+    It is x, y, z [m]; these and roll, pitch, yaw [rad]; or a matrix (4, 4).
     """
     numbers = as_vector(name, np.ravel(np.array(value, dtype=object)))
     if numbers.size in (3, 6):
@@ -158,11 +153,7 @@ def as_servo(name: str, value: object) -> Servo:
 
 
 def as_thrusters(name: str, value: Any) -> tuple[Thruster, ...]:
-    """Returns thrusters, from a list of mappings.
-
-    Raises:
-        ScenarioError: one is none; says which.
-    """
+    """Returns thrusters, from a list of mappings."""
     if not isinstance(value, list | tuple):
         raise ScenarioError(name, got=repr(value), expected="a list of thrusters")
     return tuple(_as_thruster(f"{name}[{i}]", item) for i, item in enumerate(value))

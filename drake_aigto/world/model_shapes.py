@@ -81,11 +81,7 @@ def name_shapes(
 def pick_shapes(
     what: str, globs: tuple[str, ...] | list[str], shapes: dict[GeometryId, tuple[str, str]]
 ) -> list[GeometryId]:
-    """Returns the collision shapes that names or globs choose.
-
-    Raises:
-        ModelError: one fits no shape; or a name, which is no glob, fits several.
-    """
+    """Returns the collision shapes that names or globs choose."""
     found: dict[GeometryId, None] = {}
     known = ", ".join(sorted(full for full, _ in shapes.values())) or "(none)"
     for glob in globs:
@@ -112,15 +108,7 @@ def choose_pairs(
 ) -> list[tuple[GeometryId, GeometryId]]:
     """Returns pairs of shapes that may collide (Drake's filters applied), in order, as a plan may.
 
-    Args:
-        plant: finalized.
-        scene_graph: its geometry.
-        ignored_shapes: names or globs of shapes that touch nothing.
-        order: of a pair.
-        expected: pairs that have an order, for errors.
-
-    Raises:
-        ModelError: pairs are not supported; lists all of them. Or a name fits no shape.
+    Pairs without an order are refused, unlike those expected.
     """
     inspector: Any = scene_graph.model_inspector()
     names = name_shapes(plant, scene_graph)
@@ -152,16 +140,11 @@ def _exclude_pairs(scene_graph: SceneGraph, pairs: list[tuple[GeometryId, Geomet
 def set_planes(
     plant: MultibodyPlant, scene_graph: SceneGraph, normals: Sequence[list[float]]
 ) -> None:
-    """Puts half spaces where the text has marks: on the world, if it holds their link.
+    """Puts half spaces where the text has marks, by their normals in the frames of these.
 
-    Beside a half space on a link, more than a dozen shapes may end the process in Drake (its issue
-    19263): a tree of boxes around them, which is built anew when it gets deep, takes no infinite
-    box.
-
-    Args:
-        plant: not finalized, with all welds.
-        scene_graph: its geometry.
-        normals: of the marked planes by number, in the frames of their marks, shape (3,) each.
+    They are on the world, if it holds their link. Beside a half space on a link, more than a dozen
+    shapes may end the process in Drake (its issue 19263): a tree of boxes around them, which is
+    built anew when it gets deep, takes no infinite box.
     """
     inspector: Any = scene_graph.model_inspector()
     poses = _find_still(plant)
@@ -274,10 +257,6 @@ def choose_ends(scene_graph: SceneGraph, ends: dict[GeometryId, list[GeometryId]
     """Lets the ends of a shape touch what it may touch with them, and the shape all else.
 
     Ends of capsules touch half spaces; corners boxes and meshes, too, if these have corners.
-
-    Args:
-        scene_graph: whose plant is finalized.
-        ends: of each shape that has any.
     """
     inspector: Any = scene_graph.model_inspector()
     shapes = inspector.GetAllGeometryIds(Role.kProximity)

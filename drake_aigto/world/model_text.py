@@ -42,19 +42,9 @@ def read_model_text(
 ) -> tuple[str | None, str, ModelFacts]:
     """Returns the text that Drake's parser should read, its kind, and the facts beside it.
 
-    The text is None where the file is to be read as it is: no XML, or with relative paths in it.
-
-    Args:
-        path: of the model.
-        fields: how it is to be read.
-        packages: where files of package:// URIs are.
-        mass_scale: of all masses of an MJCF.
-        stub: a mesh in place of those that are read else (`ModelFacts`).
-        in_space: whether boxes and meshes get shapes at their corners (`add_ends`).
-
-    Raises:
-        ModelError: the file is no model, something that changes the physics can't be planned for,
-            or collision meshes can't be read.
+    The text is None where the file is to be read as it is: no XML, or with relative paths in it. A
+    stub takes the place of meshes that are not read else (`ModelFacts`); in space, boxes and meshes
+    get shapes at their corners (`add_ends`). Masses of an MJCF are scaled.
     """
     facts = ModelFacts(fields, mass_scale, stub)
     try:

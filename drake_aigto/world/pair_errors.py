@@ -112,9 +112,6 @@ def check_work(plant: MultibodyPlant, scene_graph: SceneGraph, pairs: Sequence[P
     A distance is sampled at all combinations of two positions of each slider and three of each
     hinge between both bodies (`interpolate`), once for each face of a box; of two spheres its
     square is multiplied out. The cheapest pairs count first.
-
-    Raises:
-        FixableError: that is too much; lists the pairs, and the shapes to leave out.
     """
     inspector: Any = scene_graph.model_inspector()
     work = {pair: _count_samples(plant, inspector, pair) for pair in pairs}

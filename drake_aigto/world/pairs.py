@@ -35,35 +35,23 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class SphereAndFace:
-    """A sphere on one body and a flat face on another.
+    """A sphere on one body and a flat face on another."""
 
-    Attributes:
-        shapes: the sphere, and the shape that has the face.
-        pair: both, such as "ball against wall".
-        face: which of several faces it is, such as "+x"; empty if there is but one.
-        sphere_body: the body S that carries the sphere.
-        p_SC: the sphere's center C in its body's frame, shape (3,) [m].
-        radius: r [m].
-        face_body: the body B that carries the face.
-        X_BF: the face's frame F in its body's: the origin in the face's middle, x and y along its
-            edges, z its outward normal n.
-        half_extents: half the lengths of its edges, shape (2,) [m]: infinite for a half space, zero
-            for a sphere, which is no wall but on one line.
-        wall_radius: that of the shape with the face if it is a sphere, else 0 [m].
-        restitution: that of the material, in [0, 1], or None.
-    """
-
-    shapes: tuple[GeometryId, GeometryId]
-    pair: str
-    face: str
-    sphere_body: RigidBody
-    p_SC: Floats
-    radius: float
-    face_body: RigidBody
+    shapes: tuple[GeometryId, GeometryId]  # the sphere, and the shape that has the face
+    pair: str  # both, such as "ball against wall"
+    face: str  # which of several faces it is, such as "+x"; empty if there is but one
+    sphere_body: RigidBody  # the body S that carries the sphere
+    p_SC: Floats  # the sphere's center C in its body's frame, shape (3,) [m]
+    radius: float  # r [m]
+    face_body: RigidBody  # the body B that carries the face
+    # The face's frame F in its body's: the origin in the face's middle, x and y along its edges, z
+    # its outward normal n.
     X_BF: RigidTransform
+    # Half the lengths of its edges, shape (2,) [m]: infinite for a half space, zero for a sphere,
+    # which is no wall but on one line.
     half_extents: Floats
-    wall_radius: float
-    restitution: float | None
+    wall_radius: float  # that of the shape with the face if it is a sphere, else 0 [m]
+    restitution: float | None  # that of the material, in [0, 1], or None
 
     @property
     def is_unbounded(self) -> bool:
@@ -88,18 +76,12 @@ class SphereAndFace:
 
 
 class ReachableFace(NamedTuple):
-    """A contact, and the face that it is read from.
+    """A contact, and the face that it is read from."""
 
-    Attributes:
-        face: its geometry.
-        lateral: the sphere's center along the face's edges, shape (2,) Expressions [m].
-        contact: φ and J.
-        reach: R, the sum of radii of two spheres that move about each other; 0 of all else [m].
-    """
-
-    face: SphereAndFace
-    lateral: NDArray[Any]
-    contact: Contact
+    face: SphereAndFace  # its geometry
+    lateral: NDArray[Any]  # the sphere's center along the face's edges, shape (2,) Expressions [m]
+    contact: Contact  # φ and J
+    # R, the sum of radii of two spheres that move about each other; 0 of all else [m].
     reach: float = 0.0
 
 
@@ -109,17 +91,14 @@ def find_reach(
     reader: PlantReader,
     candidates: Sequence[tuple[GeometryId, GeometryId]],
 ) -> tuple[tuple[ReachableFace, ...], tuple[SphereAndFace, ...]]:
-    """Returns every face that a sphere can touch, and those that it is stuck in.
+    """Returns every face that a sphere can touch, by boxes, and those that it is stuck in.
 
     Pairs of shapes are those of `choose_pairs`. Of a box that the sphere can only move along one
     line to, what counts is the face which it faces at the default positions; of another box, every
     face that the sphere can move to or from. Of two spheres, the second counts as a wall that faces
-    the first one at the default positions: exact on the line through their centers.
-
-    Returns:
-        The faces, those of one box in a row; and a face of each shape that a sphere overlaps as
-        long as it is before that face, which no joint moves it away from. It is no contact: walls
-        without friction only push that way.
+    the first one at the default positions: exact on the line through their centers. A sphere is
+    stuck in a shape that it overlaps as long as it is before that face, which no joint moves it
+    away from. It is no contact: walls without friction only push that way.
 
     Raises:
         ModelError: there are too many pairs across too many joints, spheres coincide at the default
@@ -155,13 +134,8 @@ def leave_out_far(
 ) -> tuple[tuple[ReachableFace, ...], dict[str, float]]:
     """Returns the faces that joints within their limits reach, and how far off other pairs stay.
 
+    There the least φ are (m,), and (m, 2) is how far the sphere's center gets along each edge [m].
     Of a box before one face of which a sphere always stays, the other faces are left out.
-
-    Args:
-        reachable: all faces, m of them.
-        solids: which of them are of one shape.
-        least: the least φ of each within the limits, shape (m,) [m].
-        lateral: how far along each edge the sphere's center gets, shape (m, 2) [m].
     """
     far: dict[str, float] = {}
     for faces in solids:
@@ -182,11 +156,7 @@ def leave_out_far(
 
 
 def find_sphere_body(plant: MultibodyPlant, reachable: Sequence[ReachableFace]) -> RigidBody:
-    """Returns the only body with spheres that touch, whose mass a scenario may replace.
-
-    Raises:
-        ModelError: there is none, there are several, or it does not move.
-    """
+    """Returns the only body with spheres that touch, whose mass a scenario may replace."""
     bodies = list(
         {each.face.sphere_body.index(): each.face.sphere_body for each in reachable}.values()
     )

@@ -60,11 +60,7 @@ Places: TypeAlias = Named["tuple[float, ...] | Pose | Shift"]
 
 
 def as_places(name: str, value: Any) -> Floats | Places:
-    """Returns positions: numbers, or a mapping from joints and floating bodies to theirs.
-
-    Raises:
-        ScenarioError: neither, or a pose that is none; says which.
-    """
+    """Returns positions: numbers, or a mapping from joints and floating bodies to theirs."""
     if not isinstance(value, Mapping):
         return as_vector(name, value)
     return Named({key: _as_place(f"{name}[{key}]", item) for key, item in value.items()})
@@ -93,21 +89,13 @@ def _as_place(name: str, value: Any) -> tuple[float, ...] | Pose | Shift:
 
 
 def as_advance(name: str, value: Any) -> tuple[float | None, ...]:
-    """Returns by how much a joint or a body advances per period; None where its start is free.
-
-    Raises:
-        ScenarioError: neither numbers nor null.
-    """
+    """Returns by how much a joint or a body advances per period; None where its start is free."""
     items = value if isinstance(value, list | tuple | np.ndarray) else [value]
     return tuple(None if item is None else as_number(name, item) for item in items)
 
 
 def as_frame_goal(name: str, value: Any) -> FrameGoal:
-    """Returns the goal of a frame, from its pose and a mapping of weights.
-
-    Raises:
-        ScenarioError: it is none, or has no weight; says which.
-    """
+    """Returns the goal of a frame, from its pose and a mapping of weights."""
     if isinstance(value, FrameGoal):
         return value
     if not isinstance(value, Mapping) or not isinstance(value.get("weight"), Mapping):
@@ -127,13 +115,7 @@ def as_frame_goal(name: str, value: Any) -> FrameGoal:
 def check_repeats(goal: Any, speed_weight: Any, weight: Any) -> None:
     """Refuses goals of a motion that repeats beside the start, to which it returns.
 
-    Args:
-        goal: of the position, as it is given.
-        speed_weight: of the final velocity.
-        weight: of positions that have no reference but the goal.
-
-    Raises:
-        ScenarioError: there is one.
+    Weights of positions without a reference, and of the final velocity, are such goals.
     """
     if isinstance(goal, Named) and goal:
         raise ScenarioError(
@@ -158,9 +140,7 @@ def by_name(
 ) -> Callable[[str, Any], _Checked]:
     """Returns the check of numbers that may be by names of joints and bodies, as `RESTS` has them.
 
-    Args:
-        check: of an array, or of a number for all.
-        check_part: of a joint's numbers, and of those along a body's axes, or about them.
+    Parts are a joint's numbers, and those along a body's axes, or about them.
     """
 
     def as_named(name: str, value: Any) -> Any:

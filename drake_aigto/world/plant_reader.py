@@ -89,9 +89,6 @@ class PlantReader:
 
             h = Σ_jk (∂M_ij/∂q_k − ½ ∂M_jk/∂q_i) v_j v_k − gravity(q) + K q + D v + constant
 
-        Args:
-            mass_matrix: M(q), as `calc_mass_matrix` has it.
-
         Raises:
             ModelError: a force is none of these: names the joint that it acts on.
         """
@@ -131,16 +128,7 @@ class PlantReader:
         return self._plant.CalcInverseDynamics(self._context, np.zeros(len(v)), forces)
 
     def read(self, function: Callable[[Any, Any], Floats], degree: int, what: str) -> NDArray[Any]:
-        """Returns a function of q as expressions (`interpolate`).
-
-        Args:
-            function: takes the plant and a context at q, returns numbers of any shape.
-            degree: see `interpolate`.
-            what: the function's name in an error.
-
-        Raises:
-            ModelError: it depends on too many joints.
-        """
+        """Returns a named function of plant and context as expressions of q (`interpolate`)."""
 
         def calc(q: Floats) -> Floats:
             self._plant.SetPositions(self._context, q)
@@ -166,21 +154,17 @@ class PlantReader:
 
 @dataclass(frozen=True)
 class TooManySamples(Exception):
-    """A function of too many coordinates at once.
+    """A function of too many coordinates at once."""
 
-    Attributes:
-        coordinates: the positions that one of its values depends on, or all of them do.
-        to_fix: those without which it is one of few.
-    """
-
+    # The positions that one of its values depends on, or all of them do.
     coordinates: tuple[int, ...]
-    to_fix: tuple[int, ...]
+    to_fix: tuple[int, ...]  # those without which it is one of few
 
 
 def interpolate(
     function: Function, q: NDArray[Any], is_hinge: Sequence[bool], degree: int
 ) -> NDArray[Any]:
-    """Returns a function of q as expressions, exact but for rounding.
+    """Returns a function of q, shape (nq,), as expressions, exact but for rounding.
 
     Each of its values has to be a polynomial of the degree in every slider's position, and one in
     the sine and cosine of every hinge's angle: a point on a link has degree 1, as each joint
@@ -191,15 +175,6 @@ def interpolate(
 
     Fewer do in coordinates in which its degree is lower: about parallel axes M has degree 1.
     Whether it is such a function, the caller has to check.
-
-    Args:
-        function: takes q of shape (nq,), returns numbers of any shape.
-        q: the variables, shape (nq,).
-        is_hinge: whether each of them is an angle.
-        degree: the most in any coordinate.
-
-    Raises:
-        TooManySamples: a value depends on too many coordinates at once.
     """
     example = function(np.zeros(len(q)))
     result = np.empty(example.size, dtype=object)
@@ -267,19 +242,12 @@ def _find_samples(sampled: list[tuple[list[int], Floats]], coordinates: list[int
 
 @dataclass(frozen=True)
 class _Basis:
-    """Functions of one coordinate, and the nodes that tell them apart.
+    """Functions of one coordinate, and the nodes that tell them apart."""
 
-    Attributes:
-        is_hinge: whether they are waves, or powers.
-        nodes: as many as functions (b,).
-        weights: W of shape (b, b): coefficients are W times the values at the nodes.
-        degrees: of the functions, (b,).
-    """
-
-    is_hinge: bool
-    nodes: NDArray[Any]
-    weights: NDArray[Any]
-    degrees: Ints
+    is_hinge: bool  # whether they are waves, or powers
+    nodes: NDArray[Any]  # as many as functions (b,)
+    weights: NDArray[Any]  # W of shape (b, b): coefficients are W times the values at the nodes
+    degrees: Ints  # of the functions, (b,)
 
     @classmethod
     def of(cls, is_hinge: bool, degree: int) -> _Basis:
@@ -310,11 +278,7 @@ def _choose_bases(is_hinge: Sequence[bool] | Bools, degrees: Ints) -> list[_Basi
 
 
 def _find_degrees(function: Function, bases: Sequence[_Basis]) -> Ints:
-    """Returns the degree of each value in each coordinate alone, (values, nq).
-
-    Raises:
-        TooManySamples: at the first of several positions one value depends on too many of them.
-    """
+    """Returns the degree of each value in each coordinate alone, (values, nq)."""
     rng, size = np.random.default_rng(0), len(bases)
     found: list[Ints] = []
     for q in rng.uniform(-1.0, 1.0, (_NUM_PROBES, size)):

@@ -273,16 +273,9 @@ _MOST_SUMMED = 5
 
 
 def read_world(kind: type[Any], scenario: Scenario, start: Floats | None) -> Any:
-    """Reads a scenario's model and nothing of its task.
+    """Reads a scenario's model, at a start if any, and nothing of its task.
 
-    Args:
-        kind: the class `World`, in a plane if that can be, or `SpaceWorld`, in space at once.
-        scenario: the model, and how it is read.
-        start: its positions; None: default positions.
-
-    Raises:
-        ModelError: the model can't be found, parsed, or planned for.
-        ScenarioError: a field of the scenario does not fit the model.
+    The kind is `World`, in a plane if that can be, or `SpaceWorld`, in space at once.
     """
     may_leave_plane = not kind.in_space and scenario.contact == "compliant"
     try:
@@ -348,11 +341,7 @@ def _find_errors(kind: type[Any], scenario: Scenario) -> list[ModelError]:
 
 
 def check_made_for(world: PlantWorld, scenario: Scenario) -> None:
-    """Refuses a scenario with another mass or friction, or other ignored shapes, than a world's.
-
-    Raises:
-        ScenarioError: says which field.
-    """
+    """Refuses a scenario with another mass or friction, or other ignored shapes, than a world's."""
     given, mine = scenario.dry_friction, world.dry_friction
     each = (scenario.mass, world.mass)
     masses = ["None, the model's" if mass is None else f"{mass:g} kg" for mass in each]

@@ -41,13 +41,7 @@ class Rubbing:
     def __init__(
         self, motion: EquationsOfMotion, diagram: Diagram, faces: tuple[SphereAndFace, ...]
     ) -> None:
-        """Reads nothing yet.
-
-        Args:
-            motion: the contacts, and the variables of positions and velocities.
-            diagram: of the plant and its scene graph.
-            faces: those of the contacts, then those that spheres are stuck in, m + s.
-        """
+        """Reads nothing yet. Faces of contacts come before those that spheres are stuck in."""
         self._q, self._v = motion.positions, motion.velocities
         self._num_contacts = motion.num_contacts
         self._diagram, self._faces = diagram, faces
@@ -69,14 +63,7 @@ class Rubbing:
         return [shape for face in self._faces for shape in face.shapes]
 
     def calc_coefficients(self, friction: float | None) -> Floats:
-        """Returns μ of each contact, shape (m,); where nothing can slide it is 0.
-
-        Args:
-            friction: μ of all that slides; None: the model's.
-
-        Raises:
-            ModelError: a sphere can slide in two directions along a face where μ is not 0.
-        """
+        """Returns μ of each contact, (m,): as given, or the model's; 0 where nothing can slide."""
         if friction is None and not self.frictions:  # Simulations ask this again and again.
             return self._none
         coefficients = self._calc_all(friction)[: self._num_contacts]
@@ -133,22 +120,15 @@ class Rubbing:
         return SumMap(calc_turning(self.tangents, self._q, self._v), self._q, self._v)
 
     def impose(self, root: Context, friction: float | None) -> None:
-        """Gives all that slides one coefficient of friction, in this context only.
+        """Gives all that slides one coefficient of friction, in a diagram's root context only.
 
-        Args:
-            root: of the whole diagram.
-            friction: μ; None: static coefficients become the dynamic ones.
+        Without one, static coefficients become the dynamic ones.
         """
         source = self._plant.get_source_id()
         impose_friction(self._scene_graph, source, root, self.shapes, friction)
 
     def check(self, friction: float | None) -> None:
-        """Checks that friction can act as it is asked for (`calc_coefficients`).
-
-        Raises:
-            ScenarioError: nothing can slide with it.
-            ModelError: it acts where a sphere can slide in two directions, or is stuck in a shape.
-        """
+        """Checks that friction can act as it is asked for (`calc_coefficients`)."""
         if friction and not self._slides.any():
             raise ScenarioError(
                 "friction",
@@ -160,11 +140,7 @@ class Rubbing:
         self.check_none(friction, first=self._num_contacts)
 
     def check_none(self, friction: float | None, first: int = 0) -> None:
-        """Checks that there is none from this face on, for planning without it.
-
-        Raises:
-            ModelError: there is; says where.
-        """
+        """Checks that there is none from this face on, for planning without it."""
         coefficients = self._calc_all(friction)[first:]
         if coefficients.any():
             worst = first + int(np.argmax(coefficients))
@@ -206,28 +182,17 @@ class Rubbing:
 
 
 def _read_tangent(plant: MultibodyPlant, face: SphereAndFace, q: NDArray[Any]) -> _Tangent | None:
-    """Returns T(q) of a sphere on a face, shape (nv,) Expressions, and W.
+    """Returns T(q) of a sphere on a face, (nv,) Expressions, and W; zeros where nothing can slide.
 
     The slip velocity is s = T v. Of the sphere's body S as the face's body sees it, with the
     velocity v_C of the sphere's center and the angular velocity ω,
 
         s = d · v_C − r e · ω,    d = e × n,    e · ω = W v,
 
-    n being the face's normal and d the direction of sliding, which is fixed in the face. Two
-    spheres that move about each other have n = p/R, with p from center to center and R the sum of
-    radii, and e is the normal of the plane of motion. Compliant shapes overlap, which changes the
-    lever r (`CompliantLaw`).
-
-    Args:
-        plant: whose joints move both.
-        face: the sphere and the face.
-        q: the variables, shape (nq,).
-
-    Returns:
-        T and W; zeros where nothing can slide, and None if there is more than one direction.
-
-    Raises:
-        ModelError: it depends on too many joints.
+    n being the face's normal and d the direction of sliding, which is fixed in the face; None if
+    there is more than one. Two spheres that move about each other have n = p/R, with p from center
+    to center and R the sum of radii, and e is the normal of the plane of motion. Compliant shapes
+    overlap, which changes the lever r (`CompliantLaw`).
     """
     motion = _SphereMotion(plant, face)
     found = motion.find_turning() if motion.is_off_line else motion.find_sliding()

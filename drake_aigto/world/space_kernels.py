@@ -15,22 +15,11 @@ def measure_pairs(
     tree: Tree, shapes: Shapes, pairs: Ints, signs: Floats, q: Floats, memory: TreeMemory,
     closest: Closest, J: Floats,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Returns φ of pairs, then their normals and points of contact, of states q (K, nq).
+    """Returns φ (K, P) of pairs (P, 2), then normals and points of contact (K, P, 6), at q (K, nq).
 
-    The normal is from the second shape to the first, and the point midway between both.
-
-    Args:
-        tree: the joints.
-        shapes: on its links.
-        pairs: of them, shape (P, 2).
-        signs: whether degrees of freedom move the first, 1, or the second, −1, shape (P, nv).
-        q: shape (K, nq).
-        memory: room.
-        closest: room.
-        J: becomes ∂φ/∂q of the first states, shape (K or 0, P, nv).
-
-    Returns:
-        φ, shape (K, P) [m]; n and C, shape (K, P, 6).
+    The normal is from the second shape to the first, and the point midway between both. J becomes
+    ∂φ/∂q of as many of the first states as it has room for. Signs (P, nv) say whether degrees of
+    freedom move the first shape, 1, or the second, −1.
     """
     tree, shapes, memory, closest = borrow(tree), borrow(shapes), borrow(memory), borrow(closest)
     distances = np.zeros((q.shape[0], pairs.shape[0]))

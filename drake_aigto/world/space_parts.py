@@ -134,11 +134,7 @@ def _read_radius(inspector: Any, shape: GeometryId) -> float:
 
 
 def _read_hull(inspector: Any, shape: GeometryId) -> Floats:
-    """Returns the faces of a shape's convex hull as `Shapes` has them; none of what is no mesh.
-
-    Raises:
-        ModelError: it has too many corners.
-    """
+    """Returns the faces of a shape's convex hull as `Shapes` has them; none of what is no mesh."""
     if not isinstance(inspector.GetShape(shape), Convex | Mesh):
         return np.zeros((0, 4, 3))
     hull, faces = inspector.GetConvexHull(shape), []

@@ -48,13 +48,9 @@ class AddedSums:
         steps: Ints,
         at: Mapping[int, int],
     ) -> None:
-        """Adds costs and rows.
+        """Adds costs and rows about unknowns: q and v at each joint, u of each arc, its steps (J,).
 
-        Args:
-            additions: of users.
-            unknowns: q and v at each joint, u of each arc from one to the next.
-            steps: the arcs' durations, shape (J,).
-            at: the joint at the time of each knot that additions are about.
+        Each knot that additions are about is `at` a joint.
         """
 
         def read(addition: Addition) -> Ints:

@@ -36,23 +36,16 @@ class ArcShape:
     """Arcs of a multi-phase problem, without numbers that bounds can fix.
 
     Letters: J arcs between J + 1 joints, m contacts.
-
-    Attributes:
-        counts: steps of each arc, shape (J,); if no row reads them, 1 for one and 2 for more.
-        phases: which phase each arc is a part of, shape (J,).
-        rests: which contacts last during each arc, shape (J, m).
-        marks: contacts at the joints.
-        restitutions: of contacts that are sustained, or struck with others coupled to them, shape
-            (m,); 0 for others, whose impacts bounds fix.
-        weights: w_u and w_f.
     """
 
-    counts: Ints
-    phases: Ints
-    rests: Bools
-    marks: Marks
+    counts: Ints  # steps of each arc, shape (J,); if no row reads them, 1 for one and 2 for more
+    phases: Ints  # which phase each arc is a part of, shape (J,)
+    rests: Bools  # which contacts last during each arc, shape (J, m)
+    marks: Marks  # contacts at the joints
+    # Of contacts that are sustained, or struck with others coupled to them, shape (m,); 0 for
+    # others, whose impacts bounds fix.
     restitutions: Floats
-    weights: Floats
+    weights: Floats  # w_u and w_f
 
     @classmethod
     def of(cls, phases: PhaseProblem, knots: Ints) -> ArcShape:
@@ -109,19 +102,12 @@ class ArcPrograms:
 
 @dataclass(frozen=True, eq=False)
 class WallBounds:
-    """Bounds of φ = J q + φ(0), W of them, each a bound of one position.
+    """Bounds of φ = J q + φ(0), W of them, each a bound of one position."""
 
-    Attributes:
-        positions: the unknowns, shape (W,).
-        contacts: shape (W,).
-        slopes: the entry of J that is not 0, shape (W,).
-        limits: lower and upper bounds of φ, shape (2, W).
-    """
-
-    positions: Ints
-    contacts: Ints
-    slopes: Floats
-    limits: Floats
+    positions: Ints  # the unknowns, shape (W,)
+    contacts: Ints  # shape (W,)
+    slopes: Floats  # the entry of J that is not 0, shape (W,)
+    limits: Floats  # lower and upper bounds of φ, shape (2, W)
 
     @classmethod
     def of(cls, rows: list[tuple[int, int, float, float, float]]) -> WallBounds:
@@ -175,11 +161,8 @@ class ArcProgram:
     ) -> None:
         """Builds the problem.
 
-        Args:
-            world: has M, J and h; arcs are of one step each if h varies.
-            shape: of the arcs.
-            additions: of users; arcs are of one step each if some are about every knot.
-            joints: the joint at the time of each knot that additions read.
+        Arcs are of one step each if h varies, or additions are about every knot. Knots that these
+        read are at `joints`.
         """
         self._world, self._inertia = world, world.constant_inertia
         self._shape, self.phases = shape, shape.phases

@@ -46,19 +46,12 @@ _LEAST_REST = 0.02
 
 
 class Shown(NamedTuple):
-    """A contact sequence that was read off a motion.
+    """A contact sequence that was read off a motion."""
 
-    Attributes:
-        center: of the box that led to it.
-        sequence: the contacts.
-        path: along which they are; the box center's if None.
-        solved: the closed motion, if known.
-    """
-
-    center: Floats
-    sequence: TouchSequence
-    path: Path | None = None
-    solved: PhaseMotion | None = None
+    center: Floats  # of the box that led to it
+    sequence: TouchSequence  # the contacts
+    path: Path | None = None  # along which they are; the box center's if None
+    solved: PhaseMotion | None = None  # the closed motion, if known
 
 
 def propose(origin: Origin, shown: Shown) -> Proposal:

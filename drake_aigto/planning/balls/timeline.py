@@ -29,23 +29,14 @@ class Phase:
 
 
 class Marks(NamedTuple):
-    """Contacts at each of K knots, shape (K, m).
+    """Contacts at each of K knots, shape (K, m)."""
 
-    Attributes:
-        starts: which contacts are touched anew.
-        struck: those, and the ones that were resting until then.
-        held: φ = 0: struck, resting, or about to leave.
-        apart: φ ≥ 0 has to hold: neither held, nor a face that is not in force.
-        beside: φ ≤ 0: the other faces of a held box, with sharp corners.
-        lands: which contacts are sustained from there on.
-    """
-
-    starts: Bools
-    struck: Bools
-    held: Bools
-    apart: Bools
-    beside: Bools
-    lands: Bools
+    starts: Bools  # which contacts are touched anew
+    struck: Bools  # those, and the ones that were resting until then
+    held: Bools  # φ = 0: struck, resting, or about to leave
+    apart: Bools  # φ ≥ 0 has to hold: neither held, nor a face that is not in force
+    beside: Bools  # φ ≤ 0: the other faces of a held box, with sharp corners
+    lands: Bools  # which contacts are sustained from there on
 
     def at(self, knots: Ints) -> Marks:
         """Returns those of some knots."""
@@ -60,25 +51,15 @@ class Marks(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """The knots k = 0 … N of a contact sequence; phases meet where something starts or ends.
+    """The knots k = 0 … N of a contact sequence; phases meet where something starts or ends."""
 
-    Attributes:
-        phases: in order.
-        times: when they meet, and both ends [s], shape (P+1,).
-        spans: the first and the last knot of each touch.
-        turns: the knot at which each facing starts.
-        instants: further times of knots [s] → their knots.
-        marks: contacts at the knots.
-        rests: which contacts rest during each step, shape (N, m).
-    """
-
-    phases: tuple[Phase, ...]
-    times: Floats
-    spans: tuple[tuple[int, int], ...]
-    turns: tuple[int, ...]
-    instants: Mapping[float, int]
-    marks: Marks
-    rests: Bools
+    phases: tuple[Phase, ...]  # in order
+    times: Floats  # when they meet, and both ends [s], shape (P+1,)
+    spans: tuple[tuple[int, int], ...]  # the first and the last knot of each touch
+    turns: tuple[int, ...]  # the knot at which each facing starts
+    instants: Mapping[float, int]  # further times of knots [s] → their knots
+    marks: Marks  # contacts at the knots
+    rests: Bools  # which contacts rest during each step, shape (N, m)
 
 
 def make_timeline(
@@ -92,9 +73,6 @@ def make_timeline(
 
     Phases also meet where another face of a box takes over, and at these instants, which are after
     the start and before the end [s].
-
-    Raises:
-        OptionsError: more phases than steps, or facings that leave out a box or a touched face.
     """
     N, m, T = scenario.num_steps, world.num_contacts, scenario.duration
     fronts = Fronts(world, facings, T)
@@ -149,11 +127,7 @@ def make_timeline(
 
 
 def check_sequence(world: World, sequence: TouchSequence, duration: float) -> None:
-    """Checks that a sequence fits the world and the duration [s].
-
-    Raises:
-        OptionsError: times out of order or outside of the duration, or unknown contacts.
-    """
+    """Checks that a sequence fits the world and the duration [s]."""
     m = world.num_contacts
     for touch in sequence:
         if not 0 <= touch.contact < m:
@@ -209,22 +183,15 @@ def straight_path(
 def make_guess(
     world: World, scenario: Scenario, timeline: Timeline, times: Floats, stops: Floats
 ) -> Trajectory:
-    """Returns a motion at all knots; sustained contacts are straight, pressed by gravity.
+    """Returns a motion at all knots, by stops (J+2, nq) at times (J+2,).
 
-    Flights are without control, bent by gravity. After a rest, without speed to fly with, a
-    decreasing control pushes them:
+    Sustained contacts are straight, pressed by gravity. Flights are without control, bent by it.
+    After a rest, without speed to fly with, a decreasing control pushes them:
 
         q(t) = q₀ + t w + t²/2 a + t²/2 (1 − t/(3τ)) p,    u(t) = G⁺ p (1 − t/τ),    G = M⁻¹ B
 
     with the speed w along the wall, the acceleration a without control, and p such that q(τ) is the
     next stop.
-
-    Args:
-        world: the plant, read.
-        scenario: the task.
-        timeline: of the sequence.
-        times: of the stops, shape (J+2,) [s].
-        stops: shape (J+2, nq) [m].
     """
     N, line, inertia = scenario.num_steps, timeline, world.constant_inertia
     knots = [0, *(phase.last for phase in line.phases)]
@@ -253,13 +220,9 @@ def make_guess(
 def _jump(
     phase: Phase, pull: Floats, motion: tuple[Floats, Floats, Floats, Floats], gain: Floats
 ) -> None:
-    """Writes a flight that begins at the speed of the end of the phase before.
+    """Writes a flight that begins at the speed of the phase before into a motion's t, q, v and u.
 
-    Args:
-        phase: the flight.
-        pull: a, shape (nv,) [m/s²].
-        motion: t, q, v and u at all knots.
-        gain: G, shape (nv, nu) [1/kg].
+    The pull is a, the gain G (`make_guess`).
     """
     t, q, v, u = motion
     first, inside = phase.first, slice(phase.first, phase.last + 1)
@@ -273,13 +236,7 @@ def _jump(
 
 
 def bend(path: tuple[Floats, Floats], times: Floats, stops: Floats) -> tuple[Floats, Floats]:
-    """Returns a path moved to stops at some times, and between them in proportion.
-
-    Args:
-        path: times and positions.
-        times: from the path's first to its last, shape (K,) [s].
-        stops: shape (K, nq) [m].
-    """
+    """Returns a path moved to stops (K, nq) at times (K,), and between them in proportion."""
     grid = np.unique([*path[0], *times])
     at = interpolate(grid, *path)
     return grid, at + interpolate(grid, times, stops - interpolate(times, grid, at))

@@ -155,14 +155,7 @@ def begin_at(options: ShootingOptions, width: float) -> ShootingOptions:
 def find_closing(
     world: World, law: ContactLaw, q: Floats, time_step: float, is_aimed: bool
 ) -> ShootingOptions:
-    """Returns the options for closing guesses.
-
-    Args:
-        world: the mechanism.
-        law: of its contacts.
-        q: the start, shape (n,).
-        time_step: between knots [s].
-        is_aimed: whether the goal is hard.
+    """Returns the options for closing guesses from q in time steps [s], at a hard goal if aimed.
 
     Raises:
         ModelError: a contact is too stiff to be searched in steps that resolve it.
@@ -272,13 +265,9 @@ def close_gaps(
 def halve_steps(problem: ShootingProblem, motion: ShootingResult, most: float) -> ShootingResult:
     """Returns the local optimum near a motion, its Runge-Kutta steps halved until they agree.
 
-    A motion whose bounds are violated by much is returned as it is found.
-
-    Args:
-        problem: in the motion's time steps.
-        motion: whose states are kept, and gaps between them closed, where steps or sharper walls
-            change it.
-        most: what promises to cost more is left, if steps change it little, by that at least.
+    Its states are kept, and gaps between them closed, where steps or sharper walls change it. What
+    promises to cost more than the most is left, if steps change it little, by that at least. A
+    motion whose bounds are violated by much is returned as it is found.
     """
     has_friction, options = problem.mechanism.has_friction, POLISH
     error = problem.estimate_error(motion) if has_friction else 0.0

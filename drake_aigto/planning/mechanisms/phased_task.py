@@ -72,13 +72,9 @@ class Dip(NamedTuple):
 def read_touches(
     world: World, law: RigidLaw, motion: ShootingResult, lasting: Floats
 ) -> TouchSequence:
-    """Returns the touches of a motion between compliant walls, by time.
+    """Returns the touches of a motion between compliant walls, by time, as the law has rigid ones.
 
-    Args:
-        world: the mechanism.
-        law: of the rigid walls that the compliant ones replace.
-        motion: its motion.
-        lasting: the shortest sustained touch of each contact, shape (m,) [s].
+    Those of contacts that last as long as is given, (m,) [s], are sustained.
     """
     q = motion.states[:, : world.num_positions]
     touches = (
@@ -110,13 +106,10 @@ def find_grazes(world: World, motion: ShootingResult, speed: float) -> list[int]
 
 
 def find_lacks(world: World, motion: ShootingResult, margin: float) -> Floats:
-    """Returns by how much φ should be larger at knots not to fall below a margin between them.
+    """Returns by how much φ should be larger at knots, (N + 1, m), to keep a margin between them.
 
-    It is the same for all faces of a solid, and zero next to a bounce on it, and from the start to
-    where a motion first leaves it by the margin.
-
-    Returns:
-        At least 0, shape (N + 1, m) [m].
+    It is at least 0, the same for all faces of a solid, and 0 next to a bounce on it, and from the
+    start to where a motion first leaves it by the margin.
     """
     _, positions = _look_between(world, motion)
     distances = world.calc_signed_distance(positions)

@@ -193,15 +193,9 @@ def read_hold(
     ends: tuple[float, float],
     knots: Ints,
 ) -> Iterator[Touch]:
-    """Yields the touches of a sustained contact, one for each mode of a motion.
+    """Yields the touches of a sustained contact from one end to the other [s], one for each mode.
 
-    Args:
-        world: the mechanism.
-        law: of the walls.
-        motion: between rigid or compliant walls.
-        contact: its index.
-        ends: from when to when [s].
-        knots: those between.
+    Modes are read at the knots between.
     """
     if not law.friction[contact]:
         yield Touch(*ends, contact)
@@ -214,13 +208,7 @@ def read_hold(
 
 
 def split_hold(touch: Touch, times: Floats, modes: Ints) -> list[Touch]:
-    """Returns a sustained touch as one per mode; short ones are joined to the one before.
-
-    Args:
-        touch: in any mode.
-        times: of knots in it, shape (K,) [s].
-        modes: from these on, shape (K,).
-    """
+    """Returns a sustained touch as one per mode from times (K,) on; short ones join the last."""
     begins = np.flatnonzero(np.diff(modes, prepend=np.iinfo(np.int64).max))
     ends = np.append(times[begins], touch.end)
     ends[0] = touch.start

@@ -69,27 +69,17 @@ _Task = TypeVar("_Task", bound="PosedMechanism")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Compiled:
-    """Tables that all tasks with one contact law share.
+    """Tables that all tasks with one contact law share."""
 
-    Attributes:
-        mechanism: the world as shooting has it.
-        additions: costs and constraints of users.
-        added: these, compiled for shooting.
-    """
-
-    mechanism: AnyMechanism
-    additions: Additions = NO_ADDITIONS
-    added: AddedTerms = NO_TERMS
+    mechanism: AnyMechanism  # the world as shooting has it
+    additions: Additions = NO_ADDITIONS  # costs and constraints of users
+    added: AddedTerms = NO_TERMS  # these, compiled for shooting
 
     @classmethod
     def of(
         cls, world: World, scenario: Scenario, law: ContactLaw, additions: Additions
     ) -> Compiled:
-        """Compiles a world with its contact law, and costs and constraints of users.
-
-        Raises:
-            ProgramError, UnsupportedTermError: see `AddedTerms.of`.
-        """
+        """Compiles a world with its contact law, and additions of users (`AddedTerms.of`)."""
         apart = np.flatnonzero(np.isfinite(world.least_distances(scenario)))
         if not isinstance(world, SpaceWorld):
             apart = apart[:0]  # There, distances of all contacts have bounds.

@@ -38,19 +38,13 @@ _FAR = 10.0
 
 @dataclass(frozen=True, eq=False)
 class KeptMotion:
-    """A motion that the search keeps.
+    """A motion that the search keeps."""
 
-    Attributes:
-        origin: where it came from.
-        result: of shooting.
-        rank: whether it violates bounds or a hard goal by much; J, plus a price for violations.
-        found: how many searches found it that did not begin with it.
-    """
-
-    origin: Origin
-    result: ShootingResult
+    origin: Origin  # where it came from
+    result: ShootingResult  # of shooting
+    # Whether it violates bounds or a hard goal by much; J, plus a price for violations.
     rank: tuple[bool, float]
-    found: int = 1
+    found: int = 1  # how many searches found it that did not begin with it
 
     @property
     def cost(self) -> float:
@@ -61,13 +55,9 @@ class KeptMotion:
 def keep(
     motions: Sequence[KeptMotion], found: KeptMotion, parent: KeptMotion | None, scales: Floats
 ) -> list[KeptMotion]:
-    """Returns the motions to keep, the best first, once another one was found.
+    """Returns the motions to keep, the best first, once one was found, from a parent if any.
 
-    Args:
-        motions: that are kept.
-        found: the other one, which is kept if it is among the best, and no better one is near.
-        parent: the motion that its search began with, if any.
-        scales: of positions, shape (nq,).
+    It is kept if it is among the best, and no better one is near by scales of positions, (nq,).
     """
     near = [known for known in motions if are_same(known, found, scales)]
     anew = parent is None or not are_same(parent, found, scales)
@@ -102,15 +92,10 @@ def part_far(motions: Sequence[KeptMotion]) -> tuple[list[KeptMotion], list[Kept
 def calc_chance(motions: Sequence[KeptMotion], searches: int, idle: tuple[bool, float]) -> float:
     """Returns the estimated chance that the next search finds a motion better than all.
 
-    Of n searches, N came near the best, and s of these found what no other did. So the next
-    comes near it with N / n, finds something new there with (s + ½) / N (Good and Turing), and
-    any of those N + 1 is as likely to be the best: (s + ½) / (n (N + 1)). While the best is hardly
-    better than no control, how often that was found tells nothing, and the chance is 1.
-
-    Args:
-        motions: that are kept, the best first.
-        searches: n.
-        idle: the rank of the uncontrolled motion.
+    Of n searches, N came near the best, and s of these found what no other did. So the next comes
+    near it with N / n, finds something new there with (s + ½) / N (Good and Turing), and any of
+    those N + 1 is as likely to be the best: (s + ½) / (n (N + 1)). While the best is hardly better
+    than no control, of the rank `idle`, how often that was found tells nothing, and it is 1.
     """
     misses, cost = motions[0].rank
     limit = min((misses, scaled(_NEARLY, cost)), (idle[0], idle[1] - HARDLY * abs(idle[1])))
@@ -132,13 +117,7 @@ def is_better(motion: KeptMotion, known: KeptMotion) -> bool:
 
 
 def are_same(one: KeptMotion, other: KeptMotion, scales: Floats) -> bool:
-    """Returns whether two motions lead to one optimum, by cost or by path.
-
-    Args:
-        one: a motion.
-        other: another one.
-        scales: of positions, shape (nq,).
-    """
+    """Returns whether two motions lead to one optimum, by cost or by path in scales (nq,)."""
     if abs(one.cost - other.cost) <= _SAME * abs(one.cost):
         return True
     (mine, yours), n = (one.result, other.result), len(scales)
@@ -222,20 +201,14 @@ def settle(
 ) -> ShootingResult:
     """Returns the local optimum near a motion in space, corrected under the exact law (`steady`).
 
-    Its steps are halved until that lowers its cost under that law no more, or it costs as much in
-    its steps. Where the two costs differ by more than the cost itself, steps get a second stage
-    first: for an arm that pushes a box and a quadruped that leaps, 8 and 20 such steps between
-    knots agree with the law to 0.3 %, and 32 and 80 steps of one stage to 1 %. Used everywhere,
-    they lost a cube that hands lift: 0.149 for 0.103. Each time contact is hardly smoothed first:
-    with the sharp law at once, a drone slipped off, for 1.4.
-
-    Args:
-        world: its shapes touch with friction.
-        scenario: the task.
-        problem: in the motion's time steps.
-        motion: whose states are kept, and gaps between them closed, where steps change it.
-        most: what promises to cost more, after a first pass by `_LEFT`, is left unfinished; and so
-            is what promises to cost more than it did in longer steps.
+    Its states are kept, and gaps between them closed, where steps change it. These are halved until
+    that lowers its cost under that law no more, or it costs as much in its steps. Where the two
+    costs differ by more than the cost itself, steps get a second stage first: for an arm that
+    pushes a box and a quadruped that leaps, 8 and 20 such steps between knots agree with the law to
+    0.3 %, and 32 and 80 steps of one stage to 1 %. Used everywhere, they lost a cube that hands
+    lift: 0.149 for 0.103. Each time contact is hardly smoothed first: with the sharp law at once, a
+    drone slipped off, for 1.4. What promises to cost more than the most, after a first pass by
+    `_LEFT`, is left unfinished, and so is what promises to cost more than it did in longer steps.
     """
     limit = scaled(_LEFT, most)
     options = dataclasses.replace(

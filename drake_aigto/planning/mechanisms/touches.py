@@ -36,14 +36,9 @@ NEAR = 0.05
 def find_neighbors(
     world: World, law: RigidLaw, motion: ShootingResult, lasting: Floats, near: float
 ) -> Iterator[tuple[ChangeName, TouchSequence]]:
-    """Yields sequences with one touch fewer, two swapped, one more, and in another mode.
+    """Yields sequences with one touch fewer, two nearer [s] swapped, one more, and in another mode.
 
-    Args:
-        world: the mechanism.
-        law: of its rigid walls.
-        motion: in phases.
-        lasting: the shortest sustained touch of each contact, shape (m,) [s].
-        near: touches closer than this may be swapped [s].
+    Touches that last as long as is given, (m,) [s], are sustained.
     """
     touches = motion.touches
     for place in range(len(touches)):
@@ -57,13 +52,9 @@ def find_neighbors(
 
 
 def read_replay(world: World, law: RigidLaw, replay: Replay, lasting: Floats) -> TouchSequence:
-    """Returns a replay's touches; sustained ones without friction last until the next.
+    """Returns a replay's touches; sustained ones, of at least (m,) [s], without friction last on.
 
-    Args:
-        world: the mechanism.
-        law: of its rigid walls.
-        replay: a simulation between them.
-        lasting: the shortest sustained touch of each contact, shape (m,) [s].
+    They end with the next touch.
     """
     contacts, starts = np.array(replay.bounce_contacts, dtype=np.int64), replay.bounce_times
     rows = find_impacts(replay.times, replay.velocities, len(starts))
@@ -92,16 +83,8 @@ def with_dip(
 ) -> TouchSequence:
     """Returns the touches of a motion and its dip: a new touch, or a prolonged one.
 
-    A contact with zero restitution that penetrates a wall soon after its release was released too
-    early: added bounces would become ever smaller, without end.
-
-    Args:
-        world: the mechanism.
-        law: of its rigid walls.
-        motion: in phases.
-        dip: where it penetrates a wall.
-        lasting: the shortest sustained touch of each contact, shape (m,) [s].
-        step: of the search [s].
+    A contact with zero restitution that penetrates a wall soon after its release, within a step of
+    the search [s], was released too early: added bounces would become ever smaller, without end.
     """
     contact, touches = dip.touch.contact, list(motion.touches)
     if not (law.restitution[contact] or law.friction[contact]):
