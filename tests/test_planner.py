@@ -114,6 +114,8 @@ def test_nothing_feasible_is_an_error_that_says_what_was_tried(
         (LiteralOptions, {"algorithm": "luck"}, "algorithm: got 'luck', expected one of annealing"),
         (PlanOptions, {"local_solver": "mosek"}, "local_solver: got 'mosek', expected one of newt"),
         (LiteralOptions, {"ladder": ()}, "ladder: got no rung, expected at least one"),
+        (PlanOptions, {"threads": 0}, "threads: got 0, expected 1 or more, or None"),
+        (PlanOptions, {"threads": -1}, "threads: got -1, expected 1 or more, or None"),
     ],
 )
 def test_unknown_options_are_refused(

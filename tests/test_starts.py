@@ -1,9 +1,4 @@
-"""Where AIGO starts: boxes around the straight line, and around the coasting motion.
-
-Starts so near to a wall that the first bounce comes at once, whatever the control. Bounces that a
-motion might have once more, and the plans that need them. Balls that settle on a floor, rest there
-and jump: phases, plans, and what they are judged by.
-"""
+"""Where searches for plans of balls start, and the bounces and rests that they come to."""
 
 from __future__ import annotations
 
@@ -30,6 +25,7 @@ from drake_aigto.planning import (
     PhaseProblem,
     Planner,
     Rung,
+    draw_shots,
     find_insertions,
     kinds,
     make_ball_task,
@@ -378,3 +374,48 @@ def test_a_ball_that_lies_at_a_wall_leaves_it_as_cheaply_as_in_free_flight() -> 
     # Contact sequences of balls begin in flight.
     with pytest.raises(ScenarioError, match="got one against a wall, expected both away"):
         Planner(shipped).plan(**lies)
+
+
+def make_room(start: list[float], velocity: list[float], goal: list[float]) -> Scenario:
+    return dataclasses.replace(
+        Scenario.named("room_with_block/around"),
+        initial_position=start,
+        initial_velocity=velocity,
+        goal_position=goal,
+        duration=2.25,
+        time_step=0.0375,
+        restitution=1.0,
+    )
+
+
+@pytest.mark.parametrize("name", ["floor/rebound", *slow("room/two_walls", "corridor/six_bounces")])
+def test_the_first_shot_bounces_where_the_best_plan_does(name: str) -> None:
+    scenario = dataclasses.replace(Scenario.named(name), restitution=1.0)
+    best, world = plan(scenario, QUICK), World.from_scenario(scenario)
+    task = world.place(scenario)
+    first, again = (next(draw_shots(world, task, best.cost, 20)) for _ in range(2))
+    assert list(first.bounce_contacts) == [each.index for each in best.best.contacts]
+    assert again.positions.tolist() == first.positions.tolist()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("start", "velocity", "goal", "most"),
+    [
+        # Shooting from controls knows 5.464e-5 of the first; both cost 7.1e-4 and 2.1e-4 by
+        # boxes, contacts of the uncontrolled motion and neighbors of both alone.
+        ([0.145087603, 0.54855293], [1.097545529, 1.473706911], [0.46478135, 0.224210219], 5.5e-5),
+        (
+            [0.578529358, 0.131142048],
+            [-0.066247519, -1.72720329],
+            [0.811419244, 0.587697358],
+            5.1e-5,
+        ),
+    ],
+)
+def test_a_motion_that_passes_a_corner_on_its_other_side_is_found(
+    start: list[float], velocity: list[float], goal: list[float], most: float
+) -> None:
+    found = plan(make_room(start, velocity, goal), QUICK)
+    assert found.holds
+    assert found.cost < most
