@@ -34,6 +34,7 @@ _PACKAGE = __name__.partition(".")[0]
 _IMPORT = re.compile(
     r"^[ \t]*(?:from|import)[ \t]+(\.*)([\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|.*))?", re.M
 )
+_ALIAS = re.compile(r"\bas \w+")  # of an imported name
 
 
 class _NoFolder:
@@ -211,7 +212,7 @@ def _read(file: str) -> bytes:
 @cache
 def _imports(file: str) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
     """Returns what a file imports: leading dots, a module, and names in it (or none)."""
-    found = _IMPORT.findall(_read(file).decode())
+    found = _IMPORT.findall(_ALIAS.sub("", _read(file).decode()))
     return tuple((dots, module, tuple(re.findall(r"\w+", names))) for dots, module, names in found)
 
 

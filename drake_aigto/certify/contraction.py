@@ -23,33 +23,10 @@ from dataclasses import replace
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.certify.enclosures import (
-    GRADIENT,
-    HESSIAN,
-    VALUE,
-    at,
-    enclose,
-    jet_size,
-    make_scratch,
-    put,
-)
+from drake_aigto.certify import enclosures
+from drake_aigto.certify import intervals as iv
 from drake_aigto.certify.formulas import Formulas, join
-from drake_aigto.certify.intervals import (
-    TINY,
-    UNIT,
-    Interval,
-    down,
-    exponential,
-    logarithm,
-    minus,
-    plus,
-    real_power,
-    reciprocal,
-    times,
-    up,
-    up_product,
-    up_quotient,
-)
+from drake_aigto.certify.intervals import Interval
 from drake_aigto.certify.tape import JointTape, Operation, Tape
 from drake_aigto.kernels import inner, kernel
 
@@ -60,16 +37,16 @@ _MOST_SWEEPS = 10
 @inner
 def narrow(jets: Floats, entry: int, x: Interval) -> bool:
     """Cuts an entry's range down to an interval; returns whether anything is left."""
-    low, high = at(jets, entry, 0)
+    low, high = enclosures.at(jets, entry, 0)
     low, high = x[0] if x[0] > low else low, x[1] if x[1] < high else high
-    put(jets, entry, 0, (low, high))
+    enclosures.put(jets, entry, 0, (low, high))
     return low <= high
 
 
 @inner
 def _narrow_sizes(jets: Floats, entry: int, sizes: Interval) -> bool:
     """Cuts an entry's range down to numbers of a size within an interval, of either sign."""
-    low, high = at(jets, entry, 0)
+    low, high = enclosures.at(jets, entry, 0)
     least = -sizes[1] if low <= -sizes[0] else sizes[0]
     return narrow(jets, entry, (least, sizes[1] if high >= sizes[0] else -sizes[0]))
 
@@ -79,23 +56,23 @@ def _quotient(y: Interval, x: Interval) -> Interval:
     """Returns all a with a x = y."""
     if x[0] <= 0.0 <= x[1] and y[0] <= 0.0 <= y[1]:
         return -np.inf, np.inf
-    return times(y, reciprocal(x))
+    return iv.times(y, iv.reciprocal(x))
 
 
 @inner
 def _narrow_both(jets: Floats, operation: int, y: Interval, a: int, b: int) -> bool:
     """Cuts the ranges of two arguments of an operation down to what may give y."""
     if operation == Operation.ADD:
-        is_left = narrow(jets, a, plus(y, minus(at(jets, b, 0))))
-        return is_left and narrow(jets, b, plus(y, minus(at(jets, a, 0))))
+        is_left = narrow(jets, a, iv.plus(y, iv.minus(enclosures.at(jets, b, 0))))
+        return is_left and narrow(jets, b, iv.plus(y, iv.minus(enclosures.at(jets, a, 0))))
     if operation == Operation.MULTIPLY:
-        is_left = narrow(jets, a, _quotient(y, at(jets, b, 0)))
-        return is_left and narrow(jets, b, _quotient(y, at(jets, a, 0)))
+        is_left = narrow(jets, a, _quotient(y, enclosures.at(jets, b, 0)))
+        return is_left and narrow(jets, b, _quotient(y, enclosures.at(jets, a, 0)))
     # The larger one of two is y.
     is_left = narrow(jets, a, (-np.inf, y[1])) and narrow(jets, b, (-np.inf, y[1]))
-    if at(jets, a, 0)[1] < y[0]:
+    if enclosures.at(jets, a, 0)[1] < y[0]:
         is_left = is_left and narrow(jets, b, y)
-    if at(jets, b, 0)[1] < y[0]:
+    if enclosures.at(jets, b, 0)[1] < y[0]:
         is_left = is_left and narrow(jets, a, y)
     return is_left
 
@@ -104,36 +81,36 @@ def _narrow_both(jets: Floats, operation: int, y: Interval, a: int, b: int) -> b
 def _inverse(operation: int, y: Interval, p: float) -> Interval:
     """Returns what an argument may be for y, of functions that rise or fall."""
     if operation == Operation.SHIFT:
-        return plus(y, (-p, -p))
+        return iv.plus(y, (-p, -p))
     if operation == Operation.SCALE:
         return _quotient(y, (p, p))
     if operation == Operation.RECIPROCAL:
-        return reciprocal(y)
+        return iv.reciprocal(y)
     if operation == Operation.REAL_POWER:
-        return real_power(y, reciprocal((p, p)))
+        return iv.real_power(y, iv.reciprocal((p, p)))
     if operation == Operation.EXP:
-        return logarithm(y)
+        return iv.logarithm(y)
     if operation == Operation.LOG:
-        return exponential(y)
+        return iv.exponential(y)
     if operation == Operation.X_LOG:  # x log x ≥ x − 1
-        return 0.0, up(1.0 + max(y[1], 0.0))
+        return 0.0, iv.up(1.0 + max(y[1], 0.0))
     return -np.inf, np.inf
 
 
 @inner
 def _go_back(jets: Floats, entry: int, operation: int, a: int, b: int, p: float) -> bool:
     """Cuts the ranges of an entry's arguments; returns whether anything is left."""
-    y = at(jets, entry, 0)
+    y = enclosures.at(jets, entry, 0)
     if operation == Operation.NUMBER or (operation == Operation.POWER and b == 0):
         return True
     if operation == Operation.ABS:
         return _narrow_sizes(jets, a, (max(y[0], 0.0), y[1]))
     if operation == Operation.POWER and b % 2 == 0:
-        return _narrow_sizes(jets, a, real_power(y, reciprocal((float(b), float(b)))))
+        return _narrow_sizes(jets, a, iv.real_power(y, iv.reciprocal((float(b), float(b)))))
     if operation == Operation.POWER:
-        root = reciprocal((float(b), float(b)))
-        low = real_power((abs(y[0]), abs(y[0])), root)
-        high = real_power((abs(y[1]), abs(y[1])), root)
+        root = iv.reciprocal((float(b), float(b)))
+        low = iv.real_power((abs(y[0]), abs(y[0])), root)
+        high = iv.real_power((abs(y[1]), abs(y[1])), root)
         least = low[0] if y[0] >= 0.0 else -low[1]
         return narrow(jets, a, (least, high[1] if y[1] >= 0.0 else -high[0]))
     if operation == Operation.ADD or operation == Operation.MULTIPLY or operation == Operation.MAX:
@@ -146,7 +123,7 @@ def _contract_once(
     joint: JointTape, lower: Floats, upper: Floats, low: Floats, high: Floats, jets: Floats
 ) -> bool:
     tape, roots = joint
-    if enclose(tape, 0, low, high, VALUE, jets) < 0:
+    if enclosures.enclose(tape, 0, low, high, enclosures.VALUE, jets) < 0:
         return False
     for r in range(roots.size):
         if not narrow(jets, roots[r], (lower[r], upper[r])):
@@ -154,7 +131,7 @@ def _contract_once(
     for k in range(tape.operations.size - 1, -1, -1):
         operation, a = tape.operations[k], tape.a[k]
         if operation == Operation.VARIABLE:
-            low[a], high[a] = at(jets, k, 0)
+            low[a], high[a] = enclosures.at(jets, k, 0)
         elif not _go_back(jets, k, operation, a, tape.b[k], tape.numbers[k]):
             return False
     return True
@@ -181,7 +158,7 @@ def contract(
 @kernel
 def contract_box(joint: JointTape, lower: Floats, upper: Floats, low: Floats, high: Floats) -> bool:
     """Narrows a box in place, as `contract` does, and returns whether anything is left."""
-    jets = make_scratch(joint.tape, low.size, VALUE)
+    jets = enclosures.make_scratch(joint.tape, low.size, enclosures.VALUE)
     return contract(joint, lower, upper, low, high, jets)
 
 
@@ -215,10 +192,10 @@ def least_quadratic(slope: Interval, curvature: float, step: Interval) -> float:
     for g in slope:
         for d in step:
             best = min(best, _least_of(g, curvature, d))
-        is_before = -g <= step[0] * curvature - TINY
-        if curvature > 0.0 and not (is_before or -g >= step[1] * curvature + TINY):
+        is_before = -g <= step[0] * curvature - iv.TINY
+        if curvature > 0.0 and not (is_before or -g >= step[1] * curvature + iv.TINY):
             # Its lowest point anywhere, −g²/2κ.
-            best = min(best, -up_product(abs(g), up_quotient(abs(g), 2.0 * curvature)))
+            best = min(best, -iv.up_product(abs(g), iv.up_quotient(abs(g), 2.0 * curvature)))
     return best
 
 
@@ -228,21 +205,21 @@ def _least_of(slope: float, curvature: float, d: float) -> float:
         return -np.inf if slope * d < 0.0 or curvature < 0.0 else 0.0
     straight, bent = slope * d, 0.5 * curvature * d * d
     # Two roundings of one, three of the other, and one of the sum.
-    value = straight + bent - 4.0 * UNIT * (abs(straight) + abs(bent)) - TINY
+    value = straight + bent - 4.0 * iv.UNIT * (abs(straight) + abs(bent)) - iv.TINY
     return value if value < np.inf else -np.inf
 
 
 @inner
 def curvature(over: Floats, steps: Floats, i: int) -> float:
     """Returns κ_i, where ½ dᵀHd ≥ ½ Σ κ_i d_i² for all H in a jet (J, 2)."""
-    size, own = len(steps), max(steps[i, 1] - steps[i, 0], TINY)
+    size, own = len(steps), max(steps[i, 1] - steps[i, 0], iv.TINY)
     total = over[bend_place(size, i, i), 0]
     for j in range(size):
         if j != i:
-            place, other = bend_place(size, i, j), max(steps[j, 1] - steps[j, 0], TINY)
+            place, other = bend_place(size, i, j), max(steps[j, 1] - steps[j, 0], iv.TINY)
             most = max(-over[place, 0], over[place, 1])
             if most > 0.0:
-                total = down(total - up_product(most, up_quotient(other, own)))
+                total = iv.down(total - iv.up_product(most, iv.up_quotient(other, own)))
     return total
 
 
@@ -266,25 +243,25 @@ def _bound_about(tape: Tape, formula: int, cell: Floats, room: Room) -> float:
     """Returns a bound of f + s (x − c) over a cell (5, L); see `bound_all`."""
     jets, about, over, steps = room
     low, high, point = cell[0], cell[1], cell[2]
-    end = enclose(tape, formula, low, high, HESSIAN, jets)
+    end = enclosures.enclose(tape, formula, low, high, enclosures.HESSIAN, jets)
     if end < 0:
         return np.inf
     over[:] = jets[end]
     best = over[0, 0]
     for i in range(point.size):
-        steps[i, 0] = min(down(low[i] - point[i]), 0.0)
-        steps[i, 1] = max(up(high[i] - point[i]), 0.0)
-        best = down(best + times((cell[3, i], cell[4, i]), (steps[i, 0], steps[i, 1]))[0])
-    end = enclose(tape, formula, point, point, GRADIENT, jets)
+        steps[i, 0] = min(iv.down(low[i] - point[i]), 0.0)
+        steps[i, 1] = max(iv.up(high[i] - point[i]), 0.0)
+        best = iv.down(best + iv.times((cell[3, i], cell[4, i]), (steps[i, 0], steps[i, 1]))[0])
+    end = enclosures.enclose(tape, formula, point, point, enclosures.GRADIENT, jets)
     if end < 0:
         return best
     about[:] = jets[end]
     mean = bent = about[0, 0]
     for i in range(point.size):
         moved, step = (cell[3, i], cell[4, i]), (steps[i, 0], steps[i, 1])
-        slope = plus((about[1 + i, 0], about[1 + i, 1]), moved)
-        mean = down(mean + times(plus((over[1 + i, 0], over[1 + i, 1]), moved), step)[0])
-        bent = down(bent + least_quadratic(slope, curvature(over, steps, i), step))
+        slope = iv.plus((about[1 + i, 0], about[1 + i, 1]), moved)
+        mean = iv.down(mean + iv.times(iv.plus((over[1 + i, 0], over[1 + i, 1]), moved), step)[0])
+        bent = iv.down(bent + least_quadratic(slope, curvature(over, steps, i), step))
     for bound in (bent, mean):
         if bound > best:  # NaN is not
             best = bound
@@ -302,7 +279,7 @@ def bound_all(tape: Tape, formula: int, sides: Floats, cells: Ints) -> Floats:
         cells: which sides each has (C, L).
     """
     size, length = cells.shape[1], tape.starts[formula + 1] - tape.starts[formula]
-    jets = np.empty((length, jet_size(size, HESSIAN), 2))
+    jets = np.empty((length, enclosures.jet_size(size, enclosures.HESSIAN), 2))
     room = jets, np.empty_like(jets[0]), np.empty_like(jets[0]), np.empty((size, 2))
     found, cell = np.empty(len(cells)), np.empty((5, size))
     for c in range(found.size):

@@ -19,24 +19,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.certify.intervals import (
-    TINY,
-    UNIT,
-    Interval,
-    cosine,
-    exponential,
-    logarithm,
-    minus,
-    plus,
-    power,
-    real_power,
-    reciprocal,
-    scaled,
-    sine,
-    times,
-    widened,
-    x_log,
-)
+from drake_aigto.certify import intervals as iv
+from drake_aigto.certify.intervals import Interval
 from drake_aigto.certify.tape import Operation, Tape
 from drake_aigto.kernels import inner, kernel
 
@@ -74,7 +58,7 @@ def put(jets: Floats, entry: int, place: int, x: Interval) -> None:
 @inner
 def _slope_of_power(x: Interval, exponent: Interval) -> Interval:
     """Returns x^p as a part of a derivative: all numbers where it has no value."""
-    low, high = real_power(x, exponent)
+    low, high = iv.real_power(x, exponent)
     return (low, high) if low <= high else (-np.inf, np.inf)
 
 
@@ -87,47 +71,47 @@ def derivatives(
     if operation == Operation.POWER:
         first = second = none
         if order > 0 and exponent > 0:
-            first = scaled(float(exponent), power(x, exponent - 1))
+            first = iv.scaled(float(exponent), iv.power(x, exponent - 1))
         if order > 1 and exponent > 1:
-            second = scaled(float(exponent * (exponent - 1)), power(x, exponent - 2))
-        return power(x, exponent), first, second
+            second = iv.scaled(float(exponent * (exponent - 1)), iv.power(x, exponent - 2))
+        return iv.power(x, exponent), first, second
     if operation == Operation.EXP:
-        value = exponential(x)
+        value = iv.exponential(x)
         return value, value, value
     if operation == Operation.SIN:
-        s, c = sine(x), cosine(x)
-        return s, c, minus(s)
+        s, c = iv.sine(x), iv.cosine(x)
+        return s, c, iv.minus(s)
     if operation == Operation.COS:
-        s, c = sine(x), cosine(x)
-        return c, minus(s), minus(c)
+        s, c = iv.sine(x), iv.cosine(x)
+        return c, iv.minus(s), iv.minus(c)
     if operation == Operation.RECIPROCAL:
-        value = reciprocal(x)
+        value = iv.reciprocal(x)
         if x[0] < 0.0 < x[1]:  # It jumps from −∞ to ∞, whatever its slopes are.
             return value, value, value
-        return value, minus(power(value, 2)), scaled(2.0, power(value, 3))
+        return value, iv.minus(iv.power(value, 2)), iv.scaled(2.0, iv.power(value, 3))
     if operation == Operation.REAL_POWER:
-        less, least = plus((p, p), (-1.0, -1.0)), plus((p, p), (-2.0, -2.0))
+        less, least = iv.plus((p, p), (-1.0, -1.0)), iv.plus((p, p), (-2.0, -2.0))
         first, second = _slope_of_power(x, less), _slope_of_power(x, least)
-        return real_power(x, (p, p)), scaled(p, first), times(scaled(p, less), second)
+        return iv.real_power(x, (p, p)), iv.scaled(p, first), iv.times(iv.scaled(p, less), second)
     if operation == Operation.LOG:
-        first = reciprocal((max(x[0], 0.0), x[1]))
-        return logarithm(x), first, minus(power(first, 2))
+        first = iv.reciprocal((max(x[0], 0.0), x[1]))
+        return iv.logarithm(x), first, iv.minus(iv.power(first, 2))
     if operation == Operation.X_LOG:
-        first = plus(logarithm((x[0], max(x[1], TINY))), (1.0, 1.0))
-        return x_log(x), first, reciprocal((max(x[0], 0.0), x[1]))
+        first = iv.plus(iv.logarithm((x[0], max(x[1], iv.TINY))), (1.0, 1.0))
+        return iv.x_log(x), first, iv.reciprocal((max(x[0], 0.0), x[1]))
     if operation == Operation.ABS:
         if x[0] > 0.0:
             return x, (1.0, 1.0), none
         if x[1] < 0.0:
-            return minus(x), (-1.0, -1.0), none
+            return iv.minus(x), (-1.0, -1.0), none
         return (0.0, max(-x[0], x[1])), (-1.0, 1.0), (-np.inf, np.inf)
     if operation == Operation.TANH:
-        value = widened(math.tanh(x[0]), math.tanh(x[1]))
-        first = plus((1.0, 1.0), minus(power(value, 2)))
-        return value, first, times((-2.0 * value[1], -2.0 * value[0]), first)
-    first = reciprocal(plus((1.0, 1.0), power(x, 2)))  # of tan⁻¹
-    second = times((-2.0 * x[1], -2.0 * x[0]), power(first, 2))
-    return widened(math.atan(x[0]), math.atan(x[1])), first, second
+        value = iv.widened(math.tanh(x[0]), math.tanh(x[1]))
+        first = iv.plus((1.0, 1.0), iv.minus(iv.power(value, 2)))
+        return value, first, iv.times((-2.0 * value[1], -2.0 * value[0]), first)
+    first = iv.reciprocal(iv.plus((1.0, 1.0), iv.power(x, 2)))  # of tan⁻¹
+    second = iv.times((-2.0 * x[1], -2.0 * x[0]), iv.power(first, 2))
+    return iv.widened(math.atan(x[0]), math.atan(x[1])), first, second
 
 
 @inner
@@ -135,7 +119,7 @@ def function_value(operation: int, a: int, b: int, p: float, jets: Floats) -> In
     """Returns the range of a function, but for sums, from those of its arguments in jets."""
     x = at(jets, a, 0)
     if operation == Operation.MULTIPLY:
-        return times(x, at(jets, b, 0))
+        return iv.times(x, at(jets, b, 0))
     if operation == Operation.MAX:
         return max(x[0], at(jets, b, 0)[0]), max(x[1], at(jets, b, 0)[1])
     return derivatives(operation, x, b, p, VALUE)[0]
@@ -156,10 +140,10 @@ def _apply(
     place = 1 + size
     for i in range(size if order > 0 else 0):
         slope = at(jets, of, 1 + i)
-        put(jets, to, 1 + i, times(first, slope))
+        put(jets, to, 1 + i, iv.times(first, slope))
         for j in range(i + 1 if order > 1 else 0):
-            both = power(slope, 2) if i == j else times(slope, at(jets, of, 1 + j))
-            bent = plus(times(second, both), times(first, at(jets, of, place)))
+            both = iv.power(slope, 2) if i == j else iv.times(slope, at(jets, of, 1 + j))
+            bent = iv.plus(iv.times(second, both), iv.times(first, at(jets, of, place)))
             put(jets, to, place, bent)
             place += 1
 
@@ -167,15 +151,15 @@ def _apply(
 @inner
 def _multiply(jets: Floats, to: int, a: int, b: int, size: int, order: int) -> None:
     u, v = at(jets, a, 0), at(jets, b, 0)
-    put(jets, to, 0, times(u, v))
+    put(jets, to, 0, iv.times(u, v))
     place = 1 + size
     for i in range(size if order > 0 else 0):
         du, dv = at(jets, a, 1 + i), at(jets, b, 1 + i)
-        put(jets, to, 1 + i, plus(times(u, dv), times(v, du)))
+        put(jets, to, 1 + i, iv.plus(iv.times(u, dv), iv.times(v, du)))
         for j in range(i + 1 if order > 1 else 0):
-            mixed = plus(times(du, at(jets, b, 1 + j)), times(at(jets, a, 1 + j), dv))
-            passed = plus(times(u, at(jets, b, place)), times(v, at(jets, a, place)))
-            put(jets, to, place, plus(mixed, passed))
+            mixed = iv.plus(iv.times(du, at(jets, b, 1 + j)), iv.times(at(jets, a, 1 + j), dv))
+            passed = iv.plus(iv.times(u, at(jets, b, place)), iv.times(v, at(jets, a, place)))
+            put(jets, to, place, iv.plus(mixed, passed))
             place += 1
 
 
@@ -231,13 +215,13 @@ def enclose(tape: Tape, formula: int, low: Floats, high: Floats, order: int, jet
                 put(jets, k, 1 + a, (1.0, 1.0))
         elif operation == Operation.SHIFT:
             _copy(jets, k, a, count)
-            put(jets, k, 0, plus(at(jets, a, 0), (p, p)))
+            put(jets, k, 0, iv.plus(at(jets, a, 0), (p, p)))
         elif operation == Operation.SCALE:
-            values = scaled(p, at(jets, a, 0)), (p, p), (0.0, 0.0)
+            values = iv.scaled(p, at(jets, a, 0)), (p, p), (0.0, 0.0)
             _apply(jets, k, a, values, size, order)
         elif operation == Operation.ADD:
             for place in range(count):
-                put(jets, k, place, plus(at(jets, a, place), at(jets, b, place)))
+                put(jets, k, place, iv.plus(at(jets, a, place), at(jets, b, place)))
         elif operation == Operation.MULTIPLY:
             _multiply(jets, k, a, b, size, order)
         elif operation == Operation.MAX:
@@ -294,7 +278,7 @@ def sum_outward(intervals: Floats, owners: Ints, count: int) -> Floats:
     for side, sign in enumerate((-1.0, 1.0)):
         own = np.ascontiguousarray(intervals[:, side])
         sizes = np.bincount(owners, np.abs(own), count)
-        found[:, side] = np.bincount(owners, own, count) + sign * (terms + 2) * UNIT * sizes
+        found[:, side] = np.bincount(owners, own, count) + sign * (terms + 2) * iv.UNIT * sizes
     return found
 
 

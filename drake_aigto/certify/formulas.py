@@ -9,19 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from pydrake.solvers import (
-    Binding,
-    BoundingBoxConstraint,
-    ExpressionConstraint,
-    ExpressionCost,
-    LinearConstraint,
-    LinearCost,
-    MathematicalProgram,
-    QuadraticConstraint,
-    QuadraticCost,
-)
+from pydrake import solvers
 from pydrake.symbolic import Expression, ExpressionKind
 
+from drake_aigto import terms
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.certify.enclosures import GRADIENT, VALUE, enclose_all
 from drake_aigto.certify.tape import (
@@ -35,25 +26,20 @@ from drake_aigto.certify.tape import (
     make_tape,
 )
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.terms import (
-    CONES,
-    NORM_COSTS,
-    check_continuous,
-    evaluator_kind,
-    evaluator_label,
-    operands,
-    read_bounds,
-    shown,
-)
 
 # Evaluators that give their formulas back, what they are called, and the remedy for others.
 _COSTS = (
-    (LinearCost, QuadraticCost, ExpressionCost, *NORM_COSTS),
+    (solvers.LinearCost, solvers.QuadraticCost, solvers.ExpressionCost, *terms.NORM_COSTS),
     "a LinearCost, a QuadraticCost, an ExpressionCost or a norm",
     "Add it as `c = ExpressionCost(expression); prog.AddCost(c, vars=c.vars())`.",
 )
 _ROWS = (
-    (LinearConstraint, QuadraticConstraint, ExpressionConstraint, *CONES),
+    (
+        solvers.LinearConstraint,
+        solvers.QuadraticConstraint,
+        solvers.ExpressionConstraint,
+        *terms.CONES,
+    ),
     "bounds, a cone, or a linear, quadratic or expression constraint",
     "Write it symbolically.",
 )
@@ -75,7 +61,7 @@ class Summand:
         target: as above.
     """
 
-    binding: Binding
+    binding: solvers.Binding
     expression: Expression
     index: Index
     variables: tuple[int, ...]
@@ -85,7 +71,7 @@ class Summand:
     def parts(self, factor: float = 1.0, target: float = 0.0) -> list[Summand]:
         """Returns factor · (formula − target) as the summands that the formula adds up."""
         e, binding, index = self.expression, self.binding, self.index
-        found = operands(e) if e.get_kind() == ExpressionKind.Add else [e]
+        found = terms.operands(e) if e.get_kind() == ExpressionKind.Add else [e]
         return [
             Summand(binding, part, index, _read(part, index), factor, 0.0 if i else target)
             for i, part in enumerate(found)
@@ -132,16 +118,16 @@ class Formulas:
         return found
 
 
-def read_formulas(prog: MathematicalProgram) -> Formulas:
+def read_formulas(prog: solvers.MathematicalProgram) -> Formulas:
     """Returns the formulas of a program.
 
     Raises:
         UnsupportedTermError: a cost or a row has no formula that Drake gives back, a variable is
             not continuous, or a bound is NaN.
     """
-    check_continuous(prog)
+    terms.check_continuous(prog)
     index = {variable.get_id(): i for i, variable in enumerate(prog.decision_variables())}
-    lower, upper = read_bounds(prog)
+    lower, upper = terms.read_bounds(prog)
     summands: list[Summand] = []
     rows: list[BoundedFormula] = []
     for binding in prog.GetAllCosts():
@@ -150,7 +136,7 @@ def read_formulas(prog: MathematicalProgram) -> Formulas:
     for binding in prog.GetAllConstraints():
         evaluator = binding.evaluator()
         bounds = evaluator.lower_bound(), evaluator.upper_bound()
-        if isinstance(evaluator, BoundingBoxConstraint):
+        if isinstance(evaluator, solvers.BoundingBoxConstraint):
             continue
         formulas, own = _expressions(binding, index, *_ROWS)
         for formula, low, high in zip(formulas, *(b.tolist() for b in bounds), strict=True):
@@ -158,7 +144,7 @@ def read_formulas(prog: MathematicalProgram) -> Formulas:
             rows.append(BoundedFormula(binding, formula, own, read, lower=low, upper=high))
     names = tuple(variable.get_name() for variable in prog.decision_variables())
     of_variables = zip(names, lower.tolist(), upper.tolist(), strict=True)
-    of_rows = ((evaluator_label(row.binding), row.lower, row.upper) for row in rows)
+    of_rows = ((terms.evaluator_label(row.binding), row.lower, row.upper) for row in rows)
     for name, low, high in itertools.chain(of_variables, of_rows):
         if math.isnan(low) or math.isnan(high):
             raise UnsupportedTermError(
@@ -171,26 +157,26 @@ def read_formulas(prog: MathematicalProgram) -> Formulas:
 
 
 def _expressions(
-    binding: Binding, index: Index, kinds: tuple[Any, ...], expected: str, remedy: str
+    binding: solvers.Binding, index: Index, kinds: tuple[Any, ...], expected: str, remedy: str
 ) -> tuple[Any, Index]:
     """Returns the formulas of a cost or constraint, and the indices of their variables."""
     evaluator, variables = binding.evaluator(), binding.variables()
     if not isinstance(evaluator, kinds):
         raise UnsupportedTermError(
-            f"{evaluator_label(binding)} can't be bounded",
-            got=f"a {evaluator_kind(evaluator)}, whose formula Drake does not give back",
+            f"{terms.evaluator_label(binding)} can't be bounded",
+            got=f"a {terms.evaluator_kind(evaluator)}, whose formula Drake does not give back",
             expected=expected,
             remedy=remedy,
         )
     if not variables.size:  # Drake takes no variables for numbers with derivatives.
         return list(map(Expression, evaluator.Eval(np.zeros(0)))), index
-    if not isinstance(evaluator, (ExpressionCost, ExpressionConstraint)):
+    if not isinstance(evaluator, (solvers.ExpressionCost, solvers.ExpressionConstraint)):
         return evaluator.Eval(variables), index
     own = {
         local.get_id(): index[bound.get_id()]
         for local, bound in zip(evaluator.vars(), variables, strict=True)
     }
-    is_cost = isinstance(evaluator, ExpressionCost)
+    is_cost = isinstance(evaluator, solvers.ExpressionCost)
     return [evaluator.expression()] if is_cost else evaluator.expressions(), own
 
 
@@ -245,8 +231,8 @@ def _enter_sum(formula: Formula, parts: Sequence[Summand], places: Index) -> int
             place = formula.enter(own, total, first.factor, first.target)
         except NoEnclosureError as error:
             raise UnsupportedTermError(
-                f"{evaluator_label(first.binding)} can't be bounded",
-                got=f"{error} in {shown(total)}",
+                f"{terms.evaluator_label(first.binding)} can't be bounded",
+                got=f"{error} in {terms.shown(total)}",
                 expected="sums, products, quotients, powers, roots, exp, log, sin, cos, tan, "
                 "tan⁻¹, tanh, |x|, max and min",
             ) from None

@@ -12,18 +12,9 @@ from typing import Any
 import numpy as np
 
 from drake_aigto.arrays import Floats
+from drake_aigto.certify import relaxation_kernels as kernels
 from drake_aigto.certify.contraction import middles
 from drake_aigto.certify.formulas import Formulas, join
-from drake_aigto.certify.relaxation_kernels import (
-    LARGEST_COEFFICIENT,
-    ROWS_OF_ONE,
-    ROWS_OF_TWO,
-    LinearProgram,
-    Structure,
-    relax,
-    safe_bound,
-    violations,
-)
 from drake_aigto.certify.tape import JointTape, Operation
 
 _LEAVES = (Operation.NUMBER, Operation.VARIABLE)
@@ -38,20 +29,20 @@ _LARGE = 1e15
 _Sum = tuple[dict[int, float], tuple[float, float]]
 
 
-def read_structure(formulas: Formulas) -> Structure:
+def read_structure(formulas: Formulas) -> kernels.Structure:
     """Returns the columns and rows of a program's relaxation; the first root is the cost."""
     summands = [formulas.summands, *((row,) for row in formulas.rows)]
     joint = join(summands, formulas.lower.size, is_nested=False)
     sums, first, rows = _read_sums(joint), [0], []
     for k, (operation, a, b, _) in enumerate(zip(*joint.tape[:4], strict=True)):
         if operation in _OF_TWO and a != b:
-            rows += [({k: 1.0, a: 0.0, b: 0.0}, (-math.inf, math.inf))] * ROWS_OF_TWO
+            rows += [({k: 1.0, a: 0.0, b: 0.0}, (-math.inf, math.inf))] * kernels.ROWS_OF_TWO
         elif k in sums:
             rows.append(sums[k])
         elif operation not in (*_LEAVES, *_SUMS, *_OF_TWO):
-            rows += [({k: 1.0, a: 0.0}, (-math.inf, math.inf))] * ROWS_OF_ONE
+            rows += [({k: 1.0, a: 0.0}, (-math.inf, math.inf))] * kernels.ROWS_OF_ONE
         first.append(len(rows))
-    return Structure(
+    return kernels.Structure(
         joint=joint,
         first=np.array(first),
         starts=np.cumsum([0, *(len(row) for row, _ in rows)], dtype=np.int64),
@@ -92,7 +83,7 @@ def _read_sums(joint: JointTape) -> dict[int, _Sum]:
                 del sums[j]
             else:
                 terms[j] = terms.get(j, 0.0) - scale
-        is_small = max(map(abs, terms.values())) <= LARGEST_COEFFICIENT
+        is_small = max(map(abs, terms.values())) <= kernels.LARGEST_COEFFICIENT
         sums[k] = (terms, (low, high)) if is_small else ({k: 1.0}, (-math.inf, math.inf))
     return sums
 
@@ -119,7 +110,7 @@ class Relaxation:
         low, high = formulas.row_bounds
         self._lower, self._upper = np.append(-np.inf, low), np.append(np.inf, high)
         size, num_columns = formulas.lower.size, structure.first.size - 1
-        self.cell = LinearProgram(
+        self.cell = kernels.LinearProgram(
             structure.values.copy(),
             structure.lower.copy(),
             structure.upper.copy(),
@@ -180,7 +171,7 @@ class Relaxation:
 
     def _fill(self, low: Floats, high: Floats, cutoff: float) -> bool:
         self._upper[0] = cutoff
-        return bool(relax(self.structure, self._lower, self._upper, low, high, self.cell))
+        return bool(kernels.relax(self.structure, self._lower, self._upper, low, high, self.cell))
 
     def _solve(self, column: int, sign: float) -> tuple[float, Floats, Floats]:
         """Returns a bound of ± a column, the point where that is least, and multipliers."""
@@ -214,14 +205,14 @@ class Relaxation:
         return self._bound(column, sign, y), w, y
 
     def _bound(self, column: int, sign: float, y: Floats) -> float:
-        return float(safe_bound(self.structure, self.cell, (column, sign), y))
+        return float(kernels.safe_bound(self.structure, self.cell, (column, sign), y))
 
     def _choose_cut(
         self, w: Floats, y: Floats, x: Floats, low: Floats, high: Floats
     ) -> tuple[int, float]:
         """Returns the variable that the functions farthest from their columns read, and where."""
         y = y if np.any(y) else np.ones_like(y)  # Of a cost that does not vary, all rows matter.
-        own = violations(self.structure, self.cell, self._functions, w, y)
+        own = kernels.violations(self.structure, self.cell, self._functions, w, y)
         width = high - low
         shares = self._reads * np.where(np.isfinite(width), width, 1.0)
         total = np.sum(shares, axis=1)
@@ -237,7 +228,7 @@ class Relaxation:
         return (i if low[i] < place < high[i] else -1), place
 
 
-def _readers(structure: Structure, size: int) -> Floats:
+def _readers(structure: kernels.Structure, size: int) -> Floats:
     """Returns 1 where an entry reads a variable, else 0 (E, n)."""
     tape = structure.joint.tape
     reads = np.zeros((tape.operations.size, size), dtype=bool)

@@ -15,18 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
+from drake_aigto.certify import intervals as iv
 from drake_aigto.certify.contraction import contract, narrow
 from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, VALUE, at, derivatives, function_value
-from drake_aigto.certify.intervals import (
-    Interval,
-    down,
-    minus,
-    plus,
-    product,
-    times,
-    up,
-    up_product,
-)
+from drake_aigto.certify.intervals import Interval
 from drake_aigto.certify.tape import JointTape, Operation
 from drake_aigto.kernels import inner, kernel
 
@@ -97,7 +89,7 @@ def _put_row(
 @inner
 def _line_through(value: Interval, slope: float, t: float) -> Interval:
     """Returns value − slope t, of a line with that slope through a point."""
-    return plus(value, times((-slope, -slope), (t, t)))
+    return iv.plus(value, iv.times((-slope, -slope), (t, t)))
 
 
 @inner
@@ -105,8 +97,8 @@ def _tangent(operation: int, b: int, p: float, x: Interval, t: float) -> tuple[f
     """Returns a slope s near that at t, and what φ(t) + φ′(t) (a − t) − s a is over x."""
     value, first, _ = derivatives(operation, (t, t), b, p, GRADIENT)
     slope = 0.5 * (first[0] + first[1])
-    turn = times(plus(first, (-slope, -slope)), plus(x, (-t, -t)))
-    return slope, plus(_line_through(value, slope, t), turn)
+    turn = iv.times(iv.plus(first, (-slope, -slope)), iv.plus(x, (-t, -t)))
+    return slope, iv.plus(_line_through(value, slope, t), turn)
 
 
 @inner
@@ -128,14 +120,14 @@ def _put_function(structure: Structure, cell: LinearProgram, k: int) -> None:
         one, other = _line_through(at_low, slope, x[0]), _line_through(at_high, slope, x[1])
         least, most = min(one[0], other[0]), max(one[1], other[1])
         if not (is_convex or is_concave):
-            square = up(up_product(width, width) * 0.125) * 1.000001
-            least = down(least - up_product(max(second[1], 0.0), square))
-            most = up(most + up_product(max(-second[0], 0.0), square))
+            square = iv.up(iv.up_product(width, width) * 0.125) * 1.000001
+            least = iv.down(least - iv.up_product(max(second[1], 0.0), square))
+            most = iv.up(most + iv.up_product(max(-second[0], 0.0), square))
         ends = (-np.inf if is_convex else least, np.inf if is_concave else most)
         _put_row(structure, cell, row, (slope, 0.0), ends)
     if is_convex or is_concave:
         for n, part in enumerate((0.0, 1.0, 0.5, 0.25, 0.75)):
-            t = product(1.0 - part, x[0]) + product(part, x[1])
+            t = iv.product(1.0 - part, x[0]) + iv.product(part, x[1])
             slope, ends = _tangent(operation, b, p, x, t)
             ends = (ends[0], np.inf) if is_convex else (-np.inf, ends[1])
             _put_row(structure, cell, row + 1 + n, (slope, 0.0), ends)
@@ -158,14 +150,14 @@ def _put_pair(structure: Structure, cell: LinearProgram, k: int) -> None:
         if operation == Operation.MULTIPLY:
             # (a − a₀)(b − b₀) is 0 or more at two corners, and 0 or less at the others.
             a, b = box[n % 2, i], box[n // 2, j]
-            corner = minus(times((a, a), (b, b)))
+            corner = iv.minus(iv.times((a, a), (b, b)))
             is_below = n % 2 == n // 2
             ends = (corner[0], np.inf) if is_below else (-np.inf, corner[1])
             _put_row(structure, cell, row + n, (b, a), ends)
             continue
         one, other = (i, j) if n % 2 == 0 else (j, i)
         # max(a, b) − a is b − a at most, or 0.
-        ahead = max(0.0, up(box[1, other] - box[0, one]))
+        ahead = max(0.0, iv.up(box[1, other] - box[0, one]))
         ends = (0.0, np.inf) if n < 2 else (-np.inf, ahead)
         _put_row(structure, cell, row + n, (1.0, 0.0) if one == i else (0.0, 1.0), ends)
 
@@ -210,7 +202,7 @@ def relax(
 
 @inner
 def _add_to(residuals: Floats, column: int, x: Interval) -> None:
-    total = plus((residuals[column, 0], residuals[column, 1]), x)
+    total = iv.plus((residuals[column, 0], residuals[column, 1]), x)
     residuals[column, 0], residuals[column, 1] = total
 
 
@@ -237,22 +229,22 @@ def safe_bound(
         end = cell.lower[row] if y > 0.0 else cell.upper[row]
         if y == 0.0 or not math.isfinite(end) or not math.isfinite(y):
             continue
-        total = down(total + times((y, y), (end, end))[0])
+        total = iv.down(total + iv.times((y, y), (end, end))[0])
         for k in range(structure.starts[row], structure.starts[row + 1]):
             a = cell.values[k]
-            _add_to(residuals, structure.columns[k], minus(times((y, y), (a, a))))
+            _add_to(residuals, structure.columns[k], iv.minus(iv.times((y, y), (a, a))))
     for c in range(residuals.shape[0] - 1, -1, -1):
         left = residuals[c, 0], residuals[c, 1]
-        own = times(left, (cell.box[0, c], cell.box[1, c]))[0]
+        own = iv.times(left, (cell.box[0, c], cell.box[1, c]))[0]
         row = structure.first[c]
         is_sum = structure.first[c + 1] - row == 1 and math.isfinite(cell.lower[row])
         if is_sum and not math.isfinite(own):
-            own = times(left, (cell.lower[row], cell.upper[row]))[0]
+            own = iv.times(left, (cell.lower[row], cell.upper[row]))[0]
             residuals[c] = 0.0
             for k in range(structure.starts[row] + 1, structure.starts[row + 1]):
                 a = -cell.values[k]
-                _add_to(residuals, structure.columns[k], times((a, a), left))
-        total = down(total + own)
+                _add_to(residuals, structure.columns[k], iv.times((a, a), left))
+        total = iv.down(total + own)
     return total if not math.isnan(total) else -np.inf
 
 

@@ -19,16 +19,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from drake_aigto import __version__
-from drake_aigto.cli.flags import (
-    BAD_INPUT,
-    FAULT,
-    INTERRUPTED,
-    NOTHING_HOLDS,
-    UNREAD,
-    Parser,
-    add_common,
-    format_examples,
-)
+from drake_aigto.cli import flags
 from drake_aigto.errors import AigtoError
 from drake_aigto.progress import Count, Notice
 
@@ -77,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return run(arguments)
     except KeyboardInterrupt:
         print("drake-aigto: interrupted", file=sys.stderr)
-        return INTERRUPTED
+        return flags.INTERRUPTED
 
 
 @contextmanager
@@ -111,7 +102,7 @@ def _tell_loading(words: Sequence[str]) -> Iterator[None]:
 
 
 def run(
-    arguments: Sequence[str] | None, make: Callable[[Sequence[str]], Parser] | None = None
+    arguments: Sequence[str] | None, make: Callable[[Sequence[str]], flags.Parser] | None = None
 ) -> int:
     """Runs a command and returns its exit status; Ctrl-C is left to the caller.
 
@@ -129,7 +120,7 @@ def run(
             return int(options.run(options))
     except BrokenPipeError:  # The reader has seen enough, `head` for one.
         _forget_output()
-        return UNREAD
+        return flags.UNREAD
     except Exception as error:
         return _tell(error, options.verbose)
 
@@ -141,17 +132,17 @@ def _tell(error: Exception, verbose: bool) -> int:
     if verbose:
         traceback.print_exception(error)
     if isinstance(error, AigtoError):
-        text, status = str(error), BAD_INPUT
+        text, status = str(error), flags.BAD_INPUT
         if isinstance(error, PlanningError):
-            status = NOTHING_HOLDS
+            status = flags.NOTHING_HOLDS
     elif isinstance(error, OSError | MemoryError):
-        text, status = f"{error}.", BAD_INPUT  # A full disk, or a billion time steps.
+        text, status = f"{error}.", flags.BAD_INPUT  # A full disk, or a billion time steps.
         if isinstance(error, OSError):
             _forget_output()
     else:
         what = f"{type(error).__name__}: {error}".rstrip(".")
         text = f"{what}. This is a fault of drake-aigto: "
-        text, status = f"{text}please report it with the output of -v.", FAULT
+        text, status = f"{text}please report it with the output of -v.", flags.FAULT
     print(f"drake-aigto: {text}", file=sys.stderr)
     return status
 
@@ -162,18 +153,18 @@ def _forget_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def make_parser(words: Sequence[str] = ()) -> Parser:
+def make_parser(words: Sequence[str] = ()) -> flags.Parser:
     """Returns the parser of the whole command line, or of what is needed for these words.
 
     Each command loads its own modules, so that none waits for those of others.
     """
-    parser = Parser(
+    parser = flags.Parser(
         prog="drake-aigto",
         description="Global trajectory optimization through contact, on Drake.",
-        epilog=f"{format_examples(_EXAMPLES)}{_STATUSES}",
+        epilog=f"{flags.format_examples(_EXAMPLES)}{_STATUSES}",
     )
     parser.add_argument("--version", action="version", version=f"drake-aigto {__version__}")
-    add_common(parser)
+    flags.add_common(parser)
     commands = parser.add_commands("COMMAND")
     asked = [word for word in words if not word.startswith("-")][:1]
     if asked and (now := _MOVED.get(asked[0])):

@@ -9,15 +9,7 @@ from typing import Any
 
 import matplotlib.image
 import numpy as np
-from pydrake.geometry import (
-    ClippingRange,
-    ColorRenderCamera,
-    HalfSpace,
-    MakeRenderEngineVtk,
-    RenderCameraCore,
-    RenderEngineVtkParams,
-    Role,
-)
+from pydrake import geometry
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.sensors import CameraInfo
 
@@ -193,15 +185,15 @@ def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterator
 def _draw(world: World, path: str) -> bool:
     """Writes a picture of a world at its default positions, seen along y; returns whether."""
     scene_graph, (width, height) = world.scene_graph, _PIXELS
-    scene_graph.AddRenderer("look", MakeRenderEngineVtk(RenderEngineVtkParams()))
+    scene_graph.AddRenderer("look", geometry.MakeRenderEngineVtk(geometry.RenderEngineVtkParams()))
     context = scene_graph.GetMyContextFromRoot(world.create_context())
     query: Any = scene_graph.get_query_output_port().Eval(context)
     inspector = query.inspector()
     shapes = [
         each
-        for role in (Role.kPerception, Role.kProximity)
+        for role in (geometry.Role.kPerception, geometry.Role.kProximity)
         for each in inspector.GetAllGeometryIds(role)
-        if not isinstance(inspector.GetShape(each), HalfSpace)
+        if not isinstance(inspector.GetShape(each), geometry.HalfSpace)
     ]
     if not shapes:
         return False
@@ -213,9 +205,11 @@ def _draw(world: World, path: str) -> bool:
     right = np.cross(forward, [0.0, 0.0, 1.0])
     R = RotationMatrix(np.column_stack([right, np.cross(forward, right), forward]))
     info = CameraInfo(width, height, _VIEW)
-    clipping = ClippingRange(0.01, 100.0 * (size + 1.0))
-    core = RenderCameraCore("look", info, clipping, RigidTransform())
+    clipping = geometry.ClippingRange(0.01, 100.0 * (size + 1.0))
+    core = geometry.RenderCameraCore("look", info, clipping, RigidTransform())
     pose = RigidTransform(R, middle + back)
-    image = query.RenderColorImage(ColorRenderCamera(core), scene_graph.world_frame_id(), pose)
+    image = query.RenderColorImage(
+        geometry.ColorRenderCamera(core), scene_graph.world_frame_id(), pose
+    )
     matplotlib.image.imsave(path, np.ascontiguousarray(image.data), format="png")
     return True

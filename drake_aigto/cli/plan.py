@@ -9,28 +9,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from drake_aigto.cli import flags
 from drake_aigto.cli.command_line import KEEPING, hear_ctrl_c, paint, show_progress
-from drake_aigto.cli.flags import (
-    FINE,
-    INTERRUPTED,
-    NOTHING_HOLDS,
-    NUMERICS,
-    add_command,
-    add_confirm,
-    add_fields,
-    add_html,
-    add_json,
-    add_scenario,
-    add_workers,
-    is_file,
-    load_scenario,
-    name_flag,
-    natural,
-    positive,
-    read_fields,
-    read_scenario,
-    read_workers,
-)
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import ROWS, LiteralOptions, plan_literal, run_table1
 from drake_aigto.plain import check_writable, to_plain, write_text
@@ -74,27 +54,27 @@ drake-aigto table1 --html table1.html         # a page, to mail
 
 def add_plan(commands: Any) -> None:
     """Adds the command that plans."""
-    plan = add_command(commands, "plan", _plan, "plan for a scenario", _PLAN_EXAMPLES)
-    add_scenario(plan)
-    group = plan.add_argument_group(NUMERICS)
+    plan = flags.add_command(commands, "plan", _plan, "plan for a scenario", _PLAN_EXAMPLES)
+    flags.add_scenario(plan)
+    group = plan.add_argument_group(flags.NUMERICS)
     text = "literal: plan as the paper does; default: as the world requires"
     group.add_argument("--transcription", metavar="literal", help=text)
-    add_fields(group, PlanOptions, *_NO_FLAGS)
+    flags.add_fields(group, PlanOptions, *_NO_FLAGS)
     shared = (field.name for field in fields(PlanOptions))
-    add_fields(group, LiteralOptions, *_NO_FLAGS, *shared, note="literal: ")
-    add_confirm(plan)
-    add_json(plan, "write the plan, for `replay` and `play`")
+    flags.add_fields(group, LiteralOptions, *_NO_FLAGS, *shared, note="literal: ")
+    flags.add_confirm(plan)
+    flags.add_json(plan, "write the plan, for `replay` and `play`")
     plan.add_argument("--csv", metavar="FILE", help="write its trajectory, one row per knot")
-    add_html(plan)
+    flags.add_html(plan)
 
 
 def add_replay(commands: Any) -> None:
     """Adds the command that simulates a plan again."""
     text = "simulate a plan's control again"
-    replay = add_command(commands, "replay", _replay, text, _REPLAY_EXAMPLES)
+    replay = flags.add_command(commands, "replay", _replay, text, _REPLAY_EXAMPLES)
     replay.add_argument("plan", metavar="PLAN.json", help="a plan file")
-    add_confirm(replay)
-    add_json(replay, "write the plan with its new replays")
+    flags.add_confirm(replay)
+    flags.add_json(replay, "write the plan with its new replays")
 
 
 def _read_options(options: argparse.Namespace) -> PlanOptions | LiteralOptions:
@@ -117,16 +97,16 @@ def _read_options(options: argparse.Namespace) -> PlanOptions | LiteralOptions:
         kinds.reverse()
         got, expected = literal, "another plan, whose option it is"
     kind, other = kinds
-    given = read_fields(options, kind)
-    for option in read_fields(options, other):
+    given = flags.read_fields(options, kind)
+    for option in flags.read_fields(options, other):
         if option not in given:
-            raise OptionsError(name_flag(option), got=got, expected=expected)
+            raise OptionsError(flags.name_flag(option), got=got, expected=expected)
     return kind(**given)
 
 
 def _plan(options: argparse.Namespace) -> int:
     check_writable(options.json, options.csv, options.html)
-    scenario = load_scenario(options)
+    scenario = flags.load_scenario(options)
     world = World.from_scenario(scenario)
     chosen = _read_options(options)
     try:
@@ -151,7 +131,7 @@ def _answer_plan(options: argparse.Namespace, plan: Plan) -> int:
             page = report_plan(plan, progress=progress)
         write_text(options.html, page)
         print(f"wrote {options.html}", flush=True)
-    return INTERRUPTED if plan.is_interrupted else status
+    return flags.INTERRUPTED if plan.is_interrupted else status
 
 
 def _replay(options: argparse.Namespace) -> int:
@@ -169,19 +149,21 @@ def _answer(options: argparse.Namespace, plan: Plan, text: str) -> int:
     if getattr(options, "csv", None):
         write_text(options.csv, to_csv(plan))
     print(paint(text), flush=True)
-    return FINE if plan.holds else NOTHING_HOLDS
+    return flags.FINE if plan.holds else flags.NOTHING_HOLDS
 
 
 def add_plan_many(commands: Any) -> None:
     """Adds the command."""
     text = "plan for many scenarios, in parallel"
-    command = add_command(commands, "plan-many", _plan_many, text, _MANY_EXAMPLES, _MANY_NOTES)
+    command = flags.add_command(
+        commands, "plan-many", _plan_many, text, _MANY_EXAMPLES, _MANY_NOTES
+    )
     text = "shipped scenarios by name, or YAML files"
     command.add_argument("scenarios", nargs="+", metavar="SCENARIO", help=text)
     command.add_argument("--into", metavar="FOLDER", help="keep plans there, as they come")
     text = "continue from the folder; scenarios whose process died are tried again"
     command.add_argument("--resume", action="store_true", help=text)
-    add_workers(command)
+    flags.add_workers(command)
 
 
 def _plan_many(options: argparse.Namespace) -> int:
@@ -191,7 +173,7 @@ def _plan_many(options: argparse.Namespace) -> int:
     if options.resume and options.into is None:
         raise OptionsError("--resume", got="no folder", expected="--into FOLDER")
     where = {"workers": options.workers, "scheduler": options.scheduler}
-    width, status = max(map(len, questions)), FINE
+    width, status = max(map(len, questions)), flags.FINE
     try:
         with show_progress(options, "checking the questions") as progress, hear_ctrl_c(_ENDED):
             kept = {"folder": options.into, "resume": options.resume}
@@ -203,7 +185,7 @@ def _plan_many(options: argparse.Namespace) -> int:
                     text = f"holds  cost {cost:>9}  {answer.seconds:7.2f} s  {touches}"
                     text += plan.idleness and f"; {plan.idleness}"
                 print(f"{answer.name:{width}}  {text}", flush=True)
-                status = status if answer.holds else NOTHING_HOLDS
+                status = status if answer.holds else flags.NOTHING_HOLDS
     except KeyboardInterrupt:
         if options.into:
             print(f"drake-aigto: --resume goes on from {options.into}", file=sys.stderr)
@@ -220,26 +202,26 @@ def _read_questions(names: list[str]) -> dict[str, Scenario]:
     """
     questions: dict[str, Scenario] = {}
     for name in names:
-        short = Path(name).stem if is_file(name) else name
+        short = Path(name).stem if flags.is_file(name) else name
         if short in questions:
             raise OptionsError(f"SCENARIO {name}", got="the same name twice", expected="each once")
-        questions[short] = read_scenario(name)
+        questions[short] = flags.read_scenario(name)
     return questions
 
 
 def add_table1(commands: Any) -> None:
     """Adds the command."""
     text = "the paper's Table I, and what each plan does on a rigid wall"
-    table1 = add_command(commands, "table1", _table1, text, _TABLE_EXAMPLES)
+    table1 = flags.add_command(commands, "table1", _table1, text, _TABLE_EXAMPLES)
     add = table1.add_argument
     add("--rows", type=int, nargs="+", choices=ROWS, default=ROWS, help="which rows (default: all)")
     text = "random guesses of the gradient solver (default: %(default)s)"
-    add("--guesses", type=positive, default=10, help=text)
-    add("--seed", type=natural, default=0, help="of the guesses (default: %(default)s)")
-    add_confirm(table1)
-    add_workers(table1)
-    add_json(table1, "write all plans and figures")
-    add_html(table1)
+    add("--guesses", type=flags.positive, default=10, help=text)
+    add("--seed", type=flags.natural, default=0, help="of the guesses (default: %(default)s)")
+    flags.add_confirm(table1)
+    flags.add_workers(table1)
+    flags.add_json(table1, "write all plans and figures")
+    flags.add_html(table1)
 
 
 def _table1(options: argparse.Namespace) -> int:
@@ -250,7 +232,7 @@ def _table1(options: argparse.Namespace) -> int:
             num_guesses=options.guesses,
             seed=options.seed,
             confirm=options.confirm,
-            executor=read_workers(options),
+            executor=flags.read_workers(options),
             progress=progress,
         )
     if options.json:
@@ -262,4 +244,4 @@ def _table1(options: argparse.Namespace) -> int:
             page = report_table1(table)
         write_text(options.html, page)
     print(format_table1(table), flush=True)
-    return INTERRUPTED if table.num_missing else FINE
+    return flags.INTERRUPTED if table.num_missing else flags.FINE

@@ -10,24 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drake_aigto import show
+from drake_aigto.cli import flags
 from drake_aigto.cli.command_line import KEEPING, hear_ctrl_c, paint, show_progress
-from drake_aigto.cli.flags import (
-    FINE,
-    INTERRUPTED,
-    UNKNOWN,
-    add_command,
-    add_fields,
-    add_html,
-    add_json,
-    add_port,
-    add_scenario,
-    load_scenario,
-    name_flag,
-    natural,
-    positive,
-    read_fields,
-    seconds,
-)
 from drake_aigto.control import (
     ClosedLoopRun,
     Disturbance,
@@ -81,10 +65,10 @@ _DEFAULT_PERIOD = 0.01  # [s]
 def add_play(commands: Any) -> None:
     """Adds the command that plays."""
     text = "watch a plan and its simulations, or a run in the loop, in Meshcat"
-    play = add_command(commands, "play", _play, text, _PLAY_EXAMPLES)
+    play = flags.add_command(commands, "play", _play, text, _PLAY_EXAMPLES)
     play.add_argument("plan", metavar="FILE.json", help=_FILE)
-    add_html(play)
-    add_port(play)
+    flags.add_html(play)
+    flags.add_port(play)
     what = play.add_mutually_exclusive_group()
     text = "show a gradient solver's plan for the same scenario beside the plan"
     what.add_argument("--beside", choices=["gradient"], help=text)
@@ -113,7 +97,7 @@ def _play(options: argparse.Namespace) -> int:
     else:
         print(recording)
         wait_at(meshcat)
-    return FINE
+    return flags.FINE
 
 
 def _load(path: str) -> Plan | ClosedLoopRun:
@@ -151,9 +135,9 @@ def wait_at(meshcat: Meshcat) -> None:
 def add_report(commands: Any) -> None:
     """Adds the command that writes a page."""
     text = "write one self-contained page about a plan or a run in the loop"
-    report = add_command(commands, "report", _report, text, _REPORT_EXAMPLES)
+    report = flags.add_command(commands, "report", _report, text, _REPORT_EXAMPLES)
     report.add_argument("plan", metavar="FILE.json", help=_FILE)
-    add_html(report, is_required=True)
+    flags.add_html(report, is_required=True)
 
 
 def _report(options: argparse.Namespace) -> int:
@@ -166,31 +150,31 @@ def _report(options: argparse.Namespace) -> int:
             page = show.report_run(shown, say)
     write_text(options.html, page)
     print(f"wrote {options.html}, {len(page.encode()) / 1e6:.1f} MB")
-    return FINE
+    return flags.FINE
 
 
 def add_live(commands: Any) -> None:
     """Adds the command whose plan follows sliders."""
     text = "drag start, velocity, goal, walls and weights in Meshcat, and the plan follows"
-    live = add_command(commands, "live", _live, text, _LIVE_EXAMPLES)
-    add_scenario(live)
-    add_port(live)
+    live = flags.add_command(commands, "live", _live, text, _LIVE_EXAMPLES)
+    flags.add_scenario(live)
+    flags.add_port(live)
 
 
 def _live(options: argparse.Namespace) -> int:
     tell = partial(print, flush=True)
-    live = show.Live(load_scenario(options), tell, options.port)
+    live = show.Live(flags.load_scenario(options), tell, options.port)
     with hear_ctrl_c("the scene is closed"):
         live.run()
-    return FINE
+    return flags.FINE
 
 
 def add_compare(commands: Any) -> None:
     """Adds the command that puts plans on one page."""
     text = "write one page about several plans for the same world"
-    compare = add_command(commands, "compare", _compare, text, _COMPARE_EXAMPLES)
+    compare = flags.add_command(commands, "compare", _compare, text, _COMPARE_EXAMPLES)
     compare.add_argument("plans", metavar="FILE.json", nargs="+", help="plan files")
-    add_html(compare, is_required=True)
+    flags.add_html(compare, is_required=True)
 
 
 def _compare(options: argparse.Namespace) -> int:
@@ -198,35 +182,35 @@ def _compare(options: argparse.Namespace) -> int:
     plans = {Path(path).stem: Plan.load(path) for path in options.plans}
     write_text(options.html, show.compare(plans).to_html())
     print(f"wrote {options.html}")
-    return FINE
+    return flags.FINE
 
 
 def add_control(commands: Any) -> None:
     """Adds the command that closes the loop."""
     text = "simulate a plant under a controller that plans again, or tracks a plan, in Drake"
-    control = add_command(commands, "control", _control, text, _CONTROL_EXAMPLES)
-    add_scenario(control)
+    control = flags.add_command(commands, "control", _control, text, _CONTROL_EXAMPLES)
+    flags.add_scenario(control)
     _add_controller(control.add_argument_group("controller"))
-    unknown = control.add_argument_group(UNKNOWN)
-    add_fields(unknown, Disturbance, "seed")
+    unknown = control.add_argument_group(flags.UNKNOWN)
+    flags.add_fields(unknown, Disturbance, "seed")
     text = "of the noise (default: 0)"
-    unknown.add_argument("--noise-seed", type=natural, metavar="N", dest="seed", help=text)
-    add_json(control, "write the log: motion, controls, ticks, plans at switches")
-    add_html(control)
+    unknown.add_argument("--noise-seed", type=flags.natural, metavar="N", dest="seed", help=text)
+    flags.add_json(control, "write the log: motion, controls, ticks, plans at switches")
+    flags.add_html(control)
     text = "show the plant in Meshcat as it moves, in real time, and wait"
     control.add_argument("--live", action="store_true", help=text)
-    add_port(control)
+    flags.add_port(control)
 
 
 def _add_controller(group: Any) -> None:
     text = "plan again at every tick, or track one plan (default: plan again if possible)"
     group.add_argument("--method", choices=["replanning", "tracking"], help=text)
     text = "how long to simulate (default: the scenario's duration) [s]"
-    group.add_argument("--seconds", type=seconds, metavar="X", help=text)
+    group.add_argument("--seconds", type=flags.seconds, metavar="X", help=text)
     text = f"between ticks [s] (default: {_DEFAULT_PERIOD:g}; of tracking, a fifth of a time step)"
-    group.add_argument("--period", type=seconds, metavar="X", help=text)
+    group.add_argument("--period", type=flags.seconds, metavar="X", help=text)
     text = "replanning: ticks from one search to the next (default: only if the cost rises)"
-    group.add_argument("--search-every", type=positive, metavar="N", help=text)
+    group.add_argument("--search-every", type=flags.positive, metavar="N", help=text)
     text = (
         "replanning: the horizon ends with the scenario, or recedes at its full length "
         "(default: receding if --seconds is longer than the scenario)"
@@ -235,14 +219,16 @@ def _add_controller(group: Any) -> None:
     text = "filter the noise by the model, before the controller"
     group.add_argument("--filter", action="store_true", help=text)
     text = "the most renewals of a search (default: the planner's)"
-    group.add_argument("--renewals", type=natural, metavar="N", help=text)
+    group.add_argument("--renewals", type=flags.natural, metavar="N", help=text)
 
 
 def _control(options: argparse.Namespace) -> int:
     check_writable(options.json, options.html)
-    scenario = load_scenario(options)
+    scenario = flags.load_scenario(options)
     given = {
-        k: value for k, value in read_fields(options, Disturbance).items() if value is not None
+        k: value
+        for k, value in flags.read_fields(options, Disturbance).items()
+        if value is not None
     }
     disturbance = Disturbance(**given)
     _check_flags(options, disturbance)
@@ -268,7 +254,7 @@ def _control(options: argparse.Namespace) -> int:
     status = _answer_run(options, run, meshcat)
     if isinstance(controller, TrackingController) and controller.plan.is_interrupted:
         print(f"of the plan: {show.INTERRUPTED}", flush=True)
-        return INTERRUPTED
+        return flags.INTERRUPTED
     return status
 
 
@@ -288,7 +274,9 @@ def _check_flags(options: argparse.Namespace, disturbance: Disturbance) -> None:
         for name in ("search_every", "horizon"):
             if getattr(options, name) is not None:
                 expected = "--method replanning, whose flag it is"
-                raise OptionsError(name_flag(name), got="--method tracking", expected=expected)
+                raise OptionsError(
+                    flags.name_flag(name), got="--method tracking", expected=expected
+                )
 
 
 def _make_controller(
@@ -325,4 +313,4 @@ def _answer_run(options: argparse.Namespace, run: ClosedLoopRun, meshcat: Meshca
         meshcat.Delete(_LIVE)
         print(show.show_run(run, meshcat))
         wait_at(meshcat)
-    return INTERRUPTED if run.is_interrupted else FINE
+    return flags.INTERRUPTED if run.is_interrupted else flags.FINE

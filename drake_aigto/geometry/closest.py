@@ -10,20 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.geometry.balls import (
-    TINY,
-    clear,
-    copy,
-    cross,
-    dot,
-    find_lowest,
-    lie_on_face,
-    move_along,
-    reach_ball,
-    reach_core,
-    reach_hull,
-    turn_back,
-)
+from drake_aigto.geometry import balls
 from drake_aigto.geometry.shapes import (
     BALL,
     BOX,
@@ -87,12 +74,12 @@ def find_closest(
         places: origins of these, shape (G, 3) [m].
         out: becomes the result.
     """
-    clear(out.by_turn)
-    clear(out.foot_by_turn)
+    balls.clear(out.by_turn)
+    balls.clear(out.foot_by_turn)
     kind, other, size_a, size_b = shapes.kinds[a], shapes.kinds[b], shapes.sizes[a], shapes.sizes[b]
     Ra, pa, Rb, pb = rotations[a], places[a], rotations[b], places[b]
     c, radius = out.c, 0.0
-    copy(pa, c)
+    balls.copy(pa, c)
     if kind == CAPSULE and other == CAPSULE:
         reach_capsules(Ra, pa, size_a, Rb, pb, size_b, out)
         return
@@ -106,19 +93,19 @@ def find_closest(
         radius = size_a[0]
         if other == HULL:
             faces = shapes.faces[shapes.spans[b] : shapes.spans[b + 1]]
-            reach_hull(c, radius, faces, Rb, pb, out)
+            balls.reach_hull(c, radius, faces, Rb, pb, out)
             return
     elif kind == CAPSULE:  # Its lower end.
         radius = size_a[0]
-        move_along(pa, Ra, -np.sign(turn_back(Ra, Rb, 2)) * size_a[1], c)
+        balls.move_along(pa, Ra, -np.sign(balls.turn_back(Ra, Rb, 2)) * size_a[1], c)
     elif kind == BOX:  # Its lowest corner.
         for i in range(3):
-            side = -size_a[i] if turn_back(Ra, Rb, i) > 0.0 else size_a[i]
+            side = -size_a[i] if balls.turn_back(Ra, Rb, i) > 0.0 else size_a[i]
             for k in range(3):
                 c[k] += side * Ra[k, i]
     else:
-        find_lowest(shapes.faces[shapes.spans[a] : shapes.spans[a + 1]], Ra, Rb, c)
-    reach_ball(c, radius, other, Rb, pb, size_b, out)
+        balls.find_lowest(shapes.faces[shapes.spans[a] : shapes.spans[a + 1]], Ra, Rb, c)
+    balls.reach_ball(c, radius, other, Rb, pb, size_b, out)
 
 
 @borrowing
@@ -131,12 +118,12 @@ def _reach_rim(
     turn by ω slides that point by −r t (t × n · ω)/‖m‖.
     """
     c, n, radius = out.c, out.n, size[0]
-    x, y = turn_back(Ra, Rb, 0), turn_back(Ra, Rb, 1)
-    across = max(np.sqrt(x * x + y * y), TINY)
-    along = -size[1] * np.sign(turn_back(Ra, Rb, 2))
+    x, y = balls.turn_back(Ra, Rb, 0), balls.turn_back(Ra, Rb, 1)
+    across = max(np.sqrt(x * x + y * y), balls.TINY)
+    along = -size[1] * np.sign(balls.turn_back(Ra, Rb, 2))
     for k in range(3):
         c[k] = pa[k] + along * Ra[k, 2] - radius * (x * Ra[k, 0] + y * Ra[k, 1]) / across
-    reach_ball(c, 0.0, HALF_SPACE, Rb, pb, half, out)
+    balls.reach_ball(c, 0.0, HALF_SPACE, Rb, pb, half, out)
     for j in range(3):
         u, w = (j + 1) % 3, (j + 2) % 3
         lever = _along_rim(Ra, x, y, u) * n[w] - _along_rim(Ra, x, y, w) * n[u]
@@ -174,17 +161,17 @@ def reach_capsules(
     t = min(max(to_b + s * product, -half_b), half_b)
     s = min(max(to_a + t * product, -half_a), half_a)
     c = out.c
-    move_along(pa, Ra, s, c)
+    balls.move_along(pa, Ra, s, c)
     if abs(s) >= half_a or sine <= _PARALLEL:
-        reach_ball(c, size_a[0], CAPSULE, Rb, pb, size_b, out)
+        balls.reach_ball(c, size_a[0], CAPSULE, Rb, pb, size_b, out)
     elif abs(t) >= half_b:
-        move_along(pb, Rb, t, c)
-        reach_ball(c, size_b[0], CAPSULE, Ra, pa, size_a, out)
+        balls.move_along(pb, Rb, t, c)
+        balls.reach_ball(c, size_b[0], CAPSULE, Ra, pa, size_a, out)
         _turn_round(size_b[0], out)
     else:
-        move_along(pb, Rb, t, out.foot)
-        clear(out.foot_by_place)
-        reach_core(c, size_a[0], size_b[0], Ra, out)
+        balls.move_along(pb, Rb, t, out.foot)
+        balls.clear(out.foot_by_place)
+        balls.reach_core(c, size_a[0], size_b[0], Ra, out)
         _cross(Ra[:, 2], Rb[:, 2], size_a[0] + size_b[0], size_b[0], out)
 
 
@@ -217,15 +204,15 @@ def _cross(a: Floats, b: Floats, radii: float, wall: float, out: Closest) -> Non
     """
     n, by_turn = out.n, out.by_turn
     m, g, across = out.by_place[0], out.by_place[1], out.by_place[2]  # Room, until it becomes 0.
-    cross(a, b, m)
-    cross(n, a, g)
-    size, product, along = np.sqrt(dot(m, m)), dot(a, b), dot(g, b)
-    size = size if dot(m, n) > 0.0 else -size
+    balls.cross(a, b, m)
+    balls.cross(n, a, g)
+    size, product, along = np.sqrt(balls.dot(m, m)), balls.dot(a, b), balls.dot(g, b)
+    size = size if balls.dot(m, n) > 0.0 else -size
     distance = out.distance[0] + radii
     for j in range(3):
         for i in range(3):
             across[i] = (a[i] * b[j] - (product if i == j else 0.0)) / size
-        inward = dot(n, across)
+        inward = balls.dot(n, across)
         for i in range(3):
             by_turn[i, j] = across[i] - inward * n[i]
     for j in range(3):
@@ -235,7 +222,7 @@ def _cross(a: Floats, b: Floats, radii: float, wall: float, out: Closest) -> Non
         for i in range(3):
             out.foot_by_place[i, j] = b[i] * g[j] / along
             out.foot_by_turn[i, j] = wall * by_turn[i, j] - distance * b[i] * slide / along
-    clear(out.by_place)
+    balls.clear(out.by_place)
 
 
 @borrowing
@@ -275,11 +262,11 @@ def reach_capsule_and_box(
             outside += 1
         else:
             free = i
-    if square <= TINY * TINY:
+    if square <= balls.TINY * balls.TINY:
         _pierce(Ra, pa, size, Rb, pb, half, out)
     elif abs(t) >= size[1] or outside == 1:
-        move_along(pa, Ra, t, c)
-        reach_ball(c, size[0], BOX, Rb, pb, half, out)
+        balls.move_along(pa, Ra, t, c)
+        balls.reach_ball(c, size[0], BOX, Rb, pb, half, out)
     elif outside == 2:
         _reach_edge(Ra, pa, size, Rb, pb, half, free, out)
     else:
@@ -287,7 +274,7 @@ def reach_capsule_and_box(
             c[k] = pb[k]
             for i in range(3):
                 c[k] += np.copysign(half[i], x[i] + t * d[i]) * Rb[k, i]
-        reach_ball(c, 0.0, CAPSULE, Ra, pa, size, out)
+        balls.reach_ball(c, 0.0, CAPSULE, Ra, pa, size, out)
         _turn_round(0.0, out)
 
 
@@ -328,10 +315,10 @@ def _pierce(
         _reach_edge(Ra, pa, size, Rb, pb, half, nearest, out)
         return
     side = np.copysign(1.0, x[nearest])
-    move_along(pa, Ra, -side * np.copysign(size[1], d[nearest]), out.c)
+    balls.move_along(pa, Ra, -side * np.copysign(size[1], d[nearest]), out.c)
     for k in range(3):
         out.n[k] = side * Rb[k, nearest]
-    lie_on_face(out.c, height, size[0], out)
+    balls.lie_on_face(out.c, height, size[0], out)
 
 
 @borrowing
@@ -347,7 +334,7 @@ def _reach_edge(
     n_u, n_w = -side * d[w], side * d[u]
     e_u, e_w = np.copysign(half[u], n_u), np.copysign(half[w], n_w)
     t = ((e_u - x[u]) * d[u] + (e_w - x[w]) * d[w]) / across**2
-    move_along(pa, Ra, t, out.c)
+    balls.move_along(pa, Ra, t, out.c)
     for k in range(3):
         n[k] = n_u * Rb[k, u] + n_w * Rb[k, w]
         foot[k] = pb[k] + e_u * Rb[k, u] + e_w * Rb[k, w] + (x[i] + t * d[i]) * Rb[k, i]

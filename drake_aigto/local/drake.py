@@ -17,20 +17,11 @@ from pydrake.solvers import (
 )
 from pydrake.symbolic import Expression, MakeVectorVariable
 
+from drake_aigto import terms
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.local.nlp import PolynomialNlp, check_bounds
 from drake_aigto.progress import log_from
-from drake_aigto.terms import (
-    ParsedRow,
-    Term,
-    TermBlock,
-    evaluate,
-    from_terms,
-    parse_costs,
-    parse_rows,
-    shared_evaluators,
-)
 
 # Rows are multiplied by distances of 1e-4 m near the wall: asked this tight, the true defects end
 # below 1e-8.
@@ -63,18 +54,18 @@ def compile_nlp(prog: MathematicalProgram, order: ArrayLike | None = None) -> Po
         UnsupportedTermError: A cost or constraint without such a form (it is named), or bounds that
             contradict each other.
     """
-    costs = parse_costs(prog)
+    costs = terms.parse_costs(prog)
     lower, upper = np.full(prog.num_vars(), -np.inf), np.full(prog.num_vars(), np.inf)
-    rows: list[TermBlock] = []
-    for label, evaluator, copies in shared_evaluators(prog, prog.GetAllConstraints()):
-        for row in parse_rows(label, evaluator, copies):
+    rows: list[terms.TermBlock] = []
+    for label, evaluator, copies in terms.shared_evaluators(prog, prog.GetAllConstraints()):
+        for row in terms.parse_rows(label, evaluator, copies):
             if not row.is_free and not row.tighten(lower, upper):
                 rows.append(_equality(row))
     check_bounds(lower, upper, lambda i: str(prog.decision_variable(i)))
     return PolynomialNlp(prog.num_vars(), costs, tuple(rows), lower, upper, order)
 
 
-def _equality(row: ParsedRow) -> TermBlock:
+def _equality(row: terms.ParsedRow) -> terms.TermBlock:
     """Returns row − value = 0."""
     if not row.is_equality:
         raise UnsupportedTermError(
@@ -84,8 +75,8 @@ def _equality(row: ParsedRow) -> TermBlock:
             expected="equalities, and bounds on single variables",
             remedy="Give the expression a variable s of its own: expression == s, s ≥ 0.",
         )
-    rest = (Term(-row.lower, ()),) if row.lower else ()
-    return TermBlock(row.block.name, (*row.block.terms, *rest), row.block.variables)
+    rest = (terms.Term(-row.lower, ()),) if row.lower else ()
+    return terms.TermBlock(row.block.name, (*row.block.terms, *rest), row.block.variables)
 
 
 def as_program(nlp: PolynomialNlp) -> MathematicalProgram:
@@ -97,7 +88,7 @@ def as_program(nlp: PolynomialNlp) -> MathematicalProgram:
         y = MakeVectorVariable(block.variables.shape[1], "y")
         # NumPy takes Drake's boxed constants for invalid numbers, and warns.
         with np.errstate(invalid="ignore"):
-            formula = evaluate(from_terms(block.terms), y * Expression(1.0))
+            formula = terms.evaluate(terms.from_terms(block.terms), y * Expression(1.0))
         is_cost = number < len(nlp.costs)
         each = ExpressionCost(formula) if is_cost else ExpressionConstraint([formula], [0.0], [0.0])
         places = {variable.get_id(): i for i, variable in enumerate(y)}

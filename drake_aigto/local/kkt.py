@@ -13,20 +13,9 @@ import numpy as np
 from scipy.linalg.blas import dsbmv
 from scipy.linalg.lapack import dsytrf, dsytrs
 
+from drake_aigto import linear
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.box import Order, System, add_means, make_lanes
-from drake_aigto.linear import (
-    Factorization,
-    Pattern,
-    SparseFactors,
-    Storage,
-    choose_storage,
-    factorize,
-    factorize_indefinite,
-    multiply,
-    narrow_band,
-    solve_indefinite,
-)
 from drake_aigto.terms import StackedTerms
 
 _LOG = logging.getLogger(__name__)
@@ -42,18 +31,18 @@ _SHIFT, _ROW_SHIFT = 1e-9, 1e-10
 _LARGEST_ERROR = 1e-6  # of a refined solution's product, for a right-hand side of ones and −1
 
 
-def make_factors(storage: Storage, is_row: Bools) -> SymmetricFactors:
+def make_factors(storage: linear.Storage, is_row: Bools) -> SymmetricFactors:
     """Returns room for factors of KKT matrices, of whose unknowns (size,) some belong to rows."""
     if storage.pattern is not None:
         return SparseKktFactors(storage.pattern, is_row)
-    kind = DenseFactors if storage.factorization is Factorization.DENSE else BandFactors
+    kind = DenseFactors if storage.factorization is linear.Factorization.DENSE else BandFactors
     return kind(storage.size, storage.bandwidth)
 
 
 class SymmetricFactors(ABC):
     """Factors of one symmetric matrix at a time, all of the same sparsity."""
 
-    _pattern: Pattern | None = None
+    _pattern: linear.Pattern | None = None
     _refinements = 2
     _matrix: Floats
     _is_singular: bool
@@ -114,11 +103,11 @@ class BandFactors(SymmetricFactors):
 
     def _factorize(self, matrix: Floats) -> int:
         front, active = self._work
-        return factorize_indefinite(matrix.T, front, active, *self._columns)
+        return linear.factorize_indefinite(matrix.T, front, active, *self._columns)
 
     def _solve(self, right: Floats) -> Floats:
         solution = right.copy()
-        solve_indefinite(*self._columns, solution)
+        linear.solve_indefinite(*self._columns, solution)
         return solution
 
 
@@ -164,9 +153,9 @@ class SparseKktFactors(SymmetricFactors):
     """
 
     _refinements = 10
-    _factors: SparseFactors
+    _factors: linear.SparseFactors
 
-    def __init__(self, pattern: Pattern, is_row: Bools) -> None:
+    def __init__(self, pattern: linear.Pattern, is_row: Bools) -> None:
         """Takes the pattern, and which unknowns are multipliers of rows (size,)."""
         self._pattern = self._sparsity = pattern
         self._is_row = is_row
@@ -177,7 +166,7 @@ class SparseKktFactors(SymmetricFactors):
         diagonal = values[: self._is_row.size]
         shifted = np.where(self._is_row, np.minimum(diagonal, -_ROW_SHIFT), diagonal + _SHIFT)
         values[: shifted.size] = shifted
-        factors = factorize(self._sparsity, values)
+        factors = linear.factorize(self._sparsity, values)
         if factors is None:
             return -1
         self._factors, self._is_singular = factors, False
@@ -188,12 +177,12 @@ class SparseKktFactors(SymmetricFactors):
         return self._factors.solve(right)
 
 
-def multiply_symmetric(matrix: Floats, x: Floats, pattern: Pattern | None = None) -> Floats:
+def multiply_symmetric(matrix: Floats, x: Floats, pattern: linear.Pattern | None = None) -> Floats:
     """Returns the product of a symmetric matrix with a vector (size,)."""
     if x.size == 0:
         return x
     if pattern is not None:
-        return multiply(pattern, matrix[0], x)
+        return linear.multiply(pattern, matrix[0], x)
     return dsbmv(matrix.shape[0] - 1, 1.0, matrix, x, lower=1)
 
 
@@ -251,7 +240,7 @@ class KktStructure:
         incidence = np.vstack([self.free.size + row_numbers, variables_read])
         edges = np.hstack([couplings, incidence])
         orders = self._orders(position, edges, incidence)
-        self.storage = choose_storage(self.size, edges, orders, may_be_dense=True)
+        self.storage = linear.choose_storage(self.size, edges, orders, may_be_dense=True)
         places = self.storage.places
         self.variable_places, self.row_places = np.split(places, [self.free.size])
         self._place_of_variable = np.full(is_free.size, -1)
@@ -284,7 +273,7 @@ class KktStructure:
 
     def _orders(self, position: Ints, edges: Ints, incidence: Ints) -> list[Ints]:
         """Returns the places of all unknowns in orders that may have a narrow band."""
-        orders = [] if self.size <= _FEW else [narrow_band(self.size, edges)]
+        orders = [] if self.size <= _FEW else [linear.narrow_band(self.size, edges)]
         if orders and self._order is None:
             return orders
         kept = position if self._order is None else position[self._order]

@@ -8,23 +8,12 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
+from drake_aigto import planning
 from drake_aigto.aigo import AigoResult, Algorithm, Alternating, Annealing, FullGradient
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.contact import contact_delay
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper.transcriptions import LiteralTranscription
-from drake_aigto.planning import (
-    Candidate,
-    Origin,
-    Plan,
-    ProgramSolution,
-    ProgramTask,
-    Progress,
-    Rung,
-    SearchOptions,
-    SequenceSearch,
-    Stopwatch,
-)
 from drake_aigto.transcription import DYNAMICS, KINEMATICS, NONPENETRATION, Touch, Transcription
 from drake_aigto.world import Scenario, World
 
@@ -42,9 +31,9 @@ _ALGORITHMS: Mapping[str, Algorithm] = {
 }
 
 
-def _literal_rung(temperature: float, kinematics: float, dynamics: float) -> Rung:
+def _literal_rung(temperature: float, kinematics: float, dynamics: float) -> planning.Rung:
     weights = {KINEMATICS: kinematics, DYNAMICS: dynamics, NONPENETRATION: 5e-4}
-    return Rung(temperature, weights)
+    return planning.Rung(temperature, weights)
 
 
 # Light dynamics rows keep the paper's contact alive while boxes are wide: a heavy (φ + δ)² (…)² is
@@ -61,7 +50,7 @@ LITERAL_LADDER = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiteralOptions(SearchOptions):
+class LiteralOptions(planning.SearchOptions):
     """Numerics of a plan in the paper's transcription (`LiteralTranscription`).
 
     Attributes:
@@ -73,7 +62,7 @@ class LiteralOptions(SearchOptions):
         knot_steps: numbers of knots by which contacts of finalists are moved, in turn.
     """
 
-    ladder: tuple[Rung, ...] = field(default=LITERAL_LADDER, repr=False)
+    ladder: tuple[planning.Rung, ...] = field(default=LITERAL_LADDER, repr=False)
     nonpenetration: bool = True
     algorithm: AlgorithmName = "annealing"
     knot_steps: tuple[int, ...] = (16, 8, 4, 2, 1)
@@ -90,8 +79,8 @@ def plan_literal(
     scenario: Scenario,
     options: LiteralOptions | None = None,
     world: World | None = None,
-    progress: Progress | None = None,
-) -> Plan:
+    progress: planning.Progress | None = None,
+) -> planning.Plan:
     """Plans as the paper does (AIGTO Sec. IV): explicit Euler, with the contact force ε/(φ + δ).
 
     The plan of least cost is the answer, whether simulations confirm it or not; see `Plan.holds`.
@@ -103,7 +92,7 @@ def plan_literal(
         ModelError: the model can't be used, or has several contacts.
         PlanningError: no candidate meets the transcription's rows.
     """
-    options, clock = options or LiteralOptions(), Stopwatch()
+    options, clock = options or LiteralOptions(), planning.Stopwatch()
     world = world or World.from_scenario(scenario)
     world.check(scenario)
     world.rubbing.check_none(scenario.friction)
@@ -119,7 +108,7 @@ def plan_literal(
     return search.make_plan(scenario, best)
 
 
-class LiteralSearch(SequenceSearch):
+class LiteralSearch(planning.SequenceSearch):
     """AIGO proposes contact knots, and those of the best candidates are moved."""
 
     task: LiteralTask
@@ -148,7 +137,7 @@ class LiteralSearch(SequenceSearch):
             for known in self.by_sequence
         )
 
-    def rank(self, candidate: Candidate) -> tuple[float, ...]:
+    def rank(self, candidate: planning.Candidate) -> tuple[float, ...]:
         """Orders by feasibility and by the cost that is promised."""
         return not candidate.is_feasible, candidate.cost
 
@@ -173,7 +162,7 @@ def make_literal_task(
     return LiteralTask(LiteralTranscription(world, scenario, options.nonpenetration), options)
 
 
-class LiteralTask(ProgramTask):
+class LiteralTask(planning.ProgramTask):
     """The literal transcription: a contact sequence is the knot at the wall, or ()."""
 
     transcription: LiteralTranscription
@@ -188,7 +177,7 @@ class LiteralTask(ProgramTask):
         options = options or LiteralOptions()
         super().__init__(transcription, options, options.ladder)
 
-    def make_algorithm(self, rung: Rung) -> Algorithm:
+    def make_algorithm(self, rung: planning.Rung) -> Algorithm:
         """Returns the options' algorithm."""
         annealing = Annealing(initial_temperature=rung.temperature * self._cost_scale)
         return _ALGORITHMS.get(self.options.algorithm, annealing)
@@ -198,7 +187,7 @@ class LiteralTask(ProgramTask):
         """The options' algorithm."""
         return self.options.algorithm
 
-    def find_sequences(self, result: AigoResult, rung: Rung) -> list[Knots]:
+    def find_sequences(self, result: AigoResult, rung: planning.Rung) -> list[Knots]:
         """Returns the contact sequences that AIGO proposes; () is a free flight.
 
         One is read off the box center itself, another after pulling it towards the constraints.
@@ -206,14 +195,14 @@ class LiteralTask(ProgramTask):
         center = result.box.center
         return [contact_knots(self.transcription, x) for x in (center, self.pull(center, rung))]
 
-    def polish(self, center: Floats, sequence: Knots) -> ProgramSolution:
+    def polish(self, center: Floats, sequence: Knots) -> planning.ProgramSolution:
         """Returns the local optimum next to a contact sequence.
 
         The local solver starts from the ballistic guess: of AIGO's box center only the sequence is
         kept, as its penalized rows are off by far.
         """
         guess = ballistic_guess(self.transcription, center, sequence)
-        return ProgramSolution.of(self.transcription, self.solve_locally(guess))
+        return planning.ProgramSolution.of(self.transcription, self.solve_locally(guess))
 
 
 def contact_knots(transcription: Transcription, x: Floats) -> Knots:
@@ -249,13 +238,15 @@ def ballistic_guess(transcription: Transcription, x: Floats, knots: Knots) -> Fl
     return transcription.vector_of(path, velocities, np.zeros(controls.shape))
 
 
-def gradient_from_zero(problem: LiteralTask) -> Candidate:
+def gradient_from_zero(problem: LiteralTask) -> planning.Candidate:
     """Returns the result of the problem's local solver from a guess of zeros."""
     start = np.zeros(problem.transcription.prog().num_vars())
     return _run(problem, "zero", start)
 
 
-def gradient_from_random(problem: LiteralTask, generator: np.random.Generator) -> Candidate:
+def gradient_from_random(
+    problem: LiteralTask, generator: np.random.Generator
+) -> planning.Candidate:
     """Returns the local solver's result from a guess, uniform over the first box of AIGO."""
     return _run(problem, "random", random_guess(problem.transcription, generator))
 
@@ -266,6 +257,8 @@ def random_guess(transcription: Transcription, generator: np.random.Generator) -
     return generator.uniform(center - half_width, center + half_width)
 
 
-def _run(problem: LiteralTask, proposer: str, start: Floats) -> Candidate:
+def _run(problem: LiteralTask, proposer: str, start: Floats) -> planning.Candidate:
     x = problem.solve_locally(start)
-    return problem.judge(Origin(proposer), start, ProgramSolution.of(problem.transcription, x))
+    return problem.judge(
+        planning.Origin(proposer), start, planning.ProgramSolution.of(problem.transcription, x)
+    )

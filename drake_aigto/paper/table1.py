@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from drake_aigto import planning
 from drake_aigto.contact import contact_delay
 from drake_aigto.jobs import open_jobs
 from drake_aigto.paper.planner import (
@@ -26,15 +27,6 @@ from drake_aigto.paper.planner import (
     plan_literal,
 )
 from drake_aigto.paper.rigid_optimum import RigidOptimum, rigid_optimum
-from drake_aigto.planning import (
-    Candidate,
-    LocalSolverName,
-    Plan,
-    Planner,
-    PlanningError,
-    PlanOptions,
-    Replays,
-)
 from drake_aigto.progress import Count
 from drake_aigto.simulation import Replay
 from drake_aigto.world import Scenario, World
@@ -43,10 +35,10 @@ _LOG = logging.getLogger(__name__)
 
 ROWS = (1, 2, 3, 4)
 # Through Drake.
-GRADIENT_SOLVERS: tuple[LocalSolverName, ...] = ("snopt", "ipopt")
+GRADIENT_SOLVERS: tuple[planning.LocalSolverName, ...] = ("snopt", "ipopt")
 # Whether φ ≥ 0 is a constraint → the solver with random guesses: with φ free SNOPT ends far lower
 # than IPOPT, with φ ≥ 0 it does not and takes five times as long.
-GUESS_SOLVERS: dict[bool, LocalSolverName] = {False: "snopt", True: "ipopt"}
+GUESS_SOLVERS: dict[bool, planning.LocalSolverName] = {False: "snopt", True: "ipopt"}
 ALGORITHMS: dict[str, AlgorithmName] = {
     "AIGTO, Algorithm 1": "full gradient",
     "AIGTO, annealing": "annealing",
@@ -81,14 +73,14 @@ class Entry:
     """
 
     label: str
-    candidate: Candidate
+    candidate: planning.Candidate
     drake: Replay | None
     holds: bool
 
     @property
-    def replays(self) -> Replays:
+    def replays(self) -> planning.Replays:
         """Both simulations of its control."""
-        return Replays(self.candidate.replay, self.drake)
+        return planning.Replays(self.candidate.replay, self.drake)
 
 
 @dataclass(frozen=True)
@@ -196,7 +188,7 @@ def run_cell(
 def run_rigid_cell(row: int, confirm: bool = True) -> RigidCell:
     """Plans for one row with the rigid transcription."""
     scenario = Scenario.named(f"table1/{row}")
-    planner = Planner(scenario, PlanOptions(confirm=confirm))
+    planner = planning.Planner(scenario, planning.PlanOptions(confirm=confirm))
     optimum, delay = rigid_optimum(planner.world, scenario), contact_delay(planner.world)
     methods = (_plan_method(RIGID_METHOD, _plan(planner)),)
     return RigidCell(row, scenario.restitution, optimum, delay, methods)
@@ -263,7 +255,7 @@ def _gradient_methods(
     num_guesses: int,
     generator: np.random.Generator,
 ) -> Iterator[TableMethod]:
-    def problem_for(solver: LocalSolverName) -> LiteralTask:
+    def problem_for(solver: planning.LocalSolverName) -> LiteralTask:
         chosen = dataclasses.replace(options, local_solver=solver)
         return make_literal_task(world, scenario, chosen)
 
@@ -278,7 +270,7 @@ def _gradient_methods(
 def _run_gradient(
     name: str,
     problem: LiteralTask,
-    run: Callable[[LiteralTask], Candidate],
+    run: Callable[[LiteralTask], planning.Candidate],
     num_guesses: int | None = None,
 ) -> TableMethod:
     """Returns a run of a gradient solver, or several, with those replayed that are shown."""
@@ -297,7 +289,7 @@ def _run_gradient(
     return TableMethod(name, tuple(each.cost for each in feasible), len(runs), entries, seconds)
 
 
-def _plan_method(name: str, plan: Plan) -> TableMethod:
+def _plan_method(name: str, plan: planning.Plan) -> TableMethod:
     """Returns a plan's summary; its time is without replays."""
     costs = sorted(run.cost for run in plan.candidates if run.is_feasible)
     seconds = sum(plan.stats.seconds[part] for part in ("build", "aigo", "polish"))
@@ -305,15 +297,15 @@ def _plan_method(name: str, plan: Plan) -> TableMethod:
     return TableMethod(name, tuple(costs), len(plan.candidates), (entry,), seconds)
 
 
-def _plan(planner: Planner) -> Plan:
+def _plan(planner: planning.Planner) -> planning.Plan:
     """Returns the plan, also one that does not hold: the table shows that it fails."""
     try:
         return planner.plan()
-    except PlanningError as error:
+    except planning.PlanningError as error:
         if error.plan is None:
             raise
         return error.plan
 
 
-def _entry(label: str, run: Candidate, replays: Replays) -> Entry:
+def _entry(label: str, run: planning.Candidate, replays: planning.Replays) -> Entry:
     return Entry(label, run, replays.drake, run.holds(replays))

@@ -56,19 +56,19 @@ from .stage import Stage as Stage
 from .table1 import format_table1 as format_table1
 from .table1 import frame as frame
 from .table1 import report_table1 as report_table1
-from .text import WIDTH as WIDTH
-from .text import angle_text as angle_text
-from .text import cost_text as cost_text
-from .text import describe_difference as describe_difference
-from .text import length_text as length_text
-from .text import miss_text as miss_text
-from .text import question_facts as question_facts
-from .text import run_texts as run_texts
-from .text import task_items as task_items
 from .views import add_verdict as add_verdict
 from .views import animate as animate
 from .views import compare as compare
 from .views import fill_views as fill_views
 from .views import plot as plot
+from .words import WIDTH as WIDTH
+from .words import angle_text as angle_text
+from .words import cost_text as cost_text
+from .words import describe_difference as describe_difference
+from .words import length_text as length_text
+from .words import miss_text as miss_text
+from .words import question_facts as question_facts
+from .words import run_texts as run_texts
+from .words import task_items as task_items
 
 __all__: list[str]

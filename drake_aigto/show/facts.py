@@ -14,30 +14,7 @@ from drake_aigto.arrays import interpolate
 from drake_aigto.contact import contact_delay, contact_delays
 from drake_aigto.planning import Candidate, Plan, PlanOptions, Veto, calc_divergence
 from drake_aigto.progress import list_some
-from drake_aigto.show.text import (
-    WIDTH,
-    contact_names,
-    contact_texts,
-    cost_text,
-    describe_difference,
-    energy_text,
-    goal_items,
-    join_items,
-    length_text,
-    letter,
-    list_fact,
-    miss_text,
-    miss_texts,
-    name_simulator,
-    name_touch,
-    pi_text,
-    question_facts,
-    run_texts,
-    sequence_text,
-    time_text,
-    touch_names,
-    way_text,
-)
+from drake_aigto.show import words
 from drake_aigto.simulation import HARD_GOAL, Replay, find_touch_error
 from drake_aigto.transcription import UNITS
 from drake_aigto.world import Scenario, SpaceWorld, TaskCost, World
@@ -69,9 +46,11 @@ def format_plan(plan: Plan, world: World | None = None) -> str:
     shown = plan.candidates[:_MOST_CANDIDATES]
     table = [candidate_texts(candidate, plan.scenario, world) for candidate in shown]
     header = ("cost", "defect", "in wall", "energy", "replayed", "off goal", "contacts")
-    others = [("seconds", join_items(f"{k} {s:.2f}" for k, s in plan.stats.seconds.items()))]
+    others = [("seconds", words.join_items(f"{k} {s:.2f}" for k, s in plan.stats.seconds.items()))]
     if (least := plan.stats.flight_left_out) is not None:
-        others.insert(0, ("", f"left out: free flight, which costs {cost_text(least)} at least"))
+        others.insert(
+            0, ("", f"left out: free flight, which costs {words.cost_text(least)} at least")
+        )
     if (more := len(plan.candidates) - _MOST_CANDIDATES) > 0:
         others.insert(0, ("", f"and {more} more"))
     return "\n".join([*lines, *_table(header, *table), *format_facts(others)])
@@ -80,7 +59,7 @@ def format_plan(plan: Plan, world: World | None = None) -> str:
 def format_replays(plan: Plan, world: World | None = None) -> str:
     """Returns the part of `format_plan` that says what simulations of the plan's control do."""
     world = plan.find_world(world)
-    question = question_facts(plan.scenario, world, float(plan.trajectory.times[-1]))
+    question = words.question_facts(plan.scenario, world, float(plan.trajectory.times[-1]))
     return "\n".join(
         format_facts([*verdict_facts(plan, world), *question, *answer_facts(plan, world)])
     )
@@ -89,7 +68,7 @@ def format_replays(plan: Plan, world: World | None = None) -> str:
 def format_facts(facts: Iterable[Fact]) -> Iterator[str]:
     """Yields facts in lines of at most 100 columns, their labels at the left."""
     for label, text in facts:
-        for line in textwrap.wrap(text, WIDTH - _LABEL, break_on_hyphens=False):
+        for line in textwrap.wrap(text, words.WIDTH - _LABEL, break_on_hyphens=False):
             yield label.ljust(_LABEL) + line.replace("\u00a0", " ")
             label = ""
 
@@ -98,33 +77,35 @@ def _table(*rows: tuple[str, ...]) -> Iterator[str]:
     """Yields lines, in columns as wide as they need; a last text without room is below its line."""
     needed = (2 + max(map(len, column)) for column in list(zip(*rows, strict=True))[:-1])
     sizes = list(map(max, _COLUMNS, needed))
-    room = WIDTH - _LABEL - sum(sizes) - 2
+    room = words.WIDTH - _LABEL - sum(sizes) - 2
     for *cells, last in rows:
         columns = "".join(text.rjust(size) for text, size in zip(cells, sizes, strict=True))
         fits = len(last) <= room
         yield " " * _LABEL + columns + (f"  {last}" if fits else "")
-        for below in () if fits else textwrap.wrap(last, WIDTH - 2 * _LABEL):
+        for below in () if fits else textwrap.wrap(last, words.WIDTH - 2 * _LABEL):
             yield " " * 2 * _LABEL + below
 
 
 def verdict_facts(plan: Plan, world: World) -> Iterator[Fact]:
     """Yields whether simulations confirm a plan, and what a reader has to know beside that."""
-    best, names, scale = plan.best, contact_names(world), plan.best.scales.cost
-    yield "verdict", join_items(verdict_items(plan, world))
+    best, names, scale = plan.best, words.contact_names(world), plan.best.scales.cost
+    yield "verdict", words.join_items(verdict_items(plan, world))
     effort = TaskCost.of(world, plan.scenario).effort(
         plan.trajectory.times, plan.trajectory.controls
     )
     share = effort / plan.cost if plan.cost > 0 else None
-    yield "goal", join_items(goal_items(plan.find_arrival(world), share))
-    costs = (f"{name_simulator(r, names)} {cost_text(r.cost, 3, scale)}" for r in plan.replay)
-    yield "cost", join_items([cost_text(plan.cost, 3, scale), *costs])
+    yield "goal", words.join_items(words.goal_items(plan.find_arrival(world), share))
+    costs = (
+        f"{words.name_simulator(r, names)} {words.cost_text(r.cost, 3, scale)}" for r in plan.replay
+    )
+    yield "cost", words.join_items([words.cost_text(plan.cost, 3, scale), *costs])
     if plan.is_interrupted:
         yield "interrupted", INTERRUPTED
     if best.growth is not None:
         judge = ": its own feedback judges it, not the control alone" if best.gains else ""
         yield "growth", f"{best.describe_growth()} along the motion{judge}"
     if rate := calc_divergence(world, plan.scenario):
-        q = ", ".join(map(pi_text, plan.scenario.goal_position))
+        q = ", ".join(map(words.pi_text, plan.scenario.goal_position))
         yield (
             "holding",
             f"the goal, q = ({q}), is at an unstable equilibrium, where errors grow e-fold in "
@@ -136,17 +117,17 @@ def verdict_facts(plan: Plan, world: World) -> Iterator[Fact]:
     if len(vetoes) > _MOST_VETOES:
         yield "vetoed", f"{len(vetoes) - _MOST_VETOES} more candidates that promise less"
     if plan.idleness:
-        yield "moving", join_items(_why_idle(plan, world))
+        yield "moving", words.join_items(_why_idle(plan, world))
     if best.is_idle:
         yield "no control", "this is the plan: no other plan that holds costs less"
     elif plan.idle is not None:
         less = "doing nothing is better: " if plan.is_beaten else ""
         idle = plan.idle.replay
-        miss = f"ends {miss_text(idle, plan.scenario, world)} off the goal"
+        miss = f"ends {words.miss_text(idle, plan.scenario, world)} off the goal"
         ways = np.ptp(idle.positions, axis=0)[~world.is_hinge]
         if np.max(ways, initial=0.0) > _FAR * best.scales.length:
             miss = "flies or falls far away: no wall of the model stops it"
-        yield "no control", f"{less}it costs {cost_text(idle.cost, 3)} and {miss}"
+        yield "no control", f"{less}it costs {words.cost_text(idle.cost, 3)} and {miss}"
     if plan.bound is not None:
         yield "bound", _describe_bound(plan)
 
@@ -158,12 +139,12 @@ def answer_facts(plan: Plan, world: World) -> Iterator[Fact]:
     items = [
         f"{plan.transcription} transcription",
         *(literal if plan.transcription == "literal" else []),
-        f"cost {cost_text(plan.cost, 3, best.scales.cost)}",
+        f"cost {words.cost_text(plan.cost, 3, best.scales.cost)}",
         *([] if best.cost_error is None else [f"known to {best.cost_error:.0e}"]),
-        f"ends {miss_text(best, scenario, world)} off the goal",
-        f"deepest penetration {length_text(best.max_penetration)}",
+        f"ends {words.miss_text(best, scenario, world)} off the goal",
+        f"deepest penetration {words.length_text(best.max_penetration)}",
     ]
-    yield "plan", join_items(items)
+    yield "plan", words.join_items(items)
     steps, asked = len(plan.trajectory.controls), scenario.num_steps
     if steps != asked and not best.is_idle:
         few = "which are too few for its phases"
@@ -181,25 +162,25 @@ def answer_facts(plan: Plan, world: World) -> Iterator[Fact]:
         missed = max(replay.violations.get(HARD_GOAL, 0.0) for replay in plan.replay)
         yield "repeats", f"to {missed:.0e} {_OF_SCALES}, from a start chosen by the plan"
     limits = (name for name in best.replay.violations if name not in plan.additions)
-    yield from list_fact("limits", _misses(plan, limits))
-    yield from list_fact("added", _additions(plan))
+    yield from words.list_fact("limits", _misses(plan, limits))
+    yield from words.list_fact("added", _additions(plan))
     defects = (
         f"{name} {f'{size:.0e}' if size else 0} {UNITS.get(name, _OF_SCALES)}"
         for name, size in best.defects.items()
     )
-    yield from list_fact("defects", defects)
-    yield "contacts", join_items(contact_texts(best, world))
+    yield from words.list_fact("defects", defects)
+    yield "contacts", words.join_items(words.contact_texts(best, world))
     if (unplanned := best.unplanned) and not best.is_idle:
-        touches = (name_touch(each, touch_names(world)) for each in unplanned)
-        where = name_simulator(best.replay, touch_names(world))
+        touches = (words.name_touch(each, words.touch_names(world)) for each in unplanned)
+        where = words.name_simulator(best.replay, words.touch_names(world))
         yield "unplanned", f"{where} it also touches {list_some(touches)}"
     delay = _find_delay(plan, world)
     for replay in plan.replay:
-        yield "simulated", join_items(_simulation(plan, replay, world, delay))
+        yield "simulated", words.join_items(_simulation(plan, replay, world, delay))
     for replay in plan.replay.alone:
-        yield "alone", join_items(_simulation(plan, replay, world, delay))
+        yield "alone", words.join_items(_simulation(plan, replay, world, delay))
     if plan.replay.perturbed:
-        costs = (cost_text(each.cost, 3, best.scales.cost) for each in plan.replay.perturbed)
+        costs = (words.cost_text(each.cost, 3, best.scales.cost) for each in plan.replay.perturbed)
         off = "from starts 1e-3 of the scales off, with its feedback, the cost is"
         yield "perturbed", f"{off} {' and '.join(costs)}"
 
@@ -213,13 +194,13 @@ def _why_idle(plan: Plan, world: World) -> Iterator[str]:
     best = min(moving, key=lambda candidate: candidate.cost)
     scale, path = best.scales.cost, best.trajectory
     effort = TaskCost.of(world, plan.scenario).effort(path.times, path.controls)
-    yield f"the best of {len(moving)} candidates that move costs {cost_text(best.cost, 3, scale)}"
-    yield f"of which its control {cost_text(effort, 3, scale)} by control_weight"
+    cost, share = (words.cost_text(each, 3, scale) for each in (best.cost, effort))
+    yield f"the best of {len(moving)} candidates that move costs {cost}"
+    yield f"of which its control {share} by control_weight"
     lower, upper = world.bounds(plan.scenario).control
     at_bound = np.any((path.controls <= lower) | (path.controls >= upper), axis=1)
-    share = float(np.diff(path.times) @ at_bound / (path.times[-1] - path.times[0]))
-    if share:
-        yield f"which is at its bound for {100 * share:.0f} % of the time"
+    if part := float(np.diff(path.times) @ at_bound / (path.times[-1] - path.times[0])):
+        yield f"which is at its bound for {100 * part:.0f} % of the time"
     if vetoed := len(plan.vetoes):
         yield f"{vetoed} that promise less are contradicted by a simulation"
 
@@ -228,9 +209,9 @@ def verdict_items(plan: Plan, world: World) -> Iterator[str]:
     """Yields whether simulations confirm a plan, and what is wrong with it."""
     if plan.idleness:
         yield plan.idleness
-    names, replays = contact_names(world), plan.replay.judging
+    names, replays = words.contact_names(world), plan.replay.judging
     against = [replay for replay in replays if not plan.best.is_confirmed_by(replay)]
-    named = dict.fromkeys(name_simulator(replay, names) for replay in against or replays)
+    named = dict.fromkeys(words.name_simulator(replay, names) for replay in against or replays)
     where, control = " and ".join(named).rstrip(","), "control alone"
     if plan.best.gains:
         where, control = where.replace(", with its feedback", ""), "control with its feedback"
@@ -239,21 +220,22 @@ def verdict_items(plan: Plan, world: World) -> Iterator[str]:
         broken = dict.fromkeys(name for replay in against for name in replay.broken)
         yield from (f"breaks '{name}'" for name in broken)
     elif plan.is_beaten:
-        yield f"fails: {name_simulator(plan.replay.event_driven, names)} doing nothing costs less"
+        where = words.name_simulator(plan.replay.event_driven, names)
+        yield f"fails: {where} doing nothing costs less"
     else:
         yield f"holds: the {control} keeps the plan's promise {where}"
 
 
 def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
     """Returns what a candidate promises, and what is wrong with it."""
-    candidate, replay, names = veto.candidate, veto.replay, touch_names(world)
+    candidate, replay, names = veto.candidate, veto.replay, words.touch_names(world)
     times = list_some((f"{contact.time:.3f}" for contact in candidate.contacts), " s")
     contacts = f"contacts at {times}" if candidate.contacts else "no contact"
     start = _FROM_OFF if any(replay is each for each in candidate.perturbed) else ""
     text = (
-        f"a candidate with {contacts} promises {cost_text(candidate.cost)}, but {start}"
-        f"{name_simulator(replay, names)} costs {cost_text(replay.cost)} and ends "
-        f"{miss_text(replay, scenario, world)} off the goal"
+        f"a candidate with {contacts} promises {words.cost_text(candidate.cost)}, but {start}"
+        f"{words.name_simulator(replay, names)} costs {words.cost_text(replay.cost)} and ends "
+        f"{words.miss_text(replay, scenario, world)} off the goal"
     )
     if replay.broken:
         return f"{text}, and breaks {', '.join(map(repr, replay.broken))}"
@@ -261,12 +243,14 @@ def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
         off = find_touch_error(world, replay.positions)
         if off > _NEAR * candidate.scales.length:
             shapes = "capsules or meshes"
-            return f"{text}, where Drake finds touches of {shapes} up to {length_text(off)} off"
+            return (
+                f"{text}, where Drake finds touches of {shapes} up to {words.length_text(off)} off"
+            )
     planned, simulated = veto.first_difference
     if planned == simulated:
         return f"{text}, though with the same contacts"
-    instead = f" instead of {name_touch(planned, names)}" if planned else ""
-    return f"{text}: it touches {name_touch(simulated, names)}{instead}"
+    instead = f" instead of {words.name_touch(planned, names)}" if planned else ""
+    return f"{text}: it touches {words.name_touch(simulated, names)}{instead}"
 
 
 def _describe_bound(plan: Plan) -> str:
@@ -277,29 +261,30 @@ def _describe_bound(plan: Plan) -> str:
     of = " of the task's scale" if plan.bound.is_nothing else ""
     return (
         f"at most {100 * plan.gap:.2g} %{of} above any plan, as simulated: no control does it for "
-        f"less than {cost_text(plan.bound.lower_bound, 4)}"
+        f"less than {words.cost_text(plan.bound.lower_bound, 4)}"
     )
 
 
 def _simulation(plan: Plan, replay: Replay, world: World, delay: float | None) -> Iterator[str]:
     """Yields what a simulation made of a plan's control."""
-    names, confirms = contact_names(world), plan.best.is_confirmed_by(replay)
-    cost = cost_text(replay.cost, 3, plan.best.scales.cost)
-    yield f"{name_simulator(replay, names)}: {'confirms' if confirms else 'contradicts'} the plan"
-    yield f"cost {cost}{describe_difference(plan.cost, replay)}"
+    names, judges = words.contact_names(world), plan.best.is_confirmed_by(replay)
+    cost = words.cost_text(replay.cost, 3, plan.best.scales.cost)
+    where, verdict = words.name_simulator(replay, names), "confirms" if judges else "contradicts"
+    yield f"{where}: {verdict} the plan"
+    yield f"cost {cost}{words.describe_difference(plan.cost, replay)}"
     if replay.feedback is not None:
         yield f"its feedback adds up to {replay.feedback:.2g} to the control"
-    known = f" (its compliance explains {way_text(replay.compliance_error, world)})"
+    known = f" (its compliance explains {words.way_text(replay.compliance_error, world)})"
     known = known if replay.compliance_error else ""
-    yield f"ends {miss_text(replay, plan.scenario, world)} off the goal{known}"
-    yield f"deepest penetration {length_text(replay.max_penetration)}"
+    yield f"ends {words.miss_text(replay, plan.scenario, world)} off the goal{known}"
+    yield f"deepest penetration {words.length_text(replay.max_penetration)}"
     if not replay.bounce_times:
         yield "no bounce"
         return
     if replay.energy_ratio is not None:
         each = " a bounce" if len(replay.bounce_times) > 1 else ""
-        yield f"energy ratio {energy_text(replay.energy_ratio)}{each}"
-    letters = [f"{letter(i)} " if len(names) > 1 else "" for i in replay.bounce_contacts]
+        yield f"energy ratio {words.energy_text(replay.energy_ratio)}{each}"
+    letters = [f"{words.letter(i)} " if len(names) > 1 else "" for i in replay.bounce_contacts]
     bounces = zip(letters, replay.bounce_times, strict=True)
     yield f"bounces at {list_some((f'{each}{time:.4f}' for each, time in bounces), ' s')}"
     if replay.matched_speeds:
@@ -307,14 +292,14 @@ def _simulation(plan: Plan, replay: Replay, world: World, delay: float | None) -
         yield f"restitution matched for impacts at {speeds}"
     if replay.simulator == "drake" and delay is not None:
         most = "up to " if len(names) > 1 else ""
-        yield f"each {most}{time_text(delay)} late (π √(m / k))"
+        yield f"each {most}{words.time_text(delay)} late (π √(m / k))"
 
 
 def _additions(plan: Plan) -> Iterator[str]:
     """Yields costs and constraints that users added, and what simulations make of them."""
     best = plan.best
     for name, cost in best.added_costs.items():
-        yield f"{name} {cost_text(cost, 3)}"
+        yield f"{name} {words.cost_text(cost, 3)}"
     constraints = [name for name in plan.additions if name not in best.added_costs]
     known = best.added_costs.keys(), best.replay.violations.keys()
     if any((each.added_costs.keys(), each.violations.keys()) != known for each in plan.replay):
@@ -352,8 +337,8 @@ def _search_facts(plan: Plan) -> Iterator[Fact]:
     parts = [part.split(", ") for part in str(plan.best.origin).split("; ")]
     for index, items in enumerate([boxes, *parts]):
         if items:
-            yield "" if index else "found by", join_items(items)
-    yield "candidates", join_items([*count_candidates(plan).split(", "), str(plan.stats)])
+            yield "" if index else "found by", words.join_items(items)
+    yield "candidates", words.join_items([*count_candidates(plan).split(", "), str(plan.stats)])
 
 
 def count_candidates(plan: Plan) -> str:
@@ -366,12 +351,12 @@ def count_candidates(plan: Plan) -> str:
 
 def candidate_texts(candidate: Candidate, scenario: Scenario, world: World) -> tuple[str, ...]:
     """Returns a candidate's numbers, those of its rigid simulation, and its contacts."""
-    cost, defect, *others = run_texts(candidate)
+    cost, defect, *others = words.run_texts(candidate)
     return (
         cost,
         f"{defect}{'' if candidate.is_feasible else '*'}",
         *others,
-        cost_text(candidate.replay.cost, scale=candidate.scales.cost),
-        " ".join(miss_texts(candidate.replay, scenario, world)),
-        sequence_text(candidate, world),
+        words.cost_text(candidate.replay.cost, scale=candidate.scales.cost),
+        " ".join(words.miss_texts(candidate.replay, scenario, world)),
+        words.sequence_text(candidate, world),
     )

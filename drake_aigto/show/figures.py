@@ -15,17 +15,9 @@ from drake_aigto.aigo import Iterate
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.planning import Plan
+from drake_aigto.show import shapes
 from drake_aigto.show.motion import Motion, color_of, find_row, motions_of_plan
-from drake_aigto.show.shapes import (
-    coordinate_names,
-    find_goal,
-    has_goal,
-    moves_straight,
-    read_coordinates,
-    solid_regions,
-    wall_places,
-)
-from drake_aigto.show.text import touch_names
+from drake_aigto.show.words import touch_names
 from drake_aigto.transcription import Transcription
 from drake_aigto.world import Scenario, World
 
@@ -124,14 +116,14 @@ def plot_positions(
     axes: Axes, motions: Sequence[Motion], world: World, scenario: Scenario, coordinate: int = 0
 ) -> None:
     """Draws one coordinate of q(t), the goal as a star at T, and the walls across it."""
-    rows = [read_coordinates(world, scenario, motion.positions) for motion in motions]
+    rows = [shapes.read_coordinates(world, scenario, motion.positions) for motion in motions]
     _plot_rows(axes, motions, rows, coordinate)
     _mark_touches(axes, motions, world, coordinate, named=True)
-    if has_goal(world, scenario)[coordinate]:
-        goal = find_goal(world, scenario, motions[0].positions[-1])
+    if shapes.has_goal(world, scenario)[coordinate]:
+        goal = shapes.find_goal(world, scenario, motions[0].positions[-1])
         is_free = scenario.duration_range is not None
         T = motions[0].times[-1] if is_free else scenario.duration
-        axes.plot(T, read_coordinates(world, scenario, goal)[coordinate], "*", **_GOAL)
+        axes.plot(T, shapes.read_coordinates(world, scenario, goal)[coordinate], "*", **_GOAL)
         axes.plot([], [], "*", color="black", markersize=9, label="goal")
     _shade_walls(axes, world, coordinate)
     axes.set_ylabel(_label("position", world, coordinate))
@@ -166,7 +158,7 @@ def plot_controls(axes: Axes, motions: Sequence[Motion], world: World, coordinat
         look = {**line_of(index), **_SHARP}
         look["linewidth"] *= _THINNER
         axes.step(motion.control_times, held, where="post", **look)
-        if motion.forces is None or not moves_straight(world):
+        if motion.forces is None or not shapes.moves_straight(world):
             continue
         for contact, force in enumerate(np.vstack([motion.forces, motion.forces[-1:]]).T):
             if np.any(force) and world.constant_inertia.jacobian[contact, coordinate]:
@@ -304,7 +296,7 @@ def _label(quantity: Quantity, world: World, coordinate: int) -> str:
     unit = _unit(quantity, world, coordinate)
     if world.num_velocities == 1:
         return f"{quantity} {_QUANTITIES[quantity][0]} [{unit}]"
-    return f"{coordinate_names(world)[coordinate]} {quantity} [{unit}]"
+    return f"{shapes.coordinate_names(world)[coordinate]} {quantity} [{unit}]"
 
 
 def _unit(quantity: Quantity, world: World, coordinate: int) -> str:
@@ -314,7 +306,7 @@ def _unit(quantity: Quantity, world: World, coordinate: int) -> str:
 
 def _shade_walls(axes: Axes, world: World, coordinate: int) -> None:
     """Shades the walls across a coordinate: others have no place on an axis."""
-    walls = wall_places(world, coordinate)
+    walls = shapes.wall_places(world, coordinate)
     if not walls:
         return
     places = [place for _, place, _ in walls]
@@ -338,11 +330,11 @@ def _shade_solids(axes: Axes, world: World, coordinates: tuple[int, int]) -> Non
     seen = np.vstack([line.get_xydata() for line in axes.lines])
     low, high = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
     for side, coordinate in enumerate(coordinates):
-        places = [place for _, place, _ in wall_places(world, coordinate)]
+        places = [place for _, place, _ in shapes.wall_places(world, coordinate)]
         low[side], high[side] = min([low[side], *places]), max([high[side], *places])
     margin = _WALL_SEEN * np.max(high - low)
     window = np.array([low - margin, high + margin])
-    for corners in solid_regions(world, coordinates, window):
+    for corners in shapes.solid_regions(world, coordinates, window):
         axes.add_artist(Polygon(corners, **SOLID_LOOK))
     axes.set(xlim=window[:, 0], ylim=window[:, 1])
     axes.plot([], [], color=_WALL_COLOR, linewidth=6, alpha=0.5, label="solid")
@@ -357,7 +349,7 @@ def plot_phase_portrait(
     """
 
     def read(q: Floats) -> Floats:
-        return read_coordinates(world, scenario, q)[..., coordinate]
+        return shapes.read_coordinates(world, scenario, q)[..., coordinate]
 
     seen = [read(motion.positions) for motion in motions]
     for index, motion in enumerate(motions):
@@ -370,12 +362,12 @@ def plot_phase_portrait(
         axes.annotate("", xy=path[row + 1], xytext=path[row], arrowprops=look)
     start = read(scenario.initial_position), scenario.initial_velocity[coordinate]
     axes.plot(*start, "s", color="black", markersize=7, zorder=5, label="start")
-    goal = [float(read(find_goal(world, scenario, motions[0].positions[-1])))]
-    goal = goal if has_goal(world, scenario)[coordinate] else []
+    goal = [float(read(shapes.find_goal(world, scenario, motions[0].positions[-1])))]
+    goal = goal if shapes.has_goal(world, scenario)[coordinate] else []
     for place in goal:
         axes.axvline(place, color="black", linestyle=(0, (4, 3)), linewidth=1.2, label="goal")
     axes.axhline(0, color="black", linewidth=0.5)
-    walls = wall_places(world, coordinate)
+    walls = shapes.wall_places(world, coordinate)
     places = np.concatenate([*seen, goal, [place for _, place, _ in walls]])
     size = np.ptp(places) or 1.0  # It may stand still.
     for i, (_, place, side) in enumerate(walls):

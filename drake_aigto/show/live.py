@@ -22,7 +22,7 @@ from drake_aigto.show.film import ROOT, look_at, open_meshcat
 from drake_aigto.show.motion import Motion, color_of, positions_at
 from drake_aigto.show.shapes import coordinate_names, find_goal, has_goal, moves_straight
 from drake_aigto.show.stage import Stage
-from drake_aigto.show.text import cost_text, run_texts, touch_names
+from drake_aigto.show.words import cost_text, run_texts, touch_names
 from drake_aigto.world import Scales, Scenario
 
 _MOST_GHOSTS = 3  # candidates beside the best

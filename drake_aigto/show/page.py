@@ -25,7 +25,7 @@ from drake_aigto.plain import write_text
 from drake_aigto.show.film import ASPECT_RATIO
 from drake_aigto.show.motion import Motion
 from drake_aigto.show.shapes import coordinate_names, read_coordinates
-from drake_aigto.show.text import touch_names
+from drake_aigto.show.words import touch_names
 from drake_aigto.world import Scenario, World, list_units, name_controls
 
 # The same figure gives the same bytes, and looks the same whatever fonts a reader has.

@@ -14,15 +14,8 @@ from pydrake.geometry import Capsule, Cylinder, Sphere
 from pydrake.math import RigidTransform
 from scipy.spatial import ConvexHull
 
+from drake_aigto import paper
 from drake_aigto.arrays import Floats
-from drake_aigto.paper import (
-    LiteralOptions,
-    bounce_costs,
-    gradient_from_zero,
-    make_literal_task,
-    random_guess,
-    rigid_optimum,
-)
 from drake_aigto.planning import Candidate, PlanOptions, make_ball_task
 from drake_aigto.show.box_playback import BoxRun
 from drake_aigto.show.figures import ABOVE, HOLLOW, SOLID_LOOK, line_of
@@ -40,7 +33,7 @@ from drake_aigto.show.motion import (
 )
 from drake_aigto.show.shapes import Actor, find_goal, has_goal
 from drake_aigto.show.stage import Stage
-from drake_aigto.show.text import touch_names
+from drake_aigto.show.words import touch_names
 from drake_aigto.simulation import replay_event_driven
 from drake_aigto.world import Scenario, World
 
@@ -301,7 +294,7 @@ def plot_cost_landscape(
     Raises:
         ModelError: not a world of one coordinate and one wall, without bias.
     """
-    optimum = rigid_optimum(world, scenario)
+    optimum = paper.rigid_optimum(world, scenario)
     contacts: dict[str, tuple[float, float] | None] = dict.fromkeys(ends)
     for name, end in ends.items():
         for first in end.contacts[:1]:
@@ -310,7 +303,7 @@ def plot_cost_landscape(
     speeds = [-v for v in optimum.impact_velocities] + [c[1] for c in contacts.values() if c]
     time = np.linspace(0, scenario.duration, _POINTS + 2)[1:-1]
     rates = np.linspace(0, 1.6 * max(speeds, default=1.0), _POINTS)
-    costs = bounce_costs(world, scenario, time, rates[:, np.newaxis])
+    costs = paper.bounce_costs(world, scenario, time, rates[:, np.newaxis])
     least = np.nanmin(costs)
     shown = np.ma.masked_invalid(np.minimum(costs, _HIGHEST * least))
     levels = np.geomspace(least, _HIGHEST * least, _LEVELS + 1)
@@ -339,15 +332,15 @@ def gradient_motions(world: World, scenario: Scenario, seed: int = 0) -> list[Mo
     seed: the simulation, as the rows of such plans are seldom met.
     """
     if world.num_contacts == 1:
-        options = LiteralOptions(nonpenetration=False, local_solver="snopt")
-        run = gradient_from_zero(make_literal_task(world, scenario, options))
+        options = paper.LiteralOptions(nonpenetration=False, local_solver="snopt")
+        run = paper.gradient_from_zero(paper.make_literal_task(world, scenario, options))
         planned = Motion.from_trajectory(run.trajectory, world, f"{_ONE_WALL}: {PLAN_LABEL}")
         simulated = Motion.from_replay(run.replay, world, f"{_ONE_WALL}: {_RIGID}")
         return [planned, simulated.under(run.trajectory.times, run.trajectory.controls)]
     world.check_plain(scenario)
     problem = make_ball_task(world, scenario, PlanOptions(relaxation=0.0, local_solver="snopt"))
     transcription = problem.transcription
-    found = problem.solve_locally(random_guess(transcription, np.random.default_rng(seed)))
+    found = problem.solve_locally(paper.random_guess(transcription, np.random.default_rng(seed)))
     times, controls = transcription.GetSampleTimes(), transcription.split(found)[2]
     replay = replay_event_driven(world, scenario, times, controls)
     simulated = Motion.from_replay(replay, world, f"{_SEVERAL}: {_RIGID}")

@@ -18,31 +18,14 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.plain import to_plain
 from drake_aigto.planning import BALL_LADDER, Candidate, Plan, SearchOptions
 from drake_aigto.progress import list_some
+from drake_aigto.show import report_figures, words
 from drake_aigto.show.box_playback import play_boxes, run_boxes
 from drake_aigto.show.facts import answer_facts, candidate_texts, count_candidates
 from drake_aigto.show.film import open_meshcat
 from drake_aigto.show.motion import motions_of_plan, simulation_label
 from drake_aigto.show.page import Page, Playback
-from drake_aigto.show.report_figures import (
-    draw_portraits,
-    figures_of_plan,
-    figures_of_run,
-    motion_of_run,
-    motions_of_switches,
-)
 from drake_aigto.show.run_facts import describe_ticks, run_facts
 from drake_aigto.show.scene import publish
-from drake_aigto.show.text import (
-    contact_names,
-    cost_text,
-    energy_text,
-    length_text,
-    miss_text,
-    plan_name,
-    question_facts,
-    touch_names,
-    weight_text,
-)
 from drake_aigto.show.views import add_verdict
 from drake_aigto.simulation import Replay
 from drake_aigto.world import Scenario, World
@@ -100,7 +83,7 @@ def report_plan(
     except OptionsError as error:
         # Shooting has none, as everybody expects.
         no_boxes = "" if plan.transcription == "shooting" else f"AIGO's boxes are missing: {error}"
-    page = Page(f"Plan for {plan_name(plan.scenario, world)}")
+    page = Page(f"Plan for {words.plan_name(plan.scenario, world)}")
     add_verdict(page, plan, world)
     add_question(page, plan.scenario, world, float(plan.trajectory.times[-1]))
     add_answer(page, plan, world)
@@ -115,9 +98,9 @@ def report_plan(
     page.scenes(scenes)
     say("drawing figures")
     page.heading("Figures")
-    for figure, caption in figures_of_plan(plan, motions, world, run):
+    for figure, caption in report_figures.figures_of_plan(plan, motions, world, run):
         page.figure(figure, caption)
-    page.figure(*draw_portraits(motions, world, plan.scenario), is_folded=True)
+    page.figure(*report_figures.draw_portraits(motions, world, plan.scenario), is_folded=True)
     if no_boxes:
         page.paragraph(no_boxes)
     _add_candidates(page, plan, world)
@@ -137,12 +120,14 @@ def add_question(
         rigid = PROBLEM[PROBLEM.index("subject to") :]
         problem = "\n".join([_COST, rigid if scenario.contact == "rigid" else _SOFT])
         found = ((symbol, getattr(scenario, name)) for symbol, name in _WEIGHTS.items())
-        weights = "; ".join(f"{symbol} = {weight_text(w)}" for symbol, w in found if np.any(w))
+        weights = "; ".join(
+            f"{symbol} = {words.weight_text(w)}" for symbol, w in found if np.any(w)
+        )
     page.code(problem)
-    names = contact_names(world)  # Several of them are facts of the question already.
+    names = words.contact_names(world)  # Several of them are facts of the question already.
     alone = [] if len(names) > 1 else [("pairs", names[0] if names else "none")]
     more = [*alone, ("weights", weights), ("model", world.model or "a diagram of one's own")]
-    page.facts([*question_facts(scenario, world, duration), *more])
+    page.facts([*words.question_facts(scenario, world, duration), *more])
 
 
 def add_answer(page: Page, plan: Plan, world: World) -> None:
@@ -157,11 +142,11 @@ def add_answer(page: Page, plan: Plan, world: World) -> None:
         (
             label,
             list_some((f"{time:.3f}" for time in times), " s") or "none",
-            cost_text(run.cost, 3, best.scales.cost),
+            words.cost_text(run.cost, 3, best.scales.cost),
             defect,
-            miss_text(run, plan.scenario, world),
-            length_text(run.max_penetration),
-            energy_text(run.energy_ratio),
+            words.miss_text(run, plan.scenario, world),
+            words.length_text(run.max_penetration),
+            words.energy_text(run.energy_ratio),
         )
         for label, run, defect, times in runs
     )
@@ -178,7 +163,7 @@ def _add_candidates(page: Page, plan: Plan, world: World) -> None:
     page.paragraph(f"Candidates: {count_candidates(plan)}.")
     if plan.stats.flight_left_out is not None:
         least = plan.stats.flight_left_out
-        page.paragraph(f"A free flight was skipped: it costs at least {cost_text(least)}.")
+        page.paragraph(f"A free flight was skipped: it costs at least {words.cost_text(least)}.")
     rows = []
     for number, candidate in enumerate(plan.candidates[:_MOST_CANDIDATES], 1):
         *numbers, touches = candidate_texts(candidate, plan.scenario, world)
@@ -243,7 +228,7 @@ def report_run(run: ClosedLoopRun, progress: Callable[[str], None] | None = None
     Before each part that takes time, `progress` is called with a line of text.
     """
     say = progress or (lambda line: None)
-    page = Page(f"In the loop: {plan_name(run.scenario, run.world)}")
+    page = Page(f"In the loop: {words.plan_name(run.scenario, run.world)}")
     page.paragraph(
         "The motion is a simulation: a plant with its controller in Drake's Simulator, with "
         "Drake's own contact. Plans are labeled as such."
@@ -258,7 +243,7 @@ def report_run(run: ClosedLoopRun, progress: Callable[[str], None] | None = None
     page.scenes({"Simulation and plans": show_run(run, meshcat).scene})
     say("drawing figures")
     page.heading("Figures")
-    for figure, caption in figures_of_run(run):
+    for figure, caption in report_figures.figures_of_run(run):
         page.figure(figure, caption)
     if run.ticks:
         _add_ticks(page, run)
@@ -274,7 +259,9 @@ def show_run(run: ClosedLoopRun, meshcat: Meshcat) -> Playback:
 
     A flash is a kick, or the moment at which another plan was taken, which is there from then on.
     """
-    motions = [motion_of_run(run), *motions_of_switches(run)][:_MOST_MOTIONS]
+    motions = [report_figures.motion_of_run(run), *report_figures.motions_of_switches(run)][
+        :_MOST_MOTIONS
+    ]
     events = {switch.time: "takes another plan" for switch in run.switches}
     if run.disturbance.kick.any():
         events[run.disturbance.kick_time] = "is kicked"
@@ -284,7 +271,7 @@ def show_run(run: ClosedLoopRun, meshcat: Meshcat) -> Playback:
 def _add_ticks(page: Page, run: ClosedLoopRun) -> None:
     """Adds the ticks that did more than go on as before."""
     page.heading("Ticks")
-    names = touch_names(run.world)
+    names = words.touch_names(run.world)
     telling = [tick for tick in run.ticks if tick.reason != "warm"]
     page.paragraph(
         f"{describe_ticks(run)}. Of {len(run.ticks)}, these {len(telling[:_MOST_TICKS])} did more "
@@ -293,7 +280,7 @@ def _add_ticks(page: Page, run: ClosedLoopRun) -> None:
     rows = [
         (
             f"{tick.time:.2f} s",
-            cost_text(tick.cost),
+            words.cost_text(tick.cost),
             list_some(names[i] for i in tick.touches) or "nothing",
             tick.reason,
             f"{1e3 * tick.seconds:.1f} ms",

@@ -13,24 +13,9 @@ from drake_aigto.control import ClosedLoopRun, PlannedPath
 from drake_aigto.errors import ModelError
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.planning import Plan
+from drake_aigto.show import figures, plan_figures
 from drake_aigto.show.box_playback import BoxRun
-from drake_aigto.show.figures import (
-    ABOVE,
-    plot_boxes,
-    plot_controls,
-    plot_motions,
-    plot_path,
-    plot_phase_portrait,
-    plot_positions,
-)
 from drake_aigto.show.motion import Motion, calc_contact_forces, calc_friction, color_of
-from drake_aigto.show.plan_figures import (
-    plot_contact_forces,
-    plot_cost_history,
-    plot_cost_landscape,
-    plot_friction,
-    plot_strobe,
-)
 from drake_aigto.show.shapes import moves_straight, read_coordinates
 from drake_aigto.world import Scenario, World
 
@@ -61,7 +46,7 @@ def figures_of_plan(
             size = 4.5 * max(len(columns), 2), 0.5 + 2.2 * rows
             figure = Figure(figsize=size, layout="constrained")
             grid = figure.subplots(rows, len(columns), sharex=True, squeeze=False)
-            plot_motions(grid, motions, world, plan.scenario, columns)
+            figures.plot_motions(grid, motions, world, plan.scenario, columns)
             # The legend is above all, as it may be wider than one of the axes.
             handles, labels = grid[0, 0].get_legend_handles_labels()
             if legend := grid[0, 0].get_legend():
@@ -79,8 +64,8 @@ def figures_of_plan(
         *panels, last = figure.subplots(1, n + 1)
         shown = [run.result.history[i] for i in run.pick(5, smallest=0.01)]
         for coordinate, axes in enumerate(panels):
-            plot_boxes(axes, run.transcription, shown, coordinate=coordinate)
-        plot_cost_history(last, run)
+            figures.plot_boxes(axes, run.transcription, shown, coordinate=coordinate)
+        plan_figures.plot_cost_history(last, run)
         yield (
             figure,
             (
@@ -94,10 +79,12 @@ def _draw_ways(plan: Plan, motions: Sequence[Motion], world: World) -> Iterator[
     """Yields the path in a plane, or what a touch costs where that is known."""
     figure = Figure(figsize=(6, 4.6), layout="constrained")
     if world.num_positions > 1:
-        plot_path(figure.subplots(), motions, world, plan.scenario)
+        figures.plot_path(figure.subplots(), motions, world, plan.scenario)
         yield figure, "The path."
     elif has_landscape(plan, world):
-        plot_cost_landscape(figure.subplots(), world, plan.scenario, {"plan": plan.best})
+        plan_figures.plot_cost_landscape(
+            figure.subplots(), world, plan.scenario, {"plan": plan.best}
+        )
         yield (
             figure,
             "Cost of motions that touch the wall once, over the time and speed of the touch, with "
@@ -113,7 +100,7 @@ def draw_portraits(
     figure = Figure(figsize=(9, 4.2 * rows), layout="constrained")
     for coordinate in range(world.num_velocities):
         axes = figure.add_subplot(rows, 2, coordinate + 1)
-        plot_phase_portrait(axes, motions, world, scenario, coordinate)
+        figures.plot_phase_portrait(axes, motions, world, scenario, coordinate)
     return figure, "Velocity against position, of each coordinate."
 
 
@@ -138,14 +125,14 @@ def draw_mechanism(
     figure, shown = Figure(figsize=(9, 5), layout="constrained"), motions[:2]
     panels = figure.subplots(1, len(shown), squeeze=False)[0]
     for index, motion in enumerate(shown):
-        plot_strobe(panels[index], motion, world, scenario, index=index)
+        plan_figures.plot_strobe(panels[index], motion, world, scenario, index=index)
     # Two panels side by side have one scale.
     width, height = np.ptp(panels[0].get_xlim()), np.ptp(panels[0].get_ylim())
     figure.set_size_inches(9, float(np.clip(1.0 + 4.0 * height / width, 2.5, 7.0)))
     yield figure, "Links at evenly spaced times, the early ones pale; the goal is dashed."
     if any(np.any(calc_contact_forces(motion, world, scenario) > 0) for motion in motions):
         figure = Figure(figsize=(9, 3.6), layout="constrained")
-        plot_contact_forces(figure.subplots(), motions, world, scenario)
+        plan_figures.plot_contact_forces(figure.subplots(), motions, world, scenario)
         yield figure, "Contact forces over time."
     yield from _draw_friction(motions[0], world, scenario)
 
@@ -156,7 +143,7 @@ def _draw_friction(
     """Yields the figure of a motion's friction for a report, with its caption, if there is any."""
     if any(np.any(each.largest > 0) for each in calc_friction(motion, world, scenario)):
         figure = Figure(figsize=(9, 3.6), layout="constrained")
-        plot_friction(figure.subplots(), motion, world, scenario)
+        plan_figures.plot_friction(figure.subplots(), motion, world, scenario)
         yield figure, "Friction of the plan over time, within its cone: rings stick, crosses slip."
 
 
@@ -184,7 +171,7 @@ def plot_run(axes: Axes, run: ClosedLoopRun, coordinate: int = 0) -> None:
     """
     motion = motion_of_run(run)
     world = run.true_world
-    plot_positions(axes, [motion], world, run.scenario, coordinate)
+    figures.plot_positions(axes, [motion], world, run.scenario, coordinate)
     axes.lines[0].set(alpha=_PALE)
     limits = axes.get_ylim()
     first: dict[str, Any] = {"label": "first plan", "color": color_of(1), **_PLANNED}
@@ -207,7 +194,7 @@ def plot_run(axes: Axes, run: ClosedLoopRun, coordinate: int = 0) -> None:
         if line.get_transform() == axes.transData and np.any(seen := t <= axes.get_xlim()[1]):
             values.append((np.min(y[seen]), np.max(y[seen])))
     axes.set(ylim=(float(np.min(values)), float(np.max(values))))
-    axes.legend(ncols=3, **ABOVE)
+    axes.legend(ncols=3, **figures.ABOVE)
 
 
 def _draw_path(
@@ -245,7 +232,7 @@ def plot_promises(axes: Axes, run: ClosedLoopRun) -> None:
     _mark_kick(axes, run)
     axes.set(xlabel="time t [s]", ylabel="cost J", xlim=_find_span(run))
     axes.set_ylim(bottom=0)
-    axes.legend(ncols=3, **ABOVE)
+    axes.legend(ncols=3, **figures.ABOVE)
 
 
 def plot_mind(row: Sequence[Axes], run: ClosedLoopRun, index: int = 0) -> None:
@@ -261,7 +248,7 @@ def plot_mind(row: Sequence[Axes], run: ClosedLoopRun, index: int = 0) -> None:
     paths = {"plan that was given up": switch.before, "plan that was taken": switch.after}
     motions = [Motion.from_path(label, world, p.times, p.states) for label, p in paths.items()]
     for axes, color, motion in zip(row, (3, 2, 0), [*motions, motion_of_run(run)], strict=True):
-        plot_strobe(axes, motion.since(switch.time), world, run.scenario, index=color)
+        plan_figures.plot_strobe(axes, motion.since(switch.time), world, run.scenario, index=color)
 
 
 def figures_of_run(run: ClosedLoopRun) -> Iterator[tuple[Figure, str]]:
@@ -275,7 +262,7 @@ def figures_of_run(run: ClosedLoopRun) -> Iterator[tuple[Figure, str]]:
     if moves_straight(world) and world.num_positions > 1:
         figure = Figure(figsize=(6, 5), layout="constrained")
         motions = [motion_of_run(run), *motions_of_switches(run)]
-        plot_path(figure.subplots(), motions, world, run.scenario)
+        figures.plot_path(figure.subplots(), motions, world, run.scenario)
         yield figure, "The simulated path, and the planned ones."
     moments = [] if moves_straight(run.world) else run.switches[:_MOST_NAMED]
     for index, switch in enumerate(moments):
@@ -302,7 +289,7 @@ def _draw_rows(run: ClosedLoopRun) -> Figure:
         if coordinate:
             axes.get_legend().remove()
     for coordinate, axes in zip(driven, rows[n:], strict=True):
-        plot_controls(axes, [motion_of_run(run)], world, coordinate)
+        figures.plot_controls(axes, [motion_of_run(run)], world, coordinate)
         _mark_kick(axes, run)
     for axes in rows[:-1]:
         axes.set_xlabel("")

@@ -8,16 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drake_aigto.progress import list_some
+from drake_aigto.show import words
 from drake_aigto.show.facts import Fact, format_facts
-from drake_aigto.show.text import (
-    cost_text,
-    goal_items,
-    join_items,
-    length_text,
-    name_touch,
-    touch_names,
-    weight_text,
-)
 
 if TYPE_CHECKING:
     from drake_aigto.control import ClosedLoopRun
@@ -40,34 +32,31 @@ def run_facts(run: ClosedLoopRun) -> Iterator[Fact]:
     replay, world = run.replay, run.world
     walls = "soft walls" if run.scenario.contact == "compliant" else "stiff walls"
     where = f"with {walls}" if world.contacts else "without walls"
-    yield "goal", join_items(goal_items(run.arrival))
+    yield "goal", words.join_items(words.goal_items(run.arrival))
     yield "simulation", f"in Drake's Simulator, {where}; {_METHODS[run.method]}"
     if run.is_interrupted:
         yield "interrupted", CUT_SHORT
     d, filtered = run.disturbance, ", filtered before the controller" if run.is_filtered else ""
     disturbed = {
-        f"start off by {weight_text(d.start_offset)}": d.start_offset.any(),
+        f"start off by {words.weight_text(d.start_offset)}": d.start_offset.any(),
         f"masses times {d.mass_factor:g}": d.mass_factor != 1,
         f"friction times {d.friction_factor:g}": d.friction_factor != 1,
         f"walls {1e3 * d.wall_shift:g} mm nearer": d.wall_shift,
         f"restitution times {d.restitution_factor:g}": d.restitution_factor != 1,
-        f"a kick of {weight_text(d.kick)} at {d.kick_time:g} s": d.kick.any(),
-        f"noise of {weight_text(d.noise)} (seed {d.seed}){filtered}": d.noise.any(),
+        f"a kick of {words.weight_text(d.kick)} at {d.kick_time:g} s": d.kick.any(),
+        f"noise of {words.weight_text(d.noise)} (seed {d.seed}){filtered}": d.noise.any(),
         f"commands {1e3 * d.delay:g} ms late": d.delay,
         f"stiffness times {d.stiffness_factor:g}": d.stiffness_factor != 1,
         f"commands cut at {d.saturation.tolist()}": d.saturation.any(),
     }
     yield "disturbed", "; ".join(text for text, is_so in disturbed.items() if is_so) or "by nothing"
-    first = cost_text(run.promised, 3)
-    yield (
-        "cost",
-        f"{cost_text(run.cost, 3)} along the simulated motion; the first plan promises {first}",
-    )
+    cost, first = (words.cost_text(each, 3) for each in (run.cost, run.promised))
+    yield "cost", f"{cost} along the simulated motion; the first plan promises {first}"
     yield "ends", f"at {run.duration:g} s"
     pairs = zip(replay.bounce_times, replay.bounce_contacts, strict=True)
-    touches = list_some(name_touch(pair, touch_names(world)) for pair in pairs)
+    touches = list_some(words.name_touch(pair, words.touch_names(world)) for pair in pairs)
     touched = f"touches {touches}" if touches else "nothing is touched"
-    yield "walls", f"deepest penetration {length_text(replay.max_penetration)}; {touched}"
+    yield "walls", f"deepest penetration {words.length_text(replay.max_penetration)}; {touched}"
     if broken := replay.broken:
         yield "breaks", ", ".join(f"{name} by {replay.violations[name]:.1g}" for name in broken)
     if run.ticks:

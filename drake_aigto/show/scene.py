@@ -39,7 +39,7 @@ from drake_aigto.show.motion import (
 from drake_aigto.show.page import Playback, list_events, list_numbers, stand_side_by_side
 from drake_aigto.show.shapes import Actor, find_goal, has_goal, moving_joints
 from drake_aigto.show.stage import Stage
-from drake_aigto.show.text import plan_name
+from drake_aigto.show.words import plan_name
 from drake_aigto.world import Scenario, World
 
 # Frames are keyed where a motion has rows; between two of them the browser moves straight on.

@@ -10,21 +10,13 @@ from matplotlib.figure import Figure
 
 from drake_aigto.arrays import Floats
 from drake_aigto.paper import PAPER_COSTS, Cell, Entry, RigidCell, Table1, TableMethod
+from drake_aigto.show import words
 from drake_aigto.show.figures import plot_motions
 from drake_aigto.show.film import open_meshcat
 from drake_aigto.show.motion import PLAN_LABEL, SIMULATION_LABELS, Motion
 from drake_aigto.show.page import Page, Scene
 from drake_aigto.show.report import PROBLEM, describe_versions
 from drake_aigto.show.scene import publish
-from drake_aigto.show.text import (
-    NO_COST,
-    WIDTH,
-    cost_text,
-    length_text,
-    run_texts,
-    task_items,
-    time_text,
-)
 from drake_aigto.world import Scenario, World
 
 _COLUMNS = (
@@ -68,12 +60,12 @@ def _blocks(table: Table1) -> Iterator[str]:
     for row in sorted({cell.row for cell in _cells(table)}):
         scenario, paper = Scenario.named(f"table1/{row}"), PAPER_COSTS[row]
         yield ""
-        yield f"Row {row}: {', '.join(task_items(scenario))}, ε = {scenario.epsilon:g} J"
+        yield f"Row {row}: {', '.join(words.task_items(scenario))}, ε = {scenario.epsilon:g} J"
         yield f"       the paper: gradient {paper.gradient:.3g}, AIGTO {paper.aigto:.3g}"
         yield _join(name for name, _ in _COLUMNS)
         for cell in table.literal:
             if cell.row == row:
-                yield f"  {_bound(cell, ' at every knot')} ".ljust(WIDTH, "-")
+                yield f"  {_bound(cell, ' at every knot')} ".ljust(words.WIDTH, "-")
                 yield from _method_lines(cell.methods)
         for rigid in table.rigid:
             if rigid.row == row:
@@ -88,13 +80,11 @@ def _rigid_lines(cell: RigidCell) -> Iterator[str]:
     """Yields the rigid plan, and how far it and its replays are above the exact optimum."""
     optimum = cell.optimum
     bounces = ", ".join(f"bounce at {time:.3f} s" for time in optimum.bounce_times)
-    title = (
-        f"  rigid wall, e = {cell.restitution:g}; exact optimum {cost_text(optimum.cost, 4)}, "
-        f"{bounces or 'no bounce'}"
-    )
+    title = f"  rigid wall, e = {cell.restitution:g}; exact optimum "
+    title += f"{words.cost_text(optimum.cost, 4)}, {bounces or 'no bounce'}"
     if any(method.best.replays.drake for method in cell.methods):
-        title += f"; Drake's wall {time_text(cell.contact_delay)} late"
-    yield f"{title} ".ljust(WIDTH, "-")
+        title += f"; Drake's wall {words.time_text(cell.contact_delay)} late"
+    yield f"{title} ".ljust(words.WIDTH, "-")
     yield from _method_lines(cell.methods)
     for method in cell.methods:
         replays = method.best.replays
@@ -108,8 +98,8 @@ def _rigid_lines(cell: RigidCell) -> Iterator[str]:
 def _excess(cell: RigidCell, cost: float) -> str:
     """Returns how far a cost is above the exact optimum, in eight columns."""
     excess = cost - cell.optimum.cost
-    if cell.optimum.cost < NO_COST:
-        return f"{excess:+.1e}" if excess >= NO_COST else "0"
+    if cell.optimum.cost < words.NO_COST:
+        return f"{excess:+.1e}" if excess >= words.NO_COST else "0"
     percent = 100 * excess / cell.optimum.cost
     return f"{percent:+.3f} %" if abs(percent) < 9.9995 else f"{percent:+.2g} %"
 
@@ -128,11 +118,11 @@ def _numbers(entry: Entry, digits: int = 2) -> tuple[str, ...]:
     """Returns a plan's numbers, and those of simulations of its control."""
     rigid, drake = entry.replays.event_driven, entry.replays.drake
     return (
-        cost_text(entry.candidate.cost, digits),
-        *run_texts(entry.candidate)[1:],
-        cost_text(rigid.cost, digits),
-        length_text(rigid.goal_error),
-        "-" if drake is None else cost_text(drake.cost, digits),
+        words.cost_text(entry.candidate.cost, digits),
+        *words.run_texts(entry.candidate)[1:],
+        words.cost_text(rigid.cost, digits),
+        words.length_text(rigid.goal_error),
+        "-" if drake is None else words.cost_text(drake.cost, digits),
         "holds" if entry.holds else "fails",
     )
 
@@ -209,7 +199,7 @@ def _cells(table: Table1) -> list[Cell | RigidCell]:
 def _add_row(page: Page, table: Table1, row: int) -> None:
     """Adds a row's task, numbers and figure."""
     scenario, paper = Scenario.named(f"table1/{row}"), PAPER_COSTS[row]
-    page.heading(f"Row {row}: {', '.join(task_items(scenario))}")
+    page.heading(f"Row {row}: {', '.join(words.task_items(scenario))}")
     page.paragraph(
         f"The paper's costs: gradient {paper.gradient:g}, AIGTO {paper.aigto:g}. They come without "
         "defects or simulations."
@@ -224,7 +214,7 @@ def _add_row(page: Page, table: Table1, row: int) -> None:
     page.table(_HEADER, rows)
     for cell in cells:
         if isinstance(cell, RigidCell):
-            cost = cost_text(cell.optimum.cost, 4)
+            cost = words.cost_text(cell.optimum.cost, 4)
             page.paragraph(f"The exact optimum on a rigid wall costs {cost}.")
     world = World.from_scenario(scenario)
     motions = _make_motions(table, row, world)

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from drake_aigto.errors import ModelError, OptionsError
 from drake_aigto.plain import check_writable
 from drake_aigto.planning import VIEWS, Plan
+from drake_aigto.show import words
 from drake_aigto.show.facts import verdict_facts
 from drake_aigto.show.figures import plot_plan, plot_positions
 from drake_aigto.show.film import open_meshcat
@@ -25,14 +26,6 @@ from drake_aigto.show.plan_figures import draw_goal, draw_moving, draw_still, pl
 from drake_aigto.show.scene import publish
 from drake_aigto.show.shapes import coordinate_names, find_goal
 from drake_aigto.show.stage import Stage
-from drake_aigto.show.text import (
-    cost_text,
-    join_words,
-    miss_text,
-    plan_name,
-    run_texts,
-    sequence_text,
-)
 from drake_aigto.world import World
 
 _INCH, _DPI = 8.0, 100  # width of figures, and their dots per inch
@@ -56,7 +49,7 @@ def plot(plan: Plan, world: World | None = None) -> Figure:
     above, below = np.array(figure.subfigures(2, 1, height_ratios=[1, 2])).tolist()
     plot_strobe(above.subplots(), motions_of_plan(plan, world)[0], world, plan.scenario)
     plot_plan(below.subplots(3, columns, sharex=True, squeeze=False), plan, world)
-    figure.suptitle(plan_name(plan.scenario, world))
+    figure.suptitle(words.plan_name(plan.scenario, world))
     pyplot.close(figure)  # A notebook shows what a cell returns, once.
     return figure
 
@@ -192,18 +185,18 @@ def compare(plans: Mapping[str, Plan], world: World | None = None) -> Page:
             raise ModelError(
                 "plans on one page", got=f"{name}: {error}", expected=expected
             ) from error
-    asked = dict.fromkeys(plan_name(plan.scenario, world) for plan in plans.values())
-    page = Page(f"Plans for {join_words([*asked])}: {', '.join(plans)}")
+    asked = dict.fromkeys(words.plan_name(plan.scenario, world) for plan in plans.values())
+    page = Page(f"Plans for {words.join_words([*asked])}: {', '.join(plans)}")
     numbers = ("cost J", "dynamics defect", "deepest penetration", "energy ratio", "J simulated")
     header = ("", "holds", "goal", *numbers, "off the goal", "touches")
     rows = []
     for name, plan in plans.items():
         reached = "reached" if plan.find_arrival(world).is_reached else "not reached"
-        simulated = cost_text(plan.replay.event_driven.cost, 3, plan.best.scales.cost)
-        worth = (*run_texts(plan.best, 3), simulated)
-        miss = miss_text(plan.best, plan.scenario, world)
-        words = "holds" if plan.holds else "fails"
-        rows.append((name, words, reached, *worth, miss, sequence_text(plan.best, world)))
+        simulated = words.cost_text(plan.replay.event_driven.cost, 3, plan.best.scales.cost)
+        worth = (*words.run_texts(plan.best, 3), simulated)
+        miss = words.miss_text(plan.best, plan.scenario, world)
+        verdict = "holds" if plan.holds else "fails"
+        rows.append((name, verdict, reached, *worth, miss, words.sequence_text(plan.best, world)))
     page.table(header, rows)
     motions = [
         Motion.from_trajectory(plan.trajectory, world, f"{name}: plan (not a simulation)")

@@ -11,21 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drake_aigto import terms
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp
 from drake_aigto.solver.program import AigoProgram
 from drake_aigto.solver.ranges import sum_range
-from drake_aigto.terms import (
-    Factor,
-    FunctionKind,
-    Sum,
-    TermBlock,
-    add,
-    from_terms,
-    function,
-    multiply,
-    with_own_variables,
-)
 
 # A product that may be larger than this part of its variable's largest value is a row like others.
 _LARGEST_PART = 1e-2
@@ -35,7 +25,7 @@ _TIGHTENED, _LAST, _STEPS = 0.01, 1e-5, 100  # how ε falls, its last value, and
 _BARRIER, _PUSH = 1e-4, 1e-6  # from a point of a larger ε
 
 # The terms of a sum without its constant, divided by the first one's coefficient.
-_Form = frozenset[tuple[tuple[Factor, ...], float]]
+_Form = frozenset[tuple[tuple[terms.Factor, ...], float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +43,14 @@ class Complementarity:
 
     row: int
     variable: int
-    gap: Sum
+    gap: terms.Sum
     allowed: float
     slack: int = -1
 
     @property
-    def _own(self) -> Sum:
+    def _own(self) -> terms.Sum:
         """λ over y."""
-        return function(self.variable, FunctionKind.POWER)
+        return terms.function(self.variable, terms.FunctionKind.POWER)
 
     @property
     def sides(self) -> tuple[_Form, _Form]:
@@ -69,15 +59,15 @@ class Complementarity:
         gap = frozenset((parts, round(a / unit, 9)) for parts, a in self.gap.items())
         return _normal_form(self._own)[0], gap
 
-    def product_row(self, total: Sum) -> TermBlock:
+    def product_row(self, total: terms.Sum) -> terms.TermBlock:
         """Returns the row λ s + total = 0."""
-        return as_row(add(multiply(self.gap, self._own), total))
+        return as_row(terms.add(terms.multiply(self.gap, self._own), total))
 
 
-def as_row(total: Sum) -> TermBlock:
+def as_row(total: terms.Sum) -> terms.TermBlock:
     """Returns a sum as a row of one copy."""
-    terms, read = with_own_variables(total)
-    return TermBlock("complementarity", terms, [read])
+    own, read = terms.with_own_variables(total)
+    return terms.TermBlock("complementarity", own, [read])
 
 
 def are_shared(found: Sequence[Complementarity]) -> Bools:
@@ -134,7 +124,7 @@ class _ComplementaritySearch:
         self._lower, self._upper = parsed.lower, parsed.upper
         self._slacks = {row: i for i, row in enumerate(program.slack_rows, self._lower.size)}
         self._rows = [
-            (from_terms(each.block.terms, copy), each.lower, each.upper)
+            (terms.from_terms(each.block.terms, copy), each.lower, each.upper)
             for each in parsed.rows
             for copy in each.block.variables.tolist()
         ]
@@ -160,7 +150,7 @@ class _ComplementaritySearch:
                     break
 
     def _split(
-        self, number: int, product: Sum, variable: int, bounds: tuple[float, float]
+        self, number: int, product: terms.Sum, variable: int, bounds: tuple[float, float]
     ) -> Complementarity | None:
         """Returns a row as a product of a variable and a sum, if that is a complementarity."""
         low, high = float(self._lower[variable]), float(self._upper[variable])
@@ -179,12 +169,12 @@ class _ComplementaritySearch:
                 return Complementarity(number, variable, gap, max(0.0, allowed), slack)
         return None
 
-    def _distances(self, rest: Sum) -> Iterator[tuple[float, Sum]]:
+    def _distances(self, rest: terms.Sum) -> Iterator[tuple[float, terms.Sum]]:
         """Yields the sign that a sum keeps, and the sum by variables that show it."""
-        terms, read = with_own_variables(rest)
+        own, read = terms.with_own_variables(rest)
         if not read:
             return
-        least, most = sum_range(terms, self._lower[read], self._upper[read])
+        least, most = sum_range(own, self._lower[read], self._upper[read])
         rounding = _ROUNDING * sum(abs(a) for a in rest.values())
         if least >= -rounding:
             yield 1.0, rest
@@ -195,25 +185,25 @@ class _ComplementaritySearch:
             scale = unit / side.unit
             if abs(scale * side.bound + rest.get((), 0.0)) <= rounding:
                 # scale · (s − bound) of the slack variable s
-                total: Sum = {(Factor(side.slack, FunctionKind.POWER),): scale}
+                total: terms.Sum = {(terms.Factor(side.slack, terms.FunctionKind.POWER),): scale}
                 bound = side.bound + side.constant
                 total |= {(): -scale * bound} if bound else {}
                 yield math.copysign(1.0, scale) * side.sign, total
 
 
-def _normal_form(total: Sum) -> tuple[_Form, float]:
+def _normal_form(total: terms.Sum) -> tuple[_Form, float]:
     """Returns a sum's terms but the constant, divided by the first one's coefficient, and that."""
     rest = {parts: a for parts, a in total.items() if parts}
     unit = rest[min(rest)] if rest else 1.0
     return frozenset((parts, round(a / unit, 9)) for parts, a in rest.items()), unit
 
 
-def _divide(product: Sum, variable: int) -> Sum | None:
+def _divide(product: terms.Sum, variable: int) -> terms.Sum | None:
     """Returns a sum divided by a variable; None where a term has no power of it."""
-    found: Sum = {}
+    found: terms.Sum = {}
     for parts, a in product.items():
         for place, part in enumerate(parts):
-            if part.variable == variable and part.kind == FunctionKind.POWER:
+            if part.variable == variable and part.kind == terms.FunctionKind.POWER:
                 less = () if part.exponent == 1 else (part._replace(exponent=part.exponent - 1),)
                 found[(*parts[:place], *less, *parts[place + 1 :])] = a
                 break
@@ -240,7 +230,7 @@ class TightenedProgram:
         self._size, count = nlp.num_variables, len(found)
         self._allowed = np.array([each.allowed for each in found])
         rows = [
-            each.product_row({(Factor(number, FunctionKind.POWER),): -1.0})
+            each.product_row({(terms.Factor(number, terms.FunctionKind.POWER),): -1.0})
             for number, each in enumerate(found, self._size)
         ]
         self._nlp = PolynomialNlp(

@@ -9,14 +9,7 @@ from fractions import Fraction
 
 import numpy as np
 import pydrake.symbolic as sym
-from pydrake.solvers import (
-    Binding,
-    EvaluatorBase,
-    ExpressionConstraint,
-    ExpressionCost,
-    LinearConstraint,
-    MathematicalProgram,
-)
+from pydrake import solvers
 from pydrake.symbolic import Expression, ExpressionKind, Variable
 
 from drake_aigto.arrays import Floats
@@ -47,8 +40,8 @@ class Lifted:
         formulas: of each z_i, over x and those before it.
     """
 
-    prog: MathematicalProgram
-    rows: tuple[tuple[EvaluatorBase, ...], ...]
+    prog: solvers.MathematicalProgram
+    rows: tuple[tuple[solvers.EvaluatorBase, ...], ...]
     formulas: tuple[Expression, ...] = ()
 
     def extend(self, x: Floats) -> Floats:
@@ -65,7 +58,7 @@ class Lifted:
         return values
 
 
-def lift(prog: MathematicalProgram) -> Lifted:
+def lift(prog: solvers.MathematicalProgram) -> Lifted:
     """Returns a program in which all functions have means in closed form.
 
     A variable z stands for a function of others, which a row, or two, define:
@@ -87,15 +80,15 @@ def lift(prog: MathematicalProgram) -> Lifted:
     return _Lift(prog).run()
 
 
-def _formulas(binding: Binding) -> Sequence[Expression] | None:
+def _formulas(binding: solvers.Binding) -> Sequence[Expression] | None:
     """Returns the formulas of a symbolic cost or constraint, a norm or a cone; None of others."""
     evaluator, variables = binding.evaluator(), binding.variables()
     if isinstance(evaluator, (*NORM_COSTS, *CONES)):
         formulas: Sequence[Expression] = evaluator.Eval(variables)
         return formulas
-    if isinstance(evaluator, ExpressionConstraint):
+    if isinstance(evaluator, solvers.ExpressionConstraint):
         formulas = evaluator.expressions()
-    elif isinstance(evaluator, ExpressionCost):
+    elif isinstance(evaluator, solvers.ExpressionCost):
         formulas = [evaluator.expression()]
     else:
         return None
@@ -104,11 +97,11 @@ def _formulas(binding: Binding) -> Sequence[Expression] | None:
     return [each.Substitute(pairs) if pairs else each for each in formulas]
 
 
-def _rows(binding: Binding) -> Iterator[RowRange]:
+def _rows(binding: solvers.Binding) -> Iterator[RowRange]:
     """Yields formulas and bounds of a linear or symbolic constraint, or a cone."""
     evaluator, variables = binding.evaluator(), binding.variables()
     formulas = _formulas(binding)
-    if isinstance(evaluator, LinearConstraint):
+    if isinstance(evaluator, solvers.LinearConstraint):
         formulas = [
             sum((a * x for a, x in zip(row, variables, strict=True)), Expression(0.0))
             for row in evaluator.GetDenseA().tolist()
@@ -120,9 +113,9 @@ def _rows(binding: Binding) -> Iterator[RowRange]:
 class _Lift:
     """One run: the new program, its variables that stand for formulas, and all ranges."""
 
-    def __init__(self, prog: MathematicalProgram) -> None:
+    def __init__(self, prog: solvers.MathematicalProgram) -> None:
         variables = prog.decision_variables()
-        self._source, self._prog = prog, MathematicalProgram()
+        self._source, self._prog = prog, solvers.MathematicalProgram()
         self._prog.AddDecisionVariables(variables)
         self._known: dict[str, Variable] = {}
         self._formulas: list[Expression] = []
@@ -140,18 +133,18 @@ class _Lift:
         rows = tuple(tuple(self._add_constraint(binding)) for binding in constraints)
         return Lifted(self._prog, rows, tuple(self._formulas))
 
-    def _add_cost(self, binding: Binding) -> None:
+    def _add_cost(self, binding: solvers.Binding) -> None:
         self._label, self._is_row = evaluator_label(binding), False
         formulas = _formulas(binding)
         if formulas is None:
             self._prog.AddCost(binding)
             return
         (formula,) = formulas
-        cost = ExpressionCost(self._lift(formula, 1))
+        cost = solvers.ExpressionCost(self._lift(formula, 1))
         cost.set_description(evaluator_name(binding.evaluator()))
         self._prog.AddCost(cost, vars=cost.vars())
 
-    def _add_constraint(self, binding: Binding) -> Iterator[EvaluatorBase]:
+    def _add_constraint(self, binding: solvers.Binding) -> Iterator[solvers.EvaluatorBase]:
         """Adds the lifted constraints of one, and yields them."""
         evaluator = binding.evaluator()
         self._label, self._is_row = evaluator_label(binding), True
@@ -164,8 +157,10 @@ class _Lift:
             sign = int(math.isinf(low)) - int(math.isinf(high))
             yield self._add_row(evaluator_name(evaluator), self._lift(formula, sign), low, high)
 
-    def _add_row(self, name: str, formula: Expression, low: float, high: float) -> EvaluatorBase:
-        row = ExpressionConstraint(np.array([formula]), np.array([low]), np.array([high]))
+    def _add_row(
+        self, name: str, formula: Expression, low: float, high: float
+    ) -> solvers.EvaluatorBase:
+        row = solvers.ExpressionConstraint(np.array([formula]), np.array([low]), np.array([high]))
         row.set_description(name)
         self._prog.AddConstraint(row, vars=row.vars())
         return row

@@ -11,23 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from drake_aigto import terms
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.solver.program import AigoProgram, Definition, ParsedProgram
 from drake_aigto.solver.ranges import sum_range
-from drake_aigto.terms import (
-    Factor,
-    FunctionKind,
-    NoClosedFormError,
-    ParsedRow,
-    Sum,
-    TermBlock,
-    TooManyTermsError,
-    add,
-    compose,
-    constant,
-    from_terms,
-    with_own_variables,
-)
 
 # The least coefficient of a variable that its row defines, relative to the row's largest one.
 _LEAST_PIVOT = 1e-4
@@ -52,7 +39,7 @@ class BoundedSum:
 
     label: str
     name: str
-    total: Sum
+    total: terms.Sum
     bounds: tuple[float, float] | None = None
 
     @cached_property
@@ -106,7 +93,7 @@ def _split(parsed: ParsedProgram) -> Iterator[BoundedSum]:
     rows = ((each.label, each.block, (each.lower, each.upper)) for each in parsed.rows)
     for label, block, bounds in (*costs, *rows):
         for copy in block.variables.tolist():
-            yield BoundedSum(label, block.name, from_terms(block.terms, copy), bounds)
+            yield BoundedSum(label, block.name, terms.from_terms(block.terms, copy), bounds)
 
 
 def _join(pieces: Iterable[BoundedSum], kept: Ints, lower: Floats, upper: Floats) -> ParsedProgram:
@@ -114,17 +101,17 @@ def _join(pieces: Iterable[BoundedSum], kept: Ints, lower: Floats, upper: Floats
     place = {variable: i for i, variable in enumerate(kept.tolist())}
     alike: dict[tuple[Any, ...], list[list[int]]] = {}
     for piece in pieces:
-        terms, read = with_own_variables(piece.total)
-        copies = alike.setdefault((piece.label, piece.name, piece.bounds, terms), [])
+        sums, read = terms.with_own_variables(piece.total)
+        copies = alike.setdefault((piece.label, piece.name, piece.bounds, sums), [])
         copies.append([place[variable] for variable in read])
     parsed = ParsedProgram(kept.size)
     parsed.lower, parsed.upper = lower[kept], upper[kept]
-    for (label, name, bounds, terms), copies in alike.items():
-        block = TermBlock(name, terms, copies)
+    for (label, name, bounds, sums), copies in alike.items():
+        block = terms.TermBlock(name, sums, copies)
         if bounds is None:
             parsed.costs += (block,)
         else:
-            parsed.add(ParsedRow(label, block, *bounds))
+            parsed.add(terms.ParsedRow(label, block, *bounds))
     return parsed
 
 
@@ -191,8 +178,8 @@ class _Substitution:
 
     def _bound(self, row: BoundedSum, definition: Definition) -> list[BoundedSum]:
         """Returns the row that keeps a substituted variable within its bounds, if one has to."""
-        terms, read = with_own_variables(definition.total)
-        least, most = sum_range(terms, self._lower[read], self._upper[read])
+        own, read = terms.with_own_variables(definition.total)
+        least, most = sum_range(own, self._lower[read], self._upper[read])
         low, high = (float(side[definition.variable]) for side in (self._lower, self._upper))
         if low <= least and most <= high:
             return []
@@ -234,19 +221,21 @@ def _define(row: BoundedSum) -> Iterator[Definition]:
     counts = Counter(part.variable for parts in row.total for part in parts)
     largest = max((abs(a) for parts, a in row.total.items() if parts), default=0.0)
     for parts, a in row.total.items():
-        if len(parts) != 1 or parts[0] != Factor(j := parts[0].variable, FunctionKind.POWER):
+        if len(parts) != 1 or parts[0] != terms.Factor(
+            j := parts[0].variable, terms.FunctionKind.POWER
+        ):
             continue
         if counts[j] == 1 and abs(a) >= _LEAST_PIVOT * largest:
             rest = {others: -b / a for others, b in row.total.items() if others != parts}
-            yield Definition(j, add(rest, constant(row.bounds[0] / a)))
+            yield Definition(j, terms.add(rest, terms.constant(row.bounds[0] / a)))
 
 
 def _insert(pieces: Iterable[BoundedSum], definition: Definition) -> list[BoundedSum] | None:
     """Returns pieces without the variable that is defined; None where one would have no mean."""
     found = []
     for piece in pieces:
-        reading: Sum = {}
-        total: Sum = {}
+        reading: terms.Sum = {}
+        total: terms.Sum = {}
         count = 0
         for parts, a in piece.total.items():
             exponents = [part.exponent for part in parts if part.variable == definition.variable]
@@ -255,8 +244,10 @@ def _insert(pieces: Iterable[BoundedSum], definition: Definition) -> list[Bounde
         if count > _MOST_MULTIPLIED * max(len(piece.total), _MOST_TERMS):
             return None
         try:
-            total = add(total, compose(reading, {definition.variable: definition.total}))
-        except (NoClosedFormError, TooManyTermsError):
+            total = terms.add(
+                total, terms.compose(reading, {definition.variable: definition.total})
+            )
+        except (terms.NoClosedFormError, terms.TooManyTermsError):
             return None
         found.append(replace(piece, total=total))
     return found

@@ -10,31 +10,13 @@ import numpy as np
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.solvers import Binding, EvaluatorBase, MathematicalProgram
 
+from drake_aigto import terms
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.local import PolynomialNlp
 from drake_aigto.solver.lift import Lifted, lift
 from drake_aigto.solver.ranges import LARGEST, Range, largest_term, sum_range, tighten
-from drake_aigto.terms import (
-    Factor,
-    FunctionKind,
-    NoClosedFormError,
-    ParsedRow,
-    Sum,
-    Term,
-    TermBlock,
-    TooManyTermsError,
-    check_continuous,
-    evaluate,
-    evaluator_name,
-    from_terms,
-    parse_costs,
-    parse_rows,
-    power,
-    shared_evaluators,
-    to_terms,
-)
 
 # A row of constants may miss its bounds by this; violations below it are far below the tolerance of
 # an answer.
@@ -66,8 +48,8 @@ class ParsedProgram:
 
     def __init__(self, num_variables: int) -> None:
         """Starts with nothing."""
-        self.costs: tuple[TermBlock, ...] = ()
-        self.rows: list[ParsedRow] = []
+        self.costs: tuple[terms.TermBlock, ...] = ()
+        self.rows: list[terms.ParsedRow] = []
         self.row_sizes: dict[EvaluatorBase, Floats] = {}
         self.lower = np.full(num_variables, -np.inf)
         self.upper = np.full(num_variables, np.inf)
@@ -81,16 +63,16 @@ class ParsedProgram:
                 are not continuous; by name.
             ContradictionError: bounds or constants alone leave no feasible point.
         """
-        check_continuous(prog)
+        terms.check_continuous(prog)
         parsed = cls(prog.num_vars())
-        for label, evaluator, copies in shared_evaluators(prog, prog.GetAllConstraints()):
-            parsed.rows += parse_rows(label, evaluator, copies)
+        for label, evaluator, copies in terms.shared_evaluators(prog, prog.GetAllConstraints()):
+            parsed.rows += terms.parse_rows(label, evaluator, copies)
             parsed.row_sizes[evaluator] = np.ones(evaluator.num_constraints())
         parsed._divide_rows(_row_size)
         rows, parsed.rows = parsed.rows, []
         for row in rows:
             parsed.add(row)
-        parsed.costs = parse_costs(prog)
+        parsed.costs = terms.parse_costs(prog)
         return parsed
 
     def scale_rows(self, lower: Floats, upper: Floats) -> bool:
@@ -100,14 +82,14 @@ class ParsedProgram:
             Whether a row was divided.
         """
 
-        def measure(row: ParsedRow) -> float:
-            copies, terms = row.block.variables, row.block.terms
-            largest = max(largest_term(terms, lower[copy], upper[copy]) for copy in copies)
+        def measure(row: terms.ParsedRow) -> float:
+            copies, own = row.block.variables, row.block.terms
+            largest = max(largest_term(own, lower[copy], upper[copy]) for copy in copies)
             return largest if largest >= (_LEAST_EQUALITY if row.is_equality else _LEAST) else 1.0
 
         return self._divide_rows(measure, _SMALL)
 
-    def _divide_rows(self, measure: Callable[[ParsedRow], float], least: float = 1.0) -> bool:
+    def _divide_rows(self, measure: Callable[[terms.ParsedRow], float], least: float = 1.0) -> bool:
         """Divides rows by their sizes that are below the least; copies by the largest of theirs."""
         sizes: dict[Any, float] = {}
         for row in self.rows:
@@ -118,7 +100,7 @@ class ParsedProgram:
         self.rows = [row.divided(small.get(row.origin, 1.0)) for row in self.rows]
         return bool(small)
 
-    def add(self, row: ParsedRow) -> None:
+    def add(self, row: terms.ParsedRow) -> None:
         """Adds the copies of a row.
 
         Raises:
@@ -142,7 +124,7 @@ class ParsedProgram:
                 raise ContradictionError
 
 
-def _row_size(row: ParsedRow) -> float:
+def _row_size(row: terms.ParsedRow) -> float:
     """Returns the largest coefficient of a row."""
     sizes = (abs(term.coefficient) for term in row.block.terms if term.factors)
     return max(sizes, default=1.0) or 1.0
@@ -157,7 +139,7 @@ class Definition(NamedTuple):
     """
 
     variable: int
-    total: Sum
+    total: terms.Sum
 
 
 class AigoProgram:
@@ -193,25 +175,27 @@ class AigoProgram:
         self.parsed, self.definitions = parsed or given, definitions
         self.kept = np.delete(np.arange(given.lower.size), [j for j, _ in definitions])
         parsed = self.parsed
-        blocks: list[TermBlock] = []
+        blocks: list[terms.TermBlock] = []
         self.slack_rows: list[int] = []
         lower, upper = [parsed.lower], [parsed.upper]
-        costs = [evaluator_name(cost.evaluator()) for cost in source.GetAllCosts()]
+        costs = [terms.evaluator_name(cost.evaluator()) for cost in source.GetAllCosts()]
         # Rows' names begin as no cost's does: weights are given by name.
         prefix, size, number = "row ", parsed.lower.size, 0
         while any(name.startswith(prefix) for name in costs):
             prefix = f"constraint {prefix}"
         for row in parsed.rows:
-            rest, variables = Term(-row.lower, ()), row.block.variables
+            rest, variables = terms.Term(-row.lower, ()), row.block.variables
             count = len(variables)
             if not row.is_equality:
-                rest = Term(-1.0, (Factor(variables.shape[1], FunctionKind.POWER),))
+                rest = terms.Term(
+                    -1.0, (terms.Factor(variables.shape[1], terms.FunctionKind.POWER),)
+                )
                 variables = np.column_stack([variables, np.arange(size, size + count)])
                 self.slack_rows += range(number, number + count)
                 size += count
                 lower.append(np.full(count, row.lower))
                 upper.append(np.full(count, row.upper))
-            blocks.append(TermBlock(f"{prefix}{number}", (*row.block.terms, rest), variables))
+            blocks.append(terms.TermBlock(f"{prefix}{number}", (*row.block.terms, rest), variables))
             number += count
         bounds = np.concatenate(lower), np.concatenate(upper)
         self.nlp = PolynomialNlp(size, parsed.costs, tuple(blocks), *bounds)
@@ -234,8 +218,8 @@ class AigoProgram:
     @cached_property
     def largest_coefficient(self) -> float:
         """The largest one of all rows, in absolute value; 0 without rows."""
-        terms = (term for row in self.parsed.rows for term in row.block.terms)
-        return max((abs(term.coefficient) for term in terms), default=0.0)
+        own = (term for row in self.parsed.rows for term in row.block.terms)
+        return max((abs(term.coefficient) for term in own), default=0.0)
 
     def slack_ranges(self, low: Floats, high: Floats) -> Iterator[Range]:
         """Yields bounds of the g that each s_i stands for, over low ≤ z ≤ high (n,)."""
@@ -299,7 +283,7 @@ class AigoProgram:
         x = np.clip(x, lower, upper)
         for j, total in reversed(self.definitions):
             with np.errstate(over="ignore", invalid="ignore"):  # Far out a definition may overflow.
-                x[j] = min(max(float(evaluate(total, x)), lower[j]), upper[j])
+                x[j] = min(max(float(terms.evaluate(total, x)), lower[j]), upper[j])
         return x[: self.source.num_vars()]
 
     def with_slacks(self, z: Floats) -> Floats:
@@ -345,17 +329,17 @@ def _rounding(evaluator: EvaluatorBase, x: Floats) -> Floats:
     return np.where(np.isfinite(changes), changes, 0.0)
 
 
-def _square(row: ParsedRow, block: TermBlock) -> TermBlock:
+def _square(row: terms.ParsedRow, block: terms.TermBlock) -> terms.TermBlock:
     """Returns r² of all copies of an equality r(y) = 0, which stands for a row."""
     try:
-        terms = to_terms(power(from_terms(block.terms), 2))
-    except NoClosedFormError as error:
+        square = terms.to_terms(terms.power(terms.from_terms(block.terms), 2))
+    except terms.NoClosedFormError as error:
         raise UnsupportedTermError(
             f"{row.label} can't be penalized",
             got=f"the row {row}, in whose square {error}",
             expected="rows whose square has a mean in closed form",
             remedy="Give one of the two functions a variable s of its own: s == exp(x).",
         ) from None
-    except TooManyTermsError as error:
+    except terms.TooManyTermsError as error:
         raise error.refusal(row.label, f"in the square of the row {row}") from None
-    return TermBlock(block.name, terms, block.variables)
+    return terms.TermBlock(block.name, square, block.variables)

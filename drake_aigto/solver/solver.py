@@ -6,14 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.solvers import (
-    MathematicalProgram,
-    MathematicalProgramResult,
-    ProgramAttribute,
-    SolverId,
-    SolverInterface,
-    SolverOptions,
-)
+from pydrake import solvers
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
@@ -29,22 +22,22 @@ from drake_aigto.solver.program import ContradictionError, read_program
 from drake_aigto.solver.solve import Solve
 
 _SUPPORTED = {
-    ProgramAttribute.kLinearCost,
-    ProgramAttribute.kQuadraticCost,
-    ProgramAttribute.kGenericCost,
-    ProgramAttribute.kL2NormCost,
-    ProgramAttribute.kLinearConstraint,
-    ProgramAttribute.kLinearEqualityConstraint,
-    ProgramAttribute.kQuadraticConstraint,
-    ProgramAttribute.kLorentzConeConstraint,
-    ProgramAttribute.kRotatedLorentzConeConstraint,
-    ProgramAttribute.kExponentialConeConstraint,
-    ProgramAttribute.kGenericConstraint,
-    ProgramAttribute.kCallback,
+    solvers.ProgramAttribute.kLinearCost,
+    solvers.ProgramAttribute.kQuadraticCost,
+    solvers.ProgramAttribute.kGenericCost,
+    solvers.ProgramAttribute.kL2NormCost,
+    solvers.ProgramAttribute.kLinearConstraint,
+    solvers.ProgramAttribute.kLinearEqualityConstraint,
+    solvers.ProgramAttribute.kQuadraticConstraint,
+    solvers.ProgramAttribute.kLorentzConeConstraint,
+    solvers.ProgramAttribute.kRotatedLorentzConeConstraint,
+    solvers.ProgramAttribute.kExponentialConeConstraint,
+    solvers.ProgramAttribute.kGenericConstraint,
+    solvers.ProgramAttribute.kCallback,
 }
 
 
-class AigoSolver(SolverInterface):
+class AigoSolver(solvers.SolverInterface):
     """Global minima of polynomial programs, by boxes that shrink, without sampling.
 
         minimize f(x)  subject to  lower ≤ g(x) ≤ upper
@@ -85,11 +78,11 @@ class AigoSolver(SolverInterface):
         self.options = options or AigoOptions()
 
     @staticmethod
-    def id() -> SolverId:
+    def id() -> solvers.SolverId:
         """Returns the solver's id, "AIGO"."""
         return SOLVER_ID
 
-    def solver_id(self) -> SolverId:
+    def solver_id(self) -> solvers.SolverId:
         """Returns the solver's id, "AIGO"."""
         return SOLVER_ID
 
@@ -101,24 +94,24 @@ class AigoSolver(SolverInterface):
         """Returns True: no licence is needed."""
         return True
 
-    def AreProgramAttributesSatisfied(self, prog: MathematicalProgram) -> bool:
+    def AreProgramAttributesSatisfied(self, prog: solvers.MathematicalProgram) -> bool:
         """Returns whether the kinds of costs, constraints and variables are supported.
 
         Their formulas are read by `Solve` only, which names those that it can't integrate.
         """
         return prog.required_capabilities() <= _SUPPORTED
 
-    def ExplainUnsatisfiedProgramAttributes(self, prog: MathematicalProgram) -> str:
+    def ExplainUnsatisfiedProgramAttributes(self, prog: solvers.MathematicalProgram) -> str:
         """Returns a sentence that names unsupported kinds, or an empty string."""
         missing = sorted(a.name[1:] for a in prog.required_capabilities() - _SUPPORTED)
         return f"AigoSolver can't solve programs with {', '.join(missing)}." if missing else ""
 
     def Solve(
         self,
-        prog: MathematicalProgram,
+        prog: solvers.MathematicalProgram,
         initial_guess: ArrayLike | None = None,
-        solver_options: SolverOptions | None = None,
-        result: MathematicalProgramResult | None = None,
+        solver_options: solvers.SolverOptions | None = None,
+        result: solvers.MathematicalProgramResult | None = None,
     ) -> Any:
         """Solves a program.
 
@@ -162,7 +155,7 @@ class AigoSolver(SolverInterface):
         return filled if result is None else None
 
     def _merge(
-        self, prog: MathematicalProgram, solver_options: SolverOptions | None
+        self, prog: solvers.MathematicalProgram, solver_options: solvers.SolverOptions | None
     ) -> tuple[AigoOptions, bool]:
         """Returns the options, those of a call before the program's, and whether to print."""
         values: dict[str, Any] = {}

@@ -18,12 +18,7 @@ from drake_aigto.local import (
     PolynomialNlp,
     make_penalty_tables,
 )
-from drake_aigto.solver.complementarity import (
-    TightenedProgram,
-    are_shared,
-    as_row,
-    find_complementarities,
-)
+from drake_aigto.solver import complementarity
 from drake_aigto.solver.details import AigoOptions
 from drake_aigto.solver.program import AigoProgram
 from drake_aigto.terms import TermBlock, constant, evaluate
@@ -74,7 +69,7 @@ class StagedProgram:
             feasibility: largest violation of a row in an answer.
         """
         self.program = program
-        self.complementarities = find_complementarities(program)
+        self.complementarities = complementarity.find_complementarities(program)
         self._least = _PART_OF_FEASIBILITY * feasibility
         rows = [
             each.product_row(constant(-max(self._least, each.allowed)))
@@ -92,15 +87,15 @@ class StagedProgram:
     def is_upper(self) -> Bools:
         """Whether rows of `nlp` are λ s ≤ ε: of complementarities that share a side (m,)."""
         found = np.zeros(self.nlp.num_rows, dtype=bool)
-        found[self.relaxed] = are_shared(self.complementarities)
+        found[self.relaxed] = complementarity.are_shared(self.complementarities)
         return found
 
     @cached_property
-    def tightened(self) -> TightenedProgram | None:
+    def tightened(self) -> complementarity.TightenedProgram | None:
         """The program for interior points, if complementarities share sides."""
         if not np.any(self.is_upper):
             return None
-        return TightenedProgram(self._with_rows([], []), self.complementarities)
+        return complementarity.TightenedProgram(self._with_rows([], []), self.complementarities)
 
     def polish(self, y: Floats, max_steps: int) -> LocalResult:
         """Returns an optimum for the smallest ε from a point y (n,) that is nearly feasible."""
@@ -145,7 +140,7 @@ class StagedProgram:
             elif abs(evaluate(each.gap, y)) >= abs(y[each.variable]):
                 held.append(each.variable)
             else:
-                rows.append(as_row(each.gap))
+                rows.append(complementarity.as_row(each.gap))
         return self._with_rows(rows, held)
 
     def _with_rows(self, rows: list[TermBlock], held: list[int]) -> PolynomialNlp:

@@ -18,19 +18,7 @@ from pydrake.symbolic import (
 )
 
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.terms.products import (
-    MAX_TERMS,
-    NoClosedFormError,
-    Sum,
-    TooManyTermsError,
-    add,
-    from_terms,
-    function,
-    multiply,
-    power,
-    to_terms,
-    wave_of_sum,
-)
+from drake_aigto.terms import products
 from drake_aigto.terms.sums import WAVES, Factor, FunctionKind, Term
 
 # Id of a variable ↦ its place among those that an evaluator is bound to.
@@ -72,7 +60,7 @@ def expression_terms(
     try:
         index = {variable.get_id(): i for i, variable in enumerate(variables)}
         return _all_terms(label, expression, index, is_row)
-    except TooManyTermsError as error:
+    except products.TooManyTermsError as error:
         raise error.refusal(label, "when multiplied out") from None
 
 
@@ -90,9 +78,9 @@ def _all_terms(
     terms = _polynomial_terms(polynomial, index)
     if not functions:
         return terms
-    total = add(from_terms(terms), *functions)
+    total = products.add(products.from_terms(terms), *functions)
     _check_count(len(total))
-    return to_terms(total)
+    return products.to_terms(total)
 
 
 def _polynomial_terms(expression: Expression, index: LocalIndex) -> tuple[Term, ...]:
@@ -117,7 +105,9 @@ def operands(expression: Expression) -> list[Expression]:
     return [e if isinstance(e, Expression) else Expression(e) for e in parts]
 
 
-def _summand_terms(label: str, summand: Expression, index: LocalIndex, is_row: bool) -> Sum:
+def _summand_terms(
+    label: str, summand: Expression, index: LocalIndex, is_row: bool
+) -> products.Sum:
     """Returns the terms of one summand, or refuses it by name."""
     try:
         total = _expand(summand, index)
@@ -125,8 +115,8 @@ def _summand_terms(label: str, summand: Expression, index: LocalIndex, is_row: b
             _check_barriers(label, summand, total)
         # The square of a row must have a mean, too.
         elif not {p.kind for parts in total for p in parts} <= {FunctionKind.POWER, *WAVES}:
-            raise NoClosedFormError("max(0, y)² or log(y) stands in a constraint")
-    except NoClosedFormError as error:
+            raise products.NoClosedFormError("max(0, y)² or log(y) stands in a constraint")
+    except products.NoClosedFormError as error:
         raise UnsupportedTermError(
             f"{label} can't be integrated",
             got=f"the term {shown(summand)}, where {error}",
@@ -136,12 +126,12 @@ def _summand_terms(label: str, summand: Expression, index: LocalIndex, is_row: b
     return total
 
 
-def _check_barriers(label: str, summand: Expression, total: Sum) -> None:
+def _check_barriers(label: str, summand: Expression, total: products.Sum) -> None:
     """Refuses logarithms that are not alone, or have not the sign of a barrier."""
     for parts, coefficient in total.items():
         if any(part.kind == FunctionKind.NEG_LOG for part in parts):
             if len(parts) > 1:
-                raise NoClosedFormError("a logarithm is multiplied by another function")
+                raise products.NoClosedFormError("a logarithm is multiplied by another function")
             if coefficient < 0.0:
                 raise UnsupportedTermError(
                     f"{label} can't be minimized",
@@ -159,11 +149,11 @@ def shown(formula: object) -> str:
 
 
 def _check_count(count: int) -> None:
-    if count > MAX_TERMS:
-        raise TooManyTermsError(count)
+    if count > products.MAX_TERMS:
+        raise products.TooManyTermsError(count)
 
 
-def _expand(e: Expression, index: LocalIndex) -> Sum:
+def _expand(e: Expression, index: LocalIndex) -> products.Sum:
     """Returns the terms of an expression.
 
     Raises:
@@ -173,41 +163,45 @@ def _expand(e: Expression, index: LocalIndex) -> Sum:
     kind = e.get_kind()
     if e.is_polynomial():
         _check_count(_count_monomials(e)[0])
-        return from_terms(_polynomial_terms(e, index))
+        return products.from_terms(_polynomial_terms(e, index))
     if kind == ExpressionKind.Add:
-        return add(*(_expand(operand, index) for operand in operands(e)))
+        return products.add(*(_expand(operand, index) for operand in operands(e)))
     if kind == ExpressionKind.Mul:
-        return functools.reduce(multiply, (_expand(operand, index) for operand in operands(e)))
+        return functools.reduce(
+            products.multiply, (_expand(operand, index) for operand in operands(e))
+        )
     if kind == ExpressionKind.Div:
         dividend, divisor = operands(e)
         if divisor.GetVariables():
-            raise NoClosedFormError(f"the divisor {divisor} is not constant")
+            raise products.NoClosedFormError(f"the divisor {divisor} is not constant")
         number = divisor.Evaluate()
         return {parts: a / number for parts, a in _expand(dividend, index).items()}
     if kind == ExpressionKind.Pow:
         return _expand_power(e, index)
     if kind in _WAVES:
         scales, offset = _affine(e, operands(e)[0])
-        return wave_of_sum(_WAVES[kind], [(index[v.get_id()], a) for v, a in scales], offset)
+        return products.wave_of_sum(
+            _WAVES[kind], [(index[v.get_id()], a) for v, a in scales], offset
+        )
     if kind == ExpressionKind.Log:
         return _of_one_variable(-1.0, FunctionKind.NEG_LOG, e, operands(e)[0], index)
     if kind == ExpressionKind.Max:
-        raise NoClosedFormError(f"{e} is not the square of a max(0, y)")
-    raise NoClosedFormError(f"{e} has no closed-form mean")
+        raise products.NoClosedFormError(f"{e} is not the square of a max(0, y)")
+    raise products.NoClosedFormError(f"{e} has no closed-form mean")
 
 
-def _expand_power(e: Expression, index: LocalIndex) -> Sum:
+def _expand_power(e: Expression, index: LocalIndex) -> products.Sum:
     base, exponent = operands(e)
     number = math.nan if exponent.GetVariables() else exponent.Evaluate()
     if not (number >= 0.0 and number == int(number)):
-        raise NoClosedFormError(f"the exponent of {e} is not a whole number")
+        raise products.NoClosedFormError(f"the exponent of {e} is not a whole number")
     factor, hinge = _split_constant(base)
     if hinge.get_kind() != ExpressionKind.Max or number != 2.0:
-        return power(_expand(base, index), int(number))
+        return products.power(_expand(base, index), int(number))
     first, second = operands(hinge)
     zero = Expression(0.0)
     if not (first.EqualTo(zero) or second.EqualTo(zero)):
-        raise NoClosedFormError(f"{hinge} is not max(0, y)")
+        raise products.NoClosedFormError(f"{hinge} is not max(0, y)")
     below = -second if first.EqualTo(zero) else -first  # the table has max(0, −y)²
     kind = FunctionKind.SQUARED_HINGE
     return _of_one_variable(factor * factor, kind, hinge, below, index)
@@ -228,13 +222,13 @@ def _split_constant(expression: Expression) -> tuple[float, Expression]:
 
 def _of_one_variable(
     coefficient: float, kind: FunctionKind, e: Expression, argument: Expression, index: LocalIndex
-) -> Sum:
+) -> products.Sum:
     """Returns coefficient times function of an affine argument, shown as e in messages."""
     scales, offset = _affine(e, argument)
     if len(scales) != 1:
-        raise NoClosedFormError(f"{e} is a function of {len(scales)} variables at once")
+        raise products.NoClosedFormError(f"{e} is a function of {len(scales)} variables at once")
     ((variable, scale),) = scales
-    (parts,) = function(index[variable.get_id()], kind, 1, scale, offset)
+    (parts,) = products.function(index[variable.get_id()], kind, 1, scale, offset)
     return {parts: coefficient}
 
 
@@ -244,7 +238,7 @@ def _affine(e: Expression, argument: Expression) -> tuple[list[tuple[Variable, f
     try:
         scales, offset = DecomposeAffineExpression(argument, index)
     except RuntimeError:
-        raise NoClosedFormError(f"the argument of {e} is not affine") from None
+        raise products.NoClosedFormError(f"the argument of {e} is not affine") from None
     pairs = zip(variables[::-1], scales[::-1].tolist(), strict=True)
     found = [(variable, scale) for variable, scale in pairs if scale != 0.0]
     return found or [(next(iter(e.GetVariables())), 0.0)], offset
@@ -271,6 +265,6 @@ def _count_monomials(e: Expression | float) -> tuple[int, int]:
             count, degree = sum(counts), max(degrees)
         else:  # Mul, or Div by a constant
             count, degree = math.prod(counts), sum(degrees)
-    if count > MAX_TERMS:
+    if count > products.MAX_TERMS:
         count = min(count, math.comb(e.GetVariables().size() + degree, degree))
     return count, degree

@@ -8,26 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.solvers import (
-    Binding,
-    BoundingBoxConstraint,
-    Cost,
-    EvaluatorBase,
-    ExponentialConeConstraint,
-    ExpressionConstraint,
-    ExpressionCost,
-    L1NormCost,
-    L2NormCost,
-    LinearConstraint,
-    LinearCost,
-    LInfNormCost,
-    LorentzConeConstraint,
-    MathematicalProgram,
-    PerspectiveQuadraticCost,
-    QuadraticConstraint,
-    QuadraticCost,
-    RotatedLorentzConeConstraint,
-)
+from pydrake import solvers
 from pydrake.symbolic import Expression, Variable
 
 from drake_aigto.arrays import Floats
@@ -38,13 +19,22 @@ from drake_aigto.terms.products import NoClosedFormError, from_terms, to_terms
 from drake_aigto.terms.sums import Factor, FunctionKind, Term, TermBlock, with_own_numbers
 
 # Drake evaluates their formulas with symbols for numbers.
-NORM_COSTS = (L1NormCost, L2NormCost, LInfNormCost, PerspectiveQuadraticCost)
-CONES = (LorentzConeConstraint, RotatedLorentzConeConstraint, ExponentialConeConstraint)
+NORM_COSTS = (
+    solvers.L1NormCost,
+    solvers.L2NormCost,
+    solvers.LInfNormCost,
+    solvers.PerspectiveQuadraticCost,
+)
+CONES = (
+    solvers.LorentzConeConstraint,
+    solvers.RotatedLorentzConeConstraint,
+    solvers.ExponentialConeConstraint,
+)
 
-_Labelled = tuple[str, EvaluatorBase]  # how messages call it
+_Labelled = tuple[str, solvers.EvaluatorBase]  # how messages call it
 
 
-def parse_costs(prog: MathematicalProgram) -> tuple[TermBlock, ...]:
+def parse_costs(prog: solvers.MathematicalProgram) -> tuple[TermBlock, ...]:
     """Returns the costs of a program, over its decision variables.
 
     An evaluator that is bound to many sets of variables is parsed once, and like terms of costs
@@ -78,9 +68,9 @@ def _parse_alike(costs: Sequence[_Labelled]) -> list[tuple[Term, ...]]:
     Where they share their monomials, as sums of squares do, that is most of the work saved.
     """
     parsed = []
-    polynomials: dict[tuple[int, ...], list[tuple[str, ExpressionCost]]] = {}
+    polynomials: dict[tuple[int, ...], list[tuple[str, solvers.ExpressionCost]]] = {}
     for label, cost in costs:
-        if isinstance(cost, ExpressionCost) and cost.expression().is_polynomial():
+        if isinstance(cost, solvers.ExpressionCost) and cost.expression().is_polynomial():
             names = tuple(variable.get_id() for variable in cost.vars())
             polynomials.setdefault(names, []).append((label, cost))
         else:
@@ -105,8 +95,8 @@ def _merged(summands: Sequence[tuple[Term, ...]]) -> tuple[Term, ...]:
 
 
 def shared_evaluators(
-    prog: MathematicalProgram, bindings: Sequence[Binding]
-) -> Iterator[tuple[str, EvaluatorBase, list[list[int]]]]:
+    prog: solvers.MathematicalProgram, bindings: Sequence[solvers.Binding]
+) -> Iterator[tuple[str, solvers.EvaluatorBase, list[list[int]]]]:
     """Groups bindings by evaluator, so that each is parsed once.
 
     Yields:
@@ -114,7 +104,7 @@ def shared_evaluators(
     """
     # The evaluators themselves are the keys, which keeps them alive: Drake's Python objects for
     # evaluators that were made in C++ are temporary, and the next one may be given the same id().
-    grouped: dict[EvaluatorBase, list[Binding]] = {}
+    grouped: dict[solvers.EvaluatorBase, list[solvers.Binding]] = {}
     for binding in bindings:
         grouped.setdefault(binding.evaluator(), []).append(binding)
     for evaluator, group in grouped.items():
@@ -122,7 +112,7 @@ def shared_evaluators(
         yield evaluator_label(group[0]), evaluator, copies
 
 
-def check_continuous(prog: MathematicalProgram) -> None:
+def check_continuous(prog: solvers.MathematicalProgram) -> None:
     """Refuses variables that are not continuous.
 
     Raises:
@@ -138,12 +128,12 @@ def check_continuous(prog: MathematicalProgram) -> None:
             )
 
 
-def evaluator_name(evaluator: EvaluatorBase) -> str:
+def evaluator_name(evaluator: solvers.EvaluatorBase) -> str:
     """Returns the description, or else the type."""
     return evaluator.get_description() or evaluator_kind(evaluator)
 
 
-def evaluator_kind(evaluator: EvaluatorBase) -> str:
+def evaluator_kind(evaluator: solvers.EvaluatorBase) -> str:
     """Returns the type, of a PolynomialCost too, which has none in Python."""
     return "PolynomialCost" if is_hidden_polynomial(evaluator) else type(evaluator).__name__
 
@@ -176,23 +166,23 @@ def term_blocks(
         yield TermBlock(name, identified, alike)
 
 
-def evaluator_label(binding: Binding) -> str:
+def evaluator_label(binding: solvers.Binding) -> str:
     """Returns how messages call a cost or constraint: its name and its first variables."""
     evaluator = binding.evaluator()
-    role = "cost" if isinstance(evaluator, Cost) else "constraint"
+    role = "cost" if isinstance(evaluator, solvers.Cost) else "constraint"
     variables = [str(v) for v in binding.variables()[:4]]
     listed = ", ".join([*variables[:3], "…"] if len(variables) > 3 else variables)
     name = f"the {role} '{evaluator_name(evaluator)}'"
     return f"{name} of {listed}" if listed else name
 
 
-def _parse_cost(label: str, cost: EvaluatorBase) -> tuple[Term, ...]:
+def _parse_cost(label: str, cost: solvers.EvaluatorBase) -> tuple[Term, ...]:
     """Returns the terms of one cost over its own variables 0 … L−1."""
-    if isinstance(cost, LinearCost):
+    if isinstance(cost, solvers.LinearCost):
         return _affine_terms(cost.a(), cost.b())
-    if isinstance(cost, QuadraticCost):
+    if isinstance(cost, solvers.QuadraticCost):
         return _quadratic_terms(np.asarray(cost.Q()), cost.b(), cost.c())
-    if isinstance(cost, ExpressionCost):
+    if isinstance(cost, solvers.ExpressionCost):
         return expression_terms(label, cost.expression(), cost.vars())
     expected, got = "a LinearCost, a QuadraticCost or an ExpressionCost", evaluator_kind(cost)
     if is_hidden_polynomial(cost):
@@ -248,7 +238,7 @@ class ParsedRow:
     lower: float
     upper: float
     formula: Expression | None = None
-    origin: tuple[EvaluatorBase, int] | None = None
+    origin: tuple[solvers.EvaluatorBase, int] | None = None
 
     def __str__(self) -> str:
         """Returns the formula, or the beginning of a long one."""
@@ -288,7 +278,7 @@ class ParsedRow:
 
 
 def parse_rows(
-    label: str, constraint: EvaluatorBase, copies: Sequence[Sequence[int]]
+    label: str, constraint: solvers.EvaluatorBase, copies: Sequence[Sequence[int]]
 ) -> Iterator[ParsedRow]:
     """Yields the rows of one constraint, those apart whose copies are bound to a variable twice.
 
@@ -303,7 +293,7 @@ def parse_rows(
     """
     sums = _row_sums(label, constraint)
     bound_to = np.array(copies, dtype=np.int64)
-    is_symbolic = isinstance(constraint, ExpressionConstraint)
+    is_symbolic = isinstance(constraint, solvers.ExpressionConstraint)
     formulas = constraint.expressions() if is_symbolic else [None] * len(sums)
     bounds = (side.tolist() for side in (constraint.lower_bound(), constraint.upper_bound()))
     rows = zip(sums, *bounds, formulas, strict=True)
@@ -326,15 +316,15 @@ def _formula(terms: Sequence[Term], formula: Expression | None) -> str:
     return shown(" + ".join(map(str, terms)) if formula is None else formula)
 
 
-def _row_sums(label: str, constraint: EvaluatorBase) -> list[tuple[Term, ...]]:
+def _row_sums(label: str, constraint: solvers.EvaluatorBase) -> list[tuple[Term, ...]]:
     """Returns the terms of each row."""
-    if isinstance(constraint, BoundingBoxConstraint):
+    if isinstance(constraint, solvers.BoundingBoxConstraint):
         return [(Term(1.0, (_power(i, 1),)),) for i in range(constraint.num_vars())]
-    if isinstance(constraint, LinearConstraint):  # equalities among them
+    if isinstance(constraint, solvers.LinearConstraint):  # equalities among them
         return [_affine_terms(a, 0.0) for a in constraint.GetDenseA()]
-    if isinstance(constraint, QuadraticConstraint):
+    if isinstance(constraint, solvers.QuadraticConstraint):
         return [_quadratic_terms(np.asarray(constraint.Q()), constraint.b(), 0.0)]
-    if isinstance(constraint, ExpressionConstraint):
+    if isinstance(constraint, solvers.ExpressionConstraint):
         variables, formulas = constraint.vars(), constraint.expressions()
         return [expression_terms(label, each, variables, is_row=True) for each in formulas]
     raise UnsupportedTermError(
@@ -345,7 +335,7 @@ def _row_sums(label: str, constraint: EvaluatorBase) -> list[tuple[Term, ...]]:
     )
 
 
-def read_bounds(prog: MathematicalProgram) -> tuple[Floats, Floats]:
+def read_bounds(prog: solvers.MathematicalProgram) -> tuple[Floats, Floats]:
     """Returns the tightest lower and upper bound of each decision variable, shape (n,) each."""
     lower, upper = np.full(prog.num_vars(), -np.inf), np.full(prog.num_vars(), np.inf)
     for binding in prog.bounding_box_constraints():

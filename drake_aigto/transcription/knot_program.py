@@ -19,13 +19,7 @@ from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.errors import ProgramError
 from drake_aigto.terms import read_bounds
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription.rows import (
-    Bounds,
-    Parameters,
-    SharedEvaluator,
-    calc_cost,
-    substitutions,
-)
+from drake_aigto.transcription import rows
 from drake_aigto.world import Scales, Scenario, World, calc_inertia
 
 _Self = TypeVar("_Self", bound="KnotProgram")
@@ -79,14 +73,14 @@ class KnotProgram(ABC):
     def __init__(self, world: World, scenario: Scenario) -> None:
         """Lays out the variables, and makes placeholders for those of a stage."""
         self._forget_program()
-        self._symbols: Parameters | None = None  # In place of `parameters`, in a twin.
+        self._symbols: rows.Parameters | None = None  # In place of `parameters`, in a twin.
         self.world, self.scenario, self._dt = world, scenario, scenario.time_step
         self._layout = Layout()
         self._lay_out()
 
     def _forget_program(self) -> None:
         self._made: MathematicalProgram | None = None
-        self._bounds: Bounds | None = None  # If known without it.
+        self._bounds: rows.Bounds | None = None  # If known without it.
         # Placeholder id → decision variable, of each stage that something was bound to.
         self._chosen: dict[int, dict[int, Variable]] = {}
         # The evaluators of all rows and costs that the class bound, as they were, and how often.
@@ -105,13 +99,13 @@ class KnotProgram(ABC):
         return self._made
 
     @cached_property
-    def parameters(self) -> Parameters:
+    def parameters(self) -> rows.Parameters:
         """The numbers of the scenario that rows and costs read; the start is a bound."""
         returned = self.world.restitutions(self.scenario)
-        return Parameters.of(self.scenario, self.length_scale(), returned)
+        return rows.Parameters.of(self.scenario, self.length_scale(), returned)
 
     @property
-    def _given(self) -> Parameters:
+    def _given(self) -> rows.Parameters:
         """Parameters of rows and costs: the numbers, or symbols for them."""
         return self._symbols or self.parameters
 
@@ -133,7 +127,7 @@ class KnotProgram(ABC):
         """
         twin = copy.copy(self)
         twin._forget_program()
-        twin._symbols = Parameters.symbols(self.world.num_positions, self.world.num_contacts)
+        twin._symbols = rows.Parameters.symbols(self.world.num_positions, self.world.num_contacts)
         return twin
 
     @property
@@ -141,7 +135,7 @@ class KnotProgram(ABC):
         """All that rows and costs depend on besides the world, users, and `parameters`."""
         return self.scenario.num_steps
 
-    def bounds(self) -> Bounds:
+    def bounds(self) -> rows.Bounds:
         """Returns the tightest lower and upper bound of each decision variable, shape (n,) each."""
         if self._bounds is None:
             return read_bounds(self._prog)
@@ -150,7 +144,7 @@ class KnotProgram(ABC):
         lower[first] = upper[first] = self.scenario.initial_state
         return lower, upper
 
-    def take_bounds(self, bounds: Bounds) -> None:
+    def take_bounds(self, bounds: rows.Bounds) -> None:
         """Takes the bounds of another transcription of the same structure, but for x_0."""
         self._bounds = bounds
 
@@ -244,18 +238,18 @@ class KnotProgram(ABC):
         constraint.set_description(name)
         self._attach(constraint, flat)
 
-    def _bind_stages(self, shared: SharedEvaluator) -> None:
+    def _bind_stages(self, shared: rows.SharedEvaluator) -> None:
         """Binds an evaluator to every step k = 0 … N−1."""
         self._bind_each(shared, range(len(self._u)))
 
-    def _bind_each(self, shared: SharedEvaluator, knots: Iterable[int]) -> None:
+    def _bind_each(self, shared: rows.SharedEvaluator, knots: Iterable[int]) -> None:
         for k in knots:
             self._bind(shared, k)
 
-    def _bind(self, shared: SharedEvaluator, k: int) -> None:
+    def _bind(self, shared: rows.SharedEvaluator, k: int) -> None:
         """Binds an evaluator over the placeholders of knot k, its control and the next knot."""
         if k not in self._chosen:
-            self._chosen[k] = substitutions(*zip(*self._stage(k), strict=True))
+            self._chosen[k] = rows.substitutions(*zip(*self._stage(k), strict=True))
         self._attach(shared.evaluator, shared.variables(self._chosen[k]))
 
     def _lay_out(self) -> None:
@@ -355,7 +349,7 @@ class KnotProgram(ABC):
     def scenario_cost(self, x: Floats) -> float:
         """Returns J = w_u Σ dt ‖u_k‖² + w_f ‖q_N − goal‖², without penalties or added costs."""
         q, _, u = self.split(x)
-        return calc_cost(self.scenario, self.GetSampleTimes(), q, u)
+        return rows.calc_cost(self.scenario, self.GetSampleTimes(), q, u)
 
     def elimination_order(self) -> Ints:
         """Returns all decision variables' indices by stage: Newton systems are banded then."""

@@ -10,17 +10,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import pydrake.symbolic as sym
 from numpy.typing import ArrayLike, NDArray
-from pydrake.solvers import (
-    BoundingBoxConstraint,
-    Constraint,
-    Cost,
-    EvaluatorBase,
-    ExpressionConstraint,
-    ExpressionCost,
-    LinearConstraint,
-    MathematicalProgram,
-    QuadraticConstraint,
-)
+from pydrake import solvers
 from pydrake.symbolic import Expression, MakeVectorVariable, Polynomial, Variable
 
 from drake_aigto.arrays import Floats
@@ -59,7 +49,11 @@ def calc_cost(scenario: Scenario, times: Floats, positions: Floats, controls: Fl
 
 
 # Constraints that Drake evaluates symbolically.
-_WITH_FORMULA = (LinearConstraint, QuadraticConstraint, ExpressionConstraint)
+_WITH_FORMULA = (
+    solvers.LinearConstraint,
+    solvers.QuadraticConstraint,
+    solvers.ExpressionConstraint,
+)
 
 
 @dataclass(frozen=True)
@@ -71,12 +65,12 @@ class SharedEvaluator:
         placeholders: the variables of the expression that it was made of, in its own order.
     """
 
-    evaluator: EvaluatorBase
+    evaluator: solvers.EvaluatorBase
     placeholders: tuple[Variable, ...]
 
-    def bind(self, prog: MathematicalProgram, values: dict[int, Variable]) -> None:
+    def bind(self, prog: solvers.MathematicalProgram, values: dict[int, Variable]) -> None:
         """Adds the evaluator to a program; values are variables by their placeholders' ids."""
-        if isinstance(self.evaluator, Cost):
+        if isinstance(self.evaluator, solvers.Cost):
             prog.AddCost(self.evaluator, vars=self.variables(values))
         else:
             prog.AddConstraint(self.evaluator, vars=self.variables(values))
@@ -112,7 +106,7 @@ def shared_cost(expression: Expression, description: str) -> SharedEvaluator:
         binding = scratch.AddCost(expression)
         evaluator, variables = binding.evaluator(), list(binding.variables())
     else:
-        evaluator = ExpressionCost(expression)
+        evaluator = solvers.ExpressionCost(expression)
         variables = list(evaluator.vars())
     evaluator.set_description(description)
     return SharedEvaluator(evaluator, tuple(variables))
@@ -125,17 +119,17 @@ def shared_constraint(
     scratch = _scratch_program(expression)
     if expression.is_polynomial() and Polynomial(expression).TotalDegree() == 2:
         # Drake warns if its own test of convexity does not end.
-        kind = QuadraticConstraint.HessianType.kIndefinite
+        kind = solvers.QuadraticConstraint.HessianType.kIndefinite
         binding = scratch.AddQuadraticConstraint(expression, lower, upper, hessian_type=kind)
     else:
         binding = scratch.AddConstraint(expression, lower, upper)
-    evaluator: Constraint = binding.evaluator()
+    evaluator: solvers.Constraint = binding.evaluator()
     evaluator.set_description(description)
     return SharedEvaluator(evaluator, tuple(binding.variables()))
 
 
 def formula_rows(
-    constraint: EvaluatorBase, name: str, x: NDArray[Any]
+    constraint: solvers.EvaluatorBase, name: str, x: NDArray[Any]
 ) -> Iterator[tuple[Expression, float, float]]:
     """Yields each row of a constraint on x: its formula, and its lower and upper bound.
 
@@ -165,8 +159,8 @@ def substitutions(
     }
 
 
-def _scratch_program(expression: Expression) -> MathematicalProgram:
-    scratch = MathematicalProgram()
+def _scratch_program(expression: Expression) -> solvers.MathematicalProgram:
+    scratch = solvers.MathematicalProgram()
     scratch.AddDecisionVariables(list(expression.GetVariables()))
     return scratch
 
@@ -226,8 +220,8 @@ Bounds: TypeAlias = "tuple[Floats, Floats]"
 
 
 def penalize(
-    prog: MathematicalProgram, scale: float = 1.0, per_unit: Mapping[str, Any] | None = None
-) -> MathematicalProgram:
+    prog: solvers.MathematicalProgram, scale: float = 1.0, per_unit: Mapping[str, Any] | None = None
+) -> solvers.MathematicalProgram:
     """Returns a program over the same variables with penalties for constraints as costs.
 
         r(x) = 0     ↦   scale · r(x)²
@@ -247,7 +241,7 @@ def penalize(
         UnsupportedTermError: a constraint whose formula Drake does not give, or an inequality of
             several variables.
     """
-    penalized = MathematicalProgram()
+    penalized = solvers.MathematicalProgram()
     penalized.AddDecisionVariables(prog.decision_variables())
     for cost in prog.GetAllCosts():
         penalized.AddCost(cost.evaluator(), vars=cost.variables())
@@ -255,7 +249,7 @@ def penalize(
     read = [np.array(list(factor.GetVariables())) for factor in factors.values()]
     themselves = substitutions(read, read)
     # Keyed by the evaluators themselves: ids repeat once an evaluator's Python object is gone.
-    penalties: dict[Constraint, tuple[list[int], SharedEvaluator | None]] = {}
+    penalties: dict[solvers.Constraint, tuple[list[int], SharedEvaluator | None]] = {}
     for binding in prog.GetAllConstraints():
         evaluator, variables = binding.evaluator(), binding.variables()
         if evaluator not in penalties:
@@ -288,14 +282,14 @@ def cut_to(bounds: Bounds, center: ArrayLike, half_width: ArrayLike) -> tuple[Fl
 
 
 def _penalty(
-    constraint: Constraint, x: NDArray[Any], scale: float, factor: Expression
+    constraint: solvers.Constraint, x: NDArray[Any], scale: float, factor: Expression
 ) -> SharedEvaluator | None:
     """Returns the penalty over placeholders x of lower ≤ g(x) ≤ upper; None if empty."""
     name = constraint.get_description() or type(constraint).__name__
     total = Expression(0.0)
     for y, lower, upper in formula_rows(constraint, name, x):
         if lower == upper:
-            if not isinstance(constraint, BoundingBoxConstraint):
+            if not isinstance(constraint, solvers.BoundingBoxConstraint):
                 total += scale * sym.pow((y - lower) * factor, 2)
             continue
         sides = (y - lower, lower), (upper - y, upper)

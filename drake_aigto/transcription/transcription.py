@@ -13,20 +13,8 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import rows
 from drake_aigto.transcription.open_program import OpenProgram
-from drake_aigto.transcription.rows import (
-    CLEARANCE,
-    CONTACT,
-    DYNAMICS,
-    FLIGHT,
-    NONPENETRATION,
-    RESTITUTION,
-    as_expression,
-    cut_to,
-    penalize,
-    shared_constraint,
-    shared_cost,
-)
 from drake_aigto.world import Scenario, World
 
 _START = "initial state"
@@ -70,7 +58,9 @@ class Transcription(OpenProgram):
     def _always_met(self) -> tuple[str, ...]:
         # Which face of a box keeps a motion out depends on the motion.
         has_boxes = self.world.num_solids < self.world.num_contacts
-        return (_START, CLEARANCE) if has_boxes else (_START, CLEARANCE, NONPENETRATION)
+        return (
+            (_START, rows.CLEARANCE) if has_boxes else (_START, rows.CLEARANCE, rows.NONPENETRATION)
+        )
 
     def _add_scenario(self) -> None:
         """Adds the initial state, the scenario's costs, then the subclass's rows."""
@@ -81,13 +71,15 @@ class Transcription(OpenProgram):
         with np.errstate(invalid="ignore"):
             u = world.controls
             error = world.positions - given.goal
-            effort = as_expression(given.control_weight * u.dot(u))
-            self._bind_stages(shared_cost(self._duration * effort, "control effort"))
-            miss = as_expression(given.goal_weight * error.dot(error))
-            self._bind(shared_cost(miss, "goal"), self.num_samples() - 1)
+            effort = rows.as_expression(given.control_weight * u.dot(u))
+            self._bind_stages(rows.shared_cost(self._duration * effort, "control effort"))
+            miss = rows.as_expression(given.goal_weight * error.dot(error))
+            self._bind(rows.shared_cost(miss, "goal"), self.num_samples() - 1)
             for column, contact in enumerate(self._clearance_contacts):
                 distance = self.world.contacts[contact].signed_distance
-                row = shared_constraint(Expression(self._clearance[column]) - distance, CLEARANCE)
+                row = rows.shared_constraint(
+                    Expression(self._clearance[column]) - distance, rows.CLEARANCE
+                )
                 self._bind_each(row, range(len(self._q)))
             self._add_rows()
 
@@ -99,7 +91,7 @@ class Transcription(OpenProgram):
         """Adds φ_i(q_k) ≥ 0 where the mask, shape (N+1, m), is True, k ≥ 1."""
         for i, knots in enumerate(where[1:].T):
             if np.any(knots):
-                row = shared_constraint(self._distance(i), NONPENETRATION, 0.0, np.inf)
+                row = rows.shared_constraint(self._distance(i), rows.NONPENETRATION, 0.0, np.inf)
                 self._bind_each(row, (np.flatnonzero(knots) + 1).tolist())
 
     def _distance(self, contact: int) -> Expression:
@@ -188,14 +180,14 @@ class Transcription(OpenProgram):
         )
         for row in self._rows:
             row.widen(center, half_width)
-        return cut_to(self.bounds(), center, half_width)
+        return rows.cut_to(self.bounds(), center, half_width)
 
     def penalized(self) -> MathematicalProgram:
         """Returns `prog` with constraints as costs, each row r_k as r_k²/dt.
 
         So weights mean the same for every N.
         """
-        return penalize(self._prog, scale=1 / self._dt)
+        return rows.penalize(self._prog, scale=1 / self._dt)
 
     def _stage(self, k: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
         """Returns pairs of placeholders and their variables at knot k."""
@@ -243,12 +235,12 @@ def rigid_defects(world: World, restitution: ArrayLike, trajectory: Trajectory) 
     missed = np.abs(after @ J.T + np.asarray(restitution) * (v @ J.T))
     held = np.where(trajectory.forces != 0, np.maximum(gaps[:-1], gaps[1:]), 0.0)
     return {
-        FLIGHT: float(np.abs(q[1:] - q[:-1] - tau * v_mean).max()),
-        DYNAMICS: float(
+        rows.FLIGHT: float(np.abs(q[1:] - q[:-1] - tau * v_mean).max()),
+        rows.DYNAMICS: float(
             np.abs(v[1:] - after[:-1] - tau * (free + trajectory.forces @ kicks)).max()
         ),
-        CONTACT: float(max(np.minimum(gaps, reach).max(), held.max())),
-        RESTITUTION: float(
+        rows.CONTACT: float(max(np.minimum(gaps, reach).max(), held.max())),
+        rows.RESTITUTION: float(
             max(np.minimum(np.abs(jumps), missed).max(), -jumps.min(), -pushes.min(), 0.0)
         ),
     }
