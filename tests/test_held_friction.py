@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from rubbing_worlds import RADIUS, make_discs
-from shooting_problems import check_held, evaluate_hold, weigh
-from shooting_problems import pose as pose_shooting
+from shooting_problems import check_held, evaluate_hold, pose, weigh
 
-from drake_aigto import PlanOptions, Scenario, World, plan
+from drake_aigto import Plan, PlanOptions, Scenario, World, plan, replay_drake
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import Closed, Mechanism, Mode, RigidLaw, make_mechanics_memory
+from drake_aigto.contact import (
+    Closed,
+    Mechanism,
+    Mobility,
+    Mode,
+    RigidLaw,
+    calc_impulse,
+    make_mechanics_memory,
+)
+from drake_aigto.errors import FrictionError, ProgramError
 from drake_aigto.planning import (
     COASTING,
     Origin,
@@ -27,7 +38,8 @@ from drake_aigto.planning import (
     make_mechanism_task,
 )
 from drake_aigto.shooting import Phases, ShootingOptions, ShootingProblem, ShootingResult, Smoothing
-from drake_aigto.simulation import replay_event_driven
+from drake_aigto.show import motions_of_plan, plot_friction
+from drake_aigto.simulation import Replay, replay_event_driven
 from drake_aigto.transcription import Touch
 
 MU, G = 0.3, 9.81
@@ -74,10 +86,10 @@ def test_what_sticks_or_slips_moves_as_coulomb_says_and_its_derivatives_are_thos
     check_held(lambda x, u: press(mechanism, modes, x, u), closed, x, u, (1e-8, 1e-4, 1e-5))
 
 
-def pose(world: World, state: list[float], phases: Phases, N: int) -> ShootingProblem:
+def pose_held(world: World, state: list[float], phases: Phases, N: int) -> ShootingProblem:
     n, nu = world.num_positions, world.num_actuators
     cost, none = weigh(np.zeros(n), np.ones(nu)), np.zeros((2, nu))
-    return pose_shooting(
+    return pose(
         mechanize(world), cost, state, N, phases.total[1], control_bounds=none, phases=phases
     )
 
@@ -100,7 +112,7 @@ def test_of_all_modes_only_coulombs_meets_its_bounds(push: float) -> None:
     """A block sticks until the push is μ m g, and then slips at F/m − μ g."""
     world, meets = build(turns=False), []
     for mode in (-1, 0, 1):
-        problem = pose(world, [0.0, RADIUS, 0.0, 0.0], hold([mode], 1.0), 4)
+        problem = pose_held(world, [0.0, RADIUS, 0.0, 0.0], hold([mode], 1.0), 4)
         driven = np.full((2, 1), push)
         problem = dataclasses.replace(problem, control_bounds=driven)
         found = problem.simulate(np.full((4, 1), push), 1)
@@ -117,7 +129,7 @@ def test_a_ball_in_phases_of_slip_and_stick_rolls_once_two_sevenths_of_its_slip_
 ) -> None:
     slip = 1.5 - RADIUS * spin
     phases = hold([int(np.sign(slip)), 0], 3.0)
-    problem = pose(build(), [0.0, RADIUS, 0.0, 1.5, 0.0, spin], phases, 2)
+    problem = pose_held(build(), [0.0, RADIUS, 0.0, 1.5, 0.0, spin], phases, 2)
     options = ShootingOptions((Smoothing(0.0, 40, 1e-12),), multiplier_updates=20)
     found = problem.solve(np.zeros((2, 1)), options=dataclasses.replace(options, feasibility=1e-10))
     rolling = 1.5 - 2 / 7 * slip
@@ -133,7 +145,7 @@ def test_a_block_that_lands_and_slides_to_rest_is_the_one_of_a_simulation() -> N
     times, phases = lay_out(touches, N, 1.0, (1.0, 1.0), 1)
     np.testing.assert_array_equal(phases.contacts, [0, -1])
     np.testing.assert_array_equal(phases.modes[:, 0], [0, 1, 0])
-    problem = dataclasses.replace(pose(world, state, phases, N), times=times)
+    problem = dataclasses.replace(pose_held(world, state, phases, N), times=times)
     options = ShootingOptions((Smoothing(0.0, 40, 1e-12),), multiplier_updates=20)
     found = problem.solve(np.zeros((N, 1)), options=dataclasses.replace(options, feasibility=1e-10))
     scenario = dataclasses.replace(
@@ -193,7 +205,7 @@ def test_what_sticks_with_all_friction_is_led_to_slip_and_what_hardly_slips_to_s
 
     def drive(speed: float, mode: int, controls: list[float]) -> ShootingResult:
         phases = hold([mode], 1.0)
-        problem = pose(world, [0.0, RADIUS, speed, 0.0], phases, N)
+        problem = pose_held(world, [0.0, RADIUS, speed, 0.0], phases, N)
         driven = dataclasses.replace(problem, control_bounds=np.array([[-9.0], [9.0]]))
         return driven.simulate(np.array(controls)[:, None], 1)
 
@@ -268,3 +280,258 @@ def test_a_plan_finds_the_cheapest_push_and_both_replays_agree() -> None:
     assert drake is not None
     assert drake.cost == pytest.approx(found.cost, rel=1e-6)
     assert drake.goal_error < 1e-4
+
+
+G, MU = 9.81, 0.3
+
+
+@cache
+def build_discs(**options: Any) -> World:
+    return World.from_diagram(make_discs(**options))
+
+
+def ask(world: World, q: list[float], v: list[float], **fields: Any) -> Scenario:
+    """Returns a task from a state, at 0.3 of friction."""
+    task = {"goal_position": q, "goal_weight": np.ones(len(q)), **fields}
+    return Scenario(initial_position=q, initial_velocity=v, **task)
+
+
+def replay(
+    world: World, q: list[float], v: list[float], pushes: list[float] | None = None, **fields: Any
+) -> Replay:
+    """Returns what pushes do, each for a second."""
+    controls = np.array(pushes or [0.0])[:, np.newaxis]
+    times = np.arange(len(controls) + 1.0)
+    return replay_event_driven(world, ask(world, q, v, **fields), times, controls)
+
+
+def test_a_block_decelerates_at_mu_g_and_stays_where_it_stops() -> None:
+    found = replay(build_discs(turns=False), [0.0, RADIUS], [2.0, 0.0])
+    assert found.positions[-1] == pytest.approx([4 / (2 * MU * G), RADIUS], abs=1e-9)
+    assert found.velocities[-1] == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
+def test_a_push_below_mu_m_g_moves_nothing_and_one_above_only_by_what_is_more() -> None:
+    pushes = [MU * G - 0.01, MU * G + 1.0]
+    for world, rest in (
+        (build_discs(turns=False), []),
+        (build_discs(feet=((-0.3, 0.0), (0.3, 0.0))), [0.0]),
+    ):
+        found = replay(world, [0.0, RADIUS, *rest], [0.0] * (2 + len(rest)), pushes)
+        first, last = (found.positions[found.times == time][-1] for time in (1.0, 2.0))
+        assert first == pytest.approx([0.0, RADIUS, *rest], abs=1e-9)
+        assert last == pytest.approx([0.5, RADIUS, *rest], abs=1e-9)
+
+
+@pytest.mark.parametrize("spin", [0.0, -20.0, -80.0, 50.0])
+def test_a_ball_rolls_once_two_sevenths_of_its_slip_are_lost(spin: float) -> None:
+    """With enough backspin it comes back: v = 5/7 v₀ + 2/7 r ω₀, after |s₀| / (3.5 μ g)."""
+    found = replay(build_discs(), [0.0, RADIUS, 0.0], [1.5, 0.0, spin], [0.0] * 3)
+    slip = 1.5 - RADIUS * spin
+    rolling, until = 1.5 - 2 / 7 * slip, abs(slip) / (3.5 * MU * G)
+    way = (1.5 + rolling) / 2 * until + (3.0 - until) * rolling
+    assert found.velocities[-1] == pytest.approx([rolling, 0.0, rolling / RADIUS], abs=1e-9)
+    assert found.positions[-1][0] == pytest.approx(way, abs=1e-9)
+    assert (rolling < 0) == (spin == -80.0)
+    slides, rolls = found.contact_phases
+    assert (slides.mode, rolls.mode) == ("forward" if slip > 0 else "backward", "stick")
+    assert (slides.end, rolls.end) == pytest.approx((until, 3.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("push", [5.0, 15.0])
+def test_a_ball_that_is_pushed_rolls_or_slips(push: float) -> None:
+    """It rolls at 5/7 F/m as long as 2/7 F ≤ μ m g, and else slips at F/m − μ g."""
+    found = replay(build_discs(), [0.0, RADIUS, 0.0], [0.0] * 3, [push])
+    rolls = 2 / 7 * push <= MU * G
+    acceleration = 5 / 7 * push if rolls else push - MU * G
+    turning = acceleration / RADIUS if rolls else MU * G / (0.4 * RADIUS)
+    assert found.velocities[-1] == pytest.approx([acceleration, 0.0, turning], abs=1e-9)
+
+
+@pytest.mark.parametrize("e", [0.6, 1.0])
+def test_a_spinning_ball_bounces_as_impulses_say_and_as_drake_does(e: float) -> None:
+    world = build_discs()
+    task = ask(world, [0.0, 0.4, 0.0], [1.0, 0.0, -20.0], restitution=e)
+    times, controls = np.array([0.0, 0.4]), np.zeros((1, 1))
+    found = replay_event_driven(world, task, times, controls)
+    fall = np.sqrt(2 * G * 0.3)
+    lost = min(2 / 7 * 3.0, MU * (1 + e) * fall)
+    after = 1.0 - lost, e * fall, -20.0 + lost / (0.4 * RADIUS)
+    row = np.flatnonzero(np.diff(found.times) == 0)[0] + 1
+    assert found.velocities[row] == pytest.approx(after, abs=1e-9)
+    assert len(found.bounce_times) == 1
+    drake = replay_drake(world, task, times, controls)
+    off = np.linalg.norm(found.positions[-1] - drake.positions[-1])
+    assert 0 < off <= drake.compliance_error < 0.05
+
+
+def test_a_ball_that_slides_and_then_rolls_is_in_drake_where_it_should_be() -> None:
+    """But for what it creeps at the stiction speed as it should roll."""
+    world = build_discs()
+    task = ask(world, [0.0, RADIUS, 0.0], [2.0, 0.0, -60.0], restitution=0.0)
+    times, controls = np.array([0.0, 0.5]), np.zeros((1, 1))
+    found = replay_event_driven(world, task, times, controls)
+    drake = replay_drake(world, task, times, controls)
+    off = np.linalg.norm(found.positions[-1] - drake.positions[-1])
+    assert off <= drake.compliance_error + 1e-3
+    assert drake.compliance_error <= 0.5 * world.stiction_speed * 5 / 7 / RADIUS * 1.1
+
+
+def test_energy_never_grows_whatever_falls_and_rubs() -> None:
+    world = build_discs(radii=(0.1, 0.15))
+    rng = np.random.default_rng(4)
+    for _ in range(4):
+        q = np.array([0.0, 0.4, 0.0, 0.28, 0.3, 0.0])
+        v = np.concatenate([rng.uniform(-3.0, 3.0, 6) * [1, 1, 20, 1, 1, 20]])
+        friction = float(rng.uniform(0.1, 1.0))
+        found = replay(world, q.tolist(), v.tolist(), friction=friction, restitution=0.8)
+        energy = calc_energy(world, found)
+        assert np.all(np.diff(energy) <= 1e-9 * energy[0])
+        assert found.max_penetration <= 1e-10
+
+
+def calc_energy(world: World, found: Replay) -> Floats:
+    """Returns kinetic energy and height's, at each row."""
+    kinetic = world.calc_kinetic_energy(found.positions, found.velocities)
+    return kinetic + G * found.positions[:, 1::3].sum(axis=1)
+
+
+@pytest.mark.slow
+def test_a_rod_that_jams_is_refused_by_name() -> None:
+    """Painlevé's: a long rod pushed along ground that is rougher than 4/3, tip ahead."""
+    world = build_discs(feet=((0.5, -1.0),))
+    start = [0.0, 1.0 + RADIUS, 0.0]
+    with pytest.raises(FrictionError, match=r"Painlevé\): got (none|several) of the ways"):
+        replay(world, start, [-2.0, 0.0, 0.0], friction=3.0)
+
+
+RESTITUTION, FRICTION = 0.6, 0.5
+# When what is about to hit does, in problems that last so long [s].
+SOON, BRIEFLY = 1e-6, 1e-3
+
+
+@cache
+def tilted() -> World:
+    """Returns a disc over a board on a hinge, where M and b depend on q."""
+    return World.from_diagram(make_discs(tilts=True))
+
+
+def hit(state: Floats, mode: int) -> ShootingProblem:
+    """Returns a problem of a touch right after the start."""
+    world = tilted()
+    n, nu, m = world.num_positions, world.num_actuators, world.num_contacts
+    phases = Phases(
+        np.zeros(1, dtype=np.int64),
+        np.array([1]),
+        np.array([SOON, BRIEFLY - SOON]),
+        (BRIEFLY, BRIEFLY),
+        modes=np.array([[0] * m, [mode] * m]),
+    )
+    mechanism = Mechanism.of(world, RigidLaw(np.full(m, RESTITUTION), np.full(m, FRICTION)))
+    times = np.array([0.0, SOON, BRIEFLY])
+    return pose(mechanism, weigh(np.zeros(n), np.ones(nu)), state, times=times, phases=phases)
+
+
+def draw(seed: int) -> tuple[Floats, Mobility, float, float]:
+    """Returns a state on the wall, and what its impact is about."""
+    world, rng = tilted(), np.random.default_rng(seed)
+    q, v = rng.normal(size=world.num_positions), rng.normal(size=world.num_positions)
+    q[3] = 0.2 * q[3]
+    for _ in range(10):
+        J = world.calc_contact_jacobian(q)
+        q -= np.linalg.pinv(J) @ world.calc_signed_distance(q)
+    J, T = world.calc_contact_jacobian(q)[0], world.rubbing.calc_tangent_jacobian(q)[0]
+    v *= -np.sign(J @ v)
+    mobility = Mobility.of(J, T, world.calc_mass_matrix(q))
+    return np.concatenate([q, v]), mobility, float(J @ v), float(T @ v)
+
+
+def is_newtons(mobility: Mobility, rate: float, slip: float) -> bool:
+    """Returns whether Routh's impact returns e of the speed, and slip that it has does not turn."""
+    p = calc_impulse(mobility, rate, slip, RESTITUTION, FRICTION)
+    returned = rate + mobility.a * p.normal + mobility.b * p.tangent
+    turns = abs(p.mode) == 1 and p.mode * slip < 0
+    return not turns and returned == pytest.approx(-RESTITUTION * rate, rel=1e-9)
+
+
+def test_impacts_of_phases_are_rouths_in_the_mode_that_they_end_in_and_in_no_other() -> None:
+    world, seen = tilted(), set()
+    n = world.num_positions
+    for seed in range(40):
+        state, mobility, rate, slip = draw(seed)
+        if not is_newtons(mobility, rate, slip):
+            continue
+        p = calc_impulse(mobility, rate, slip, RESTITUTION, FRICTION)
+        J = world.calc_contact_jacobian(state[:n])[0]
+        T = world.rubbing.calc_tangent_jacobian(state[:n])[0]
+        M = world.calc_mass_matrix(state[:n])
+        after = state[n:] + np.linalg.solve(M, J * p.normal + T * p.tangent)
+        none = np.zeros((2, world.num_actuators))
+        motions = {mode: hit(state, mode).simulate(none, 1) for mode in (-1, 0, 1)}
+        np.testing.assert_allclose(motions[int(p.mode)].states[1, n:], after, atol=1e-3)
+        # Elsewhere Coulomb's cone is left, or slip turns round.
+        assert min(motions, key=lambda mode: motions[mode].violation) == p.mode
+        assert motions[int(p.mode)].violation < 1e-3
+        seen.add(int(p.mode))
+    assert seen == {-1, 0, 1}
+
+
+def test_modes_that_are_no_signs_are_refused() -> None:
+    one = np.ones(1, dtype=np.int64)
+    with pytest.raises(ProgramError, match=r"(?s)phases: modes: got .* expected −1, 0 or 1"):
+        Phases(0 * one, one, np.ones(2), (1.0, 1.0), modes=np.full((2, 1), 2))
+
+
+BRIEF = PlanOptions(starts=3, renewals=0)
+
+
+@cache
+def shot(friction: float | None = None) -> Plan:
+    """Returns the plan of the shipped shot."""
+    scenario = dataclasses.replace(Scenario.named("billiard/spin_shot"), friction=friction)
+    return plan(scenario, BRIEF)
+
+
+@pytest.mark.slow
+def test_a_shot_with_spin_costs_less_than_any_without_friction_and_holds_in_both_replays() -> None:
+    rough, smooth = shot(), shot(0.0)
+    drake = rough.replay.drake
+    assert drake is not None
+    assert rough.holds
+    assert drake.cost == pytest.approx(rough.cost, rel=1e-2)
+    assert rough.replay.event_driven.cost == pytest.approx(rough.cost, rel=1e-6)
+    assert rough.cost < 0.9 * smooth.cost
+    assert max(rough.best.defects.values()) < 1e-9
+    assert rough.best.energy_ratio == pytest.approx(rough.replay.event_driven.energy_ratio)
+
+
+@cache
+def problem() -> RigidMechanismTask:
+    scenario = Scenario.named("billiard/spin_shot")
+    found = make_mechanism_task(World.from_scenario(scenario), scenario, BRIEF)
+    assert isinstance(found, RigidMechanismTask)
+    return found
+
+
+@pytest.mark.slow
+def test_a_figure_has_the_impulse_of_an_impact_that_sticks_at_the_edge_of_its_cone() -> None:
+    rough = shot()
+    world, motion = rough.find_world(), motions_of_plan(rough)[0]
+    plot_friction(axes := Figure().subplots(), motion, world, rough.scenario)
+    (bar,) = axes.patches
+    (mark,) = (line for line in axes.lines if line.get_marker() == "o")
+    assert isinstance(bar, Rectangle)
+    most = 0.3 * np.max(rough.trajectory.impulses)
+    assert bar.get_height() == pytest.approx(2 * most, rel=1e-6)
+    assert 2 * abs(np.asarray(mark.get_ydata())[0]) == pytest.approx(bar.get_height(), rel=1e-3)
+
+
+def test_an_impact_at_the_edge_of_its_mode_is_led_to_the_best_from_every_mode() -> None:
+    of = problem()
+    costs = []
+    for mode in (-1, 0, 1):
+        touches: tuple[Touch, ...] = tuple(
+            dataclasses.replace(touch, mode=mode) for touch in of.coasting[:1]
+        )
+        costs.append(of.bounce(touches, of.idle_motion).cost)
+    np.testing.assert_allclose(costs, min(costs), rtol=1e-3)

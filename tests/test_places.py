@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from pydrake.math import RollPitchYaw, RotationMatrix
 from space_models import build, make_scenario
+from trees import make_zoo, sample_state
 
-from drake_aigto import Scenario, World
+from drake_aigto import Planner, PlanOptions, Scenario, World, plan
+from drake_aigto.dynamics import Tree
 from drake_aigto.errors import ScenarioError
-from drake_aigto.world import TaskCost
+from drake_aigto.simulation import CLEARANCE, Arrival, replay_event_driven
+from drake_aigto.world import FrameGoal, FrameGoals, Pose, PoseParts, TaskCost
 
 
 def test_goals_by_a_shift_are_so_far_from_the_start_and_keep_its_attitude(tmp_path: Path) -> None:
@@ -152,3 +157,168 @@ def test_what_does_not_fit_is_refused_by_name(
 ) -> None:
     with pytest.raises(ScenarioError, match=match):
         World.from_scenario(make_scenario(tmp_path, **changes))
+
+
+PLACE = [0.3, 0.1, 0.4]  # [m]
+GOAL = {"finger": {"xyz": PLACE, "weight": {"xyz": 50.0}}}
+
+
+def reach(folder: Path, **changes: Any) -> Scenario:
+    """Returns a scenario in which the finger has to go to a place, and all else is free."""
+    given: dict[str, Any] = {"frame_goals": GOAL, "goal_position": {}, "goal_weight": 0.0} | changes
+    return make_scenario(folder, **given)
+
+
+def test_costs_are_those_of_drakes_poses() -> None:
+    plant, rng = make_zoo(0), np.random.default_rng(1)
+    tree, context = Tree.of(plant), plant.CreateDefaultContext()
+    names = [plant.get_body(i).name() for i in plant.GetFloatingBaseBodies()]
+    turn = RollPitchYaw(rng.normal(size=3)).ToQuaternion()
+    pose, weight = Pose((0.1, 0.2, 0.3), tuple(turn.wxyz())), PoseParts((1, 2, 3), (5, 5, 5))
+    frames = FrameGoals.of(plant, tree, {name: FrameGoal(pose, weight) for name in names})
+    assert names and frames is not None
+    for _ in range(3):
+        q, _, _ = sample_state(plant, rng)
+        plant.SetPositions(context, q)
+        expected = 0.0
+        for name in names:
+            X = plant.GetFrameByName(name).CalcPoseInWorld(context)
+            angle = (RotationMatrix(turn).inverse() @ X.rotation()).ToAngleAxis().angle()
+            off = X.translation() - pose.xyz
+            expected += off**2 @ weight.xyz + 5 * (2 * np.sin(angle / 2)) ** 2
+        assert frames.cost(q) == pytest.approx(expected, rel=1e-12)
+        assert frames.cost(np.array([q, q])) == pytest.approx(expected, rel=1e-12)
+
+
+def test_joints_that_nothing_names_go_where_the_frame_has_to_be(tmp_path: Path) -> None:
+    scenario = reach(tmp_path)
+    world = World.from_scenario(scenario)
+    placed = world.place(scenario)
+    np.testing.assert_allclose(placed.goal_position[:3], PLACE, atol=1e-3)
+    np.testing.assert_array_equal(placed.goal_position[3:], placed.initial_position[3:])
+    cost = TaskCost.of(world, placed)
+    assert not cost.is_asked.any()
+    still = np.zeros((2, 9))
+    at_goal, at_start = (
+        Arrival.of(world, placed, np.array([placed.initial_position, end]), still)
+        for end in (placed.goal_position, placed.initial_position)
+    )
+    assert at_goal.is_reached and not at_start.is_reached
+    assert at_start.distance == pytest.approx(float(cost.goal_error(placed.initial_position)))
+    assert at_start.angle is None
+
+
+def test_goals_of_frames_are_saved(tmp_path: Path) -> None:
+    reach(tmp_path).save(tmp_path / "s.yaml")
+    assert Scenario.load(tmp_path / "s.yaml").frame_goals == reach(tmp_path).frame_goals
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"frame_goals": {"fingr": GOAL["finger"]}}, r"Did you mean 'finger'\?"),
+        ({"frame_goals": {"floor_link": GOAL["finger"]}}, "no such frame"),
+        ({"frame_goals": {"ground": GOAL["finger"]}}, "stands still"),
+        ({"frame_goals": {"finger": {"xyz": [0, 0, 1]}}}, "weight"),
+        (
+            {"frame_goals": {"finger": {"xyz": [0, 0, 1], "weight": {"turn": [1, 2, 3]}}}},
+            "one number",
+        ),
+        ({"frame_goals": {"finger": {"xyz": PLACE, "weight": {"xyz": 0.0}}}}, "above 0"),
+        ({"hard_goal": True}, "these are costs"),
+    ],
+)
+def test_goals_that_can_not_be_are_refused(
+    tmp_path: Path, changes: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(ScenarioError, match=words):
+        World.from_scenario(reach(tmp_path, **changes))
+
+
+SOFT, RIGID = "cart_pole/soft_06", "cart_pole/rigid_06"
+QUICK = PlanOptions(renewals=0, starts=4, finalists=1)
+DISTANCE = 0.05
+
+
+def keep_apart(name: str, clearance: dict[str, float]) -> Scenario:
+    changes: Any = {"clearance": clearance}
+    return dataclasses.replace(Scenario.named(name), **changes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [SOFT, RIGID])
+def test_a_pole_swings_up_at_a_distance_from_its_walls(name: str) -> None:
+    scenario = keep_apart(name, {"pole against *": DISTANCE})
+    found = plan(scenario, QUICK)
+    assert found.holds and not found.best.is_idle and not found.best.contacts
+    world = World.from_scenario(scenario)
+    for replay in found.replay:
+        nearest = world.calc_signed_distance(replay.positions).min()
+        assert nearest > DISTANCE - 2e-3 * found.best.scales.length
+        assert replay.violations[CLEARANCE] <= 2e-3
+    assert not found.additions
+    # The pole of the plain plan comes nearer, and its motion breaks what is asked here.
+    plain = plan(Scenario.named(name), QUICK).trajectory
+    replay = replay_event_driven(world, scenario, plain.times, plain.controls)
+    assert CLEARANCE in replay.broken
+
+
+@pytest.mark.slow  # Shooting over trees is compiled.
+def test_a_finger_passes_a_ball_in_space_at_a_distance_and_as_slowly_as_users_ask(
+    tmp_path: Path,
+) -> None:
+    changes: Any = {
+        "goal_weight": {"x": 100.0, "y": 100.0, "z": 100.0},
+        "clearance": {"*ball*tip*": 0.02},
+        "material": {"*": {"friction": 0.0}},
+    }
+    goal = {"x": 0.15, "y": 0.0, "z": 0.07}
+    planner = Planner(make_scenario(tmp_path, goal_position=goal, **changes), QUICK)
+    program, world = planner.transcription, planner.world
+    *_, z = program.state()[:3]
+    vx = program.state()[world.num_positions]
+    program.AddConstraintToAllKnotPoints(vx <= 0.4, "slow")
+    program.AddFinalCost(100.0 * (z - 0.11) ** 2, "high")
+    found = planner.plan()
+    assert found.holds and not found.best.is_idle
+    near = [contact.name for contact in world.contacts].index("m::ball with m::tip")
+    for replay in found.replay:
+        assert world.calc_signed_distance(replay.positions)[:, near].min() > 0.0185
+        assert not replay.broken and 0.3 < replay.velocities[:, 0].max() < 0.402
+        assert replay.positions[-1, 2] == pytest.approx(0.09, abs=2e-3)
+    assert found.best.added_costs["high"] == pytest.approx(0.04, rel=0.1)
+
+
+def test_the_distance_of_two_spheres_is_that_between_their_surfaces() -> None:
+    world = World.from_scenario(scenario := keep_apart("two_discs/swap", {"*": 0.3}))
+    (reach,) = world.reaches
+    q = np.array([0.0, 0.0, reach + 0.3, 0.0])
+    np.testing.assert_allclose(world.least_distances(scenario), world.calc_signed_distance(q))
+
+
+def test_what_is_kept_apart_is_read_back(tmp_path: Any) -> None:
+    scenario = keep_apart(SOFT, {"pole against left_wall": DISTANCE})
+    scenario.save(tmp_path / "apart.yaml")
+    assert Scenario.load(tmp_path / "apart.yaml").clearance == scenario.clearance
+    assert "clearance" not in Scenario.named(SOFT).to_plain()
+
+
+@pytest.mark.parametrize(
+    ("name", "clearance", "message"),
+    [
+        (
+            SOFT,
+            {"pole against left_wal": 0.1},
+            "Did you mean 'pole against left_wall'[?] clearance: 'pole against left_wal': got no "
+            "pair of this name that can touch, expected one of pole against left_wall, pole",
+        ),
+        (SOFT, {"*left*": 0.0}, "0 m, expected more than 0 m"),
+        (SOFT, {"*right*": 0.5}, "0.227 m too near .pole against right_wall"),
+        ("room_with_block/around", {"*block*": 0.1}, "a box with 4 faces that can be touched"),
+    ],
+)
+def test_a_clearance_that_cannot_be_kept_is_refused(
+    name: str, clearance: dict[str, float], message: str
+) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        Planner(keep_apart(name, clearance))

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import dataclasses
+import gzip
+import html
 import itertools
+import re
 import shutil
 import subprocess
 import sys
@@ -12,13 +16,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image, ImageSequence
 
-from drake_aigto import Plan
+from drake_aigto import Plan, Scenario, World, __version__
 from drake_aigto.cli import FINE, main
 from drake_aigto.errors import ModelError, OptionsError, OutputFileError
-from drake_aigto.planning import VIEWS
-from drake_aigto.show import compare, to_csv
+from drake_aigto.paper import Entry, RigidCell, RigidOptimum, Table1, TableMethod
+from drake_aigto.planning import VIEWS, Replays
+from drake_aigto.show import (
+    Page,
+    add_answer,
+    add_question,
+    add_verdict,
+    compare,
+    describe_difference,
+    embed_scenes,
+    frame,
+    has_landscape,
+    report_plan,
+    report_table1,
+    to_csv,
+)
 from drake_aigto.world import scenario_names, scenario_seconds, scenario_summaries
 
 
@@ -124,3 +143,170 @@ def test_bash_completes_commands_and_scenarios(
     program = f'{capsys.readouterr().out}\n{ask}; echo "${{COMPREPLY[*]}}"'
     done = subprocess.run(["bash", "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == completed
+
+
+def unpack(packed: str) -> str:
+    """Returns what the page's script makes of it."""
+    return gzip.decompress(base64.b64decode(packed)).decode()
+
+
+def scenes(text: str) -> list[str]:
+    """Returns the pages that a frame is given."""
+    packed = dict(re.findall(r'id="scene-(\w+)">([^<]*)<', text))
+    start, end = (unpack(packed.pop(name)) for name in ("start", "end"))
+    return [start + unpack(each) + end for each in packed.values()]
+
+
+@pytest.mark.parametrize("pages", [["<a>one</a>"], ["<a>one</a>", "<a>two</a>", "<a></a>"]])
+def test_pages_are_put_together_again(pages: list[str]) -> None:
+    text = embed_scenes(
+        {f"scene <{i}>": (page, {"notes": ["</script>"]}) for i, page in enumerate(pages)}
+    )
+    assert scenes(text) == pages
+    assert text.count("scene &lt;") == len(pages) and "scene <" not in text
+    assert '</script>"' not in text  # What is said beside a scene ends no script.
+
+
+def test_what_pages_share_is_there_once() -> None:
+    library = "".join(f"function f{i}() {{ return {i * i}; }}\n" for i in range(3000))
+    one = len(embed_scenes({"a": (f"{library}a", {})}))
+    two = len(embed_scenes({"a": (f"{library}a", {}), "b": (f"{library}b", {})}))
+    assert two < one + 400
+
+
+def words(page: str) -> str:
+    """Returns a page's text."""
+    body = re.sub(r"<(script|style).*?</\1>", "", page, flags=re.DOTALL)
+    return html.unescape(re.sub(r"<[^>]+>", " ", body))
+
+
+def test_a_report_has_question_answer_verdict_and_how_to_reproduce_it(
+    plan: Plan, report: tuple[str, list[str]]
+) -> None:
+    page, lines = report
+    text = words(page)
+    name = "table1/1, time step 0.05"  # As the shipped scenario is called, and what differs.
+    assert f"<title>Plan for {name}</title>" in page and f"<h1>Plan for {name}</h1>" in page
+    assert "Holds: the control alone keeps the plan's promise" in text
+    for replay in plan.replay:
+        assert f"{replay.cost:.3e}" in text
+    # Whatever costs something comes with what it is worth.
+    for told in ("dynamics defect", "deepest penetration", "energy ratio", "J simulated"):
+        assert told in text
+    assert "simulation: exactly rigid" in text and "plan (no simulation)" in text
+    for command in (
+        "drake-aigto plan scenario.yaml --json plan.json",
+        f"drake_aigto {__version__}",
+    ):
+        assert command in text
+    yaml = text[text.index("model: package") :]
+    assert "time_step: 0.05" in yaml and "goal_position:\n- 0.73" in yaml
+    assert "Options: finalists = 1, aigo_steps = 20." in text
+    assert text.split().count("touches") >= 2 and "touches cost J" in " ".join(text.split())
+    assert len(page.encode()) < 2e6
+    assert "<details><summary>Velocity against position" in page  # Behind a click.
+    assert not re.search(r'(src|href)="(?!data:)', page)
+    assert len(lines) == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "pair"), [("cart_pole/soft_06", "left wall"), ("table1/1", "ball against wall")]
+)
+def test_a_question_names_each_pair_once(name: str, pair: str) -> None:
+    scenario, page = Scenario.named(name), Page("")
+    add_question(page, scenario, World.from_scenario(scenario))
+    assert words(page.to_html()).count(pair) == 1
+
+
+@pytest.mark.slow
+def test_boxes_that_can_not_be_run_again_are_said_to_be_missing(plan: Plan) -> None:
+    text = words(report_plan(dataclasses.replace(plan, options=None)))
+    assert "The plan's file does not say its options." in text
+    assert "AIGO's boxes are missing: the plan's boxes can't be run again: got a plan" in text
+
+
+def test_a_figure_says_where_its_axes_over_time_are_for_the_players_cursor() -> None:
+    figure = Figure(figsize=(4, 4))
+    upper, lower, other = figure.subplots(3, 1)
+    upper.sharex(lower)
+    lower.set(xlabel="time t [s]", xlim=(0, 2), position=(0.1, 0.4, 0.8, 0.2))
+    other.set_xlabel("position [m]")
+    page = Page("")
+    page.figure(figure, "caption")
+    plots = re.findall(r'class="plot" data-first="0" data-last="2" style="([^"]*)"', page.to_html())
+    assert len(plots) == 2
+    assert plots[1] == "left:10.0000%;top:40.0000%;width:80.0000%;height:20.0000%"
+
+
+def test_a_plan_that_fails_is_said_to_fail(plan: Plan) -> None:
+    missed = dataclasses.replace(plan.replay.event_driven, cost=1.0, goal_error=0.9)
+    failing = dataclasses.replace(plan, replay=Replays(missed, None))
+    page, world = Page("report"), World.from_scenario(plan.scenario)
+    add_verdict(page, failing, world)
+    add_answer(page, failing, world)
+    text = words(page.to_html())
+    assert "✗ Fails: the control alone misses the plan's promise on a rigid wall." in text
+    assert "on a rigid wall: contradicts the plan, cost 1.000 (+1.0e+00), ends 0.90 m" in text
+
+
+def test_what_is_added_is_text() -> None:
+    page = Page("<b>")
+    page.paragraph("a < b & c")
+    page.table(("<th>",), [("<td>", "<i>")])
+    page.code("<script>")
+    text = page.to_html()
+    assert "<title>&lt;b&gt;</title>" in text and "a &lt; b &amp; c" in text
+    assert "<script>" not in text and "<i>" not in text
+
+
+@pytest.mark.slow
+def test_table_1_has_a_row_for_each_plan_with_all_that_it_is_worth(plan: Plan) -> None:
+    entry = Entry("AIGTO, rigid", plan.best, plan.replay.drake, plan.holds)
+    method = TableMethod("AIGTO, rigid", (plan.cost,), 1, (entry,), 0.5)
+    optimum = RigidOptimum(2.18e-4, (0.55,), (-1.7,), 1.0)
+    cells = tuple(RigidCell(row, 1.0, optimum, 1e-4, (method,)) for row in (1, 3))
+    table = Table1((), cells, rows=(1, 3), num_guesses=2, seed=7, confirm=False)
+    page = report_table1(table)
+    text = words(page)
+    assert "2 of 2 plans of the rigid transcription hold in simulation." in text
+    assert "Row 1: q(0) = 1 m" in text and "Row 3: q(0) = 0.6 m" in text
+    assert "2 tasks of the paper's four" in text and "Interrupted: 4 of 6 cells" in text
+    command = "drake-aigto table1 --rows 1 3 --guesses 2 --seed 7 --no-confirm --html table1.html"
+    assert command in text
+    assert len(scenes(page)) == 2
+    assert text.count(f"{plan.replay.event_driven.cost:.2e}") >= 2
+    # A phone shows the first columns: what matters most is there.
+    assert "verdict cost J dynamics defect" in " ".join(text.split())
+
+
+def test_what_a_literal_plan_alone_does_is_cut_off_and_told() -> None:
+    axes = Figure().subplots()
+    simulated, literal = np.array([[-2.0], [2.0]]), np.array([[-2.0], [2500.0]])
+    axes.plot(simulated)
+    frame(axes, "m/s", [simulated], [simulated])
+    assert axes.get_title("right") == "" and axes.get_ylim()[1] < 3.0
+    axes = Figure().subplots()
+    axes.plot(simulated)
+    axes.plot(literal)
+    frame(axes, "m/s", [simulated, literal], [simulated])
+    assert axes.get_ylim()[1] == 4.0
+    assert "goes from -2.0 to 2,500.0 m/s" in axes.get_title("right")
+
+
+def test_a_simulation_that_costs_something_else_says_why(plan: Plan) -> None:
+    replay = dataclasses.replace(plan.replay.event_driven, cost=1.2e-4, compliance_cost=2.5e-5)
+    text = describe_difference(1e-4, replay)
+    assert text == " (+2.0e-05, +20.00 %; its compliance explains up to 2.5e-05)"
+    assert describe_difference(1.2e-4 * (1 + 1e-9), replay) == ""
+    nothing = dataclasses.replace(replay, cost=1e-17, compliance_cost=0.0)
+    assert describe_difference(0.0, nothing) == ""
+
+
+@pytest.mark.parametrize(("name", "has"), [("table1/1", True), ("corridor/six_bounces", False)])
+def test_a_landscape_of_single_touches_is_shown_only_where_the_plan_is_on_it(
+    plan: Plan, name: str, has: bool
+) -> None:
+    world = World.from_scenario(Scenario.named(name))
+    assert has_landscape(plan, world) == has
+    twice = dataclasses.replace(plan.best, contacts=plan.best.contacts * 2)
+    assert not has_landscape(dataclasses.replace(plan, candidates=(twice,)), world)

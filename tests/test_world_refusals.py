@@ -6,6 +6,7 @@ Within which bounds a motion has to stay: the model's limits, and those of the s
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import re
 from functools import cache
 from typing import Any
@@ -24,10 +25,10 @@ from world_models import (
 )
 
 from benchmarks.baselines import Recorder
-from drake_aigto import Planner, Scenario, World
+from drake_aigto import Planner, Scenario, World, scenario_names
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.paper import rigid_optimum
-from drake_aigto.world import read_model
+from drake_aigto.world import read_model, scenario_summaries
 
 SLIDER_AXIS = """<axis>
         <xyz>1 0 0</xyz>
@@ -293,3 +294,19 @@ def test_bounds_that_leave_out_what_is_asked_are_refused(
 ) -> None:
     with pytest.raises(ScenarioError, match=re.escape(message)):
         arm().check(ask(**fields))
+
+
+def test_a_model_of_a_package_that_is_absent_names_the_extra_that_brings_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    known = importlib.util.find_spec
+    away = {"gymnasium", "dm_control"}
+    monkeypatch.setattr(
+        "drake_aigto.world.files.find_spec", lambda name: None if name in away else known(name)
+    )
+    names = {"dm_cheetah/leap", "gymnasium_hopper/hop", "half_cheetah/leap", "walker2d/step"}
+    assert names == set(scenario_summaries()) - set(scenario_names())
+    for name in names:
+        message = r"package .*which is not installed.*pip install 'drake_aigto\[models\]'"
+        with pytest.raises(ModelError, match=message):
+            World.from_scenario(Scenario.named(name))
