@@ -30,9 +30,8 @@ def make_newton_problem(
     free: Bools,
     half_width: ArrayLike = 0.0,
     bounds: tuple[Floats, Floats] = _NO_BOUNDS,
-    temperature: float = 0.0,
 ) -> NewtonProblem:
-    """Returns the arrays of the hot loop, as `NewtonProblem` has them."""
+    """Returns the arrays of the hot loop, as `NewtonProblem` has them; μ is 0."""
     places = order.num_unknowns * f.position
     return NewtonProblem(
         *(f.lanes(order), f.copy_weights, np.ones_like(f.copy_weights)),
@@ -40,28 +39,20 @@ def make_newton_problem(
         *(places, np.where(free, places, -1)),
         np.array(np.broadcast_to(half_width, free.shape), dtype=float),
         *bounds,
-        temperature=temperature,
+        temperature=0.0,
         shape=f.hessian_shape(order),
         pattern=f.pattern(order),
     )
 
 
 class NewtonResult(NamedTuple):
-    """The end of Newton's method.
+    """The end of Newton's method."""
 
-    Attributes:
-        x: the centers, shape (n,).
-        value: f̄ there.
-        steps: iterations.
-        residual: √(gᵀ diag(H)⁻¹ g) there.
-        damping: λ to start the next, similar problem with.
-    """
-
-    x: Floats
-    value: float
-    steps: int
-    residual: float
-    damping: float
+    x: Floats  # the centers, shape (n,)
+    value: float  # f̄ there
+    steps: int  # iterations
+    residual: float  # √(gᵀ diag(H)⁻¹ g) there
+    damping: float  # λ to start the next, similar problem with
 
 
 class CenterObjective:
@@ -123,19 +114,12 @@ def raise_penalties(f: BoxPolynomial, penalties: Collection[str], x: Floats, fre
 
 
 class AnnealingMemory(NamedTuple):
-    """State of an annealing between two steps.
+    """State of an annealing between two steps."""
 
-    Attributes:
-        problem: of Newton's method; the boxes of all temperatures share it.
-        unit: of temperatures, in units of the cost.
-        temperature: μ that the box was made for.
-        damping: Newton's, for the next steps.
-    """
-
-    problem: NewtonProblem
-    unit: float
-    temperature: float
-    damping: float = 1e-2
+    problem: NewtonProblem  # of Newton's method; the boxes of all temperatures share it
+    unit: float  # of temperatures, in units of the cost
+    temperature: float  # μ that the box was made for
+    damping: float = 1e-2  # Newton's, for the next steps
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,37 +26,22 @@ _SMALLEST_SCALE = float(np.finfo(float).tiny)
 
 
 class NewtonProblem(NamedTuple):
-    """Objective of Newton's method: f̄(c, w) over c, or f̄(c, e^z) − μ Σ z over c and z.
+    """Objective of Newton's method: f̄(c, w) over c, or f̄(c, e^z) − μ Σ z over c and z."""
 
-    Attributes:
-        lanes: the sums, for CENTERS or BOXES.
-        weights: factor of each copy (C,).
-        multipliers: ones (C,).
-        copy_places: no places (C,).
-        values: room for the mean of each copy (C,).
-        places: of each variable's first unknown (n,).
-        free_places: the same, −1 for a variable that is held (n,).
-        half_width: w (n,) where the unknowns are c alone.
-        lower: lower bounds of the unknowns (size,), or none at all (0,).
-        upper: upper bounds.
-        temperature: μ; 0 where the unknowns are c alone.
-        shape: of the Hessian's storage: a lower band (size, diagonals), or entries (E, 1).
-        pattern: of the Hessian, if it is no band.
-    """
-
-    lanes: Lanes
-    weights: Floats
-    multipliers: Floats
-    copy_places: Ints
-    values: Floats
-    places: Ints
-    free_places: Ints
-    half_width: Floats
-    lower: Floats
-    upper: Floats
-    temperature: float
+    lanes: Lanes  # the sums, for CENTERS or BOXES
+    weights: Floats  # factor of each copy (C,)
+    multipliers: Floats  # ones (C,)
+    copy_places: Ints  # no places (C,)
+    values: Floats  # room for the mean of each copy (C,)
+    places: Ints  # of each variable's first unknown (n,)
+    free_places: Ints  # the same, −1 for a variable that is held (n,)
+    half_width: Floats  # w (n,) where the unknowns are c alone
+    lower: Floats  # lower bounds of the unknowns (size,), or none at all (0,)
+    upper: Floats  # upper bounds
+    temperature: float  # μ; 0 where the unknowns are c alone
+    # Of the Hessian's storage: a lower band (size, diagonals), or entries (E, 1).
     shape: tuple[int, int]
-    pattern: Pattern | None
+    pattern: Pattern | None  # of the Hessian, if it is no band
 
 
 @borrowing
@@ -68,11 +53,7 @@ def _evaluate(
     gradient: Floats,
     band: Floats,
 ) -> tuple[float, float]:
-    """Fills center and half width (n,), gradient (size,) and Hessian (size, diagonals) at y.
-
-    Returns:
-        The objective, and the mean f̄.
-    """
+    """Fills boxes (n,), gradient (size,), Hessian (size, diagonals) at y; returns value and f̄."""
     places, free_places, mu = problem.places, problem.free_places, problem.temperature
     with_z = y.size > center.size
     for i in range(center.size):
@@ -189,10 +170,8 @@ def descend(
     """Minimizes from y, which is overwritten, by steps (H + λD) s = −g.
 
     λ is raised until H + λD is positive definite and s descends (Armijo), and lowered after a step
-    that did so at once.
-
-    Returns:
-        The objective, the mean, the number of steps, the residual √(Σ g²/D), and λ.
+    that did so at once. Returns the objective, the mean, the number of steps, the residual
+    √(Σ g²/D), and λ.
     """
     n, size = problem.places.size, y.size
     center, half_width = np.empty(n), np.empty(n)
@@ -294,15 +273,9 @@ def _dominate(pattern: Pattern | None, band: Floats, raised: Floats) -> None:
 
 @inner
 def solve_system(pattern: Pattern | None, matrix: Floats, x: Floats) -> bool:
-    """Overwrites a right-hand side (size,) with the solution, and the matrix with its factors.
+    """Overwrites x (size,) with the solution, if a matrix is positive definite; returns if it is.
 
-    Args:
-        pattern: Of the matrix, None for a band.
-        matrix: As a band (size, diagonals), or as entries (E, 1).
-        x: The right-hand side.
-
-    Returns:
-        Whether the matrix is positive definite; if not, x stays.
+    It is a band (size, diagonals), or entries (E, 1) if it has a pattern, and becomes its factors.
     """
     if pattern is None:  # An argument of its own, for then Numba leaves out the other case.
         if not factorize_band(matrix):

@@ -189,12 +189,8 @@ def _fill_moments(s: float, sine: float, cosine: float, sign: float, moments: Fl
     By parts, j m_{j−1} = sinh s − s m_j for even j, and cosh s − s m_j for odd j. Upwards this is
     stable up to j ≤ s; beyond, downwards, from any start that is far enough above.
 
-    Args:
-        s: s ≥ 0.
-        sine: sinh s; or sin s for the trigonometric moments.
-        cosine: cosh s, or cos s. With `sine` it may have a common factor, as the result then has.
-        sign: 1, or −1 for the trigonometric moments, whose s is imaginary.
-        moments: Filled; at least two.
+    Sine and cosine are sinh s and cosh s, or sin s and cos s for the sign −1: s is imaginary then.
+    They may have a common factor, as the moments then have.
     """
     last = moments.size - 1
     filled = 0
@@ -245,17 +241,7 @@ def _wave_mean(
 
     where s ∂/∂s m_j is s m_{j+1}, times the sign for even j: nothing cancels at small s.
 
-    Args:
-        exponent: The power p.
-        rate: |∂y/∂x| of G's argument y.
-        moments: m_0 … m_{p+2}, see `_fill_moments`.
-        sign: 1 for exp, −1 for cos and sin.
-        even: G(c).
-        odd: G′(c)/rate.
-        c: Center.
-        w: Half width.
-        row: Filled as by `factor_mean`.
-        first: The entry.
+    Here even is G(c), odd G′(c)/rate, the sign 1 for exp, −1 for cos and sin.
     """
     row[first : first + 6] = 0.0
     s, weight = rate * w, 1.0

@@ -256,7 +256,6 @@ class ParametricPolynomial:
         blocks: Terms over x, the variables 0 … n − 1, and over p, n … n + P − 1. Of parameters they
             read powers only, and all copies of a sum read the same ones.
         order: Elimination order of x, see `BoxPolynomial`.
-        derivatives: Orders whose tapes are made now, for all values; others when first needed.
 
     Raises:
         UnsupportedTermError: A function of a parameter that is no power.
@@ -268,7 +267,6 @@ class ParametricPolynomial:
         num_parameters: int,
         blocks: Iterable[TermBlock],
         order: ArrayLike | None = None,
-        derivatives: Iterable[Order] = (Order.MEAN, Order.BOXES),
     ) -> None:
         """Takes coefficients apart."""
         summands: list[_CoefficientTerm] = []
@@ -283,7 +281,7 @@ class ParametricPolynomial:
             variables = block.variables[:, ~is_parameter]
             structure.append(TermBlock(block.name, known[key], variables, block.weight))
         self._structure = BoxPolynomial(num_variables, tuple(structure), order)
-        for each in derivatives:
+        for each in (Order.MEAN, Order.BOXES):  # Now, for all values.
             self._structure.lanes(each)
         self._targets = np.array([each.coefficient for each in summands], dtype=np.int64)
         self._factors = np.array([each.factor for each in summands])

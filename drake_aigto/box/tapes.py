@@ -71,39 +71,25 @@ class MeanTape:
     Rows are, one after the other: ones; the mean; y and (scale · w)² of each argument; the six of
     each function that the kernel evaluates, of a cosine also the sine's; each term's coefficient;
     and others that operations set.
-
-    Attributes:
-        operations: Records of `OPERATION` in their order, read-only.
-        num_variables: Local variables, 0 … num_variables − 1.
-        slopes: The gradient: row, local variable, and its unknown, 0 for c and 1 for z.
-        curvatures: The Hessian, each pair of unknowns once: row, local variable, its unknown, the
-            other variable and its unknown.
-        arguments: Of the powers that the tape evaluates.
-        functions: Functions that the kernel evaluates.
-        num_terms: Number of coefficients.
-        num_rows: Number of all rows.
     """
 
-    operations: Records
-    num_variables: int
+    operations: Records  # Records of `OPERATION` in their order, read-only
+    num_variables: int  # Local variables, 0 … num_variables − 1
+    # The gradient: row, local variable, and its unknown, 0 for c and 1 for z.
     slopes: tuple[tuple[int, int, int], ...]
+    # The Hessian, each pair of unknowns once: row, local variable, its unknown, the other variable
+    # and its unknown.
     curvatures: tuple[tuple[int, int, int, int, int], ...]
-    arguments: tuple[Argument, ...]
-    functions: tuple[Function, ...]
-    num_terms: int
-    num_rows: int
+    arguments: tuple[Argument, ...]  # Of the powers that the tape evaluates
+    functions: tuple[Function, ...]  # Functions that the kernel evaluates
+    num_terms: int  # Number of coefficients
+    num_rows: int  # Number of all rows
 
 
 def make_tape(
     factors: tuple[Function, ...], members: tuple[tuple[int, ...], ...], order: Order
 ) -> MeanTape:
-    """Returns the tape of a sum.
-
-    Args:
-        factors: Its different factors.
-        members: The factors of each term.
-        order: Which derivatives it computes.
-    """
+    """Returns the tape of a sum of its different factors, the members of each term among them."""
     make = _make_and_keep if len(members) <= _LONGEST_KEPT else _make_and_keep.__wrapped__
     return make(factors, members, order)
 

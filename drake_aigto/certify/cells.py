@@ -32,21 +32,13 @@ _MOST_PAIRED = 20  # sides without an end; of more, no two are looked at togethe
 
 
 class OpenCells(NamedTuple):
-    """Cells and what is known of them.
+    """Cells and what is known of them."""
 
-    Attributes:
-        low: lower ends (C, n).
-        high: upper ends.
-        bounds: of f (C,).
-        cuts: variables to cut next; −1: none can be (C,).
-        places: where (C,).
-    """
-
-    low: Floats
-    high: Floats
-    bounds: Floats
-    cuts: Ints
-    places: Floats
+    low: Floats  # lower ends (C, n)
+    high: Floats  # upper ends
+    bounds: Floats  # of f (C,)
+    cuts: Ints  # variables to cut next; −1: none can be (C,)
+    places: Floats  # where (C,)
 
     def some(self, kept: Bools | Ints) -> OpenCells:
         """Returns a part of them."""
@@ -63,11 +55,8 @@ class OpenCells(NamedTuple):
 class BoundSearch(ABC):
     """Search for the least cost of a program, from below, which may be gone on with.
 
-    Args:
-        cost: f.
-        point: some point (n,).
-        margin: parts are settled once their bound is this near to the best value, relative to it or
-            to a scale.
+    Parts are settled once their bound is nearer to the best value than the margin, relative to it
+    or to a scale.
 
     Attributes:
         cost: f.
@@ -115,10 +104,6 @@ class CellSearch(BoundSearch):
 
     An interruption leaves what is known in order: cells that are taken away, and what became of
     them, are changed at once.
-
-    Args:
-        formulas: the program.
-        margin: as in `BoundSearch`.
 
     Attributes:
         hopeless: variables and their sides, 0 or 1, far out on which no cell has a bound.
@@ -264,10 +249,7 @@ class CellSearch(BoundSearch):
         cells.cuts[alone] = np.where((low[own] < places) & (places < high[own]), own[1], -1)
 
     def _expand(self, cells: OpenCells) -> None:
-        """Raises bounds by expansions about the best point where that is near, else the middle.
-
-        Cells that hold no minimizer have the bound ∞.
-        """
+        """Raises bounds by expansions about a near best point, else the middle; ∞: no minimizer."""
         low, high, bounds, *_ = cells
         (count, size), formulas = low.shape, np.zeros(len(low), dtype=np.int64)
         over = enclose_all(self._tape, formulas, low, high, HESSIAN)

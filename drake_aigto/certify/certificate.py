@@ -289,10 +289,7 @@ class Certifier:
         return is_open
 
     def _price_rows(self, order: Sequence[tuple[int, ...]]) -> None:
-        """Searches by cliques, too: the cost with rows at prices that the best point says.
-
-        And the cost without rows, as prices may be those of another valley.
-        """
+        """Searches by cliques too: rows at the best point's prices, and without any, as a start."""
         priced = with_prices(self._formulas, self._best)
         programs = [priced]
         if self._priced_cost == math.inf:

@@ -44,15 +44,10 @@ _LARGE = 1e290  # Sums of what is larger would overflow.
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Formulas of as many variables.
+    """Formulas of as many variables."""
 
-    Attributes:
-        formulas: their numbers (G,).
-        variables: those that each reads (G, m).
-    """
-
-    formulas: Ints
-    variables: Ints
+    formulas: Ints  # their numbers (G,)
+    variables: Ints  # those that each reads (G, m)
 
     def bins(self, starts: Ints) -> tuple[Ints, Ints, Ints]:
         """Returns all S bins of each variable of each formula, in the order formula, variable, bin.
@@ -69,10 +64,8 @@ class Group:
 class CliqueSearch(BoundSearch):
     """Dynamic programming over ever smaller bins.
 
-    Args:
-        formulas: the program, without rows; summands read up to three variables each.
-        margin: as in `BoundSearch`.
-        order: every variable, in the order of elimination, with its neighbors then.
+    The program has no rows, and its summands read up to three variables each. The order has every
+    variable, as it is eliminated, with its neighbors then.
 
     Attributes:
         lower_bound: of f; at most the best value.
@@ -293,10 +286,7 @@ class CliqueSearch(BoundSearch):
         return self._points[self._starts[:-1] + chosen]
 
     def _best_points(self, formula: int) -> Iterator[Floats]:
-        """Yields for each variable of a formula the points of its bins' best neighbors.
-
-        All variables of the formula (·, m); values in the variable's own column do not matter.
-        """
+        """Yields, for each of a formula's m variables, points (·, m) of bins' best neighbors."""
         variables, home = self._variables[formula], self._home[formula]
         clique, sums = self._order[home], self._sums[home]
         for i in variables:

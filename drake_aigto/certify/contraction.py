@@ -272,11 +272,8 @@ def _bound_about(tape: Tape, formula: int, cell: Floats, room: Room) -> float:
 def bound_all(tape: Tape, formula: int, sides: Floats, cells: Ints) -> Floats:
     """Returns bounds of f + s (x − c) over cells (C,); ∞ where f has no value.
 
-    Args:
-        tape: holds f.
-        formula: its number.
-        sides: of cells: lower and upper ends, points c, and lower and upper ends of s (5, K).
-        cells: which sides each has (C, L).
+    Sides (5, K) are lower and upper ends, points c, and lower and upper ends of s; cells (C, L) say
+    which sides each has.
     """
     size, length = cells.shape[1], tape.starts[formula + 1] - tape.starts[formula]
     jets = np.empty((length, enclosures.jet_size(size, enclosures.HESSIAN), 2))
@@ -293,13 +290,8 @@ def may_hold_minima(slopes: Floats, bends: Floats, ends: Floats, outer: Floats) 
     """Returns where f may have a minimum along a variable that is within ends of it (K,).
 
     It has none where it rises or falls all over, up to ends that are none of the outer ones, or is
-    concave between others. A finite Hessian says that f has values around them, too.
-
-    Args:
-        slopes: ∂f/∂x_i (K, 2).
-        bends: ∂²f/∂x_i² (K, 2).
-        ends: of x_i (2, K).
-        outer: ends that it may have (2, K).
+    concave between others. A finite Hessian says that f has values around them, too. Slopes and
+    bends are ∂f/∂x_i and ∂²f/∂x_i² (K, 2), ends and outer ends (2, K).
     """
     at_lower, at_upper = ends == outer
     falls, rises = (slopes[:, 1] < 0.0) & ~at_upper, (slopes[:, 0] > 0.0) & ~at_lower

@@ -187,16 +187,8 @@ def _take_larger(jets: Floats, to: int, a: int, b: int, size: int, count: int) -
 def enclose(tape: Tape, formula: int, low: Floats, high: Floats, order: int, jets: Floats) -> int:
     """Fills jets with the enclosures of a formula's entries over low ≤ x ≤ high (L,).
 
-    Args:
-        tape: holds the formula.
-        formula: its number.
-        low: lower ends.
-        high: upper ends.
-        order: 0 for values, 1 for gradients too, 2 for Hessians too.
-        jets: as `make_scratch` returns them, of this order or a higher one.
-
-    Returns:
-        The entry of the formula itself; −1 if it has no value anywhere in the box.
+    Jets are as `make_scratch` returns them, of this order or a higher one. Returns the entry of the
+    formula itself; −1 if it has no value anywhere in the box.
     """
     operations, first, second, numbers, starts = tape
     start, last = starts[formula], starts[formula + 1] - starts[formula] - 1
@@ -283,12 +275,7 @@ def sum_outward(intervals: Floats, owners: Ints, count: int) -> Floats:
 
 
 class SumOfFormulas:
-    """Σ f_p over the program's variables.
-
-    Args:
-        tape: holds them.
-        variables: those that each of its first formulas reads, which are summed up.
-    """
+    """Σ f_p over the program's variables, of the first formulas of a tape, by those each reads."""
 
     def __init__(self, tape: Tape, variables: Sequence[Sequence[int]]) -> None:
         """Takes the formulas."""

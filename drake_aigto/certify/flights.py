@@ -59,12 +59,7 @@ class Line:
 
 
 class FlightFamily:
-    """Flights of one kind, as functions of their parameters.
-
-    Args:
-        cost: theirs.
-        variables: the parameters (m,).
-    """
+    """Flights of one kind, as functions of their parameters (m,)."""
 
     def __init__(self, cost: sym.Expression, *variables: sym.Variable) -> None:
         """Makes the formula."""

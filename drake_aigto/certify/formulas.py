@@ -14,17 +14,8 @@ from pydrake.symbolic import Expression, ExpressionKind
 
 from drake_aigto import terms
 from drake_aigto.arrays import Bools, Floats
+from drake_aigto.certify import tape as tapes
 from drake_aigto.certify.enclosures import GRADIENT, VALUE, enclose_all
-from drake_aigto.certify.tape import (
-    Entry,
-    Formula,
-    Index,
-    JointTape,
-    NoEnclosureError,
-    Operation,
-    Tape,
-    make_tape,
-)
 from drake_aigto.errors import UnsupportedTermError
 
 # Evaluators that give their formulas back, what they are called, and the remedy for others.
@@ -50,23 +41,14 @@ _NEAR = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Summand:
-    """factor · (formula − target): a summand of the cost, or a row at a price.
+    """factor · (formula − target): a summand of the cost, or a row at a price."""
 
-    Attributes:
-        binding: the cost that it came from; of a row, the constraint.
-        expression: its formula.
-        index: of its variables.
-        variables: indices of those that it reads, rising.
-        factor: as above.
-        target: as above.
-    """
-
-    binding: solvers.Binding
-    expression: Expression
-    index: Index
-    variables: tuple[int, ...]
-    factor: float = 1.0
-    target: float = 0.0
+    binding: solvers.Binding  # the cost that it came from; of a row, the constraint
+    expression: Expression  # its formula
+    index: tapes.Index  # of its variables
+    variables: tuple[int, ...]  # indices of those that it reads, rising
+    factor: float = 1.0  # as above
+    target: float = 0.0  # as above
 
     def parts(self, factor: float = 1.0, target: float = 0.0) -> list[Summand]:
         """Returns factor · (formula − target) as the summands that the formula adds up."""
@@ -88,21 +70,13 @@ class BoundedFormula(Summand):
 
 @dataclass(frozen=True, eq=False)
 class Formulas:
-    """A program as a sum of formulas, rows and bounds.
+    """A program as a sum of formulas, rows and bounds."""
 
-    Attributes:
-        names: of the variables (n,).
-        summands: of the cost; those of one binding follow each other.
-        rows: all constraints but bounds.
-        lower: bounds of x (n,).
-        upper: shape (n,).
-    """
-
-    names: tuple[str, ...]
-    summands: tuple[Summand, ...]
-    rows: tuple[BoundedFormula, ...]
-    lower: Floats
-    upper: Floats
+    names: tuple[str, ...]  # of the variables (n,)
+    summands: tuple[Summand, ...]  # of the cost; those of one binding follow each other
+    rows: tuple[BoundedFormula, ...]  # all constraints but bounds
+    lower: Floats  # bounds of x (n,)
+    upper: Floats  # shape (n,)
 
     @property
     def row_bounds(self) -> tuple[Floats, Floats]:
@@ -157,8 +131,8 @@ def read_formulas(prog: solvers.MathematicalProgram) -> Formulas:
 
 
 def _expressions(
-    binding: solvers.Binding, index: Index, kinds: tuple[Any, ...], expected: str, remedy: str
-) -> tuple[Any, Index]:
+    binding: solvers.Binding, index: tapes.Index, kinds: tuple[Any, ...], expected: str, remedy: str
+) -> tuple[Any, tapes.Index]:
     """Returns the formulas of a cost or constraint, and the indices of their variables."""
     evaluator, variables = binding.evaluator(), binding.variables()
     if not isinstance(evaluator, kinds):
@@ -180,44 +154,41 @@ def _expressions(
     return [evaluator.expression()] if is_cost else evaluator.expressions(), own
 
 
-def _read(e: Expression, index: Index) -> tuple[int, ...]:
+def _read(e: Expression, index: tapes.Index) -> tuple[int, ...]:
     return tuple(sorted({index[variable.get_id()] for variable in e.GetVariables()}))
 
 
-def formula_of(parts: Sequence[Summand], variables: Sequence[int]) -> list[Entry]:
+def formula_of(parts: Sequence[Summand], variables: Sequence[int]) -> list[tapes.Entry]:
     """Returns the sum of some summands as a formula over some of the program's variables.
 
     Raises:
         UnsupportedTermError: one has a function without an enclosure, by name.
     """
-    formula = Formula()
+    formula = tapes.Formula()
     places = {variable: k for k, variable in enumerate(variables)}
     return formula.entries(_enter_sum(formula, parts, places))
 
 
-def tape_of(sums: Iterable[Sequence[Summand]], num_variables: int) -> Tape:
+def tape_of(sums: Iterable[Sequence[Summand]], num_variables: int) -> tapes.Tape:
     """Returns sums of summands as formulas over all n variables; raises as `formula_of` does."""
-    return make_tape(formula_of(parts, range(num_variables)) for parts in sums)
+    return tapes.make_tape(formula_of(parts, range(num_variables)) for parts in sums)
 
 
 def join(
     sums: Iterable[Sequence[Summand]], num_variables: int, is_nested: bool = True
-) -> JointTape:
+) -> tapes.JointTape:
     """Returns sums of summands as formulas that share their entries; raises as `formula_of` does.
 
-    Args:
-        sums: the formulas.
-        num_variables: n.
-        is_nested: whether powers of one variable are written as Horner does.
+    If they are nested, powers of one variable are written as Horner does.
     """
-    formula, places = Formula(is_nested), {i: i for i in range(num_variables)}
+    formula, places = tapes.Formula(is_nested), {i: i for i in range(num_variables)}
     for i in range(num_variables):
-        formula.put(Operation.VARIABLE, i)
+        formula.put(tapes.Operation.VARIABLE, i)
     roots = [_enter_sum(formula, parts, places) for parts in sums]
-    return JointTape(make_tape([formula.entries()]), np.array(roots, dtype=np.int64))
+    return tapes.JointTape(tapes.make_tape([formula.entries()]), np.array(roots, dtype=np.int64))
 
 
-def _enter_sum(formula: Formula, parts: Sequence[Summand], places: Index) -> int:
+def _enter_sum(formula: tapes.Formula, parts: Sequence[Summand], places: tapes.Index) -> int:
     """Adds summands; index of a variable in the program ↦ its place among the formula's."""
     found = -1
     # Summands of one binding are added again, as powers of one variable are bounded together.
@@ -229,18 +200,18 @@ def _enter_sum(formula: Formula, parts: Sequence[Summand], places: Index) -> int
         own = {i: places[j] for i, j in first.index.items() if j in places}
         try:
             place = formula.enter(own, total, first.factor, first.target)
-        except NoEnclosureError as error:
+        except tapes.NoEnclosureError as error:
             raise UnsupportedTermError(
                 f"{terms.evaluator_label(first.binding)} can't be bounded",
                 got=f"{error} in {terms.shown(total)}",
                 expected="sums, products, quotients, powers, roots, exp, log, sin, cos, tan, "
                 "tan⁻¹, tanh, |x|, max and min",
             ) from None
-        found = place if found < 0 else formula.put(Operation.ADD, found, place)
-    return formula.put(Operation.NUMBER) if found < 0 else found
+        found = place if found < 0 else formula.put(tapes.Operation.ADD, found, place)
+    return formula.put(tapes.Operation.NUMBER) if found < 0 else found
 
 
-def values_at(tape: Tape, x: Floats, order: int = VALUE) -> Floats:
+def values_at(tape: tapes.Tape, x: Floats, order: int = VALUE) -> Floats:
     """Returns jets (F, J, 2) of all formulas of a tape at a point (n,)."""
     count = tape.starts.size - 1
     points = np.tile(x, (count, 1))
@@ -251,11 +222,7 @@ def with_prices(formulas: Formulas, x: Floats) -> Formulas:
     """Returns a program whose rows are terms of its cost, which is no larger where they hold.
 
     On all feasible x, f ≥ f + λ_j (r_j − t_j): of an equality with any λ; of an inequality that is
-    at its bound t, with λ (r − t) ≤ 0. Least squares make the Lagrangian's slope at x small.
-
-    Args:
-        formulas: the program.
-        x: a point, the nearer to an optimum the better (n,).
+    at its bound t, with λ (r − t) ≤ 0. Least squares make the Lagrangian's slope at x (n,) small.
     """
     rows = formulas.rows
     tape = tape_of([formulas.summands, *((row,) for row in rows)], x.size)

@@ -30,43 +30,27 @@ class Structure(NamedTuple):
     """Places of the coefficients of a program's linear relaxation; entries are columns.
 
     A row has coefficients of an entry and of its arguments, or of all that it sums up.
-
-    Attributes:
-        joint: cost and rows as one tape; its entries are the columns (E).
-        first: first row of each entry, and their number M; a sum has one, or none if it is a part
-            of another (E + 1,).
-        starts: first coefficient of each row, and their number (M + 1,).
-        columns: of the coefficients.
-        values: the coefficients of sums; those of functions are filled for each cell.
-        lower: of rows of sums (M,).
-        upper: shape (M,).
     """
 
-    joint: JointTape
+    joint: JointTape  # cost and rows as one tape; its entries are the columns (E)
+    # First row of each entry, and their number M; a sum has one, or none if it is a part of another
+    # (E + 1,).
     first: Ints
-    starts: Ints
-    columns: Ints
-    values: Floats
-    lower: Floats
-    upper: Floats
+    starts: Ints  # first coefficient of each row, and their number (M + 1,)
+    columns: Ints  # of the coefficients
+    values: Floats  # the coefficients of sums; those of functions are filled for each cell
+    lower: Floats  # of rows of sums (M,)
+    upper: Floats  # shape (M,)
 
 
 class LinearProgram(NamedTuple):
-    """The linear program of a cell: minimize cost · w with lower ≤ A w ≤ upper, w in `box`.
+    """The linear program of a cell: minimize cost · w with lower ≤ A w ≤ upper, w in `box`."""
 
-    Attributes:
-        values: coefficients of A.
-        lower: of its rows (M,).
-        upper: shape (M,).
-        box: ends of columns (2, E).
-        ranges: of the tape's entries (E, 1, 2).
-    """
-
-    values: Floats
-    lower: Floats
-    upper: Floats
-    box: Floats
-    ranges: Floats
+    values: Floats  # coefficients of A
+    lower: Floats  # of its rows (M,)
+    upper: Floats  # shape (M,)
+    box: Floats  # ends of columns (2, E)
+    ranges: Floats  # of the tape's entries (E, 1, 2)
 
 
 @inner
@@ -173,13 +157,7 @@ def relax(
 ) -> bool:
     """Fills the linear program of a cell, which is narrowed in place; returns if anything is left.
 
-    Args:
-        structure: of the program.
-        lower: bounds of its cost and its rows (1 + R,).
-        upper: shape (1 + R,).
-        low: lower ends of the cell (n,).
-        high: upper ends.
-        cell: filled.
+    Its cost and rows are between lower and upper (1 + R,), the cell between low and high (n,).
     """
     operations, first, last, numbers, _ = structure.joint.tape
     if not contract(structure.joint, lower, upper, low, high, cell.ranges):
@@ -254,12 +232,7 @@ def violations(
 ) -> Floats:
     """Returns how far functions are from their columns at a point, in the cost's unit (F,).
 
-    Args:
-        structure: of the program.
-        cell: its linear program.
-        functions: their columns (F,).
-        w: the point (E,).
-        multipliers: of the rows (M,).
+    Functions are given by their columns (F,), the point is w (E,), multipliers are of rows (M,).
     """
     operations, first, last, numbers, _ = structure.joint.tape
     points, scores = np.empty_like(cell.ranges), np.zeros(functions.size)

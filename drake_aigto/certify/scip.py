@@ -51,11 +51,6 @@ def bound_by_scip(
 ) -> tuple[float, Floats | None]:
     """Returns SCIP's lower bound, ∞ if it finds no feasible point, and its best point (n,).
 
-    Args:
-        formulas: the program.
-        gap: relative; small enough.
-        seconds: of the processor, at most; None: as long as it takes.
-
     Raises:
         OptionsError: SCIP is not installed.
         UnsupportedTermError: a function that SCIP does not know, by name.

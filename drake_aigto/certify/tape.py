@@ -66,15 +66,10 @@ class Tape(NamedTuple):
 
 
 class JointTape(NamedTuple):
-    """Formulas that share their entries.
+    """Formulas that share their entries."""
 
-    Attributes:
-        tape: all of them as one; its first entries are the variables.
-        roots: entries of the formulas (R,).
-    """
-
-    tape: Tape
-    roots: Ints
+    tape: Tape  # all of them as one; its first entries are the variables
+    roots: Ints  # entries of the formulas (R,)
 
 
 def make_tape(formulas: Iterable[Sequence[Entry]]) -> Tape:
@@ -98,11 +93,7 @@ _FUNCTIONS = {
 
 
 class Formula:
-    """Expressions as entries of a tape, each made once.
-
-    Args:
-        is_nested: whether powers of one variable are written as Horner does.
-    """
+    """Expressions as entries of a tape, each made once; if nested, powers as Horner has them."""
 
     def __init__(self, is_nested: bool = True) -> None:
         """Starts empty."""

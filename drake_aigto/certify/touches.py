@@ -42,18 +42,12 @@ class _Cells:
     """Touches of walls by their times and speeds, after the start and the end, which are points.
 
     An array of E edges has shape (2, E): the cells that they come from, and those that they go to.
-
-    Attributes:
-        walls: which wall each is of; behind the last one, start and end (N,).
-        low: least time and speed (N, 2).
-        high: largest.
-        slopes: p (N, 2).
     """
 
-    walls: Ints
-    low: Floats
-    high: Floats
-    slopes: Floats
+    walls: Ints  # which wall each is of; behind the last one, start and end (N,)
+    low: Floats  # least time and speed (N, 2)
+    high: Floats  # largest
+    slopes: Floats  # p (N, 2)
 
     @property
     def middles(self) -> Floats:
@@ -82,28 +76,16 @@ class _Cells:
 
 
 class _Paths(NamedTuple):
-    """Shortest paths through cells.
+    """Shortest paths through cells."""
 
-    Attributes:
-        least: cost of the shortest one.
-        cells: of the shortest one by way of each cell (N,).
-        edges: of the shortest one by way of each edge (E,).
-        followers: the next cell on the shortest path from each (N,).
-    """
-
-    least: float
-    cells: Floats
-    edges: Floats
-    followers: Ints
+    least: float  # cost of the shortest one
+    cells: Floats  # of the shortest one by way of each cell (N,)
+    edges: Floats  # of the shortest one by way of each edge (E,)
+    followers: Ints  # the next cell on the shortest path from each (N,)
 
 
 class _LineFlights:
-    """All flights on a line, and their costs between cells.
-
-    Args:
-        line: the question.
-        most: the largest cost of interest.
-    """
+    """All flights on a line, and their costs between cells, up to the most that is of interest."""
 
     def __init__(self, line: Line, most: float) -> None:
         """Makes the formulas."""

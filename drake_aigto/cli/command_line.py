@@ -106,9 +106,8 @@ def run(
 ) -> int:
     """Runs a command and returns its exit status; Ctrl-C is left to the caller.
 
-    Args:
-        arguments: what was typed after the program's name; None takes it from `sys.argv`.
-        make: returns the parser for these words.
+    Arguments are what was typed after the program's name, None those of `sys.argv`; `make` returns
+    the parser for these words.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     unset = argparse.Namespace(quiet=False, verbose=False)

@@ -286,12 +286,12 @@ def read_workers(options: argparse.Namespace) -> AbstractContextManager[Executor
 
 def positive(text: str) -> int:
     """Returns a whole number, 1 or more."""
-    return int(_within(int(text), 1))
+    return _at_least(1, text)
 
 
 def natural(text: str) -> int:
     """Returns a whole number, 0 or more."""
-    return int(_within(int(text), 0))
+    return _at_least(0, text)
 
 
 def seconds(text: str) -> float:
@@ -302,13 +302,7 @@ def seconds(text: str) -> float:
     return value
 
 
-def share(text: str) -> float:
-    """Returns a number from 0 to 1."""
-    return _within(float(text), 0, 1)
-
-
-def _within(value: float, least: int, most: int | None = None) -> float:
-    if value < least or (most is not None and not value <= most):
-        expected = f"{least} or more" if most is None else f"{least} to {most}"
-        raise argparse.ArgumentTypeError(f"got {value:g}, expected {expected}")
+def _at_least(least: int, text: str) -> int:
+    if (value := int(text)) < least:
+        raise argparse.ArgumentTypeError(f"got {value}, expected {least} or more")
     return value

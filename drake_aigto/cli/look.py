@@ -13,21 +13,11 @@ from pydrake import geometry
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.sensors import CameraInfo
 
+from drake_aigto import world as worlds
 from drake_aigto.cli.command_line import make_parser
 from drake_aigto.cli.flags import FINE, add_command, add_scenario, load_scenario
 from drake_aigto.errors import OptionsError
 from drake_aigto.plain import check_writable
-from drake_aigto.world import (
-    DISSIPATION,
-    STIFFNESS,
-    Scenario,
-    World,
-    name_controls,
-    read_property,
-    scenario_names,
-    scenario_seconds,
-    scenario_summaries,
-)
 
 _MODELS = (".xml", ".urdf", ".sdf")
 _EXAMPLES = """\
@@ -61,11 +51,11 @@ def add_list(commands: Any) -> None:
 
 def _list(options: argparse.Namespace) -> int:
     """Prints names and first lines of scenarios."""
-    told = {n: text for n, text in scenario_summaries().items() if options.part in n}
+    told = {n: text for n, text in worlds.scenario_summaries().items() if options.part in n}
     if not told:
         raise OptionsError("TEXT", got=repr(options.part), expected="a part of a scenario's name")
     width = max(map(len, told))
-    seconds = scenario_seconds()
+    seconds = worlds.scenario_seconds()
     print(f"{'scenario':{width}}  CPU s  what it shows")
     for name, text in told.items():
         print(f"{name:{width}}  {f'{seconds[name]:g}' if name in seconds else '-':>5}  {text}")
@@ -81,7 +71,7 @@ def add_completion(commands: Any) -> None:
 
 def _complete(_: argparse.Namespace) -> int:
     """Prints a function of bash with the words of each command."""
-    commands, names = make_parser().commands.choices, " ".join(scenario_names())
+    commands, names = make_parser().commands.choices, " ".join(worlds.scenario_names())
     cases = [
         f'    {name}) words="{" ".join(each.flags())} {names}";;' for name, each in commands.items()
     ]
@@ -102,11 +92,11 @@ def _look(options: argparse.Namespace) -> int:
     check_writable(options.png)
     if Path(options.scenario).suffix in _MODELS:
         ends: dict[str, Any] = {"initial_position": 0, "initial_velocity": 0, "goal_position": 0}
-        scenario = load_scenario(options, Scenario(model=options.scenario, **ends))
-        world = World.from_model(scenario)
+        scenario = load_scenario(options, worlds.Scenario(model=options.scenario, **ends))
+        world = worlds.World.from_model(scenario)
     else:
         scenario = load_scenario(options)
-        world = World.from_model(scenario, scenario.initial_position)
+        world = worlds.World.from_model(scenario, scenario.initial_position)
     print("\n".join(_tell(world, scenario)))
     if options.png:
         drawn = _draw(world, options.png)
@@ -114,7 +104,7 @@ def _look(options: argparse.Namespace) -> int:
     return FINE
 
 
-def _tell(world: World, scenario: Scenario) -> Iterator[str]:
+def _tell(world: worlds.World, scenario: worlds.Scenario) -> Iterator[str]:
     """Yields lines about a world."""
     plant = world.plant
     masses = sum(plant.get_body(i).default_mass() for i in plant.GetBodyIndices(_own(world)))
@@ -125,7 +115,7 @@ def _tell(world: World, scenario: Scenario) -> Iterator[str]:
     bounds = world.limits.control_items(plant, scenario)
     names = [
         name
-        for name in name_controls(plant, world.num_actuators)
+        for name in worlds.name_controls(plant, world.num_actuators)
         if not any(b.startswith(name) for b in bounds)
     ]
     yield ""
@@ -138,13 +128,13 @@ def _tell(world: World, scenario: Scenario) -> Iterator[str]:
             yield from ("", title, *(f"  {line}" for line in lines))
 
 
-def _own(world: World) -> Any:
+def _own(world: worlds.World) -> Any:
     """Returns the model instance of the plant's last link: that of its model."""
     joints = world.plant.GetJointIndices()
     return world.plant.get_joint(joints[0]).child_body().model_instance()
 
 
-def _joints(world: World) -> Iterator[tuple[str, ...]]:
+def _joints(world: worlds.World) -> Iterator[tuple[str, ...]]:
     """Yields a row for each coordinate."""
     plant, (lower, upper) = world.plant, world.limits.position
     for joint in map(plant.get_joint, plant.GetJointIndices()):
@@ -158,13 +148,13 @@ def _joints(world: World) -> Iterator[tuple[str, ...]]:
             yield joint.name(), joint.type_name(), world.units[v + k], *numbers
 
 
-def _contacts(world: World, scenario: Scenario) -> Iterator[tuple[str, ...]]:
+def _contacts(world: worlds.World, scenario: worlds.Scenario) -> Iterator[tuple[str, ...]]:
     """Yields a row for each contact."""
     restitutions = world.restitutions(scenario)
     for i, (contact, shapes) in enumerate(zip(world.contacts, world.shapes, strict=True)):
         given = [
-            [read_property(world.scene_graph, shape, name) for shape in shapes]
-            for name in (STIFFNESS, DISSIPATION)
+            [worlds.read_property(world.scene_graph, shape, name) for shape in shapes]
+            for name in (worlds.STIFFNESS, worlds.DISSIPATION)
         ]
         texts = ["none" if None in pair else " | ".join(f"{x:.3g}" for x in pair) for pair in given]
         friction = world.rubbing.model_coefficients[i]
@@ -182,7 +172,7 @@ def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterator
             yield "  ".join(cells).rstrip()
 
 
-def _draw(world: World, path: str) -> bool:
+def _draw(world: worlds.World, path: str) -> bool:
     """Writes a picture of a world at its default positions, seen along y; returns whether."""
     scene_graph, (width, height) = world.scene_graph, _PIXELS
     scene_graph.AddRenderer("look", geometry.MakeRenderEngineVtk(geometry.RenderEngineVtkParams()))

@@ -10,17 +10,9 @@ from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError, check_counts, check_positive
+from drake_aigto.local import newton
 from drake_aigto.local.kkt import max_norm
 from drake_aigto.local.line_search import Filter, LineSearch, Progress, restore
-from drake_aigto.local.newton import (
-    Duals,
-    Linearization,
-    NewtonSearch,
-    NewtonStep,
-    Point,
-    ScaledProblem,
-    longest,
-)
 from drake_aigto.local.nlp import LocalIterate, LocalResult, LocalStatus, PolynomialNlp
 
 # Wächter & Biegler's names and values.
@@ -119,14 +111,16 @@ class _InteriorPointRun:
     def __init__(self, options: InteriorPoint, nlp: PolynomialNlp, start: Floats) -> None:
         self._options = options
         self._nlp = nlp
-        self._problem = ScaledProblem(nlp, start, options.cost_unit)
-        self._search = NewtonSearch(self._problem)
+        self._problem = newton.ScaledProblem(nlp, start, options.cost_unit)
+        self._search = newton.NewtonSearch(self._problem)
         has_bounds = self._problem.bounded.size > 0
         self._mu = options.initial_barrier if has_bounds else 0.0
         self._least_mu = options.tolerance / 10 if has_bounds else 0.0
         self._point = self._problem.start(start, options.bound_push)
         self._filter = Filter(self._point.violation)
-        self._duals = Duals(np.zeros(self._point.rows.size), np.zeros(self._point.slacks.size))
+        self._duals = newton.Duals(
+            np.zeros(self._point.rows.size), np.zeros(self._point.slacks.size)
+        )
         self._progress = Progress()
         self._history: list[LocalIterate] = []
         self._iterations = self._extra_steps = 0
@@ -139,7 +133,7 @@ class _InteriorPointRun:
         if self._problem.held_residual > self._options.tolerance:
             return self._result(LocalStatus.INFEASIBLE)
         self._duals = self._fresh_duals(self._point)
-        step: NewtonStep | None = None
+        step: newton.NewtonStep | None = None
         status, length = None, 0.0
         while status is None:
             linearization = self._problem.linearize(self._point.y, self._duals.rows)
@@ -169,7 +163,7 @@ class _InteriorPointRun:
             return LocalStatus.ITERATION_LIMIT
         return None
 
-    def _optimality(self, linearization: Linearization) -> _Optimality:
+    def _optimality(self, linearization: newton.Linearization) -> _Optimality:
         z, multipliers = self._duals.bounds, self._duals.rows
         force = linearization.gradient + linearization.row_force - self._problem.bound_force(z)
         of_bounds = float(np.sum(z))
@@ -189,13 +183,9 @@ class _InteriorPointRun:
             self._progress.restart()
 
     def _advance(
-        self, step: NewtonStep | None, optimality: _Optimality
+        self, step: newton.NewtonStep | None, optimality: _Optimality
     ) -> tuple[LocalStatus | None, float]:
-        """Takes a step, or restores feasibility.
-
-        Returns:
-            The status if neither works, and the step length.
-        """
+        """Takes a step or restores feasibility; returns a status if neither works, and a length."""
         if step is None:
             return (LocalStatus.CONVERGED if self._is_solution else LocalStatus.STALLED), 0.0
         fraction = max(_TAU_MIN, 1.0 - self._mu)
@@ -213,16 +203,18 @@ class _InteriorPointRun:
             optimality.error(self._mu),
         )
         multipliers = self._duals.rows + length * step.duals.rows
-        bound_length = longest(self._duals.bounds, step.duals.bounds, fraction)
+        bound_length = newton.longest(self._duals.bounds, step.duals.bounds, fraction)
         z = self._duals.bounds + bound_length * step.duals.bounds
         near = self._mu / point.slacks
         z = np.clip(z, near / _KAPPA_SIGMA, near * _KAPPA_SIGMA)  # eq. (16)
         if step.is_distorted:
             multipliers = self._search.least_squares_multipliers(point, self._mu)
-        self._point, self._duals = point, Duals(multipliers, z)
+        self._point, self._duals = point, newton.Duals(multipliers, z)
         return None, length
 
-    def _stuck(self, step: NewtonStep, optimality: _Optimality, rounding: float) -> LocalStatus:
+    def _stuck(
+        self, step: newton.NewtonStep, optimality: _Optimality, rounding: float
+    ) -> LocalStatus:
         """Returns the status where rows hold and no step helps: converged if rounding stops it.
 
         A gradient beyond the tolerance is overlooked where Newton's step changes φ by less than its
@@ -267,9 +259,9 @@ class _InteriorPointRun:
         self._progress.restart()
         return None
 
-    def _fresh_duals(self, point: Point) -> Duals:
+    def _fresh_duals(self, point: newton.Point) -> newton.Duals:
         multipliers = self._search.least_squares_multipliers(point, self._mu)
-        return Duals(multipliers, self._mu / point.slacks)
+        return newton.Duals(multipliers, self._mu / point.slacks)
 
     def _result(self, status: LocalStatus) -> LocalResult:
         """Unscales."""

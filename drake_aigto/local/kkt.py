@@ -48,13 +48,9 @@ class SymmetricFactors(ABC):
     _is_singular: bool
 
     def factorize(self, matrix: Floats) -> int:
-        """Factorizes a matrix in place of the one before.
+        """Factorizes a matrix, which must not change as long as `solve` is called.
 
-        Args:
-            matrix: It is kept, and must not change as long as `solve` is called.
-
-        Returns:
-            The number of negative eigenvalues, −1 if the matrix is singular or not finite.
+        Returns the number of negative eigenvalues, −1 if the matrix is singular or not finite.
         """
         self._matrix = matrix
         negative = self._factorize(matrix) if np.isfinite(matrix).all() else -1
@@ -220,15 +216,7 @@ class KktStructure:
         is_free: Bools,
         order: Ints | None,
     ) -> None:
-        """Orders the unknowns.
-
-        Args:
-            terms: The costs and, behind them, the rows.
-            copy_weights: Weight of each copy.
-            num_costs: Number of copies that are costs.
-            is_free: Which variables are not held (n,).
-            order: The problem's elimination order (n,), if it has one.
-        """
+        """Orders the unknowns; terms are the costs and, behind them, the rows."""
         self._terms, self._lanes = terms, make_lanes(terms, Order.CENTERS)
         self._copy_weights, self._num_costs, self._order = copy_weights, num_costs, order
         self.free = np.flatnonzero(is_free)
@@ -258,12 +246,7 @@ class KktStructure:
         return self.storage.bandwidth
 
     def _reads(self, position: Ints) -> tuple[Ints, Ints, Ints]:
-        """Returns the free variables that copies read.
-
-        Returns:
-            A row, and a free variable that it reads, for each such pair; and pairs of free
-            variables within one term (2, P).
-        """
+        """Returns rows, a free variable that each reads, and pairs of these in a term (2, P)."""
         copies, pairs = self._terms.couplings()
         found = position[pairs].T
         is_free = np.all(found >= 0, axis=0)

@@ -62,21 +62,13 @@ class Filter:
 
 @dataclass(frozen=True)
 class LineSearch:
-    """The choice of a step length from one point.
+    """The choice of a step length from one point."""
 
-    Attributes:
-        problem: The problem.
-        filter: Pairs that are shut off; a step for feasibility's sake adds one.
-        point: Where the step starts.
-        mu: μ of φ.
-        fraction: Share τ of any slack that a step may use.
-    """
-
-    problem: ScaledProblem
-    filter: Filter
-    point: Point
-    mu: float
-    fraction: float
+    problem: ScaledProblem  # The problem
+    filter: Filter  # Pairs that are shut off; a step for feasibility's sake adds one
+    point: Point  # Where the step starts
+    mu: float  # μ of φ
+    fraction: float  # Share τ of any slack that a step may use
 
     @cached_property
     def rounding(self) -> float:
@@ -207,9 +199,7 @@ def restore(
         minimize over d   ½‖c + A d‖² + ν/2 Σ_i d_i² (1 + Σ 1/slack²)
 
     The metric keeps steps away from bounds that are near, as in affine scaling (Dikin 1967).
-
-    Returns:
-        The first point that is done, None if none is found, and the number of steps.
+    Returns the first point that is done, None if none is found, and the number of steps.
     """
     damping = _FIRST_DAMPING
     for taken in range(1, max_steps + 1):

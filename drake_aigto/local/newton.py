@@ -19,19 +19,12 @@ _STEEPEST = 100.0  # of a cost or row at the start, once scaled (Wächter & Bieg
 
 @dataclass(frozen=True)
 class Point:
-    """Free variables y (nf,), with values there.
+    """Free variables y (nf,), with values there."""
 
-    Attributes:
-        y: The free variables.
-        cost: s f.
-        rows: s c (ma,).
-        slacks: Distances to lower bounds, then to upper bounds (nb,), kept positive.
-    """
-
-    y: Floats
-    cost: float
-    rows: Floats
-    slacks: Floats
+    y: Floats  # The free variables
+    cost: float  # s f
+    rows: Floats  # s c (ma,)
+    slacks: Floats  # Distances to lower bounds, then to upper bounds (nb,), kept positive
 
     @cached_property
     def violation(self) -> float:
@@ -199,18 +192,12 @@ class NewtonStep:
         [A            −δ_c] [dλ] = − [c         ]       dz = μ/slack − z − Σ dslack,    Σ = z/slack
 
     (Wächter & Biegler 2006, eq. (11)-(13).)
-
-    Attributes:
-        dy: Step of the free variables.
-        duals: Step of the multipliers.
-        slope: ∇φ_μᵀ dy.
-        shift: δ_w.
     """
 
-    dy: Floats
-    duals: Duals
-    slope: float
-    shift: float
+    dy: Floats  # Step of the free variables
+    duals: Duals  # Step of the multipliers
+    slope: float  # ∇φ_μᵀ dy
+    shift: float  # δ_w
     _search: NewtonSearch
     _force: Floats
 

@@ -87,55 +87,32 @@ def make_penalty_tables(nlp: PolynomialNlp) -> PenaltyTables:
 
 
 class PenaltyProgram(NamedTuple):
-    """A program as the kernel reads it.
+    """A program as the kernel reads it."""
 
-    Attributes:
-        places: of the tables: place of each variable in the band, −1 where it is held (n,).
-        bounds: lower and upper ones, infinite where there is none (2, n).
-        units: a distance that matters, of each variable (n,).
-        row_scales: w, of each row (m,).
-        is_upper: rows that are to be at or below ε, all others at it (m,).
-        cost_scale: s.
-    """
-
-    places: Ints
-    bounds: Floats
-    units: Floats
-    row_scales: Floats
-    is_upper: Bools
-    cost_scale: float
+    places: Ints  # of the tables: place of each variable in the band, −1 where it is held (n,)
+    bounds: Floats  # lower and upper ones, infinite where there is none (2, n)
+    units: Floats  # a distance that matters, of each variable (n,)
+    row_scales: Floats  # w, of each row (m,)
+    is_upper: Bools  # rows that are to be at or below ε, all others at it (m,)
+    cost_scale: float  # s
 
 
 class PenaltyIterate(NamedTuple):
-    """A point and its multipliers, which a rung moves.
+    """A point and its multipliers, which a rung moves."""
 
-    Attributes:
-        x: the point, within its bounds (n,).
-        multipliers: y (m,).
-        of_bounds: multipliers of lower and upper bounds (2, n).
-    """
-
-    x: Floats
-    multipliers: Floats
-    of_bounds: Floats
+    x: Floats  # the point, within its bounds (n,)
+    multipliers: Floats  # y (m,)
+    of_bounds: Floats  # multipliers of lower and upper bounds (2, n)
 
 
 class PenaltyRung(NamedTuple):
-    """Penalty and barrier, and when to stop.
+    """Penalty and barrier, and when to stop."""
 
-    Attributes:
-        relaxation: ε of the rows that are relaxed.
-        weight: ρ.
-        barrier: μ.
-        max_steps: Newton steps.
-        tolerance: of the decrease that a step promises, where the rung ends.
-    """
-
-    relaxation: float
-    weight: float
-    barrier: float
-    max_steps: int
-    tolerance: float
+    relaxation: float  # ε of the rows that are relaxed
+    weight: float  # ρ
+    barrier: float  # μ
+    max_steps: int  # Newton steps
+    tolerance: float  # of the decrease that a step promises, where the rung ends
 
 
 @borrowing
@@ -291,16 +268,8 @@ def descend(
 ) -> tuple[int, float]:
     """Minimizes Φ from an iterate, which is overwritten, and moves the multipliers of rows.
 
-    Args:
-        tables: costs and rows of the program.
-        program: all else of it.
-        targets: ε of each row (m,).
-        rung: weights, and when to stop.
-        iterate: the start, strictly within its bounds.
-        rows: filled with r (m,).
-
-    Returns:
-        The number of steps, and f.
+    It starts strictly within its bounds; targets are ε of each row, rows filled with r, both (m,).
+    Returns the number of steps, and f.
     """
     # Two tuples, as functions that take one count references of all its arrays.
     tables, program, iterate = borrow(tables), borrow(program), borrow(iterate)

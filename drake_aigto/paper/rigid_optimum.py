@@ -109,21 +109,13 @@ class _TouchOnce(NamedTuple):
 
 @dataclass(frozen=True)
 class _UnitTask:
-    """The problem in unit time: minimize ∫₀¹ ẍ² ds + weight (x(1) − goal)², x ≥ 0.
+    """The problem in unit time: minimize ∫₀¹ ẍ² ds + weight (x(1) − goal)², x ≥ 0."""
 
-    Attributes:
-        position: p = x(0) > 0 [m].
-        velocity: v₀ = ẋ(0) [m].
-        goal: g > 0 [m].
-        weight: w ≥ 0.
-        restitution: e.
-    """
-
-    position: float
-    velocity: float
-    goal: float
-    weight: float
-    restitution: float
+    position: float  # p = x(0) > 0 [m]
+    velocity: float  # v₀ = ẋ(0) [m]
+    goal: float  # g > 0 [m]
+    weight: float  # w ≥ 0
+    restitution: float  # e
 
     def calc_flight_cost(self) -> float:
         """Returns the least cost without a wall."""

@@ -55,19 +55,12 @@ class SingleShooting:
         world: the plant, read.
         scenario: the task; its ε and δ act through the law alone.
         law: of the contact force; walls have no effect if None.
-        max_terms: the most that a state or a cost may have.
 
     Attributes:
         multiple_shooting: the same problem with states as variables: equal optima.
     """
 
-    def __init__(
-        self,
-        world: World,
-        scenario: Scenario,
-        law: PolynomialLaw | None = None,
-        max_terms: int = MAX_TERMS,
-    ) -> None:
+    def __init__(self, world: World, scenario: Scenario, law: PolynomialLaw | None = None) -> None:
         """Substitutes, and adds the scenario's costs.
 
         Raises:
@@ -80,7 +73,7 @@ class SingleShooting:
         self._prog, N = MathematicalProgram(), scenario.num_steps
         u = self._prog.NewContinuousVariables(N * world.num_actuators, "u")
         self._u = u.reshape(N, world.num_actuators)
-        self._states = list(_states(world, scenario, law, self._u, max_terms))
+        self._states = list(_states(world, scenario, law, self._u, MAX_TERMS))
         # NumPy takes Drake's boxed constants for invalid numbers, and warns.
         with np.errstate(invalid="ignore"):
             error = world.positions - scenario.goal_position
@@ -88,7 +81,7 @@ class SingleShooting:
             miss = as_expression(scenario.goal_weight * error.dot(error))
         last = dict(zip(_names(world), self._states[-1], strict=True))
         label = f"the cost 'goal' of {N} steps"
-        goal = _substitute(label, miss, last, max_terms).ToExpression()
+        goal = _substitute(label, miss, last, MAX_TERMS).ToExpression()
         for cost in shared_cost(effort, "control effort"), shared_cost(goal, "goal"):
             self._prog.AddCost(cost.evaluator, vars=list(cost.placeholders))
 
@@ -196,11 +189,7 @@ def _count(polynomial: Polynomial) -> int:
 def _substitute(
     label: str, expression: Expression, values: dict[Variable, Polynomial], max_terms: int
 ) -> Polynomial:
-    """Returns an expression with polynomials in place of its variables, multiplied out.
-
-    Raises:
-        UnsupportedTermError: that might have more terms than `max_terms`.
-    """
+    """Returns an expression of polynomials, multiplied out; refuses more than the most terms."""
     outer = Polynomial(expression, Variables(np.array(list(values))))
     # A variable as a key is only found by itself, not by an equal one.
     counts = {name.get_id(): _count(value) for name, value in values.items()}

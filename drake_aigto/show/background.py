@@ -24,19 +24,12 @@ _STEPS = 12  # no more than a plan's own: there are no boxes to resolve
 
 
 class LiveQuestion(NamedTuple):
-    """A question that sliders ask.
+    """A question that sliders ask."""
 
-    Attributes:
-        changed: what `Planner.plan` takes instead of the scenario's.
-        walls: how much nearer each stands than in the model [m].
-        is_kicked: whether a kick asks it.
-        asked: when, of `time.monotonic` [s].
-    """
-
-    changed: Mapping[str, Any]
-    walls: Floats
-    is_kicked: bool
-    asked: float
+    changed: Mapping[str, Any]  # what `Planner.plan` takes instead of the scenario's
+    walls: Floats  # how much nearer each stands than in the model [m]
+    is_kicked: bool  # whether a kick asks it
+    asked: float  # when, of `time.monotonic` [s]
 
 
 class LiveAnswer(NamedTuple):

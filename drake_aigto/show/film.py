@@ -184,13 +184,9 @@ def look_at(
 ) -> float:
     """Has the camera see all of a rectangle in a frame P's x and y, from P's z.
 
-    Returns half the height of what it sees there [m].
-
-    Args:
-        meshcat: whose camera.
-        X_WP: pose of P in the world; P's y is up in the window.
-        corners: lower left and upper right, shape (2,) each [m].
-        angles: the vertical field of view; from how far above, and from how far right [rad].
+    Corners are lower left and upper right, (2,) each [m]; angles the vertical field of view, and
+    from how far above, and from how far right [rad]. P's y is up in the window. Returns half the
+    height of what is seen there [m].
     """
     (low, high), (view, up, right) = corners, angles
     distance = _SLACK * float(np.max((high - low) / [ASPECT_RATIO, 1.0])) / 2 / np.tan(view / 2)

@@ -34,29 +34,17 @@ _SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 
 @dataclass(frozen=True)
 class Actor:
-    """One shape of a world's scene graph.
+    """One shape of a world's scene graph."""
 
-    Attributes:
-        name: unique; model, body and shape.
-        shape: what to draw for it.
-        X_BS: its pose in its body's frame.
-        color: its own; None: the model gives none.
-        body: the name of its body, unique.
-        index: of its body.
-        moves: whether this body moves.
-        corners: of a box around the drawn shape, in its frame, shape (8, 3) [m].
-        is_half_space: whether the shape is a slab that stands for one.
-    """
-
-    name: str
-    shape: Shape
-    X_BS: RigidTransform
-    color: Rgba | None
-    body: str
-    index: BodyIndex
-    moves: bool
-    corners: Floats
-    is_half_space: bool = False
+    name: str  # unique; model, body and shape
+    shape: Shape  # what to draw for it
+    X_BS: RigidTransform  # its pose in its body's frame
+    color: Rgba | None  # its own; None: the model gives none
+    body: str  # the name of its body, unique
+    index: BodyIndex  # of its body
+    moves: bool  # whether this body moves
+    corners: Floats  # of a box around the drawn shape, in its frame, shape (8, 3) [m]
+    is_half_space: bool = False  # whether the shape is a slab that stands for one
 
 
 def read_actors(world: World) -> list[Actor]:

@@ -113,18 +113,12 @@ class Outside:
 
     Its decade d is where the largest |z_i − c_i| / w_i of the variables without two bounds is
     between 10^(d − 1) and 10^d.
-
-    Attributes:
-        box: of half widths w around c.
-        lower: shape (n,).
-        upper: shape (n,).
-        is_open: whether variables have no two bounds, shape (n,).
     """
 
-    box: Box
-    lower: Floats
-    upper: Floats
-    is_open: Bools
+    box: Box  # of half widths w around c
+    lower: Floats  # shape (n,)
+    upper: Floats  # shape (n,)
+    is_open: Bools  # whether variables have no two bounds, shape (n,)
 
     def decade(self, z: Floats) -> float:
         """Returns the decade of a point (n,), as a real number: 0 or less in the box."""
@@ -239,11 +233,7 @@ class BoxStage:
         self.storage: Storage | None = None
 
     def search(self, first: Box) -> None:
-        """Searches f, or with constraints the augmented Lagrangians of rising weights.
-
-        Raises:
-            KeyboardInterrupt: Ctrl-C ended it.
-        """
+        """Searches f, or with constraints the augmented Lagrangians of rising weights."""
         options, program = self._options, self._answers.program
         if not np.any(first.free):
             return

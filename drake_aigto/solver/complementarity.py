@@ -30,21 +30,15 @@ _Form = frozenset[tuple[tuple[terms.Factor, ...], float]]
 
 @dataclass(frozen=True, eq=False)
 class Complementarity:
-    """A row λ s ≤ ε of λ, s ≥ 0, with any signs.
+    """A row λ s ≤ ε of λ, s ≥ 0, with any signs."""
 
-    Attributes:
-        row: its number among the program's rows.
-        variable: λ or −λ, one of y.
-        gap: s or −s, the sign such that the product is not below 0; by the slack variable of the
-            row that keeps it above 0, if it has one.
-        allowed: ε; 0 of a row that says λ s = 0.
-        slack: variable of y that the row itself has as an inequality; −1 if it is an equality.
-    """
-
-    row: int
-    variable: int
+    row: int  # its number among the program's rows
+    variable: int  # λ or −λ, one of y
+    # S or −s, the sign such that the product is not below 0; by the slack variable of the row that
+    # keeps it above 0, if it has one.
     gap: terms.Sum
-    allowed: float
+    allowed: float  # ε; 0 of a row that says λ s = 0
+    # Variable of y that the row itself has as an inequality; −1 if it is an equality.
     slack: int = -1
 
     @property
@@ -89,21 +83,13 @@ def are_shared(found: Sequence[Complementarity]) -> Bools:
 
 
 class _Side(NamedTuple):
-    """The sum that an inequality keeps at or above 0: sign · (unit · form − bound), by a slack.
+    """The sum that an inequality keeps at or above 0: sign · (unit · form − bound), by a slack."""
 
-    Attributes:
-        unit: divisor of its terms in normal form.
-        bound: of the terms without their constant.
-        sign: 1 for a lower bound, −1 for an upper one.
-        constant: of the terms, by which slack and terms differ.
-        slack: variable that stands for the terms, one of y.
-    """
-
-    unit: float
-    bound: float
-    sign: float
-    constant: float
-    slack: int
+    unit: float  # divisor of its terms in normal form
+    bound: float  # of the terms without their constant
+    sign: float  # 1 for a lower bound, −1 for an upper one
+    constant: float  # of the terms, by which slack and terms differ
+    slack: int  # variable that stands for the terms, one of y
 
 
 def find_complementarities(program: AigoProgram) -> tuple[Complementarity, ...]:
@@ -221,12 +207,7 @@ class TightenedProgram:
     """
 
     def __init__(self, nlp: PolynomialNlp, found: Sequence[Complementarity]) -> None:
-        """Adds variables.
-
-        Args:
-            nlp: costs and all other rows, over y (n,).
-            found: the complementarities (k,).
-        """
+        """Adds variables to costs and all other rows, over y (n,)."""
         self._size, count = nlp.num_variables, len(found)
         self._allowed = np.array([each.allowed for each in found])
         rows = [
@@ -251,11 +232,7 @@ class TightenedProgram:
     def tighten(self, y: Floats, sizes: Floats, first: float, is_warm: bool) -> tuple[Floats, int]:
         """Returns the point that y (n,) leads to as ε decreases, and steps.
 
-        Args:
-            y: the start.
-            sizes: how far the products vary (k,).
-            first: the largest ε, relative to `sizes`.
-            is_warm: whether y is near an optimum already.
+        The largest ε is relative to sizes (k,) of products; a warm y is near an optimum.
         """
         steps, relaxation = 0, first
         while True:

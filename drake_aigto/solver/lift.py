@@ -12,19 +12,10 @@ import pydrake.symbolic as sym
 from pydrake import solvers
 from pydrake.symbolic import Expression, ExpressionKind, Variable
 
+from drake_aigto import terms
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.solver.signs import RowRange, Signs, interval
-from drake_aigto.terms import (
-    CONES,
-    NORM_COSTS,
-    evaluator_label,
-    evaluator_name,
-    expression_terms,
-    operands,
-    read_bounds,
-    shown,
-)
 
 # Roots of a higher order are exponentials of logarithms.
 _HIGHEST_ROOT = 6
@@ -32,17 +23,12 @@ _HIGHEST_ROOT = 6
 
 @dataclass(frozen=True, eq=False)
 class Lifted:
-    """A program without such functions, over x and variables that stand for them.
+    """A program without such functions, over x and variables that stand for them."""
 
-    Attributes:
-        prog: over (x, z).
-        rows: the constraints that each of the source's constraints became, in order.
-        formulas: of each z_i, over x and those before it.
-    """
-
-    prog: solvers.MathematicalProgram
+    prog: solvers.MathematicalProgram  # over (x, z)
+    # The constraints that each of the source's constraints became, in order.
     rows: tuple[tuple[solvers.EvaluatorBase, ...], ...]
-    formulas: tuple[Expression, ...] = ()
+    formulas: tuple[Expression, ...] = ()  # of each z_i, over x and those before it
 
     def extend(self, x: Floats) -> Floats:
         """Returns (x, z) of x (n,): NaN where a formula has no value."""
@@ -83,7 +69,7 @@ def lift(prog: solvers.MathematicalProgram) -> Lifted:
 def _formulas(binding: solvers.Binding) -> Sequence[Expression] | None:
     """Returns the formulas of a symbolic cost or constraint, a norm or a cone; None of others."""
     evaluator, variables = binding.evaluator(), binding.variables()
-    if isinstance(evaluator, (*NORM_COSTS, *CONES)):
+    if isinstance(evaluator, (*terms.NORM_COSTS, *terms.CONES)):
         formulas: Sequence[Expression] = evaluator.Eval(variables)
         return formulas
     if isinstance(evaluator, solvers.ExpressionConstraint):
@@ -119,7 +105,7 @@ class _Lift:
         self._prog.AddDecisionVariables(variables)
         self._known: dict[str, Variable] = {}
         self._formulas: list[Expression] = []
-        bounds = zip(*(side.tolist() for side in read_bounds(prog)), strict=True)
+        bounds = zip(*(side.tolist() for side in terms.read_bounds(prog)), strict=True)
         self._ranges = {x.get_id(): pair for x, pair in zip(variables, bounds, strict=True)}
         rows = (row for binding in prog.GetAllConstraints() for row in _rows(binding))
         self._signs = Signs(rows, self._ranges)
@@ -134,20 +120,20 @@ class _Lift:
         return Lifted(self._prog, rows, tuple(self._formulas))
 
     def _add_cost(self, binding: solvers.Binding) -> None:
-        self._label, self._is_row = evaluator_label(binding), False
+        self._label, self._is_row = terms.evaluator_label(binding), False
         formulas = _formulas(binding)
         if formulas is None:
             self._prog.AddCost(binding)
             return
         (formula,) = formulas
         cost = solvers.ExpressionCost(self._lift(formula, 1))
-        cost.set_description(evaluator_name(binding.evaluator()))
+        cost.set_description(terms.evaluator_name(binding.evaluator()))
         self._prog.AddCost(cost, vars=cost.vars())
 
     def _add_constraint(self, binding: solvers.Binding) -> Iterator[solvers.EvaluatorBase]:
         """Adds the lifted constraints of one, and yields them."""
         evaluator = binding.evaluator()
-        self._label, self._is_row = evaluator_label(binding), True
+        self._label, self._is_row = terms.evaluator_label(binding), True
         if _formulas(binding) is None:
             self._prog.AddConstraint(binding)
             yield evaluator
@@ -155,7 +141,9 @@ class _Lift:
         for formula, low, high in _rows(binding):
             # Where only less of it, or more, breaks the row.
             sign = int(math.isinf(low)) - int(math.isinf(high))
-            yield self._add_row(evaluator_name(evaluator), self._lift(formula, sign), low, high)
+            yield self._add_row(
+                terms.evaluator_name(evaluator), self._lift(formula, sign), low, high
+            )
 
     def _add_row(
         self, name: str, formula: Expression, low: float, high: float
@@ -167,32 +155,27 @@ class _Lift:
 
     def _has_mean(self, e: Expression) -> bool:
         try:
-            expression_terms("", e, list(e.GetVariables()), self._is_row)
+            terms.expression_terms("", e, list(e.GetVariables()), self._is_row)
         except UnsupportedTermError:
             return False
         return True
 
     def _lift(self, e: Expression, sign: int = 0) -> Expression:
-        """Returns an expression that has a mean.
-
-        Args:
-            e: the expression that it stands for.
-            sign: 1 where less of it is better whatever else there is, −1 where more is; else 0.
-        """
+        """Returns an equal with a mean; less of it is better if the sign is 1, more if it is −1."""
         if self._has_mean(e):
             return e
         kind = e.get_kind()
         if kind == ExpressionKind.Add:
-            return sum((self._lift(each, sign) for each in operands(e)), Expression(0.0))
+            return sum((self._lift(each, sign) for each in terms.operands(e)), Expression(0.0))
         if kind == ExpressionKind.Mul:
             return self._lift_product(e, sign)
-        if kind == ExpressionKind.Div and not operands(e)[1].GetVariables():
-            above, below = operands(e)
+        if kind == ExpressionKind.Div and not terms.operands(e)[1].GetVariables():
+            above, below = terms.operands(e)
             return self._lift(above, sign if self._evaluate(below) > 0 else -sign) / below
         if kind in _WAVES:
-            return _WAVES[kind](self._alone(operands(e)[0]))
+            return _WAVES[kind](self._alone(terms.operands(e)[0]))
         if kind in _FORMULAS:
-            return self._lift(_FORMULAS[kind](operands(e)[0]), sign)
+            return self._lift(_FORMULAS[kind](terms.operands(e)[0]), sign)
         rule = _RULES.get(kind)
         if rule is None:
             raise self._refusal(e, "which has no equation of means", "Write it by other functions.")
@@ -201,7 +184,7 @@ class _Lift:
     def _lift_product(self, e: Expression, sign: int) -> Expression:
         """Returns a product whose factors have a mean, and then together, one by one alone."""
         number, rest = self._split_number(e)
-        others = operands(rest) if rest.get_kind() == ExpressionKind.Mul else [rest]
+        others = terms.operands(rest) if rest.get_kind() == ExpressionKind.Mul else [rest]
         inner = sign * int(math.copysign(1.0, number)) if len(others) == 1 else 0
         found = Expression(number)
         for each in others:
@@ -227,16 +210,10 @@ class _Lift:
     def _variable(
         self, e: Expression, rows: Callable[[Expression], list[Expression]], is_bound: bool = False
     ) -> Expression:
-        """Returns the variable that stands for an expression, with rows that say so.
-
-        Args:
-            e: the expression.
-            rows: formulas of the variable that are 0.
-            is_bound: whether they are only at or above 0, and hold it no more than above e.
-        """
+        """Returns the variable z of e, with rows(z) = 0 that say so; ≥ 0, if they only bound it."""
         name = f"bound of {e}" if is_bound else str(e)
         if name not in self._known:
-            z = Variable(shown(e))
+            z = Variable(terms.shown(e))
             low, high = interval(e, self._ranges)
             self._prog.AddDecisionVariables(np.array([z]))
             self._prog.AddBoundingBoxConstraint(low, high, z)
@@ -245,26 +222,26 @@ class _Lift:
             self._known[name] = z
             for formula in rows(Expression(z)):
                 most = np.inf if is_bound else 0.0
-                self._add_row(shown(f"{e} in {self._label}"), formula, 0.0, most)
+                self._add_row(terms.shown(f"{e} in {self._label}"), formula, 0.0, most)
         return Expression(self._known[name])
 
     def _require(self, e: Expression, function: Expression, is_strict: bool = True) -> None:
         """Refuses a function of e where e may be too low for it."""
         if self._signs.find(e, is_strict) <= 0:
-            need = f"{shown(e)} {'>' if is_strict else '>='} 0"
+            need = f"{terms.shown(e)} {'>' if is_strict else '>='} 0"
             remedy = f"Bound its variables such that {need}, or add that as a constraint."
             expected = f"an argument {'>' if is_strict else '>='} 0"
             raise self._refusal(function, self._where(e), remedy, expected)
 
     def _where(self, e: Expression) -> str:
         low, high = interval(e, self._ranges)
-        return f"where {shown(e)} is in [{low:g}, {high:g}] for all that bounds say"
+        return f"where {terms.shown(e)} is in [{low:g}, {high:g}] for all that bounds say"
 
     def _refusal(
         self, e: Expression, got: str, remedy: str, expected: str | None = None
     ) -> UnsupportedTermError:
         return UnsupportedTermError(
-            f"{self._label} can't be searched", f"{shown(e)}, {got}", expected, remedy
+            f"{self._label} can't be searched", f"{terms.shown(e)}, {got}", expected, remedy
         )
 
     def _evaluate(self, e: Expression) -> float:
@@ -279,24 +256,26 @@ class _Lift:
         """Returns the numeric factor of an expression, and its other factors."""
         if e.get_kind() != ExpressionKind.Mul:
             return 1.0, e
-        factors = operands(e)
+        factors = terms.operands(e)
         number = math.prod(self._evaluate(each) for each in factors if not each.GetVariables())
         others = (each for each in factors if each.GetVariables())
         return number, math.prod(others, start=Expression(1.0))
 
     def _lift_quotient(self, e: Expression, _: int = 0) -> Expression:
-        above, below = operands(e)
+        above, below = terms.operands(e)
         number, rest = self._split_number(above)
         if number not in (0.0, 1.0):
             return number * self._lift(rest / below)  # No quotient any more where both are alike.
         if not self._signs.find(below):
-            remedy = f"Bound its variables such that {shown(below)} keeps its sign and is not 0."
+            remedy = (
+                f"Bound its variables such that {terms.shown(below)} keeps its sign and is not 0."
+            )
             raise self._refusal(e, self._where(below), remedy, "a divisor that is not 0")
         top, bottom = self._lift_for_row(above), self._lift_for_row(below)
         return self._variable(e, lambda z: [z * bottom - top])
 
     def _lift_power(self, e: Expression, _: int) -> Expression:
-        base, exponent = operands(e)
+        base, exponent = terms.operands(e)
         if exponent.GetVariables():
             return self._lift(sym.exp(exponent * sym.log(base)))
         p = exponent.Evaluate()
@@ -316,7 +295,7 @@ class _Lift:
         return sym.pow(self._variable(root, lambda z: [sym.pow(z, q) - right]), part.numerator)
 
     def _lift_inverse(self, e: Expression, _: int) -> Expression:
-        (argument,) = operands(e)
+        (argument,) = terms.operands(e)
         if e.get_kind() == ExpressionKind.Log:
             # At 0 itself it has no value, and exp z = 0 has no solution.
             self._require(argument, e, is_strict=False)
@@ -327,11 +306,11 @@ class _Lift:
         return self._variable(e, lambda z: [wave(z) - right])
 
     def _lift_inverse_tangent(self, e: Expression, _: int) -> Expression:
-        above = self._lift_for_row(operands(e)[0])
+        above = self._lift_for_row(terms.operands(e)[0])
         return self._variable(e, lambda z: [sym.sin(z) - above * sym.cos(z)])
 
     def _lift_abs(self, e: Expression, sign: int) -> Expression:
-        (argument,) = operands(e)
+        (argument,) = terms.operands(e)
         if sign > 0:
             a = self._lift_for_row(argument)
             return self._variable(e, lambda z: [z - a, z + a], is_bound=True)
@@ -339,15 +318,11 @@ class _Lift:
         return self._variable(e, lambda z: [z**2 - own**2])
 
     def _lift_max(self, e: Expression, sign: int) -> Expression:
-        a, b = operands(e)
+        a, b = terms.operands(e)
         if sign > 0:
             sides = [self._lift_for_row(each, sign) for each in (a, b)]
             return self._variable(e, lambda z: [z - each for each in sides], is_bound=True)
         return self._lift((a + b + sym.abs(a - b)) / 2, sign)
-
-    def _lift_min(self, e: Expression, sign: int) -> Expression:
-        a, b = operands(e)
-        return -self._lift_max(sym.max(-a, -b), -sign)
 
 
 _WAVES = {ExpressionKind.Sin: sym.sin, ExpressionKind.Cos: sym.cos, ExpressionKind.Exp: sym.exp}
@@ -368,9 +343,11 @@ _RULES: Mapping[ExpressionKind, Callable[[_Lift, Expression, int], Expression]] 
     **dict.fromkeys(_INVERSES, _Lift._lift_inverse),
     ExpressionKind.Div: _Lift._lift_quotient,
     ExpressionKind.Pow: _Lift._lift_power,
-    ExpressionKind.Sqrt: lambda lift, e, _: lift._root(e, operands(e)[0], Fraction(1, 2)),
+    ExpressionKind.Sqrt: lambda lift, e, _: lift._root(e, terms.operands(e)[0], Fraction(1, 2)),
     ExpressionKind.Atan: _Lift._lift_inverse_tangent,
     ExpressionKind.Abs: _Lift._lift_abs,
     ExpressionKind.Max: _Lift._lift_max,
-    ExpressionKind.Min: _Lift._lift_min,
+    ExpressionKind.Min: lambda lift, e, sign: (
+        -lift._lift_max(sym.max(*(-each for each in terms.operands(e))), -sign)
+    ),
 }

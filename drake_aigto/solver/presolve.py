@@ -28,19 +28,12 @@ _FEW, _MOST_COST_TERMS, _MOST_DEGREE = 40, 500, 16
 
 @dataclass(frozen=True, eq=False)
 class BoundedSum:
-    """A cost, or one row.
+    """A cost, or one row."""
 
-    Attributes:
-        label: name of it in messages.
-        name: of the cost or constraint that it came from.
-        total: its terms over x.
-        bounds: of a row; None for a cost.
-    """
-
-    label: str
-    name: str
-    total: terms.Sum
-    bounds: tuple[float, float] | None = None
+    label: str  # name of it in messages
+    name: str  # of the cost or constraint that it came from
+    total: terms.Sum  # its terms over x
+    bounds: tuple[float, float] | None = None  # of a row; None for a cost
 
     @cached_property
     def variables(self) -> list[int]:

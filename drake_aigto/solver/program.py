@@ -76,11 +76,7 @@ class ParsedProgram:
         return parsed
 
     def scale_rows(self, lower: Floats, upper: Floats) -> bool:
-        """Divides rows by their largest term within bounds of x (n,) that hold for feasible points.
-
-        Returns:
-            Whether a row was divided.
-        """
+        """Divides rows by their largest term within bounds of x (n,); returns whether one was."""
 
         def measure(row: terms.ParsedRow) -> float:
             copies, own = row.block.variables, row.block.terms
@@ -131,15 +127,10 @@ def _row_size(row: terms.ParsedRow) -> float:
 
 
 class Definition(NamedTuple):
-    """x_j = Σ terms of other variables.
+    """x_j = Σ terms of other variables."""
 
-    Attributes:
-        variable: j.
-        total: the terms over x.
-    """
-
-    variable: int
-    total: terms.Sum
+    variable: int  # j
+    total: terms.Sum  # the terms over x
 
 
 class AigoProgram:

@@ -67,12 +67,7 @@ def is_above(e: Expression, bound: float, ranges: Ranges, is_strict: bool) -> bo
 
 
 class Signs:
-    """Signs that expressions keep, by ranges of their variables and by rows.
-
-    Args:
-        rows: formulas and their bounds.
-        ranges: of the variables; those that are added later count too.
-    """
+    """Signs that expressions keep, by ranges of their variables, also later ones, and by rows."""
 
     def __init__(self, rows: Iterable[RowRange], ranges: Ranges) -> None:
         """Keeps them."""

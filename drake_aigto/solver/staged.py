@@ -203,12 +203,8 @@ class StagedSearch:
     ) -> None:
         """Makes the tables.
 
-        Args:
-            staged: the program.
-            options: rounds, patience and the seed.
-            guess: of z, NaN where there is none.
-            polish: called with points y that are nearly feasible, if they are better than others;
-                returns the point that each becomes, or None if that is not feasible.
+        A guess is of z, NaN where there is none. Points y that are nearly feasible, and better than
+        others, are polished: to what they become, or None if that is not feasible.
         """
         self.climbs = self.repeats = self._work = 0
         self.best, self._is_tightened = np.inf, True

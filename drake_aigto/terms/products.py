@@ -76,12 +76,7 @@ def function(
 def wave_of_sum(kind: FunctionKind, scales: Sequence[tuple[int, float]], offset: float) -> Sum:
     """Returns the cosine, sine or exponential of Σ scale·x + offset, by the addition theorems.
 
-    A cosine or sine of n variables has 2ⁿ⁻¹ terms.
-
-    Args:
-        kind: Which.
-        scales: Variable and scale of each summand, one or more.
-        offset: Constant summand.
+    A cosine or sine of n variables has 2ⁿ⁻¹ terms. Scales are variables, each with its scale.
     """
     (variable, scale), *others = scales
     if kind == _EXPONENTIAL:

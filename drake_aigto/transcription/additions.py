@@ -278,22 +278,14 @@ class AddedRow:
 
     An inequality that is not about one variable has a slack of its own each time, as penalties need
     one variable: y(x) − s = 0 with lower ≤ s ≤ upper.
-
-    Attributes:
-        row: y − s, or y with its bounds.
-        reads: the decision variables that it reads, shape (K, …).
-        stages: the last knot that it reads, shape (K,).
-        slacks: which decision variable s is, shape (K,), or (0,) without slacks.
-        bounds: of s.
-        unit: of y.
     """
 
-    row: Constraint
-    reads: Ints
-    stages: Ints
-    slacks: Ints
-    bounds: tuple[float, float]
-    unit: float
+    row: Constraint  # y − s, or y with its bounds
+    reads: Ints  # the decision variables that it reads, shape (K, …)
+    stages: Ints  # the last knot that it reads, shape (K,)
+    slacks: Ints  # which decision variable s is, shape (K,), or (0,) without slacks
+    bounds: tuple[float, float]  # of s
+    unit: float  # of y
 
     def fill(self, x: Floats) -> None:
         """Sets the slacks among decision variables (n,) to y(x)."""

@@ -14,11 +14,7 @@ from drake_aigto.transcription.additions import SLACK, Additions
 
 
 def check_bounds_of(additions: Additions) -> None:
-    """Refuses constraints that no number satisfies.
-
-    Raises:
-        ProgramError: a lower bound above its upper one, or one that is NaN.
-    """
+    """Refuses constraints that no number satisfies: bounds that cross, or are NaN."""
     for each in additions.constraints:
         bounds = each.evaluator.lower_bound(), each.evaluator.upper_bound()
         for lower, upper in zip(*bounds, strict=True):
@@ -31,11 +27,7 @@ def check_bounds_of(additions: Additions) -> None:
 
 
 def check_start(additions: Additions, q: Floats, v: Floats) -> None:
-    """Refuses constraints on the initial state alone, shapes (nq,), (nv,), that it does not meet.
-
-    Raises:
-        ProgramError: there is one.
-    """
+    """Refuses constraints on the initial state alone, (nq,) and (nv,), that it does not meet."""
     for each in additions.constraints:
         if each.is_of_start and (missed := additions.miss_at_start(each, q, v)):
             raise ProgramError(
@@ -47,11 +39,7 @@ def check_start(additions: Additions, q: Floats, v: Floats) -> None:
 
 
 def check_linear(prog: MathematicalProgram, names: Collection[str]) -> None:
-    """Refuses bounds and linear constraints of these descriptions that contradict each other.
-
-    Raises:
-        ProgramError: no point meets them; the message has few that contradict each other.
-    """
+    """Refuses bounds and linear constraints of these descriptions that contradict each other."""
     linear = (
         *prog.bounding_box_constraints(),
         *prog.linear_constraints(),

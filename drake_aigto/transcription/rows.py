@@ -58,14 +58,10 @@ _WITH_FORMULA = (
 
 @dataclass(frozen=True)
 class SharedEvaluator:
-    """An evaluator, and the placeholder variables that it reads in order.
+    """An evaluator, and the placeholder variables that it reads in order."""
 
-    Attributes:
-        evaluator: a Drake cost or constraint.
-        placeholders: the variables of the expression that it was made of, in its own order.
-    """
-
-    evaluator: solvers.EvaluatorBase
+    evaluator: solvers.EvaluatorBase  # a Drake cost or constraint
+    # The variables of the expression that it was made of, in its own order.
     placeholders: tuple[Variable, ...]
 
     def bind(self, prog: solvers.MathematicalProgram, values: dict[int, Variable]) -> None:
@@ -169,24 +165,15 @@ class Parameters(NamedTuple):
     """Parameters of a program from a scenario without its start: numbers, or symbols for them.
 
     Rows divide by none of these, so that programs are polynomials of the symbols.
-
-    Attributes:
-        goal: of q(T), shape (nq,) [m].
-        control_weight: w_u [1/(N² s)].
-        goal_weight: w_f [1/m²].
-        time_step: dt [s].
-        rate: 1/dt [1/s].
-        per_length: 1/L, of the length scale [1/m].
-        restitutions: e of each contact, shape (m,).
     """
 
-    goal: NDArray[Any]
-    control_weight: Any
-    goal_weight: Any
-    time_step: Any
-    rate: Any
-    per_length: Any
-    restitutions: NDArray[Any]
+    goal: NDArray[Any]  # of q(T), shape (nq,) [m]
+    control_weight: Any  # w_u [1/(N² s)]
+    goal_weight: Any  # w_f [1/m²]
+    time_step: Any  # dt [s]
+    rate: Any  # 1/dt [1/s]
+    per_length: Any  # 1/L, of the length scale [1/m]
+    restitutions: NDArray[Any]  # e of each contact, shape (m,)
 
     @classmethod
     def of(cls, scenario: Scenario, length_scale: float, restitutions: Floats) -> Parameters:
