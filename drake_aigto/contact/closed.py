@@ -84,9 +84,8 @@ def list_modes(touching: Touching) -> Iterator[Going]:
 def calc_directions(modes: Sequence[Mode], friction: Floats) -> tuple[list[int], Floats]:
     """Returns the rows that vanish in modes of k contacts, and the forces for that.
 
-    Returns:
-        Which of [J; T] x vanish, r of them, and how much each of as many unknown forces adds to f_n
-        and f_t, shape (r, 2k): a slipping contact has f_t = −μ σ f_n.
+    These are r of [J; T] x, and how much each of as many unknown forces adds to f_n and f_t, shape
+    (r, 2k): a slipping contact has f_t = −μ σ f_n.
     """
     k = len(modes)
     closed = [i for i, mode in enumerate(modes) if mode != Mode.OPEN]

@@ -47,11 +47,9 @@ class Walls(NamedTuple):
 
     @classmethod
     def of(cls, inertia: ConstantInertia, turning: Floats | None = None) -> Walls:
-        """Returns copies: Numba compiles once more for arrays that are read-only.
+        """Returns copies, with J̇ v, shape (m,) [m/s²], where J varies.
 
-        Args:
-            inertia: M and J.
-            turning: J̇ v, shape (m,) [m/s²]; None where J is constant.
+        Numba compiles once more for arrays that are read-only.
         """
         firsts = [*(faces[0] for faces in inertia.solids), len(inertia.offset)]
         parts = inertia.jacobian, inertia.offset, inertia.lifts

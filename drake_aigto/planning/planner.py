@@ -309,10 +309,7 @@ def _check_friction(world: World, scenario: Scenario) -> None:
 def run_search(search: Search, scenario: Scenario, progress: Progress | None = None) -> Plan:
     """Returns the plan that a search ends with: the first candidate that all replays confirm.
 
-    Args:
-        search: that has not begun.
-        scenario: of the plan.
-        progress: called with a line of text before each candidate.
+    Progress is called with a line of text before each candidate.
 
     Raises:
         PlanningError: no candidate meets the transcription's rows, or none that does holds in

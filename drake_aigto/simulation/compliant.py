@@ -70,14 +70,7 @@ class Compliant:
     def follow(
         self, x: Floats, control: Floats, span: tuple[float, float], step: float, tolerance: float
     ) -> tuple[Rows, float]:
-        """Returns the motion from a state (q, v) under a control, and the step that comes next.
-
-        Args:
-            x: shape (nx,), which becomes the state at the end.
-            control: shape (nu,).
-            span: when it begins and ends [s].
-            step: that is tried first [s].
-            tolerance: of a step.
+        """Returns the motion from x, which becomes its end, over a span [s], and the next step.
 
         Raises:
             TrajectoryError: it runs away to infinity, or goes so fast that it would take minutes.

@@ -178,11 +178,10 @@ class HybridMotion(ABC):
         self._step = np.inf
 
     def run(self, controller: Controller) -> Recording:
-        """Runs a controller, of an open or a closed loop, to its end.
+        """Runs a controller, of an open or a closed loop, to its end, and records it.
 
-        Returns:
-            The states whenever the controller is asked, at the end, and at events; and samples of
-            all motion between.
+        Rows are those whenever the controller is asked, at the end, and at events, beside samples
+        of all motion between.
 
         Raises:
             TrajectoryError: the motion runs away to infinity, or goes so fast that it would take

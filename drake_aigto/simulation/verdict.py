@@ -104,13 +104,11 @@ class Growth(LockedArrays, ArrayRecord):
 
 
 def calc_growth(transitions: Floats, scales: Floats) -> Growth:
-    """Returns how much errors of a motion grow in units of scales.
+    """Returns how much errors of a motion grow in units of scales (2n,) (`state_scales`).
 
         max over s ≤ t of σ_max(S⁻¹ Φ(t, s) S),    Φ(t, s) = F_{t−1} ⋯ F_s,    S = diag(scales)
 
-    Args:
-        transitions: F_k, shape (K, 2n, 2n).
-        scales: of q and v, shape (2n,) (`state_scales`).
+    Transitions are F_k, shape (K, 2n, 2n).
     """
     size, K = len(scales), len(transitions)
     growth, most, worst = 1.0, 0.0, np.eye(size)[0]
@@ -172,13 +170,9 @@ def calc_cost(
 ) -> tuple[float, float]:
     """Returns what a recorded motion costs, and how far its end is from the goal [m, rad].
 
-    Args:
-        world: that it was recorded in.
-        scenario: the task.
-        times: of the control's knots, shape (N+1,) [s].
-        controls: held between them, shape (N, nu) [N, N m].
-        recording: its last row is the end. The integral of what runs is a quadrature over its
-            samples; if it has none, along the cubic between rows, exact where flight is a parabola.
+    Controls (N, nu) are held between times (N+1,). The last row is the end. The integral of what
+    runs is a quadrature over samples; if there are none, along the cubic between rows, exact where
+    flight is a parabola.
     """
     end = recording.positions[-1]
     if scenario.is_plain and world.num_positions == world.num_velocities:  # In closed form.

@@ -29,18 +29,10 @@ def solve_in_arcs(
     solve: Callable[[PolynomialNlp, Floats], LocalResult | None],
     programs: ArcPrograms | None = None,
 ) -> Trajectory | None:
-    """Returns a local optimum of a multi-phase problem that `has_long_arcs`.
+    """Returns a local optimum of a multi-phase problem that `has_long_arcs`, None if none is found.
 
-    Knots inside of walls become ends of arcs, so that they get rows, until there are none.
-
-    Args:
-        phases: the problem.
-        guess: a motion at its knots.
-        solve: the local solver; None where it leads to nothing.
-        programs: those of the same world that were built so far.
-
-    Returns:
-        The motion at all knots; None where the solver does not get there.
+    Knots inside of walls become ends of arcs, so that they get rows, until there are none. Programs
+    are those of the same world that were built so far.
     """
     motion, cuts = guess, frozenset[int]()
     for _ in range(_MOST_ROUNDS):
@@ -96,13 +88,7 @@ class Arcs:
     def __init__(
         self, phases: PhaseProblem, cuts: Collection[int] = (), programs: ArcPrograms | None = None
     ) -> None:
-        """Takes arcs from joint to joint of the phases and these knots.
-
-        Args:
-            phases: the problem.
-            cuts: more joints; all knots if the phases have no long arcs.
-            programs: those of the same world that were built so far.
-        """
+        """Takes arcs from joint to joint of the phases and these knots; all without long arcs."""
         self._phases, line = phases, phases.timeline
         cuts = cuts if phases.has_long_arcs else range(phases.num_steps)
         self._knots = np.array(sorted({0, *(phase.last for phase in line.phases), *cuts}))

@@ -58,13 +58,7 @@ class BallSearch(BranchingSearch):
     def __init__(
         self, task: BallTask, clock: Stopwatch | None = None, is_again: bool = False
     ) -> None:
-        """Starts with no candidate.
-
-        Args:
-            task: to be planned for.
-            clock: of its parts.
-            is_again: whether a planner plans again, with other ends.
-        """
+        """Starts with no candidate; again if a planner plans again, with other ends."""
         super().__init__(task, clock)
         self._is_again = is_again
         self._num_steps = task.num_steps
@@ -106,15 +100,9 @@ class BallSearch(BranchingSearch):
     ) -> None:
         """Adds the candidate of a sequence, and one of its replay if that bounces more often.
 
-        A flight is left out if another candidate costs so little that not even the flight's
-        neighbors would be tried.
-
-        Args:
-            origin: where it came from.
-            center: of the box that led to it.
-            sequence: the contacts.
-            path: along which they are; the box center's if None.
-            solved: the polish, if that is done.
+        It is along a path, or that of the box center that led to it, and may be solved already. A
+        flight is left out if another candidate costs so little that not even the flight's neighbors
+        would be tried.
         """
         if not sequence and self._can_leave_flight_out():
             self._leave_flight_out(origin, center)

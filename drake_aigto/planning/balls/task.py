@@ -104,11 +104,8 @@ class BallTask(ProgramTask):
     ) -> None:
         """Compiles, unless there is a program of this structure already.
 
-        Args:
-            transcription: for AIGO.
-            options: numerics.
-            num_steps: time steps of plans; the transcription's if None.
-            programs: of the same world, wherever its walls stand, and the same additions.
+        Plans have these steps, or the transcription's. Programs are of the same world, wherever its
+        walls stand, and the same additions.
         """
         options = options or PlanOptions()
         options.check(is_of_balls=True)
@@ -150,11 +147,7 @@ class BallTask(ProgramTask):
         return other
 
     def in_world(self, world: World) -> BallTask:
-        """Returns the same problem, without additions, with walls elsewhere.
-
-        Args:
-            world: see `EquationsOfMotion.with_walls_nearer`.
-        """
+        """Returns the same problem, without additions, in a world `with_walls_nearer`."""
         return self._with(self.transcription.in_world(world), self.asked_steps)
 
     def make_algorithm(self, rung: Rung) -> Algorithm:
@@ -234,13 +227,9 @@ class BallTask(ProgramTask):
     ) -> PhaseMotion:
         """Returns the same, for a contact sequence along any path.
 
-        Touches that an instant of users blocks are tried on its other side.
-
-        Args:
-            path: times and positions.
-            sequence: the contacts.
-            num_steps: of all phases together, without long arcs; this problem's if None.
-            max_iterations: of a single run of the local solver; None: no limit.
+        Touches that an instant of users blocks are tried on its other side. All phases together
+        have these steps, without long arcs, and a single run of the local solver these iterations
+        at most.
 
         Raises:
             OptionsError, TrajectoryError, UnsupportedTermError: infeasible touches.
@@ -294,12 +283,8 @@ class BallTask(ProgramTask):
     ) -> PhaseMotion | None:
         """Returns the same for controllers at every tick, or None if iterations do not suffice.
 
-        With long arcs, others are not tried; otherwise, infeasible motions are None.
-
-        Args:
-            path: see `polish_along`, as sequence.
-            sequence: the contacts.
-            max_iterations: of the local solver, after plain Newton steps; 0: these alone.
+        These follow plain Newton steps. With long arcs, others are not tried; otherwise, infeasible
+        motions are None.
         """
         if self._has_arcs:
             return self._solve_in_arcs(*self._look_along(path, sequence), sequence, max_iterations)

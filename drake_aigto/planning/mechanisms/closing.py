@@ -128,10 +128,8 @@ class Aim(NamedTuple):
     def limit(self, options: ShootingOptions, tells: tuple[float, float] | None) -> ShootingOptions:
         """Returns options with this limit, unless their costs are of other walls or prices.
 
-        Args:
-            options: of a closing.
-            tells: from which smoothing ε on costs of wider passes tell, and how their limits grow
-                with ε; None: they do not.
+        Costs of wider passes tell from a smoothing ε on, and their limits grow with ε by the
+        second; None: they do not.
         """
         *wide, last = options.rungs
         if options.multiplier_updates or (wide and tells is None):

@@ -306,12 +306,9 @@ class Guesses:
         return Guess(given.times, given.controls, given.states, 0.0, touches)
 
     def extend(self, motion: ShootingResult, late: float, width: float = 0.0) -> Guess:
-        """Returns a motion that begins late, or sooner; before it waits, and rests in the end.
+        """Returns a motion that begins late [s], or sooner; before it waits, and rests in the end.
 
-        Args:
-            motion: of any duration.
-            late: the time that it waits; below 0: how much of its beginning is left out [s].
-            width: of contact where closing begins.
+        Below 0, so much of its beginning is left out. Closing begins at this width of contact.
         """
         n, times, world = self._world.num_positions, self._problem.knot_times, self._world
         if self._total[0] < self._total[1]:

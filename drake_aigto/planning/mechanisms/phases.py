@@ -34,17 +34,11 @@ def lay_out(
     total: tuple[float, float],
     num_contacts: int,
 ) -> tuple[Floats, Phases]:
-    """Returns knots, with one at each touch and release, and the phases between.
+    """Returns N + 1 knots, with one at each touch and release, and the phases between.
 
-    A contact is released at the next bounce at the latest; sustained touches may overlap. If there
-    are not enough steps, the last touches are left out.
-
-    Args:
-        touches: by time.
-        num_steps: N.
-        duration: of the motion [s].
-        total: limits of the total duration [s].
-        num_contacts: m.
+    The motion lasts for the duration [s], and its phases for a total within limits [s]. A contact,
+    of m, is released at the next bounce at the latest; sustained touches may overlap. If there are
+    not enough steps, the last touches are left out.
     """
     first, *joints = list(_find_joints(touches, duration))[:num_steps]
     ends = np.clip([joint.time for joint in joints], 0.0, duration)
@@ -87,10 +81,7 @@ def _find_closed(joints: Sequence[_Joint], num_contacts: int) -> tuple[Bools, In
 def lay_onto(touches: TouchSequence, times: Floats, num_contacts: int) -> tuple[Floats, Phases]:
     """Returns knots, those given and one at each touch and release, and the phases between.
 
-    Args:
-        touches: by time.
-        times: of knots, from 0 on [s]; those that nearly are at a touch are left out.
-        num_contacts: m.
+    Given ones are from 0 on [s]; those that nearly are at a touch, of m contacts, are left out.
     """
     duration = float(times[-1])
     first, *joints = _find_joints(touches, duration)

@@ -180,13 +180,7 @@ class PosedMechanism:
         return FreeStart(limits, np.zeros(2 * n))
 
     def judge(self, origin: Origin, start: ShootingResult, found: ShootingResult) -> Candidate:
-        """Returns the candidate of a motion: the simulation of its controls.
-
-        Args:
-            origin: where it came from.
-            start: the first motion.
-            found: the result of shooting from it, in the scenario's time steps.
-        """
+        """Returns the candidate of a motion in whole time steps: its controls, simulated."""
         scenario, (end, _) = self.ask(found), self.world.split(found.states[-1])
         simulated = self._simulate(found)
         replay, trajectory = simulated.replay, simulated.trajectory

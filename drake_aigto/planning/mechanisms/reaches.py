@@ -174,14 +174,10 @@ class Reaches:
         bounds: Floats,
         rng: np.random.Generator,
     ) -> Floats:
-        """Returns controls (N, nu) of a hand that reaches for an object, and pushes it on.
+        """Returns controls (N, nu) of a hand that from q and v reaches for an object, and pushes.
 
-        Args:
-            times: of knots, shape (N + 1,) [s].
-            state: q and v at the first of them.
-            share: of the time, in which hands reach; in the rest they push.
-            bounds: of controls, shape (2, nu).
-            rng: of what is drawn.
+        Hands reach in a share of the time to the last knot, of (N + 1,) [s], and push in the rest.
+        Bounds of controls are (2, nu).
 
         Raises:
             TrajectoryError: the motion runs away.
@@ -194,16 +190,10 @@ class Reaches:
     def find_stroke(
         self, start: Floats, count: int, share: float, rng: np.random.Generator, last: _Pairs = ()
     ) -> Stroke:
-        """Returns a stroke from q at the start (nq,), within N even steps of time.
+        """Returns a stroke from q at the start (nq,), within so many even steps of time.
 
-        It takes the part of them that it has of the way, or less. Carried objects are held on.
-
-        Args:
-            start: q at the start.
-            count: N.
-            share: of the stroke's time, in which hands reach.
-            rng: of what is drawn.
-            last: contacts that pushed before it.
+        It takes the part of them that it has of the way, or less, and hands reach in a share of it.
+        Objects that are carried by the last contacts are held on.
         """
         near = self.world.calc_signed_distance(start)[list(last)] < _NEAR * self._length
         held = last if self.must_carry and near.all() and self.is_carried(start) else ()

@@ -84,12 +84,7 @@ class RigidMechanismTask(PhasedTask):
         return _HOPELESS if self.rigid_law.has_friction else self.polish_ratio
 
     def close(self, guess: Guess, aim: Aim) -> ShootingResult:
-        """Returns the motion on rigid walls near a guess, closed on springs or as it is.
-
-        Args:
-            guess: the guess.
-            aim: of its `most` see `bounce`.
-        """
+        """Returns the motion on rigid walls near a guess, closed on springs or not (`bounce`)."""
         soft = self._close_on_springs(guess, begin_at(COARSE, guess.width))
         touches = read_touches(self.world, self.rigid_law, soft, self.lasting)
         found = [self.bounce(touches, soft, aim.most)]
@@ -116,15 +111,11 @@ class RigidMechanismTask(PhasedTask):
     def bounce(
         self, touches: TouchSequence, guess: ShootingResult | None, most: float = np.inf
     ) -> ShootingResult:
-        """Returns a motion with these touches after a few steps from another.
+        """Returns a motion with these touches after a few steps from another, or from no control.
 
         A bounce is added where it penetrates a wall deeply between knots. Bounces off two walls at
-        once change their order, and touches with friction their modes, if that is better.
-
-        Args:
-            touches: in their order.
-            guess: the other motion; None: no control.
-            most: a motion that costs more before its bounds hold is returned as it is.
+        once change their order, and touches with friction their modes, if that is better. A motion
+        that costs more than the most before its bounds hold is returned as it is.
         """
         tried = list[ShootingResult]()
         for _ in range(1 + _MOST_ADDED):
@@ -222,13 +213,9 @@ class RigidMechanismTask(PhasedTask):
     def polish(self, motion: ShootingResult, most: float = np.inf) -> ShootingResult:
         """Returns the local optimum near a motion in phases, in the scenario's time steps.
 
-        Grazed walls are passed at a small distance instead, also between knots: a graze changes
-        the motion with the square root of any error.
-
-        Args:
-            motion: the motion.
-            most: what promises to cost more is left before it clears its walls, or meets them to
-                rounding.
+        Grazed walls are passed at a small distance instead, also between knots: a graze changes the
+        motion with the square root of any error. What promises to cost more than the most is left
+        before it clears its walls, or meets them to rounding.
         """
         num_steps = self.scenario.num_steps
         motion = dataclasses.replace(motion, is_left=False)  # The search left it, not the polish.

@@ -162,19 +162,13 @@ class _Correcting(HeldControl):
 def steady(
     world: World, scenario: Scenario, problem: ShootingProblem, motion: ShootingResult
 ) -> ShootingResult:
-    """Returns a motion with its controls corrected under the exact law.
+    """Returns a motion near an optimum with its controls corrected under the exact law.
 
     Where friction sticks and slips, Runge-Kutta steps are of low order, and instability amplifies
     their errors: an error of 1e-8 becomes 1e-3 for a pole that balances for 3 s. So the motion is
     simulated again by the world's own equations, each control corrected at its knot by the gains
     about its states (`ShootingProblem.linearize`). Between compliant walls, that is what is
     returned, with its cost, so that plans promise what was integrated; else the controls of it.
-
-    Args:
-        world: the mechanism.
-        scenario: the task.
-        problem: that the motion is a result of.
-        motion: near an optimum.
     """
     steps, x, order = motion.substeps, motion.states, motion.order
     about, _ = problem.resolve(motion.controls, steps, x, order)

@@ -275,12 +275,8 @@ class MechanismTask(PosedMechanism):
         """Returns the local optimum near a motion, in the scenario's time steps.
 
         As other steps change an unstable motion, its states are kept, and gaps between them are
-        closed.
-
-        Args:
-            motion: the motion.
-            least: cost of another one so far, in space: what may still cost more after a polish is
-                left unfinished.
+        closed. In space, what may still cost more than the least so far after a polish is left
+        unfinished.
         """
         return self._tighten(motion, FINER, np.inf, scaled(self.polish_ratio, least))
 
@@ -312,11 +308,8 @@ class MechanismTask(PosedMechanism):
         """Returns the local optimum near a motion, its time steps halved until they agree.
 
         A steady motion is refined from its controls, by steps that never raise the cost. With
-        friction it may not be steady: as friction sharpens, the same controls lose contact.
-
-        Args:
-            motion: the motion.
-            most: what promises to cost more is left unfinished.
+        friction it may not be steady: as friction sharpens, the same controls lose contact. What
+        promises to cost more than the most is left unfinished.
         """
         has_friction, num_steps = self.mechanism.has_friction, self.scenario.num_steps
         if self._slides_in_plane:
