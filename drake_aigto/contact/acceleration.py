@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.contact.laws import calc_deeper, calc_share, calc_stiffness, find_gap
+from drake_aigto.contact.laws import calc_deeper, calc_stiffness, find_gap
 from drake_aigto.contact.tables import (
     COEFFICIENT,
     GIVE,
@@ -17,6 +17,7 @@ from drake_aigto.contact.tables import (
     Mechanics,
     MechanicsMemory,
 )
+from drake_aigto.dynamics import share_friction
 from drake_aigto.kernels import borrow, borrowing, kernel
 
 
@@ -261,7 +262,7 @@ def _add_friction(mechanics: Mechanics, x: Floats, eps: float, memory: Mechanics
         for j in range(n):
             slip += (sums[row + j] - drag[r, 3] * frictions[r, SPIN + j]) * x[n + j]
         speed = np.sqrt(frictions[r, STICTION] ** 2 + (eps * frictions[r, PACE]) ** 2)
-        share, slope = calc_share(lever * slip / speed)
+        share, slope = share_friction(lever * slip / speed)
         drag[r, 2] = -frictions[r, COEFFICIENT] * share
         drag[r, 0] = drag[r, 2] * normal
         drag[r, 1] = -frictions[r, COEFFICIENT] * normal * slope * lever / speed

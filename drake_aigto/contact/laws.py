@@ -189,16 +189,6 @@ _deepen = borrowing(_calc_deeper)
 
 
 @borrowing
-def calc_share(y: float) -> tuple[float, float]:
-    """Returns σ and dσ/dy of a speed y in parts of the stiction speed."""
-    size = abs(y)
-    if not size < 1.0:
-        return np.sign(y), 0.0
-    share = y * y * y * (10.0 - 15.0 * size + 6.0 * y * y)
-    return share, 30.0 * y * y * (1.0 - size) ** 2
-
-
-@borrowing
 def find_gap(reach: float, distance: float) -> tuple[float, float]:
     """Returns the distance of surfaces [m] and ∂l/∂φ at a distance φ (`CompliantLaw.find_gaps`)."""
     if reach == 0.0:

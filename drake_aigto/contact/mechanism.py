@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -100,11 +99,6 @@ class Mechanism:
     def actuation(self) -> Floats:
         """B, shape (n, nu)."""
         return self.mechanics.actuation
-
-    @cached_property
-    def inverse_actuation(self) -> Floats:
-        """B⁺, shape (nu, n)."""
-        return np.asarray(np.linalg.pinv(self.actuation), dtype=float)
 
     @property
     def contacts(self) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
@@ -196,48 +196,29 @@ def list_friction(world: World, law: ContactLaw, brakes: bool = True) -> list[Fr
 
     Where nothing asks how it brakes, as a law that no steps soften, decelerations are 0.
     """
-    n = world.num_velocities
-    frictions = list(_list_dry(world, brakes))
+    n, speed, q = world.num_velocities, world.stiction_speed, world.plant.GetDefaultPositions()
+    frictions = list[FrictionTerm]()
+    if (dry := world.dry_friction) is not None:
+        along, mobility = np.vectorize(Expression)(np.eye(n)), np.zeros(n)
+        if brakes:
+            mobility = np.diag(np.linalg.inv(world.calc_mass_matrix(q)))
+        for i in np.flatnonzero(dry > 0).tolist():
+            numbers = -1.0, dry[i], speed, dry[i] * mobility[i], *[0.0] * (2 + n)
+            frictions.append(FrictionTerm(along[i], numbers))
+    rates, radii, spins = np.zeros(world.num_contacts), np.zeros(world.num_contacts), None
     if isinstance(law, CompliantLaw) and law.has_friction:
-        frictions += _list_touching(world, law, brakes)
-    elif law.has_friction:
-        for i in np.flatnonzero(law.friction).tolist():
-            numbers = float(i), law.friction[i], world.stiction_speed, *[0.0] * (3 + n)
-            frictions.append(FrictionTerm(world.rubbing.tangents[i], numbers))
+        radii, spins = law.radii, world.rubbing.spins
+        if brakes:  # Per speed of approach.
+            M = world.calc_mass_matrix(q)
+            rows = calc_tangents(world, law, q)[0], world.calc_contact_jacobian(q)
+            along, across = (np.einsum("ij,ji->i", A, np.linalg.solve(M, A.T)) for A in rows)
+            rates = law.friction * np.sqrt(law.stiffness) * along
+            rates /= np.sqrt(np.maximum(across, along))
+    for i in np.flatnonzero(law.friction).tolist():
+        spin = np.zeros(n) if spins is None else spins[i]
+        numbers = float(i), law.friction[i], speed, rates[i], 0.0, radii[i], *spin
+        frictions.append(FrictionTerm(world.rubbing.tangents[i], numbers))
     return frictions
-
-
-def _list_dry(world: World, brakes: bool) -> Iterator[FrictionTerm]:
-    if (friction := world.dry_friction) is None:
-        return
-    along, mobility = np.vectorize(Expression)(np.eye(len(friction))), np.zeros(len(friction))
-    if brakes:
-        masses = world.calc_mass_matrix(world.plant.GetDefaultPositions())
-        mobility = np.diag(np.linalg.inv(masses))
-    none = [0.0] * (2 + len(friction))
-    for i in np.flatnonzero(friction > 0).tolist():
-        F = friction[i]
-        yield FrictionTerm(along[i], (-1.0, F, world.stiction_speed, F * mobility[i], *none))
-
-
-def _list_touching(world: World, law: CompliantLaw, brakes: bool) -> Iterator[FrictionTerm]:
-    """Yields the friction of compliant contacts, decelerations per speed of approach."""
-    rates = _calc_brakes(world, law) if brakes else np.zeros(world.num_contacts)
-    for i in np.flatnonzero(law.friction > 0).tolist():
-        numbers = float(i), law.friction[i], world.stiction_speed, rates[i], 0.0, law.radii[i]
-        yield FrictionTerm(world.rubbing.tangents[i], (*numbers, *world.rubbing.spins[i]))
-
-
-def _calc_brakes(world: World, law: CompliantLaw) -> Floats:
-    """Returns by how much friction decelerates per speed of approach, shape (m,) [1/s]."""
-    q = world.plant.GetDefaultPositions()
-    J, (T, _), M = (
-        world.calc_contact_jacobian(q),
-        calc_tangents(world, law, q),
-        world.calc_mass_matrix(q),
-    )
-    along, across = (np.einsum("ij,ji->i", A, np.linalg.solve(M, A.T)) for A in (T, J))
-    return law.friction * np.sqrt(law.stiffness) * along / np.sqrt(np.maximum(across, along))
 
 
 def fit_to_steps(frictions: Floats, step: float, duration: float, speed: float) -> Floats:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -203,11 +202,6 @@ class TreeMechanism:
     def actuation(self) -> Floats:
         """B where no link is turned, shape (n, nu)."""
         return self.tree.calc_actuation(self.tree.unturned)
-
-    @cached_property
-    def inverse_actuation(self) -> Floats:
-        """B⁺, shape (nu, n)."""
-        return np.asarray(np.linalg.pinv(self.actuation), dtype=float)
 
     @property
     def damping(self) -> Floats:

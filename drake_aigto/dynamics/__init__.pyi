@@ -8,6 +8,7 @@ from .recursions import gather as gather
 from .recursions import measure_frames as measure_frames
 from .recursions import place as place
 from .recursions import push_joints as push_joints
+from .recursions import share_friction as share_friction
 from .recursions import solve as solve
 from .recursions import solve_rows as solve_rows
 from .recursions import spread as spread

@@ -79,6 +79,5 @@ from .sequence_search import read_sequences as read_sequences
 from .sequence_search import swapped as swapped
 from .stretches import Cut as Cut
 from .stretches import is_at_rest_on as is_at_rest_on
-from .tracked import needs_feedback as needs_feedback
 
 __all__: list[str]

@@ -153,7 +153,7 @@ class Candidate:
         drake: its replay in Drake, if it was to be the plan, and another candidate is.
         cost_error: estimate of the error of its cost, by steps of half the length; None: not known.
         growth: of errors along it; None: not known, as its feedback is not.
-        gains: its feedback, if that judges it (`needs_feedback`); its replays are with that.
+        gains: its feedback, if that judges it, as errors grow too much; its replays are with that.
         alone: then, the control alone; None also if that runs away.
         perturbed: then, from starts that are off by 1e-3 of the scales.
     """

@@ -82,7 +82,12 @@ class Regulator(NamedTuple):
         if (hold := _find_hold(world, scenario, q)) is None:
             return None
         q, u = hold
-        F, G = _discretize(*_linearize(world, q, u), period)
+        # Of a control that is held for a period.
+        A, B = _linearize(world, q, u)
+        size, nu = B.shape
+        F, G = np.split(
+            expm(period * np.block([[A, B], [np.zeros((nu, size + nu))]]))[:size], [size], axis=1
+        )
         W, R = period * _weigh(world, scenario, cost), period * np.diag(cost.R)
         try:  # Drake's solver ends the process where nothing stabilizes.
             value = solve_discrete_are(F, G, W, R)
@@ -175,13 +180,6 @@ def _linearize(world: World, q: Floats, u: Floats) -> tuple[Floats, Floats]:
     slopes = ((rates[:size] - rates[size:]) / (2 * _DIFFERENCE)).T
     size = 2 * n
     return slopes[:, :size], slopes[:, size:]
-
-
-def _discretize(A: Floats, B: Floats, period: float) -> tuple[Floats, Floats]:
-    """Returns F and G of a control that is held for a period."""
-    size, nu = B.shape
-    whole = expm(period * np.block([[A, B], [np.zeros((nu, size + nu))]]))
-    return whole[:size, :size], whole[:size, size:]
 
 
 # Runge-Kutta steps between knots, and how far from walls gains know of them, in parts of the task's

@@ -117,16 +117,12 @@ class ProgramTask(ABC):
         self._programs = programs or CompiledPrograms()
         self._starts: dict[StartName, Start] = {}
         if ladder and programs is None:
-            self._check_ladder(self.start("line").row_names)
-        if self.additions.constraints:
-            check_added_rows(transcription.prog(), self.additions)
-
-    def _check_ladder(self, row_names: tuple[str, ...]) -> None:
-        known = dict.fromkeys((*self.transcription.ROWS, *row_names))
-        for name in (name for rung in self.ladder for name in rung.weights):
-            if name not in known:
+            known = dict.fromkeys((*transcription.ROWS, *self.start("line").row_names))
+            for name in (name for rung in ladder for name in rung.weights if name not in known):
                 expected = f"names of rows: {', '.join(known)}"
                 raise OptionsError("ladder", f"a weight for {name!r}", expected)
+        if self.additions.constraints:
+            check_added_rows(transcription.prog(), self.additions)
 
     @property
     def polynomial(self) -> BoxPolynomial:
@@ -141,14 +137,20 @@ class ProgramTask(ABC):
     def start(self, name: StartName) -> Start:
         """Returns the start of this name."""
         if name not in self._starts:
-            start = self._start_on_line if name == "line" else self._start_coasting
-            self._starts[name] = start()
+            around = self.transcription
+            if name == "line":
+                compiled, box = self._programs.compile(around), around.initial_box()
+            else:  # Around the uncontrolled motion.
+                times, coast = around.GetSampleTimes(), self.coast
+                # The first row of an impact on a knot: velocities before impulses.
+                rows = np.searchsorted(coast.times, times - _ON_KNOT * times[-1])
+                q, v = coast.positions[rows], coast.velocities[rows]
+                around = self._transcribe_around(q)
+                compiled = self._programs.compile(around)
+                box = around.box_around(q, v, _COAST_SHARE)
+            of_box = compiled.at(around), Box(*box), compiled.row_names
+            self._starts[name] = Start(around, *of_box)
         return self._starts[name]
-
-    def _start_on_line(self) -> Start:
-        line = self.transcription
-        compiled = self._programs.compile(line)
-        return Start(line, compiled.at(line), Box(*line.initial_box()), compiled.row_names)
 
     @cached_property
     def coast(self) -> Replay:
@@ -166,17 +168,6 @@ class ProgramTask(ABC):
         times = np.linspace(0.0, scenario.duration, num_steps + 1)
         controls = np.zeros((num_steps, world.num_actuators))
         return replay_event_driven(world, scenario, times, controls)
-
-    def _start_coasting(self) -> Start:
-        """Returns a box around the uncontrolled motion."""
-        times, coast = self.transcription.GetSampleTimes(), self.coast
-        # The first row of an impact on a knot: velocities before impulses.
-        rows = np.searchsorted(coast.times, times - _ON_KNOT * times[-1])
-        q, v = coast.positions[rows], coast.velocities[rows]
-        around = self._transcribe_around(q)
-        compiled = self._programs.compile(around)
-        first = Box(*around.box_around(q, v, _COAST_SHARE))
-        return Start(around, compiled.at(around), first, compiled.row_names)
 
     def _transcribe_around(self, positions: Floats) -> Transcription:
         """Returns the transcription for boxes around a path, shape (N+1, nq) [m]."""

@@ -12,23 +12,25 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 from drake_aigto.kernels import tell_compilation
 from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Origin, Replays
-from drake_aigto.planning.options import SearchOptions
 from drake_aigto.planning.plans import Plan, PlanningError, PlanStats
 from drake_aigto.planning.threads import start_threads, wait_for
 from drake_aigto.simulation import HARD_GOAL
 from drake_aigto.transcription import scaled_defects
 
 if TYPE_CHECKING:
+    from drake_aigto.planning.mechanisms.task import MechanismTask
+    from drake_aigto.planning.program_task import ProgramTask
     from drake_aigto.trajectory import Trajectory
     from drake_aigto.world import Scenario, World
 
 _LOG = logging.getLogger(__name__)
 
 Progress = Callable[[str], None]
+Task: TypeAlias = "ProgramTask | MechanismTask"
 
 _Self = TypeVar("_Self", bound="Search")
 
@@ -52,40 +54,6 @@ class Stopwatch:
             yield
         finally:
             self.seconds[part] += time.perf_counter() - start
-
-
-class Task(Protocol):
-    """A scenario in a world, to be searched for plans."""
-
-    @property
-    def transcription_name(self) -> str:
-        """Its name in plan files."""
-
-    @property
-    def world(self) -> World:
-        """The world of the task."""
-
-    @property
-    def scenario(self) -> Scenario:
-        """The task's question."""
-
-    @property
-    def options(self) -> SearchOptions:
-        """Numerics."""
-
-    @property
-    def sources(self) -> str:
-        """The sources of candidates, in words."""
-
-    @property
-    def remedy(self) -> str:
-        """Advice to the user if no candidate meets the rows."""
-
-    def idle_candidate(self) -> Candidate:
-        """Returns the uncontrolled motion."""
-
-    def confirm(self, candidate: Candidate) -> Replays:
-        """Returns the candidate's replays: its own, and Drake's if the options confirm."""
 
 
 def name_active(world: World, scenario: Scenario, candidates: Iterable[Candidate]) -> str:
@@ -345,11 +313,6 @@ class Search(ABC):
                     unit,
                 )
         return candidate.holds(replays)
-
-    def _is_vetoed(self, candidate: Candidate) -> bool:
-        """Returns whether a replay that `confirm` ran contradicts a candidate."""
-        replays = self._replays.get(id(candidate))
-        return replays is not None and not candidate.holds(replays)
 
     def make_plan(self, scenario: Scenario, best: Candidate) -> Plan:
         """Returns the plan with this candidate, which was replayed, and the others by rank."""

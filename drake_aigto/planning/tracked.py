@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ProgramError, TrajectoryError
 from drake_aigto.planning.feedback import Feedback
-from drake_aigto.planning.riccati import FeedbackPhase
 from drake_aigto.simulation import (
     DRAKE,
     EVENT_DRIVEN,
-    MOST_GROWTH,
     Growth,
     Replay,
     replay_drake,
@@ -27,26 +25,6 @@ from drake_aigto.world import Scenario, World
 
 # Starts are off by this part of the scales.
 _OFF = 1e-3
-
-
-class Followed(NamedTuple):
-    """A motion under its feedback."""
-
-    replay: Replay  # of it
-    times: Floats  # from when each control was held, and the end, shape (K + 1,) [s]
-    controls: Floats  # shape (K, nu) [N, N m]
-
-
-class Simulated(NamedTuple):
-    """The simulation of a motion: its control alone, or with its feedback if that judges it."""
-
-    replay: Replay  # what judges
-    trajectory: Trajectory  # of that replay
-    defects: dict[str, float]  # of the equations of motion
-    growth: Growth | None  # see `Candidate`, as for what follows
-    gains: tuple[FeedbackPhase, ...] = ()  # of the feedback that judges
-    alone: Replay | None = None  # the control alone
-    perturbed: tuple[Replay, ...] = ()  # from starts that are off
 
 
 def make_feedback(
@@ -62,13 +40,8 @@ def make_feedback(
         return None
 
 
-def needs_feedback(growth: Growth | None) -> bool:
-    """Returns whether a motion is judged with its feedback, as errors grow too much."""
-    return growth is not None and growth.factor > MOST_GROWTH
-
-
-def follow(world: World, scenario: Scenario, feedback: Feedback) -> Followed:
-    """Returns the motion of feedback from a scenario's start.
+def follow(world: World, scenario: Scenario, feedback: Feedback) -> tuple[Replay, Floats, Floats]:
+    """Returns the replay of feedback from a scenario's start, times (K + 1,) and controls (K, nu).
 
     Raises:
         TrajectoryError: it runs away.
@@ -77,7 +50,7 @@ def follow(world: World, scenario: Scenario, feedback: Feedback) -> Followed:
     times, controls = np.append(recording.control_times, feedback.end), np.array(recording.controls)
     lasts = np.diff(times) > 0
     replay = summarize(world, scenario, recording, feedback.end)
-    return Followed(replay, np.append(times[:-1][lasts], times[-1]), controls[lasts])
+    return replay, np.append(times[:-1][lasts], times[-1]), controls[lasts]
 
 
 def perturb(
@@ -119,7 +92,7 @@ def replay_own(
     if feedback is None:
         return [replay_event_driven(world, scenario, t.times, t.controls)]
     alone = replay_alone(world, scenario, t)
-    return [follow(world, scenario, feedback).replay, *filter(None, [alone])]
+    return [follow(world, scenario, feedback)[0], *filter(None, [alone])]
 
 
 def confirm_in_drake(

@@ -57,7 +57,7 @@ def step_implicitly(
     x, y, slope, first = room.points[0], room.points[1], room.points[2], room.points[3]
     X, Y, K, first_X = room.slopes[0], room.slopes[1], room.slopes[2], room.slopes[3]
     nx, columns, half = x.size, room.by_column.size if has_slopes else 0, h / 2
-    n, nu, count = nx // 2, u.size, count_stages(share)
+    n, nu, count = nx // 2, u.size, 1 if share == 1.0 else 2
     nz = room.by_column.size - nu
     by_time = unit if has_slopes and nz > nx else 0.0
     for i in range(n):
@@ -97,12 +97,6 @@ def step_implicitly(
             y[n + i] = (first[n + i] + y[n + i]) / 2
             for c in range(columns):
                 Y[n + i, c] = (first_X[n + i, c] + Y[n + i, c]) / 2
-
-
-@borrowing
-def count_stages(share: float) -> int:
-    """Returns how many stages a step has."""
-    return 1 if share == 1.0 else 2
 
 
 @borrowing

@@ -286,7 +286,7 @@ class OptimalControlProblem:
 
         Its shape is (nu,).
         """
-        inverse = np.abs(self.mechanism.inverse_actuation)
+        inverse = np.abs(np.linalg.pinv(self.mechanism.actuation))
         return inverse @ self._load.force + np.finfo(float).tiny
 
     @cached_property
@@ -309,15 +309,11 @@ class OptimalControlProblem:
 
         Implicit steps resolve friction, whatever their length.
         """
-        step, duration, speed = self._measure_steps(substeps)
-        load = self._load if self.softens else None
-        return self.mechanism.fit(0.0 if is_implicit else step, duration, speed, load)
-
-    def _measure_steps(self, substeps: int) -> tuple[float, float, float]:
-        """Returns the longest step [s], the duration [s], and a speed of contacts [m/s]."""
-        duration = self.duration or float(np.ptp(self.times))
-        step = float(np.max(np.diff(self.times))) / substeps
-        return step, duration, self.length / duration
+        duration, load = self.duration or float(np.ptp(self.times)), None
+        step = 0.0 if is_implicit else float(np.max(np.diff(self.times))) / substeps
+        if self.softens:
+            load = self._load
+        return self.mechanism.fit(step, duration, self.length / duration, load)
 
     @property
     def knot_times(self) -> Floats:

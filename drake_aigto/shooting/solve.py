@@ -263,7 +263,10 @@ class ShootingRun:
     def run(self) -> ShootingResult:
         """Runs all rungs, then the last one until bounds hold, or J is above the most."""
         before, stuck, most = np.inf, 0, self._options.most_promised
-        for rung in self._choose_rungs():
+        rungs = self._options.rungs
+        if not self._problem.mechanism.is_smoothed:  # All iterations in one.
+            rungs = (rungs[-1]._replace(iterations=sum(rung.iterations for rung in rungs)),)
+        for rung in rungs:
             outcome = self._run_rung(rung, before)
             before = outcome.violation
             outcome = outcome._replace(is_left=outcome.is_left or outcome.cost > rung.most)
@@ -301,12 +304,6 @@ class ShootingRun:
             transitions=np.array(found.F[:, :nx, :nx]),
             gains=np.array(self._memory.sweep.gains[flights][:, :, :nx]),
         )
-
-    def _choose_rungs(self) -> tuple[Smoothing, ...]:
-        """Returns the rungs; without springs and friction, one."""
-        rungs = self._options.rungs
-        whole = rungs[-1]._replace(iterations=sum(rung.iterations for rung in rungs))
-        return rungs if self._problem.mechanism.is_smoothed else (whole,)
 
     def _run_rung(self, rung: Smoothing, before: float) -> Outcome:
         """Returns the outcome of a rung; ρ grows if its steps leave violations as they were."""

@@ -70,11 +70,6 @@ class BranchingSearch(SequenceSearch):
         self._duration = task.transcription.scenario.duration
         self._refused: list[TouchSequence] = []
 
-    @cached_property
-    def _most_touches(self) -> int:
-        """Touches that a neighbor may have: a fast ball bounces often by itself."""
-        return max(MOST_TOUCHES, 1 + len(self.task.coast.bounce_times))
-
     def vary(self) -> Iterator[Sequence[Proposal]]:
         """Yields neighbors (`neighbors`) of good sequences, the best first, once for each."""
         self.tell(f"{len(self.by_sequence)} candidates; looking for others near the best")
@@ -120,14 +115,18 @@ class BranchingSearch(SequenceSearch):
             is_pulled = any(touch.contact in self._pulling for touch in other)
             is_new = (is_pulled or kinds(other) not in held) and not self.is_known(other)
             if is_new:
-                change = origin.changed(_change(sequence, other), sequence)
+                kind: ChangeName = "dropped" if len(other) < len(sequence) else "added"
+                kind = "moved" if kinds(sequence) == kinds(other) else kind
+                change = origin.changed(kind, sequence)
                 yield from self.propose_good(change, self.centers[sequence], other, motion.path)
 
     def propose_good(
         self, origin: Origin, center: Floats, sequence: TouchSequence, path: Path
     ) -> Iterator[Sequence[Proposal]]:
         """Yields the proposal of a sequence along a path if its trial is good, and new."""
-        if len(sequence) > self._most_touches or not self.task.fits(sequence):
+        # A fast ball bounces often by itself.
+        most = max(MOST_TOUCHES, 1 + len(self.task.coast.bounce_times))
+        if len(sequence) > most or not self.task.fits(sequence):
             return
         tried = self._try(sequence, path)
         optima = map(self._optimum, self.by_sequence)
@@ -175,12 +174,6 @@ class BranchingSearch(SequenceSearch):
         self, sequence: TouchSequence, others: Iterable[TouchSequence], share: float
     ) -> bool:
         return any(is_same(sequence, other, share * self._duration) for other in others)
-
-
-def _change(sequence: TouchSequence, other: TouchSequence) -> ChangeName:
-    if kinds(sequence) == kinds(other):
-        return "moved"
-    return "dropped" if len(other) < len(sequence) else "added"
 
 
 def find_insertions(motion: PhaseMotion) -> list[Touch]:

@@ -79,10 +79,6 @@ class BallSearch(BranchingSearch):
         has_reason = self._is_again or not self.task.ladder
         return self.task.unfolds and has_reason and not self.task.options.exhaustive
 
-    @property
-    def _has_plan(self) -> bool:
-        return any(each.is_feasible and each.is_confirmed for each in self.by_sequence.values())
-
     def keep(self, origin: Origin, found: AigoResult | Shown) -> None:
         """Adds the candidate of a sequence, or those of the sequences of boxes."""
         if isinstance(found, Shown):
@@ -104,8 +100,11 @@ class BallSearch(BranchingSearch):
         flight is left out if another candidate costs so little that not even the flight's neighbors
         would be tried.
         """
-        if not sequence and self._can_leave_flight_out():
-            self._leave_flight_out(origin, center)
+        is_costly = self._least_flight_cost > GOOD * self.promise
+        if not sequence and is_costly and not self.task.options.exhaustive:
+            _LOG.info("  free flight: left out, costs %.3e at least", self._least_flight_cost)
+            self._left_out = origin.changed("left out", ()), center
+            self._refused.append(())
             return
 
         def polish(center: Floats, touches: TouchSequence) -> PhaseMotion:
@@ -121,7 +120,8 @@ class BallSearch(BranchingSearch):
             self._given_up.append((origin, Shown(center, sequence, path)))
             return
         candidate = self.by_sequence[sequence]
-        if not self._is_promising(candidate):
+        costs = (other.replay.cost for other in self.by_sequence.values() if other.is_confirmed)
+        if not candidate.cost <= scaled(_PROMISING, min(costs, default=np.inf)):
             return
         self._add_swapped(sequence)
         if not (candidate.is_confirmed or self._chatters(sequence)):
@@ -129,20 +129,6 @@ class BallSearch(BranchingSearch):
             for seen in self._with_unplanned_bounce(sequence):
                 if len(seen) <= MOST_TOUCHES and not self.is_known(seen):
                     self.add(origin.changed("seen", sequence), center, seen, seen_path)
-
-    def _can_leave_flight_out(self) -> bool:
-        costs = (
-            other.replay.cost
-            for other in self.by_sequence.values()
-            if other.is_feasible and other.is_confirmed
-        )
-        is_costly = self._least_flight_cost > GOOD * min(costs, default=np.inf)
-        return is_costly and not self.task.options.exhaustive
-
-    def _leave_flight_out(self, origin: Origin, center: Floats) -> None:
-        _LOG.info("  free flight: left out, costs %.3e at least", self._least_flight_cost)
-        self._left_out = origin.changed("left out", ()), center
-        self._refused.append(())
 
     @property
     def flight_left_out(self) -> float | None:
@@ -156,11 +142,6 @@ class BallSearch(BranchingSearch):
         if self._left_out is not None:
             (origin, center), self._left_out = self._left_out, None
             self.solve(origin, center, (), self.task.polish)
-
-    def _is_promising(self, candidate: Candidate) -> bool:
-        """Returns whether neighbors of a candidate may become the best."""
-        costs = (other.replay.cost for other in self.by_sequence.values() if other.is_confirmed)
-        return candidate.cost <= scaled(_PROMISING, min(costs, default=np.inf))
 
     def _chatters(self, sequence: TouchSequence) -> bool:
         """Returns whether a wall is touched again at once: more touches make it no better."""
@@ -210,7 +191,7 @@ class BallSearch(BranchingSearch):
         if not self._grows_first:
             yield from super().propose()
         patient = self.task.patient
-        if patient is not None and not self._has_plan:
+        if patient is not None and self.promise == np.inf:
             self.task, given_up, self._given_up = patient, self._given_up, []
             for each in given_up:
                 yield [propose(*each)]
@@ -220,7 +201,7 @@ class BallSearch(BranchingSearch):
     def vary(self) -> Iterator[Sequence[Proposal]]:
         """Yields neighbors of good sequences, and boxes that are needed after all."""
         yield from super().vary()
-        if self._grows_first and not self._has_plan:
+        if self._grows_first and self.promise == np.inf:
             yield from super().propose()
             yield from super().vary()
 
@@ -310,12 +291,7 @@ class BallSearch(BranchingSearch):
             optima = map(self._optimum, kept)
             if not self._is_among(self._optimum(sequence), optima, SAME_END):
                 kept.append(sequence)
-        costs = [
-            candidate.replay.cost
-            for candidate in self.by_sequence.values()
-            if candidate.is_feasible and candidate.is_confirmed
-        ]
-        most = np.inf if self._is_open else scaled(GOOD, min(costs, default=np.inf))
+        most = np.inf if self._is_open else scaled(GOOD, self.promise)
         return [sequence for sequence in kept if self.by_sequence[sequence].cost <= most]
 
     def rank(self, candidate: Candidate) -> tuple[float, ...]:

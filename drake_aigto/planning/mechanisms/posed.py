@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from functools import cache, cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -32,11 +32,9 @@ from drake_aigto.planning.mechanisms.guesses import Measures
 from drake_aigto.planning.mechanisms.traces import trace
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.tracked import (
-    Simulated,
     confirm_in_drake,
     follow,
     make_feedback,
-    needs_feedback,
     perturb,
     replay_alone,
 )
@@ -51,6 +49,7 @@ from drake_aigto.shooting import (
 )
 from drake_aigto.simulation import (
     BOUNDS,
+    MOST_GROWTH,
     Replay,
     calc_excess,
     calc_lacks,
@@ -150,10 +149,13 @@ class PosedMechanism:
     def _pose(self, num_steps: int) -> ShootingProblem:
         """Returns the task in this number of time steps."""
         T, free, bounds = self.scenario.duration, self.scenario.duration_range, self.bounds
-        times, measures = np.linspace(0.0, T, num_steps + 1), self.measures
-        start = None
-        if self.scenario.periodic is not None:
-            free, start = free or (T, T), self._free_start
+        times, measures, world = np.linspace(0.0, T, num_steps + 1), self.measures, self.world
+        limits, start = limit_states(world, bounds), None
+        if self.scenario.periodic is not None:  # How far it may begin from the given start.
+            (q, v), n = world.split(self.scenario.initial_state), world.num_velocities
+            off = limits - np.concatenate([world.in_tangent(q, np.zeros(1)), v])
+            off[:, :n][:, np.isfinite(world.find_advance(self.scenario))] = 0.0
+            free, start = free or (T, T), FreeStart(off, np.zeros(2 * n))
         return dataclasses.replace(
             ShootingProblem.of(
                 self.world, self.scenario, self.mechanism, times, self._compiled.added
@@ -162,29 +164,17 @@ class PosedMechanism:
             length=measures.length,
             # Springs that stand in for rigid walls are as soft as they should be.
             softens=isinstance(self.law, CompliantLaw) and self.law.has_friction,
-            state_bounds=limit_states(self.world, bounds),
+            state_bounds=limits,
             least_distances=self.least_distances,
             phases=None if free is None else Phases.free(T, free),
             free_start=start,
         )
 
-    @property
-    def _free_start(self) -> FreeStart:
-        """How far a motion that repeats may begin from the given start."""
-        world, x = self.world, self.scenario.initial_state
-        limits = limit_states(world, self.bounds)
-        n = world.num_velocities
-        q = world.in_tangent(x[: world.num_positions], np.zeros(1))
-        limits = limits - np.concatenate([q, x[world.num_positions :]])
-        limits[:, :n][:, np.isfinite(world.find_advance(self.scenario))] = 0.0
-        return FreeStart(limits, np.zeros(2 * n))
-
     def judge(self, origin: Origin, start: ShootingResult, found: ShootingResult) -> Candidate:
         """Returns the candidate of a motion in whole time steps: its controls, simulated."""
         scenario, (end, _) = self.ask(found), self.world.split(found.states[-1])
-        simulated = self._simulate(found)
-        replay, trajectory = simulated.replay, simulated.trajectory
-        (cost, error), added = self._calc_cost(found), dict[str, float]()
+        replay, trajectory, judged = self._simulate(found)
+        (cost, error), added = self.pose_again(found).refine_cost(found), dict[str, float]()
         if self.additions:
             q, v = self.world.split(found.states)
             counted = self.additions.costs(Samples(found.times, q, v, found.controls))
@@ -198,22 +188,14 @@ class PosedMechanism:
             trajectory=trajectory,
             cost=cost,
             goal_error=float(TaskCost.of(self.world, scenario).goal_error(end)),
-            defects=simulated.defects,
             max_penetration=max_penetration(self.world, trajectory),
             contacts=find_contacts(self.world, trajectory),
             replay=add_to_replay(replay, self.additions, trajectory),
             scales=self.scales,
             added_costs=added,
             cost_error=error,
-            growth=simulated.growth,
-            gains=simulated.gains,
-            alone=simulated.alone,
-            perturbed=simulated.perturbed,
+            **judged,
         )
-
-    def _calc_cost(self, found: ShootingResult) -> tuple[float, float]:
-        """Returns J of a motion in steps of half the length, and by how much that differs."""
-        return self.pose_again(found).refine_cost(found)
 
     def pose_again(self, found: ShootingResult) -> ShootingProblem:
         """Returns the problem that a motion is a result of."""
@@ -223,26 +205,26 @@ class PosedMechanism:
         """Returns the scenario, from where a motion begins."""
         return self.scenario.starting_at(found.states[0])
 
-    def _simulate(self, found: ShootingResult) -> Simulated:
-        """Returns the simulation of a motion: its control alone, or with its feedback."""
+    def _simulate(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, Any]]:
+        """Returns the replay of a motion's control, alone or with its feedback if errors grow.
+
+        Also returns the trajectory of that, and what a candidate has of it.
+        """
         world, scenario, mechanism = self.world, self.ask(found), self._compiled.mechanism
         motion, feedback = self.make_trajectory(found), None
         if found is not self.idle_motion:
             feedback = make_feedback(world, scenario, motion, mechanism=mechanism)
         growth = feedback.growth if feedback else None
-        if feedback is None or not needs_feedback(growth):
+        if feedback is None or growth is None or growth.factor <= MOST_GROWTH:
             replay, trajectory, defects = self._simulate_alone(found)
-            return Simulated(replay, trajectory, defects, growth)
-        assert growth is not None
-        followed = follow(world, scenario, feedback)
-        return Simulated(
-            followed.replay,
-            *self._trace(*followed),
-            growth,
-            tuple(feedback.phases),
-            replay_alone(world, scenario, motion),
-            perturb(world, scenario, feedback, growth),
-        )
+            return replay, trajectory, {"defects": defects, "growth": growth}
+        replay, *held = follow(world, scenario, feedback)
+        trajectory, defects = self._trace(replay, *held)
+        judged: dict[str, Any] = {"defects": defects, "growth": growth}
+        judged |= {"gains": tuple(feedback.phases)}
+        judged |= {"alone": replay_alone(world, scenario, motion)}
+        judged |= {"perturbed": perturb(world, scenario, feedback, growth)}
+        return replay, trajectory, judged
 
     def make_trajectory(self, found: ShootingResult) -> Trajectory:
         """Returns a motion of shooting as a trajectory."""

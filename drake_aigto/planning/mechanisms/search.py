@@ -345,7 +345,9 @@ class MechanismSearch(Search):
         return [
             each.replay.cost
             for each in self._candidates
-            if each.is_feasible and each.is_confirmed and not self._is_vetoed(each)
+            if each.is_feasible
+            and each.is_confirmed
+            and each.holds(self._replays.get(id(each), each.own_replays))
         ]
 
     def _scale_best(self, times: float) -> float:
