@@ -30,10 +30,7 @@ _OFF = 1e-3
 def make_feedback(
     world: World, scenario: Scenario, trajectory: Trajectory, **known: Any
 ) -> Feedback | None:
-    """Returns the feedback about a motion, None if none is known for its contacts.
-
-    Arguments are those of `Feedback`.
-    """
+    """Returns the `Feedback` about a motion, None if none is known for its contacts."""
     try:
         return Feedback(world, scenario, trajectory, **known)
     except (TrajectoryError, ProgramError):

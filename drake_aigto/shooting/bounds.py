@@ -257,10 +257,7 @@ def _measure_apart(
 def add_costs(
     program: Program, k: int, z: Floats, u: Floats, has_slopes: bool, memory: Memory
 ) -> float:
-    """Returns the costs of users at knot k; adds their derivatives if asked, Hessians ≥ 0.
-
-    The Hessian has its negative eigenvalues set to 0. If it overflows, the cost is infinite.
-    """
+    """Returns costs of users at knot k, infinite if they overflow, and adds derivatives."""
     added, sums = program.added, memory.added.sums
     gradient, A = memory.added.gradient, memory.added.hessian
     R, nx, cost = added.is_running.size, memory.flow.points.shape[1], 0.0

@@ -39,10 +39,7 @@ def is_implicit(order: int) -> bool:
 def make_program(
     problem: OptimalControlProblem, substeps: int, order: int, other: Program | None = None
 ) -> Program:
-    """Returns the tables of a problem, its multipliers zero.
-
-    The other ones are of the same problem in other steps, and share what does not depend on these.
-    """
+    """Returns the tables of a problem, multipliers zero; others, in other steps, share all else."""
     if is_implicit(order) and not isinstance(problem.mechanism, TreeMechanism):
         raise OptionsError("order", "implicit steps in the plane", "an order of 2 or 4")
     mechanics, method = problem.fit_mechanism(substeps, is_implicit(order)), _METHODS[order]

@@ -86,10 +86,7 @@ class Compliant:
     def _move(
         self, x: Floats, controls: Floats, knots: Floats, step: float, tolerance: float
     ) -> Iterator[tuple[float, Floats, float]]:
-        """Yields times, rows from then on, all of them of one hold, and the next step.
-
-        Arguments are those of `follow`, for controls (N, nu) that are held between knots (N+1,).
-        """
+        """Yields times, rows of one hold from then on, and next steps, under held controls."""
         now, hold, end, passed = float(knots[0]), 0, float(knots[-1]), 0
         kept = tolerance, self._memory, self._room
         while now < end:
@@ -233,10 +230,7 @@ def simulate_compliant(
 
 
 def measure_steps(world: World, states: Floats) -> tuple[Floats, Floats]:
-    """Returns φ [m] and φ̇ [m/s] of states (K, nx), shape (K, m) each.
-
-    Rates are those of states in contact and next to these, and 0 elsewhere.
-    """
+    """Returns φ and φ̇ of states (K, nx), (K, m) each; rates only in and next to contact."""
     q, v = world.split(states)
     distances = world.calc_signed_distance(q)
     inside = np.pad(np.any(distances <= 0, axis=1), 1)
@@ -248,10 +242,7 @@ def measure_steps(world: World, states: Floats) -> tuple[Floats, Floats]:
 def read_touches(
     world: World, times: Floats, states: Floats, controls: Floats, distances: Floats
 ) -> tuple[list[Impact], list[tuple[float, Floats]]]:
-    """Returns touches from outside of a motion in steps, and times and states as each begins, ends.
-
-    States (K, nx), controls just after (K, nu) and distances (K, m) are at the ends of steps (K,).
-    """
+    """Returns touches, and states as each begins and ends, of steps that end with rows of these."""
     outside, found, beside = distances > 0, list[Impact](), list[tuple[float, Floats]]()
 
     def calc_rate(contact: int, q: Floats, v: Floats) -> float:
@@ -278,10 +269,7 @@ def read_touches(
 
 
 def find_depth(times: Floats, distances: Floats, rates: Floats) -> float:
-    """Returns the deepest −φ, at least 0 [m], of rows φ and φ̇ at times (K,), shape (K, m) each.
-
-    Between rows where φ̇ turns positive φ is taken for a parabola.
-    """
+    """Returns the deepest −φ ≥ 0 [m] of rows φ and φ̇ (K, m), parabolas where φ̇ turns positive."""
     turns = (rates[:-1] < 0) & (rates[1:] > 0)
     parts = np.where(turns, rates[:-1] / np.where(turns, rates[:-1] - rates[1:], 1.0), 0.0)
     lowest = distances[:-1] + rates[:-1] * parts * np.diff(times)[:, np.newaxis] / 2

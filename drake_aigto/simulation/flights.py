@@ -203,10 +203,7 @@ def _find_event(
 def _find_entry(
     curves: Floats, first: int, last: int, still: float, horizon: float
 ) -> tuple[float, int]:
-    """Find when a solid is entered [s], and the face that is passed, the others behind; −1: never.
-
-    One that the ball is at, inside but for rounding, is entered at the face that is nearest.
-    """
+    """Find when a solid is entered [s], and by which face, the nearest if at it; −1: never."""
     if not _may_enter(curves, first, last, horizon):
         return math.inf, -1
     wait, passed = 0.0, -1

@@ -221,10 +221,7 @@ def find_impacts(times: Floats, velocities: Floats, count: int) -> Ints:
 def sample_steps(
     world: World, times: Floats, states: Floats, controls: Floats
 ) -> tuple[MotionSamples, Floats]:
-    """Returns samples between the ends of steps (K,), and the control at each.
-
-    States (K, nx) are there, and controls (K, nu) led there.
-    """
+    """Returns samples between states (K, nx) at ends of steps, and the control of each."""
     if world.num_positions == world.num_velocities:
         held = controls[1:][np.diff(times) > 0]
         return sample_cubics(times, states), np.repeat(held, len(_NODES), axis=0)

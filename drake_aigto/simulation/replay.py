@@ -226,10 +226,7 @@ def confirms(
 
 
 def hold(world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike) -> HeldControl:
-    """Returns a held control that fits the world, with knots where a reference has its own.
-
-    Costs have kinks there. Arguments are those of `replay_event_driven`.
-    """
+    """Returns a held control with knots where a reference, and so the cost, has kinks."""
     t, u = check_control(times, controls)
     if u.shape[1] != world.num_actuators:
         expected = f"{world.num_actuators} columns, one for each actuator"

@@ -197,10 +197,7 @@ class HybridMotion(ABC):
 
     @abstractmethod
     def _advance(self, control: Floats, until: float, feels_contact: bool) -> None:
-        """Moves on under a control, shape (nu,) [N], until a time [s].
-
-        If the controller feels contact, only until one has ended.
-        """
+        """Moves on under a control (nu,) [N] until a time [s], or the end of a felt contact."""
 
     @abstractmethod
     def _find_depth(self) -> float:

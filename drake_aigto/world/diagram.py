@@ -75,11 +75,7 @@ def find_plant(diagram: Diagram) -> tuple[MultibodyPlant, SceneGraph]:
 
 
 def check_plant(plant: MultibodyPlant, in_space: bool = False, has_thrusters: bool = False) -> None:
-    """Refuses a plant that can't be planned for, whatever its equations are.
-
-    In space it is read as a tree (`SpaceWorld`), which joints of any kind make. Thrusters drive it
-    beside actuators of joints, or alone.
-    """
+    """Refuses a plant that can't be planned for, whatever its equations are."""
     if plant.time_step() > 0:
         raise ModelError(
             "plant",

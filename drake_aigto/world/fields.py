@@ -50,10 +50,7 @@ def as_number(
 
 
 def as_vector(name: str, value: Any, **bounds: Any) -> Floats:
-    """Returns a read-only array (n,) of finite floats, n ≥ 1, from a scalar or a sequence.
-
-    Bounds of each are those of `as_number`.
-    """
+    """Returns a read-only array (n,) of finite floats, n ≥ 1, each within bounds (`as_number`)."""
     is_array = isinstance(value, np.ndarray) and value.dtype == np.float64 and value.ndim == 1
     # An array of finite numbers already, as that of another scenario is.
     if not (is_array and np.size(value) and np.isfinite(value).all()):
@@ -231,10 +228,7 @@ def check_size(name: str, values: Floats, size: int) -> None:
 
 
 def check_bounds(quantity: str, least: Any, most: Any) -> None:
-    """Refuses a lower bound above the upper one, and bounds that leave nothing.
-
-    Each is a number, an array, None, or by names, which are checked once they are an array.
-    """
+    """Refuses bounds that are crossed or leave nothing; those by names are not looked at."""
     if isinstance(least, Mapping) or isinstance(most, Mapping):
         return
     name, other = f"{quantity}_lower", f"{quantity}_upper"

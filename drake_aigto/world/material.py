@@ -206,10 +206,7 @@ def impose_friction(
     shapes: Iterable[GeometryId],
     friction: float | None,
 ) -> None:
-    """Gives shapes one coefficient for sticking and sliding, in the diagram's root context only.
-
-    Without one, static coefficients become the dynamic ones.
-    """
+    """Gives shapes one μ for sticking and sliding in a root context; None: their dynamic ones."""
     for shape in dict.fromkeys(shapes):
         properties = read_material(scene_graph, root, shape)
         own = properties.GetProperty(*FRICTION)  # It lives no longer than the properties.

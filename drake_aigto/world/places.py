@@ -113,10 +113,7 @@ def as_frame_goal(name: str, value: Any) -> FrameGoal:
 
 
 def check_repeats(goal: Any, speed_weight: Any, weight: Any) -> None:
-    """Refuses goals of a motion that repeats beside the start, to which it returns.
-
-    Weights of positions without a reference, and of the final velocity, are such goals.
-    """
+    """Refuses goals of a motion that repeats beside its start, and weights that are about them."""
     if isinstance(goal, Named) and goal:
         raise ScenarioError(
             "goal_position",
@@ -138,10 +135,7 @@ def check_repeats(goal: Any, speed_weight: Any, weight: Any) -> None:
 def by_name(
     check: Callable[[str, Any], _Checked], check_part: Callable[[str, Any], Any]
 ) -> Callable[[str, Any], _Checked]:
-    """Returns the check of numbers that may be by names of joints and bodies, as `RESTS` has them.
-
-    Parts are a joint's numbers, and those along a body's axes, or about them.
-    """
+    """Returns the check of numbers, or of parts by names of joints and bodies (`RESTS`)."""
 
     def as_named(name: str, value: Any) -> Any:
         if not isinstance(value, Mapping):

@@ -273,10 +273,7 @@ _MOST_SUMMED = 5
 
 
 def read_world(kind: type[Any], scenario: Scenario, start: Floats | None) -> Any:
-    """Reads a scenario's model, at a start if any, and nothing of its task.
-
-    The kind is `World`, in a plane if that can be, or `SpaceWorld`, in space at once.
-    """
+    """Reads a scenario's model as a `World` or `SpaceWorld`, at a start if any, not its task."""
     may_leave_plane = not kind.in_space and scenario.contact == "compliant"
     try:
         world = _read(kind, scenario, start)

@@ -120,10 +120,7 @@ class Rubbing:
         return SumMap(calc_turning(self.tangents, self._q, self._v), self._q, self._v)
 
     def impose(self, root: Context, friction: float | None) -> None:
-        """Gives all that slides one coefficient of friction, in a diagram's root context only.
-
-        Without one, static coefficients become the dynamic ones.
-        """
+        """Gives all that slides one μ in a root context; None: the model's dynamic ones."""
         source = self._plant.get_source_id()
         impose_friction(self._scene_graph, source, root, self.shapes, friction)
 

@@ -16,6 +16,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.dynamics import STICTION_SPEED
 from drake_aigto.errors import ScenarioError
 from drake_aigto.plain import write_text
+from drake_aigto.world import places
 from drake_aigto.world.fields import (
     ArrayField,
     as_number,
@@ -29,31 +30,6 @@ from drake_aigto.world.fields import (
 )
 from drake_aigto.world.files import read_scenario, refuse_name, scenario_files
 from drake_aigto.world.model_fields import ModelFields, Named, as_globs
-from drake_aigto.world.places import (
-    BOUNDS,
-    CHOICES,
-    EXTRAS,
-    OPTIONAL,
-    REQUIRED,
-    WEIGHTS,
-    Angles,
-    Bound,
-    ContactKind,
-    FrameGoal,
-    Vector,
-    Weight,
-    as_clearance,
-    as_final,
-    as_frames,
-    as_limit,
-    as_period,
-    as_positions,
-    as_price,
-    as_running,
-    as_velocity,
-    check_repeats,
-    write_plain,
-)
 
 DEFAULT_MODEL = "package://drake_aigto_models/point_mass_and_wall.sdf"
 
@@ -149,35 +125,37 @@ class Scenario(ModelFields):
     """
 
     model: str = DEFAULT_MODEL
-    initial_position: ArrayField[Floats] = ArrayField(as_positions)
-    initial_velocity: ArrayField[Floats] = ArrayField(as_velocity)
-    goal_position: ArrayField[Floats] = ArrayField(as_positions, None)
-    goal_velocity: Vector = ArrayField(as_velocity, None)
+    initial_position: ArrayField[Floats] = ArrayField(places.as_positions)
+    initial_velocity: ArrayField[Floats] = ArrayField(places.as_velocity)
+    goal_position: ArrayField[Floats] = ArrayField(places.as_positions, None)
+    goal_velocity: places.Vector = ArrayField(places.as_velocity, None)
     hard_goal: bool = False
-    periodic: ArrayField[Named[tuple[float | None, ...]] | None] = ArrayField(as_period, None)
-    angles: Angles = "exact"
+    periodic: ArrayField[Named[tuple[float | None, ...]] | None] = ArrayField(
+        places.as_period, None
+    )
+    angles: places.Angles = "exact"
     duration: float = 1.0  # [s]
     time_step: float = 0.005  # [s]
     duration_range: ArrayField[tuple[float, float] | None] = ArrayField(
         partial(as_range, unit="s"), None
     )
-    control_weight: Weight = ArrayField(as_price, 1e-3)
-    goal_weight: Weight = ArrayField(as_final, 1.0)
-    frame_goals: ArrayField[Named[FrameGoal]] = ArrayField(as_frames, Named())
-    goal_velocity_weight: Weight = ArrayField(as_final, 0.0)
-    position_weight: Weight = ArrayField(as_running, 0.0)
-    velocity_weight: Weight = ArrayField(as_running, 0.0)
-    reference_times: Vector = ArrayField(as_vector, None)  # [s]
-    reference_positions: Vector = ArrayField(as_table, None)
-    reference_velocities: Vector = ArrayField(as_table, None)
-    position_lower: Bound = ArrayField(as_limit, None)
-    position_upper: Bound = ArrayField(as_limit, None)
-    velocity_lower: Bound = ArrayField(as_limit, None)
-    velocity_upper: Bound = ArrayField(as_limit, None)
-    control_lower: Bound = ArrayField(as_limit, None)
-    control_upper: Bound = ArrayField(as_limit, None)
+    control_weight: places.Weight = ArrayField(places.as_price, 1e-3)
+    goal_weight: places.Weight = ArrayField(places.as_final, 1.0)
+    frame_goals: ArrayField[Named[places.FrameGoal]] = ArrayField(places.as_frames, Named())
+    goal_velocity_weight: places.Weight = ArrayField(places.as_final, 0.0)
+    position_weight: places.Weight = ArrayField(places.as_running, 0.0)
+    velocity_weight: places.Weight = ArrayField(places.as_running, 0.0)
+    reference_times: places.Vector = ArrayField(as_vector, None)  # [s]
+    reference_positions: places.Vector = ArrayField(as_table, None)
+    reference_velocities: places.Vector = ArrayField(as_table, None)
+    position_lower: places.Bound = ArrayField(places.as_limit, None)
+    position_upper: places.Bound = ArrayField(places.as_limit, None)
+    velocity_lower: places.Bound = ArrayField(places.as_limit, None)
+    velocity_upper: places.Bound = ArrayField(places.as_limit, None)
+    control_lower: places.Bound = ArrayField(places.as_limit, None)
+    control_upper: places.Bound = ArrayField(places.as_limit, None)
     control_norm: float | None = None
-    contact: ContactKind = "rigid"
+    contact: places.ContactKind = "rigid"
     epsilon: float = 0.1  # [J]
     delta: float = 1e-3  # [m]
     restitution: float = 1.0
@@ -187,7 +165,7 @@ class Scenario(ModelFields):
         partial(as_vector, at_least=0.0), None
     )  # [N, N m]
     stiction_speed: float = STICTION_SPEED  # [m/s, rad/s]
-    clearance: ArrayField[Named[float]] = ArrayField(as_clearance, Named())  # [m]
+    clearance: ArrayField[Named[float]] = ArrayField(places.as_clearance, Named())  # [m]
     ignored_shapes: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ())
 
     def __post_init__(self) -> None:
@@ -202,11 +180,11 @@ class Scenario(ModelFields):
             if self.periodic is None:
                 raise ScenarioError("missing goal_position", remedy="It has no default.")
             checked["goal_position"] = Named()
-        for name, bounds in BOUNDS.items():
+        for name, bounds in places.BOUNDS.items():
             value = getattr(self, name)
-            if name not in OPTIONAL or value is not None:
+            if name not in places.OPTIONAL or value is not None:
                 checked[name] = as_number(name, value, **bounds)
-        for name, choices in CHOICES.items():
+        for name, choices in places.CHOICES.items():
             if not isinstance(value := getattr(self, name), str) or value not in choices:
                 expected = f"one of {', '.join(map(repr, choices))}"
                 raise ScenarioError(name, got=repr(value), expected=expected)
@@ -232,7 +210,7 @@ class Scenario(ModelFields):
         self._check_targets()
         if self.periodic is not None:
             weight = self.position_weight if self.reference_positions is None else 0.0
-            check_repeats(self.goal_position, self.goal_velocity_weight, weight)
+            places.check_repeats(self.goal_position, self.goal_velocity_weight, weight)
         if self.contact == "compliant" and self.restitution != 1.0:
             raise ScenarioError(
                 "restitution",
@@ -286,10 +264,10 @@ class Scenario(ModelFields):
     def extras(self) -> tuple[str, ...]:
         """The fields that ask for more than a plain task does."""
         values = self.__dict__
-        weights = (name for name in WEIGHTS if isinstance(values[name], np.ndarray | dict))
+        weights = (name for name in places.WEIGHTS if isinstance(values[name], np.ndarray | dict))
         given = (
             name
-            for name in EXTRAS
+            for name in places.EXTRAS
             if isinstance(values[name], np.ndarray) or values[name] != _DEFAULTS[name]
         )
         return (*weights, *given)
@@ -307,8 +285,8 @@ class Scenario(ModelFields):
             default = _DEFAULTS[name]
             raise ScenarioError(
                 name,
-                got=write_plain(getattr(self, name)),
-                expected="one number" if name in WEIGHTS else f"its default, {default}",
+                got=places.write_plain(getattr(self, name)),
+                expected="one number" if name in places.WEIGHTS else f"its default, {default}",
                 remedy=f"{reader} would ignore it.",
             )
 
@@ -328,10 +306,10 @@ class Scenario(ModelFields):
         Those that ask for more than a plain task does, and those of how the model is read, are left
         out where they do not.
         """
-        left_out = set(EXTRAS) - set(self.extras)
+        left_out = set(places.EXTRAS) - set(self.extras)
         left_out |= {name for name in _MODEL_FIELDS if getattr(self, name) == _DEFAULTS[name]}
         names = [field.name for field in dataclasses.fields(self) if field.name not in left_out]
-        return {name: write_plain(getattr(self, name)) for name in names}
+        return {name: places.write_plain(getattr(self, name)) for name in names}
 
     @classmethod
     def from_plain(cls, data: object) -> Scenario:
@@ -347,7 +325,7 @@ class Scenario(ModelFields):
             if key not in known:
                 raise refuse_name(f"unknown key {key!r}", str(key), known)
         found = {*data, *(["goal_position"] if data.get("periodic") is not None else [])}
-        missing = [name for name in REQUIRED if name not in found]
+        missing = [name for name in places.REQUIRED if name not in found]
         if missing:
             raise ScenarioError(
                 f"missing {', '.join(missing)}",

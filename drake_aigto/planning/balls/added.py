@@ -48,10 +48,7 @@ class AddedSums:
         steps: Ints,
         at: Mapping[int, int],
     ) -> None:
-        """Adds costs and rows about unknowns: q and v at each joint, u of each arc, its steps (J,).
-
-        Each knot that additions are about is `at` a joint.
-        """
+        """Adds costs and rows of q and v at joints, u of arcs, and their steps (J,)."""
 
         def read(addition: Addition) -> Ints:
             knots = addition.knots(len(steps))

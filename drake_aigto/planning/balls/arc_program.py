@@ -33,10 +33,7 @@ _MOST_KEPT = 64
 
 @dataclass(frozen=True, eq=False)
 class ArcShape:
-    """Arcs of a multi-phase problem, without numbers that bounds can fix.
-
-    Letters: J arcs between J + 1 joints, m contacts.
-    """
+    """J arcs between J + 1 joints of a multi-phase problem, without numbers that bounds can fix."""
 
     counts: Ints  # steps of each arc, shape (J,); if no row reads them, 1 for one and 2 for more
     phases: Ints  # which phase each arc is a part of, shape (J,)
@@ -159,11 +156,7 @@ class ArcProgram:
         additions: Additions = NO_ADDITIONS,
         joints: Mapping[int, int] | None = None,
     ) -> None:
-        """Builds the problem.
-
-        Arcs are of one step each if h varies, or additions are about every knot. Knots that these
-        read are at `joints`.
-        """
+        """Builds the problem; knots that additions read are at `joints`."""
         self._world, self._inertia = world, world.constant_inertia
         self._shape, self.phases = shape, shape.phases
         self._builder = NlpBuilder()
@@ -238,10 +231,7 @@ class ArcProgram:
             self._builder.add_row(DYNAMICS, dynamics, copies)
 
     def _express_drifts(self, H: int) -> list[Sequence[Summand]]:
-        """Returns −H times the acceleration without control, of each coordinate.
-
-        It is over an arc's q, w, q′ and v′, the first unknowns of its motion, and H.
-        """
+        """Returns −H times accelerations without control, over an arc's q, w, q′, v′ and H."""
         if isinstance(self._inertia, ConstantDynamics):
             return [[(-drift, (H,))] for drift in self._inertia.drift.tolist()]
         names, n = MakeVectorVariable(H + 1, "x"), len(self._inertia.mass_matrix)

@@ -227,10 +227,7 @@ class BallSearch(BranchingSearch):
                 return
 
     def _propose_uncontrolled(self) -> Iterator[Sequence[Proposal]]:
-        """Yields the contacts of the uncontrolled motion, if they may lead to another plan.
-
-        Plans may also pass a block that it bounces off. Without boxes, they may be free flights.
-        """
+        """Yields contacts of the uncontrolled motion, also past blocks, or of a flight."""
         coast, world = self.task.coast, self.task.transcription.world
         bounces = zip(coast.bounce_times, coast.bounce_contacts, strict=True)
         all_of_it = tuple(starmap(Touch.bounce, bounces))

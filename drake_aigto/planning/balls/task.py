@@ -319,10 +319,7 @@ class BallTask(ProgramTask):
         return None if motion is None else PhaseMotion(phases, motion, is_of_arcs=True)
 
     def _settle(self, nlp: PolynomialNlp, guess: Floats, max_iterations: int) -> LocalResult | None:
-        """Returns the result of plain Newton steps, or else of one run of our local solver.
-
-        For most sequences no bound is active in the optimum: phases have some length.
-        """
+        """Returns the result of plain Newton steps, or else of one run of our local solver."""
         quick = NewtonLagrange(cost_unit=self._cost_scale)
         found = quick.solve(nlp, guess)
         if found is None and max_iterations:

@@ -220,10 +220,7 @@ def make_guess(
 def _jump(
     phase: Phase, pull: Floats, motion: tuple[Floats, Floats, Floats, Floats], gain: Floats
 ) -> None:
-    """Writes a flight that begins at the speed of the phase before into a motion's t, q, v and u.
-
-    The pull is a, the gain G (`make_guess`).
-    """
+    """Writes a flight from the speed of the phase before, `make_guess`, into t, q, v and u."""
     t, q, v, u = motion
     first, inside = phase.first, slice(phase.first, phase.last + 1)
     s, w = (t[inside] - t[first])[:, np.newaxis], v[first]

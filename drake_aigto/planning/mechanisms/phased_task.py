@@ -72,10 +72,7 @@ class Dip(NamedTuple):
 def read_touches(
     world: World, law: RigidLaw, motion: ShootingResult, lasting: Floats
 ) -> TouchSequence:
-    """Returns the touches of a motion between compliant walls, by time, as the law has rigid ones.
-
-    Those of contacts that last as long as is given, (m,) [s], are sustained.
-    """
+    """Returns touches between compliant walls by time, sustained if as long as given, (m,) [s]."""
     q = motion.states[:, : world.num_positions]
     touches = (
         touch

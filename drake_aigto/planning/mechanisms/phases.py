@@ -135,10 +135,7 @@ def _find_joints(touches: TouchSequence, duration: float) -> Iterator[_Joint]:
 
 
 def find_slopes(world: World, motion: ShootingResult) -> tuple[Floats, Floats]:
-    """Returns the velocities at the start and the end of each step, shape (N, n) each.
-
-    Before a bounce, that is the slope of a parabola.
-    """
+    """Returns velocities at the start and the end of steps, (N, n), of parabolas at bounces."""
     n, h = world.num_positions, np.diff(motion.times)[:, np.newaxis]
     q, v = motion.states[:, :n], motion.states[:, n:]
     end = v[1:].copy()
@@ -184,10 +181,7 @@ def read_hold(
     ends: tuple[float, float],
     knots: Ints,
 ) -> Iterator[Touch]:
-    """Yields the touches of a sustained contact from one end to the other [s], one for each mode.
-
-    Modes are read at the knots between.
-    """
+    """Yields a sustained contact's touches between ends [s], by its modes at the knots between."""
     if not law.friction[contact]:
         yield Touch(*ends, contact)
         return

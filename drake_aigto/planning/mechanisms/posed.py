@@ -206,10 +206,7 @@ class PosedMechanism:
         return self.scenario.starting_at(found.states[0])
 
     def _simulate(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, Any]]:
-        """Returns the replay of a motion's control, alone or with its feedback if errors grow.
-
-        Also returns the trajectory of that, and what a candidate has of it.
-        """
+        """Returns the replay that judges a motion, its trajectory, and a candidate's fields."""
         world, scenario, mechanism = self.world, self.ask(found), self._compiled.mechanism
         motion, feedback = self.make_trajectory(found), None
         if found is not self.idle_motion:

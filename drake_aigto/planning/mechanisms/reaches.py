@@ -39,10 +39,7 @@ _Pairs: TypeAlias = tuple[int, ...]  # Contacts, by their numbers.
 
 
 class Stroke(NamedTuple):
-    """Hands reach and push: positions at knots, (N + 1, nq), and after each which contacts push.
-
-    It ends at a knot, from which on hands rest.
-    """
+    """Positions of hands at knots, (N + 1, nq), which contacts push then, and where it ends."""
 
     positions: Floats
     contacts: list[_Pairs]
@@ -280,10 +277,7 @@ class Reaches:
     def _reach(
         self, start: Floats, size: float, rng: np.random.Generator
     ) -> tuple[list[Floats], _Pairs]:
-        """Returns positions of touches that push the object far to its goal, part by part.
-
-        Also returns their contacts. The object's way is this long, at least.
-        """
+        """Returns positions of touches that push the object far to its goal, and contacts."""
         best = -np.inf, list[Floats](), _Pairs()
         grasps = sorted(self._draw_grasps(start, size, rng), key=lambda each: -each.most)
         for most, q, contacts, is_straight in grasps:
@@ -329,10 +323,7 @@ class Reaches:
         return self.world.add(q, moved * np.any(self._hands[list(contacts)], axis=0))
 
     def _follow(self, q: Floats, part: float, contacts: _Pairs, is_straight: bool) -> list[Floats]:
-        """Returns positions from some on while hands stick to an object that goes to its goal.
-
-        It goes straight, but round what is no hand, or as near to that as these contacts can push.
-        """
+        """Returns positions while hands push an object to its goal, straight or as they can."""
         pushed, world, among = [q], self.world, self._supports
         least = np.minimum(world.calc_signed_distance(q)[among], 0.0)
         while len(pushed) <= 2 * _PARTS:

@@ -134,10 +134,7 @@ class RigidMechanismTask(PhasedTask):
         return self._switch(min(map(self._lift, ends), key=self.rank))
 
     def _lift(self, motion: ShootingResult) -> ShootingResult:
-        """Returns a motion, led off walls if dips into them are priced higher than it.
-
-        Led off where it dips, it may dip beside that.
-        """
+        """Returns a motion, led off walls if dips into them, or beside these, cost more than it."""
         margin, lifted = _MARGIN * self.measures.length, motion
         clearances = np.zeros((len(motion.times), self.world.num_contacts))
         for _ in range(_MOST_LIFTS if self._has_corners else 1):

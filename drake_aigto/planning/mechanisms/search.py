@@ -355,11 +355,7 @@ class MechanismSearch(Search):
         return scaled(times, min(self._holding, default=np.inf))
 
     def _polish(self, motion: KeptMotion) -> ShootingResult:
-        """Adds the candidate of a motion, and returns the polished motion.
-
-        It is polished again within narrower bounds if only simulations exceed them, from starts
-        that are off as well.
-        """
+        """Adds a motion's candidate, in narrower bounds if replays ask; returns it polished."""
         start = motion.result
         self.tell(f"polishing a motion that costs {start.cost:.6g}")
         polished, problem = start, self.task

@@ -74,10 +74,7 @@ def best_of(motions: Sequence[KeptMotion]) -> list[KeptMotion]:
 
 
 def find_limit(motions: Sequence[KeptMotion], count: int) -> float:
-    """Returns the highest cost of a count of the best motions; infinite while fewer are kept.
-
-    Motions that violate bounds or a hard goal by much do not count.
-    """
+    """Returns the highest cost of a count of motions that hold bounds; infinite if fewer."""
     costs = [motion.cost for motion in motions if not motion.rank[0]][:count]
     return costs[-1] if costs and len(motions) >= count else np.inf
 

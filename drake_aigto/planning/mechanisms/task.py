@@ -11,21 +11,7 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw, RigidLaw, calc_dissipation
 from drake_aigto.planning.feedback import calc_divergence
-from drake_aigto.planning.mechanisms.closing import (
-    COOLING,
-    FINER,
-    FINEST,
-    HOPELESS,
-    MOST_SUBSTEPS,
-    POLISH,
-    SLIDING,
-    Aim,
-    begin_at,
-    close_gaps,
-    find_closing,
-    find_tight,
-    halve_steps,
-)
+from drake_aigto.planning.mechanisms import closing
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, sample_cubic
 from drake_aigto.planning.mechanisms.posed import PosedMechanism
 from drake_aigto.planning.mechanisms.settling import MOST_KEPT, MOST_RENEWED, settle, steady
@@ -157,14 +143,14 @@ class MechanismTask(PosedMechanism):
         options = dataclasses.replace(self.options, renewals=self.options.renewals // 2)
         return type(self)(self.world, half, options, self._compiled)
 
-    def close(self, guess: Guess, aim: Aim) -> ShootingResult:
+    def close(self, guess: Guess, aim: closing.Aim) -> ShootingResult:
         """Returns the motion after a few steps from a guess, and more if its bounds ask for them.
 
         What a penalty leaves of a violation may be priced at many times what it costs to mend. It
         is mended where that price is more than all else: elsewhere it hardly changes an order.
         """
         found = self._close_roughly(guess, aim)
-        is_off = POLISH.feasibility < found.violation <= HOPELESS
+        is_off = closing.POLISH.feasibility < found.violation <= closing.HOPELESS
         is_dear = self.rank(found)[1] > scaled(2.0, found.cost)
         if not (is_off and is_dear) or self.mechanism.has_friction or not found.cost <= aim.most:
             return found
@@ -178,8 +164,8 @@ class MechanismTask(PosedMechanism):
         mended = self.pose_again(found).solve(found.controls, None, options, found.prices)
         return min(found, mended, key=self.rank)
 
-    def _close_roughly(self, guess: Guess, aim: Aim) -> ShootingResult:
-        options = begin_at(self._closing, guess.width)
+    def _close_roughly(self, guess: Guess, aim: closing.Aim) -> ShootingResult:
+        options = closing.begin_at(self._closing, guess.width)
         options = aim.limit(options, self._tells)
         (*wide, last), order = options.rungs, aim.order or options.order
         if not wide or (aim.substeps <= options.substeps and order == options.order):
@@ -202,15 +188,15 @@ class MechanismTask(PosedMechanism):
 
     def is_coarse(self, motion: ShootingResult) -> bool:
         """Returns whether Runge-Kutta steps are too long for a motion's contacts."""
-        if not self._is_sliding or motion.substeps >= MOST_SUBSTEPS:
+        if not self._is_sliding or motion.substeps >= closing.MOST_SUBSTEPS:
             return False
         return self.pose_again(motion).add_errors(motion) > _UNRESOLVED
 
-    def refine(self, motion: ShootingResult) -> Aim:
+    def refine(self, motion: ShootingResult) -> closing.Aim:
         """Returns steps that resolve a motion's contacts better: implicit ones, or half as long."""
         if self._is_stiff(motion):
-            return Aim(substeps=motion.substeps, order=IMPLICIT)
-        return Aim(substeps=2 * motion.substeps, order=motion.order)
+            return closing.Aim(substeps=motion.substeps, order=IMPLICIT)
+        return closing.Aim(substeps=2 * motion.substeps, order=motion.order)
 
     def _is_stiff(self, motion: ShootingResult) -> bool:
         """Returns whether explicit steps of a motion soften the friction of shapes in space."""
@@ -235,7 +221,7 @@ class MechanismTask(PosedMechanism):
         """Options for closing guesses."""
         q, is_aimed = self.scenario.initial_position, self.scenario.hard_goal
         time_step = self.scenario.duration / self.search_steps
-        options = find_closing(self.world, self.law, q, time_step, is_aimed)
+        options = closing.find_closing(self.world, self.law, q, time_step, is_aimed)
         if self.guesses.must_carry:  # In explicit steps friction creeps, and hands lose objects.
             options = dataclasses.replace(options, order=IMPLICIT)
         return self._resolve(options)
@@ -244,7 +230,7 @@ class MechanismTask(PosedMechanism):
     def _tightening(self) -> ShootingOptions:
         """Options for refining closed motions."""
         scenario = self.scenario
-        tight = find_tight(self.world, scenario.initial_position, scenario.time_step)
+        tight = closing.find_tight(self.world, scenario.initial_position, scenario.time_step)
         if self._rubs_in_space:
             tight = dataclasses.replace(tight, order=IMPLICIT)
         return self._resolve(tight)
@@ -278,7 +264,7 @@ class MechanismTask(PosedMechanism):
         closed. In space, what may still cost more than the least so far after a polish is left
         unfinished.
         """
-        return self._tighten(motion, FINER, np.inf, scaled(self.polish_ratio, least))
+        return self._tighten(motion, closing.FINER, np.inf, scaled(self.polish_ratio, least))
 
     def _tighten(
         self, motion: ShootingResult, parts: int, most: float, most_at_first: float = np.inf
@@ -296,13 +282,13 @@ class MechanismTask(PosedMechanism):
         options, substeps = self._tightening, max(self._tightening.substeps, motion.substeps)
         if self._slides_in_plane:
             steps = parts * self._closing.substeps * self.search_steps
-            options, substeps = SLIDING, max(substeps, -(-steps // self.scenario.num_steps))
+            options, substeps = closing.SLIDING, max(substeps, -(-steps // self.scenario.num_steps))
         if self._rubs_in_space:
             first, *others = options.rungs
             rungs = first._replace(most=most_at_first), *others
             options = dataclasses.replace(options, rungs=rungs)
         options = dataclasses.replace(options, substeps=substeps, most_promised=most)
-        return close_gaps(problem, motion, controls, states, options)
+        return closing.close_gaps(problem, motion, controls, states, options)
 
     def polish(self, motion: ShootingResult, most: float = np.inf) -> ShootingResult:
         """Returns the local optimum near a motion, its time steps halved until they agree.
@@ -313,34 +299,34 @@ class MechanismTask(PosedMechanism):
         """
         has_friction, num_steps = self.mechanism.has_friction, self.scenario.num_steps
         if self._slides_in_plane:
-            motion = self._tighten(motion, FINEST, scaled(_SHARPENED, most))
+            motion = self._tighten(motion, closing.FINEST, scaled(_SHARPENED, most))
             if motion.is_left:
                 return motion
         elif (
             len(motion.controls) < num_steps
-            or motion.substeps < POLISH.substeps
+            or motion.substeps < closing.POLISH.substeps
             or self._is_stiff(motion)
         ):
             motion = self.tighten(motion)
         problem = self.shooting(num_steps)
         if self.world.dry_friction is not None:
             # While a joint sticks, only far smoother friction has slopes that show what moves it.
-            substeps = max(COOLING.substeps, motion.substeps)
-            cooling = dataclasses.replace(COOLING, substeps=substeps)
+            substeps = max(closing.COOLING.substeps, motion.substeps)
+            cooling = dataclasses.replace(closing.COOLING, substeps=substeps)
             cooled = problem.starting_from(motion).solve(motion.controls, None, cooling)
             motion = min(motion, cooled, key=self.rank)
         if isinstance(self.world, SpaceWorld) and has_friction:
             problem = problem.starting_from(motion)
             return settle(self.world, self.scenario, problem, motion, most)
-        motion = halve_steps(problem, motion, most)
-        is_done = motion.is_left or motion.violation > HOPELESS
+        motion = closing.halve_steps(problem, motion, most)
+        is_done = motion.is_left or motion.violation > closing.HOPELESS
         if is_done or not (has_friction and np.isfinite(motion.exact_cost)):
             return motion
         return steady(self.world, self.scenario, problem.starting_from(motion), motion)
 
     def price(self, motion: ShootingResult) -> float:
         """Returns J of a motion, plus a price for violations of bounds and a hard goal."""
-        missed = max(0.0, motion.violation - POLISH.feasibility)
+        missed = max(0.0, motion.violation - closing.POLISH.feasibility)
         return motion.cost + _PRICE * self.scales.cost * missed
 
     def rank(self, motion: ShootingResult) -> tuple[bool, float]:
@@ -367,11 +353,7 @@ def soften(world: World, law: RigidLaw, time_step: float, speed: float) -> Compl
 
 
 def _calc_mobility(world: World) -> Floats:
-    """Returns J M⁻¹ Jᵀ of each contact at the plant's default position, shape (m,) [1/kg].
-
-    If an arm is stretched out there along the wall's normal, with zero mobility, it is that at
-    another position.
-    """
+    """Returns J M⁻¹ Jᵀ of contacts at default positions, elsewhere if zero there, (m,) [1/kg]."""
     mobilities = []
     for q in (world.plant.GetDefaultPositions(), find_anywhere(world.plant)):
         J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)

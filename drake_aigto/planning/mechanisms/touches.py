@@ -36,10 +36,7 @@ NEAR = 0.05
 def find_neighbors(
     world: World, law: RigidLaw, motion: ShootingResult, lasting: Floats, near: float
 ) -> Iterator[tuple[ChangeName, TouchSequence]]:
-    """Yields sequences with one touch fewer, two nearer [s] swapped, one more, and in another mode.
-
-    Touches that last as long as is given, (m,) [s], are sustained.
-    """
+    """Yields sequences with a touch fewer, two near ones [s] swapped, one more, or one changed."""
     touches = motion.touches
     for place in range(len(touches)):
         yield "dropped", drop(touches, place)
@@ -52,10 +49,7 @@ def find_neighbors(
 
 
 def read_replay(world: World, law: RigidLaw, replay: Replay, lasting: Floats) -> TouchSequence:
-    """Returns a replay's touches; sustained ones, of at least (m,) [s], without friction last on.
-
-    They end with the next touch.
-    """
+    """Returns a replay's touches; sustained ones, (m,) [s], without friction last on."""
     contacts, starts = np.array(replay.bounce_contacts, dtype=np.int64), replay.bounce_times
     rows = find_impacts(replay.times, replay.velocities, len(starts))
     ends = [*starts, float(replay.times[-1])][1:]
