@@ -1,4 +1,3 @@
-from .blends import Blend as Blend
 from .coordinates import Coordinates as Coordinates
 from .equations import Contact as Contact
 from .equations import EquationsOfMotion as EquationsOfMotion
@@ -28,6 +27,7 @@ from .stiction import calc_friction_share as calc_friction_share
 from .stiction import smooth_sign as smooth_sign
 from .sum_kernels import divide_by_masses as divide_by_masses
 from .sum_kernels import evaluate_sums as evaluate_sums
+from .sums import Blend as Blend
 from .sums import ConstantDynamics as ConstantDynamics
 from .sums import ConstantInertia as ConstantInertia
 from .sums import SumMap as SumMap

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from pydrake.symbolic import Expression
 
 from drake_aigto.arrays import Bools, Floats, read_only
-from drake_aigto.dynamics.blends import Blend
 from drake_aigto.dynamics.coordinates import Coordinates
 from drake_aigto.dynamics.stiction import STICTION_SPEED, calc_friction_share
 from drake_aigto.dynamics.sums import (
+    Blend,
     ConstantDynamics,
     ConstantInertia,
     SumMap,

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.symbolic import Expression, cos, sin
 
 from drake_aigto.arrays import Floats, Ints, read_only
-from drake_aigto.dynamics.blends import Blend
 from drake_aigto.errors import ModelError
 from drake_aigto.terms import Factor, FunctionKind, Term, expression_terms
 
@@ -84,6 +83,33 @@ def _express(term: Term, variables: list[Any]) -> Expression:
         if factor.exponent:
             product *= x**factor.exponent
     return product
+
+
+class Blend(NamedTuple):
+    """Shares s_k of worlds that differ from a first one: f = f₀ + Σ s_k (f_k − f₀)."""
+
+    first: Any
+    others: tuple[Any, ...]
+    shares: tuple[float, ...]
+
+    @classmethod
+    def of(cls, first: Any, shares: Sequence[tuple[Any, float]]) -> Blend:
+        """Returns shares of others, each with its own."""
+        return cls(first, tuple(other for other, _ in shares), tuple(each for _, each in shares))
+
+    def mix(self, read: Callable[[Any], Any]) -> Any:
+        """Returns f of an array that is read off each, of numbers or of Expressions."""
+        found = mine = read(self.first)
+        with np.errstate(invalid="ignore"):  # As Drake's arithmetic on Expressions looks for NaN.
+            for other, share in zip(self.others, self.shares, strict=True):
+                if share and (theirs := read(other)) is not mine:
+                    found = found + share * (theirs - mine)
+        return found
+
+    def are_alike(self, read: Callable[[Any], tuple[Any, ...]]) -> bool:
+        """Returns whether arrays that are read off each are the same of all."""
+        mine = read(self.first)
+        return all(all(map(np.array_equal, mine, read(other))) for other in self.others)
 
 
 class SumMap:

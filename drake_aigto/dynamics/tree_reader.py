@@ -175,11 +175,14 @@ class _PlantTree:
         velocities = np.concatenate([np.zeros(0, dtype=np.int64), *of_links])
         up = np.arange(-1, num_velocities - 1)
         up[dofs[:-1]] = [dofs[parent + 1] - 1 if parent >= 0 else -1 for parent in parents]
-        damping, armature, actuation = self._read_drives()
+        plant, armature = self._plant, np.zeros(num_velocities)
+        for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
+            start = actuator.joint().velocity_start()
+            armature[start] += actuator.calc_reflected_inertia(self._context)
         stiffnesses, rests = self._read_springs()
         masses, centers, inertias = self._read_inertias()
         bodies = [self._places[i] for i in range(self._plant.num_bodies())]
-        actuation = np.pad(actuation, ((0, 0), (0, len(thrusts))))
+        actuation = np.pad(plant.MakeActuationMatrix(), ((0, 0), (0, len(thrusts))))
         return TreeTables(
             parents=parents,
             kinds=kinds,
@@ -198,7 +201,7 @@ class _PlantTree:
             gravity=self._read_gravity(parents),
             stiffnesses=stiffnesses,
             rests=rests,
-            damping=damping[velocities],
+            damping=read_damping(plant, self._context)[velocities],
             armature=armature[velocities],
             friction=np.array(dry_friction, dtype=float)[velocities],
             stiction=np.full(num_velocities, STICTION_SPEED),
@@ -263,15 +266,6 @@ class _PlantTree:
         for i, root in enumerate(roots):
             found[i] = pull if answers.get(root, True) else 0.0
         return found
-
-    def _read_drives(self) -> tuple[Floats, Floats, Floats]:
-        """Returns damping (nv,), armature (nv,) and B (nv, nu), as the plant orders them."""
-        plant, context = self._plant, self._context
-        armature = np.zeros(plant.num_velocities())
-        for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
-            start = actuator.joint().velocity_start()
-            armature[start] += actuator.calc_reflected_inertia(context)
-        return read_damping(plant, context), armature, plant.MakeActuationMatrix()
 
     def _read_springs(self) -> tuple[Floats, Floats]:
         """Returns stiffnesses and rests of links, shape (L,)."""

@@ -252,20 +252,19 @@ class Planner:
         _check_friction(self.world, scenario)
         check_periodic(self.world, scenario)
         self._transcription.check_frozen()
-        search = self._start_search(scenario)
-        search.guess = initial_guess
-        return search, scenario
-
-    def _start_search(self, scenario: Scenario) -> Search:
         clock, task = Stopwatch(), self.task
         if scenario is self.scenario:
             clock.seconds.update(self._build_clock.seconds)
         else:
             with clock("build"):
                 task = task.again(scenario)
+        search: Search
         if isinstance(task, BallTask):
-            return BallSearch(task, clock, is_again=task is not self.task)
-        return MechanismSearch(task, clock)
+            search = BallSearch(task, clock, is_again=task is not self.task)
+        else:
+            search = MechanismSearch(task, clock)
+        search.guess = initial_guess
+        return search, scenario
 
 
 def _check_guess(world: World, scenario: Scenario, guess: Trajectory) -> None:

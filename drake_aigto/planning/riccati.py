@@ -92,7 +92,14 @@ class Sweep:
 
     def run(self) -> list[FeedbackPhase]:
         """Returns the phases of all stretches."""
-        value, phases = self._find_final(), list[FeedbackPhase]()
+        cost, n, phases = self._cost, self._world.num_positions, list[FeedbackPhase]()
+        value = np.zeros((2 * n, 2 * n))  # V at the end.
+        value[:n, :n], value[n:, n:] = cost.QT, cost.QTv
+        if self._scenario.hard_goal:
+            scales = Scales.of(self._world, self._scenario)
+            value[:n, :n] += _HARD * scales.cost / scales.length**2 * np.eye(n)
+            if self._scenario.goal_velocity is not None:
+                value[n:, n:] += _HARD * scales.cost / scales.velocity**2 * np.eye(n)
         for stretch in reversed(self.stretches):
             phase, value = self._sweep(stretch, value)
             phases.append(phase)
@@ -111,18 +118,6 @@ class Sweep:
             F, _ = self.calc_slopes(stretch, states[:-1], controls, np.diff(times))
             found += [F @ stretch.calc_projection(x) for F, x in zip(F, states, strict=False)]
         return np.array(found)
-
-    def _find_final(self) -> Floats:
-        """Returns V at the end, shape (2n, 2n)."""
-        cost, n = self._cost, self._world.num_positions
-        value = np.zeros((2 * n, 2 * n))
-        value[:n, :n], value[n:, n:] = cost.QT, cost.QTv
-        if self._scenario.hard_goal:
-            scales = Scales.of(self._world, self._scenario)
-            value[:n, :n] += _HARD * scales.cost / scales.length**2 * np.eye(n)
-            if self._scenario.goal_velocity is not None:
-                value[n:, n:] += _HARD * scales.cost / scales.velocity**2 * np.eye(n)
-        return value
 
     def _sweep(self, stretch: Stretch, value: Floats) -> tuple[FeedbackPhase, Floats]:
         """Returns the phase of a stretch, and V where it begins."""

@@ -10,14 +10,14 @@ import time
 from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
-from drake_aigto.kernels import tell_compilation
+from drake_aigto.kernels import tell_compilation, uncollected
 from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Origin, Replays
 from drake_aigto.planning.plans import Plan, PlanningError, PlanStats
-from drake_aigto.planning.threads import start_threads, wait_for
 from drake_aigto.simulation import HARD_GOAL
 from drake_aigto.transcription import scaled_defects
 
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from drake_aigto.world import Scenario, World
 
 _LOG = logging.getLogger(__name__)
+
+# Python answers a Ctrl-C that comes just before a wait begins only when the wait ends [s].
+_PATIENCE = 0.1
 
 Progress = Callable[[str], None]
 Task: TypeAlias = "ProgramTask | MechanismTask"
@@ -83,6 +86,23 @@ def name_obstacles(world: World, scenario: Scenario, candidates: Sequence[Candid
             if name == HARD_GOAL:
                 told += "Weigh the goal (hard_goal: false) to come as near as it can. "
     return told + name_active(world, scenario, candidates)
+
+
+@contextmanager
+def start_threads(count: int) -> Iterator[ThreadPoolExecutor]:
+    """Yields threads; until they end, Python's collector of garbage rests.
+
+    It runs in any thread, and Drake ends the process where another one than the main thread frees
+    a Meshcat. Diagrams hold one that draws them, and are cycles, which nothing else frees.
+    """
+    with uncollected(), ThreadPoolExecutor(count) as pool:
+        yield pool
+
+
+def wait_for(runs: Sequence[Future[Any]]) -> None:
+    """Waits for all runs; a Ctrl-C, whenever it comes, is answered within `_PATIENCE`."""
+    while wait(runs, _PATIENCE).not_done:
+        pass
 
 
 class Proposal(NamedTuple):

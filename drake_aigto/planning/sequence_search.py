@@ -19,8 +19,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.planning.candidate import Candidate, Origin
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.program_task import ContactSequence, ProgramTask
-from drake_aigto.planning.search import Proposal, Search, Stopwatch
-from drake_aigto.planning.threads import start_threads, wait_for
+from drake_aigto.planning.search import Proposal, Search, Stopwatch, start_threads, wait_for
 from drake_aigto.simulation import find_contacts
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence, Transcription
@@ -70,7 +69,14 @@ def read_sequences(transcription: Transcription, x: Floats) -> list[TouchSequenc
     impulses; and if a wall pushes at successive knots, one sustained contact instead of that wall's
     bounces.
     """
-    pushes = _read_impulses(transcription, x)
+    world, q0 = transcription.world, transcription.scenario.initial_position
+    motion, pushes = transcription.trajectory(x), list[_Pushes]()
+    kicks = np.linalg.norm(world.calc_velocity_change(q0, np.eye(world.num_contacts)), axis=1)
+    least = _SHARE * np.max(np.linalg.norm(motion.velocities, axis=1)) / kicks
+    for contact, sizes in enumerate(motion.impulses.T):  # After the start.
+        pushed = np.flatnonzero(sizes[1:] > least[contact]) + 1
+        if pushed.size:
+            pushes.append(_Pushes(contact, motion.times[pushed], sizes[pushed]))
     if not pushes:
         return [()]
     T, dt = transcription.scenario.duration, transcription.time_step()
@@ -174,20 +180,6 @@ def put_apart(touches: Iterable[Touch], duration: float) -> TouchSequence:
             touch = Touch.bounce(earliest, touch.contact)
         found.append(touch)
     return tuple(found)
-
-
-def _read_impulses(transcription: Transcription, x: Floats) -> list[_Pushes]:
-    """Returns the impulses of contacts after the start, of every wall that has any."""
-    world, q0 = transcription.world, transcription.scenario.initial_position
-    motion = transcription.trajectory(x)
-    kicks = np.linalg.norm(world.calc_velocity_change(q0, np.eye(world.num_contacts)), axis=1)
-    least = _SHARE * np.max(np.linalg.norm(motion.velocities, axis=1)) / kicks
-    times, found = motion.times, []
-    for contact, sizes in enumerate(motion.impulses.T):
-        pushed = np.flatnonzero(sizes[1:] > least[contact]) + 1
-        if pushed.size:
-            found.append(_Pushes(contact, times[pushed], sizes[pushed]))
-    return found
 
 
 _LOG = logging.getLogger(__name__)

@@ -41,19 +41,7 @@ class FeedbackLaws:
         self._problem, self._program = problem, problem.make_program(options)
         self._motion, self._gains = (np.array(states), np.array(controls)), gains
         self._steps = substeps, order
-        self._follow = Pass(
-            eps=0.0,
-            penalty=0.0,
-            iterations=0,
-            tolerance=0.0,
-            scale=0.0,
-            is_wary=False,
-            most=np.inf,
-            updates=False,
-            holds_states=False,
-            is_patient=False,
-            first=0,
-        )
+        self._follow = Pass(first=0)
         self._memories = [make_memory(self._program) for _ in gains]
         for memory, each in zip(self._memories, gains, strict=True):
             memory.sweep.gains[...] = each

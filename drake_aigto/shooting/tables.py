@@ -164,17 +164,17 @@ class Memory(NamedTuple):
 class Pass(NamedTuple):
     """Settings of a pass at one smoothing and penalty."""
 
-    eps: float  # ε, the smoothing of contact [m]
-    penalty: float  # ρ
-    iterations: int  # at most
-    tolerance: float  # of the decrease that the expansion promises, as a share of the cost
-    scale: float  # a cost below which costs are small
-    is_wary: bool  # whether steps that close gaps may raise the cost by little only
-    most: float  # motions that promise to cost more are left unfinished
-    updates: bool  # whether multipliers are updated in the end
-    holds_states: bool  # by damping, not controls; and lengths of steps are fitted to costs
-    is_patient: bool  # whether steps that are held do not end it, however little they promise
-    first: int  # the stage from which gains are followed, and that is all; −1: it descends
+    eps: float = 0.0  # ε, the smoothing of contact [m]
+    penalty: float = 0.0  # ρ
+    iterations: int = 0  # at most
+    tolerance: float = 0.0  # of the decrease that the expansion promises, as a share of the cost
+    scale: float = 0.0  # a cost below which costs are small
+    is_wary: bool = False  # whether steps that close gaps may raise the cost by little only
+    most: float = np.inf  # motions that promise to cost more are left unfinished
+    updates: bool = False  # whether multipliers are updated in the end
+    holds_states: bool = False  # by damping, not controls; and lengths of steps are fitted to costs
+    is_patient: bool = False  # whether held steps do not end it, however little they promise
+    first: int = -1  # the stage from which gains are followed, and that is all; −1: it descends
 
 
 class Outcome(NamedTuple):

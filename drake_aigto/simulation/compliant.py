@@ -120,14 +120,13 @@ class Compliant:
             asked = np.array(controls, dtype=float), np.array(knots, dtype=float)
             for _, rows, tried in self._move(x, *asked, step, self.tolerance):
                 step = tried
-                if flies and self._may_touch(rows):
-                    return None
+                if flies:
+                    clear = self.world.calc_clearance(rows[:, 1 : 1 + self.world.num_positions])
+                    moved = np.max(np.abs(np.diff(clear, axis=0)), axis=0)
+                    if np.any(np.min(clear, axis=0) <= moved):
+                        return None
             time = float(knots[-1])
         return x
-
-    def _may_touch(self, rows: Floats) -> bool:
-        clear = self.world.calc_clearance(rows[:, 1 : 1 + self.world.num_positions])
-        return bool(np.any(np.min(clear, axis=0) <= np.max(np.abs(np.diff(clear, axis=0)), axis=0)))
 
     def _list_edges(self) -> list[str]:
         """Returns the names of pairs in which an edge touches a half space."""

@@ -187,8 +187,12 @@ def interpolate(
     for pattern in sorted(patterns, key=np.sum, reverse=True):
         entries = np.flatnonzero((depends == pattern).all(axis=1))
         coordinates = np.flatnonzero(pattern).tolist()
-        grid = _find_samples(sampled, coordinates)
-        if grid is None:
+        found = (
+            grid[tuple(slice(None) if i in coordinates else 0 for i in known)]
+            for known, grid in sampled
+            if set(coordinates) <= set(known)
+        )
+        if (grid := next(found, None)) is None:
             nodes = [bases[i].nodes for i in coordinates]
             num_samples += math.prod(each.size for each in nodes)
             if num_samples > MAX_SAMPLES:
@@ -230,14 +234,6 @@ def _refuse_many(
     beyond = sorted({int(i) for pattern in depends for i in np.flatnonzero(pattern)[_MANY:]})
     to_fix = beyond or coordinates[_MANY:] or coordinates[-1:]
     return TooManySamples(tuple(coordinates), tuple(to_fix))
-
-
-def _find_samples(sampled: list[tuple[list[int], Floats]], coordinates: list[int]) -> Floats | None:
-    """Returns samples on a grid of some coordinates, from one of these and others, if there is."""
-    for known, grid in sampled:
-        if set(coordinates) <= set(known):
-            return grid[tuple(slice(None) if i in coordinates else 0 for i in known)]
-    return None
 
 
 @dataclass(frozen=True)

@@ -205,7 +205,9 @@ class Reaches:
         end = count * rng.uniform(*_HURRY) * (1 - self._measure(self._find_way(pushed[-1])) / size)
         then = int(np.clip(np.ceil(end), 2, count))
         middle = 1 if held else int(np.clip(share * then, 1, then - 1))
-        reached = self._go_round(start, pushed[0])
+        reached = self.world.add(start, np.outer(_ROUND, self.world.subtract(pushed[0], start)))
+        for row in range(1, len(reached) - 1):  # Out of what hands would run into.
+            reached[row] = self._move_out(reached[row], self._moved, np.zeros(1), self._driven)
         for rows, first, after in ((reached, 0, middle), (np.array(pushed), middle, then)):
             s = np.clip(np.arange(count + 1 - first) / (after - first), 0.0, 1.0)
             at = s * s * (3 - 2 * s) * (len(rows) - 1)
@@ -232,13 +234,6 @@ class Reaches:
     def _calc_inertia(self, q: Floats) -> Floats:
         """Returns M + T D, of dampers D and the task's duration T: what a lasting push works on."""
         return self.world.calc_mass_matrix(q) + self._duration * np.diag(self.world.damping)
-
-    def _go_round(self, q: Floats, touch: Floats) -> Floats:
-        """Returns positions from some to others, moved out of what hands would run into."""
-        path = self.world.add(q, np.outer(_ROUND, self.world.subtract(touch, q)))
-        for row in range(1, len(path) - 1):
-            path[row] = self._move_out(path[row], self._moved, np.zeros(1), self._driven)
-        return path
 
     def _move_out(self, q: Floats, among: Ints, least: Floats, driven: Bools) -> Floats:
         """Returns positions in which some contacts are hardly nearer than the least distances."""

@@ -166,7 +166,10 @@ class MechanismTask(PosedMechanism):
 
     def _close_roughly(self, guess: Guess, aim: closing.Aim) -> ShootingResult:
         options = closing.begin_at(self._closing, guess.width)
-        options = aim.limit(options, self._tells)
+        tells = None
+        if self.mechanism.has_friction:
+            tells = _TELLS_IN_SPACE if isinstance(self.world, SpaceWorld) else _TELLS
+        options = aim.limit(options, tells)
         (*wide, last), order = options.rungs, aim.order or options.order
         if not wide or (aim.substeps <= options.substeps and order == options.order):
             substeps = max(options.substeps, aim.substeps)
@@ -178,13 +181,6 @@ class MechanismTask(PosedMechanism):
             return found
         fine = dataclasses.replace(options, rungs=(last,), substeps=aim.substeps, order=order)
         return self.pose_again(found).solve(found.controls, None, fine, found.prices)
-
-    @property
-    def _tells(self) -> tuple[float, float] | None:
-        """From which smoothing on costs of passes tell, and how their limits grow with it."""
-        if not self.mechanism.has_friction:
-            return None
-        return _TELLS_IN_SPACE if isinstance(self.world, SpaceWorld) else _TELLS
 
     def is_coarse(self, motion: ShootingResult) -> bool:
         """Returns whether Runge-Kutta steps are too long for a motion's contacts."""
