@@ -22,14 +22,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.contact import contact_law, make_mechanism
 from drake_aigto.control import Disturbance, run_in_loop
 from drake_aigto.errors import ControlError, ModelError
-from drake_aigto.planning import (
-    Feedback,
-    FeedbackPhase,
-    MechanismTask,
-    Sweep,
-    calc_divergence,
-    needs_feedback,
-)
+from drake_aigto.planning import Feedback, FeedbackPhase, MechanismTask, Sweep, calc_divergence
 from drake_aigto.shooting import ShootingProblem
 from drake_aigto.show import format_plan
 from drake_aigto.simulation import (
@@ -498,7 +491,6 @@ def test_a_pole_that_balances_for_long_is_judged_with_its_own_feedback(folder: P
     assert growth is not None
     # Beyond what the control alone could hold.
     assert MOST_GROWTH < growth.factor == pytest.approx(bound_growth(7.0), rel=0.1)
-    assert needs_feedback(growth)
     assert found.holds
     assert found.best.gains
     assert not any(map(found.best.is_confirmed_by, found.replay.alone[:1]))
