@@ -22,8 +22,6 @@ from drake_aigto.simulation import HARD_GOAL
 from drake_aigto.transcription import scaled_defects
 
 if TYPE_CHECKING:
-    from drake_aigto.planning.mechanisms.task import MechanismTask
-    from drake_aigto.planning.program_task import ProgramTask
     from drake_aigto.trajectory import Trajectory
     from drake_aigto.world import Scenario, World
 
@@ -33,7 +31,7 @@ _LOG = logging.getLogger(__name__)
 _PATIENCE = 0.1
 
 Progress = Callable[[str], None]
-Task: TypeAlias = "ProgramTask | MechanismTask"
+Task: TypeAlias = Any  # A `ProgramTask` or a `MechanismTask`, whose modules import this one.
 
 _Self = TypeVar("_Self", bound="Search")
 
