@@ -28,25 +28,21 @@ ExpressionOf = Callable[[np.ndarray], Expression]
 
 
 def program(num_variables: int = 3) -> tuple[MathematicalProgram, np.ndarray]:
-    """Returns an empty program and its variables."""
     prog = MathematicalProgram()
     return prog, prog.NewContinuousVariables(num_variables, "x")
 
 
 def add(prog: MathematicalProgram, expression: Expression, name: str = "") -> None:
-    """Adds an ExpressionCost, which keeps its formula."""
     cost = ExpressionCost(expression)
     cost.set_description(name)
     prog.AddCost(cost, vars=cost.vars())
 
 
 def compile_program(prog: MathematicalProgram, order: npt.ArrayLike | None = None) -> BoxPolynomial:
-    """Returns the table of a program's costs."""
     return BoxPolynomial(prog.num_vars(), parse_costs(prog), order)
 
 
 def compiled(expression_of: ExpressionOf, num_variables: int = 3) -> BoxPolynomial:
-    """Returns the table of one ExpressionCost."""
     prog, x = program(num_variables)
     add(prog, expression_of(x), "the cost")
     return compile_program(prog)
@@ -74,7 +70,6 @@ def evaluate(factor: Factor, center: float, half_width: float) -> npt.NDArray[np
 def evaluate_in_a_program(
     factor: Factor, center: float, half_width: float
 ) -> npt.NDArray[np.float64]:
-    """Returns the same, from the Newton system of a cost that is this factor."""
     f = BoxPolynomial(1, (TermBlock("f", (Term(1.0, (factor,)),), [[0]]),))
     system = f.newton_system(np.array([center]), half_width)
     (cc, zz), (cz, _) = system.band
@@ -312,7 +307,6 @@ def boxes(draw: st.DrawFn, least_width: float = 0.0) -> Boxes:
 
 
 def dense(band: Floats) -> Floats:
-    """Returns the symmetric matrix that is stored as a lower band."""
     n = band.shape[1]
     matrix: Floats = np.zeros((n, n))
     for offset, diagonal in enumerate(band):
@@ -332,7 +326,6 @@ def arrow(size: int, beside: int = 2) -> Ints:
 
 
 def grid(side: int) -> Ints:
-    """Returns the edges (2, P) of a square grid of side² unknowns."""
     i = np.arange(side * side).reshape(side, side)
     along = np.vstack([i[:, :-1].ravel(), i[:, 1:].ravel()])
     return np.hstack([along, np.vstack([i[:-1].ravel(), i[1:].ravel()])])

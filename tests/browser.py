@@ -36,7 +36,6 @@ _PATIENCE = 60.0  # for any answer [s]; software rendering on a busy machine is 
 
 
 def find_chromium() -> str | None:
-    """Returns the path of a Chromium, if this machine has one."""
     names = (os.environ.get("CHROMIUM", ""), *_NAMES)
     return next(filter(None, (shutil.which(name) for name in names if name)), None)
 
@@ -72,7 +71,6 @@ class Page:
         return answer["result"]
 
     def open(self, path: Path, width: int = 480, height: int = 360, scale: float = 1.0) -> None:
-        """Shows a file in a window of this size, and waits until it is loaded."""
         self.call(
             "Emulation.setDeviceMetricsOverride",
             **{"width": width, "height": height, "deviceScaleFactor": scale, "mobile": False},
@@ -83,7 +81,6 @@ class Page:
             self._receive()
 
     def evaluate(self, expression: str) -> Any:
-        """Returns the value of an expression, or of what it promises."""
         answer = self.call(
             "Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True
         )
@@ -92,7 +89,6 @@ class Page:
         return answer["result"].get("value")
 
     def wait_for(self, expression: str) -> None:
-        """Waits until an expression is true."""
         end = time.monotonic() + _PATIENCE
         while not self.evaluate(f"Boolean({expression})"):
             if time.monotonic() > end:

@@ -82,7 +82,6 @@ def meshcat() -> Meshcat:
 
 @pytest.fixture(scope="session")
 def plan() -> Plan:
-    """A quick one."""
     scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.05)
     return Planner(scenario, PlanOptions(aigo_steps=20, finalists=1)).plan()
 
@@ -103,8 +102,6 @@ def report(plan: Plan) -> tuple[str, list[str]]:
 
 @pytest.fixture
 def arm(tmp_path: Path) -> Any:
-    """Makes the world of an MJCF of an arm, of these parts."""
-
     def make_arm(fields: dict[str, Any] | None = None, **parts: str) -> World:
         return make(write(tmp_path / "arm.xml", ARM, **parts), **(fields or {}))
 
@@ -113,8 +110,6 @@ def arm(tmp_path: Path) -> Any:
 
 @pytest.fixture
 def gantry(tmp_path: Path) -> Any:
-    """Makes the world of a URDF of a gantry, of these parts."""
-
     def make_gantry(fields: dict[str, Any] | None = None, **parts: str) -> World:
         return make(write(tmp_path / "gantry.urdf", GANTRY, **parts), **(fields or {}))
 

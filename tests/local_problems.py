@@ -1,7 +1,4 @@
-"""Small programs with known optima, for the tests of the local solver.
-
-Programs for `AigoSolver`, and calls of it.
-"""
+"""Small programs with known optima, for the tests of the local solver."""
 
 from __future__ import annotations
 
@@ -141,7 +138,6 @@ PROBLEMS = {
 def make_program(
     num_variables: int, cost: Formula, *rows: Formula, low: Any = None, high: Any = None
 ) -> tuple[MathematicalProgram, Any]:
-    """Returns a program of a cost, rows and bounds, if there are any, and its variables x."""
     prog = MathematicalProgram()
     x = prog.NewContinuousVariables(num_variables, "x")
     add_cost(prog, cost(x))

@@ -73,7 +73,6 @@ def hold_samples(period: float, size: int) -> LeafSystem:
 
 
 def set_start(plant: Any, root: Any, scenario: Scenario) -> Any:
-    """Sets the scenario's start, and returns the plant's context."""
     context = plant.GetMyMutableContextFromRoot(root)
     start = scenario.initial_position, scenario.initial_velocity
     plant.SetPositionsAndVelocities(context, np.concatenate(start))

@@ -33,7 +33,6 @@ def messages(html: str) -> Iterator[dict[str, Any]]:
 
 
 def objects(meshcat: Meshcat) -> dict[str, Any]:
-    """Returns the objects that are shown, by path."""
     sent = list(messages(meshcat.StaticHtml()))
     return {m["path"]: m["object"] for m in sent if m["type"] == "set_object"}
 
@@ -46,7 +45,6 @@ def position(meshcat: Meshcat, path: str) -> np.ndarray:
 
 
 def recording(meshcat: Meshcat) -> dict[str, Any]:
-    """Returns the recording's one message."""
     (message,) = (m for m in messages(meshcat.StaticHtml()) if m["type"] == "set_animation")
     return message
 

@@ -40,7 +40,6 @@ class Leg:
         return float(self.time / 6 * (u**2 @ [1.0, 4.0, 1.0]))
 
     def path(self) -> Array:
-        """Returns positions at 101 times."""
         t = self.time * SAMPLES
         return self.start + self.speed * t + self.a * t**2 / 2 + self.b * t**3 / 6
 
@@ -67,7 +66,6 @@ def legs_of(line: Line, bounces: Sequence[LineBounce]) -> list[Leg]:
 
 
 def cost_of(line: Line, bounces: Sequence[LineBounce]) -> float:
-    """Returns the cost of a motion with these bounces, infinite if it leaves the line."""
     legs = legs_of(line, bounces)
     path = np.concatenate([leg.path() for leg in legs])
     for wall in line.walls:

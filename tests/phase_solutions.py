@@ -1,7 +1,4 @@
-"""Multi-phase problems, solved and checked, and what their optima cost by closed forms.
-
-What a free flight costs at least, and to land on a floor, rest there, and jump.
-"""
+"""Multi-phase problems, solved and checked, and what their optima cost by closed forms."""
 
 from __future__ import annotations
 
@@ -49,7 +46,6 @@ def solve(phases: PhaseProblem) -> Solved:
 def optimise(
     world: World, scenario: Scenario, *touches: Touch, facings: Sequence[Facing] | None = None
 ) -> Solved:
-    """Solves, and checks what holds of every solution."""
     solved = solve(PhaseProblem(world, scenario, touches, facings))
     assert solved.status is LocalStatus.CONVERGED
     assert max(solved.defects.values()) < MET

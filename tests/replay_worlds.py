@@ -1,8 +1,4 @@
-"""Worlds and controls that the tests of replay share.
-
-Worlds with several walls that tests of replay share: made in code, or shipped. Plans of Table I's
-rows, of few time steps, that several tests look at.
-"""
+"""Worlds and controls that the tests of replay share."""
 
 from __future__ import annotations
 
@@ -119,7 +115,6 @@ def make_task(world: str, q: Any, v: Any, **fields: Any) -> Scenario:
 
 @cache
 def shipped(world: str) -> World:
-    """Returns a shipped model's world."""
     starts = {
         "two_masses": [0.3, 0.7],
         "room": [0.3, 0.7],

@@ -23,7 +23,6 @@ DIAGONAL = 1 / np.sqrt(2)
 
 
 def write_model(directory: Path, old: str, new: str) -> str:
-    """Returns the path of the shipped model with one text replaced by another."""
     text = SHIPPED.read_text(encoding="utf-8")
     assert old in text
     path = directory / "variant.sdf"
@@ -64,7 +63,6 @@ class Physics:
         return np.array([-self.jacobian[1], self.jacobian[0]]) if self.size == 2 else np.zeros(1)
 
     def place(self, distance: float, along: float = 0.0) -> Array:
-        """Returns positions that far from the wall, and somewhere along it."""
         J = self.jacobian
         return J / (J @ J) * (distance - self.offset) + along * self.along
 
@@ -153,7 +151,6 @@ def make_motion(
 
 
 def indices(transcription: Transcription) -> list[npt.NDArray[np.int64]]:
-    """Returns where q, v, u and the clearances are among the decision variables."""
     everything = np.arange(transcription.prog().num_vars())
     parts = [part.ravel() for part in transcription.split(everything)]
     return [*parts, np.setdiff1d(everything, np.concatenate(parts))]

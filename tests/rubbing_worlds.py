@@ -31,7 +31,6 @@ def add_shape(
     friction: CoulombFriction,
     place: tuple[float, float] = (0.0, 0.0),
 ) -> None:
-    """Adds a collision shape to a body, at (x, z) from its origin."""
     material = ProximityProperties()
     material.AddProperty("material", "coulomb_friction", friction)
     material.AddProperty("material", "point_contact_stiffness", stiffness)

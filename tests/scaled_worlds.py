@@ -34,8 +34,6 @@ _OF_JOINTS = {
 
 
 class Factors(NamedTuple):
-    """Factors of units."""
-
     length: float
     mass: float
     time: float

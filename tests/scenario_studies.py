@@ -17,8 +17,6 @@ from drake_aigto import Scenario
 
 
 class Inline(Executor):
-    """Runs a job as it is submitted, and takes whatever `open_workers` takes."""
-
     def __init__(self, *arguments: Any) -> None:
         self.num_jobs = 0
 
@@ -45,8 +43,6 @@ class Coast(Baseline):
 
 
 class Crash(Baseline):
-    """Fails."""
-
     name = "crash"
 
     def search(self, recorder: Recorder, generator: np.random.Generator) -> None:

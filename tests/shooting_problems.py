@@ -90,7 +90,6 @@ def check_held(
 
 
 def differ(calc: Callable[[Floats], Floats], x: Floats, step: float = 1e-6) -> Floats:
-    """Returns central differences of a function ℝⁿ → ℝᵐ, shape (m, n)."""
     nudges = step * np.eye(len(x))
     return np.array([(calc(x + e) - calc(x - e)) / (2 * step) for e in nudges]).T
 

@@ -20,7 +20,6 @@ GROUND = "<plane><normal>0 0 1</normal></plane>"
 
 
 def collision(name: str, geometry: str, pose: str = "0 0 0 0 0 0") -> str:
-    """Returns a collision shape."""
     return (
         f'<collision name="{name}"><pose>{pose}</pose><geometry>{geometry}</geometry>'
         f"{MATERIAL}</collision>"
@@ -28,7 +27,6 @@ def collision(name: str, geometry: str, pose: str = "0 0 0 0 0 0") -> str:
 
 
 def link(name: str, mass: float, shapes: str) -> str:
-    """Returns a link with the moments of inertia of a ball."""
     I = 0.4 * mass * 0.05**2  # noqa: E741
     return (
         f'<link name="{name}"><inertial><mass>{mass}</mass><inertia><ixx>{I}</ixx><iyy>{I}</iyy>'
@@ -37,7 +35,6 @@ def link(name: str, mass: float, shapes: str) -> str:
 
 
 def slider(name: str, parent: str, child: str, axis: str) -> str:
-    """Returns a driven slider."""
     return (
         f'<joint name="{name}" type="prismatic"><parent>{parent}</parent><child>{child}</child>'
         f"<axis><xyz>{axis}</xyz><dynamics><damping>0.2</damping></dynamics></axis></joint>"
@@ -77,7 +74,6 @@ def make_scenario(folder: Path, text: str | None = None, **changes: Any) -> Scen
 
 
 def build(scenario: Scenario) -> tuple[SpaceWorld, Scenario]:
-    """Returns the world of a scenario, and the scenario with its numbers."""
     world = World.from_scenario(scenario)
     assert isinstance(world, SpaceWorld)
     return world, world.place(scenario)

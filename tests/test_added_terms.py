@@ -42,7 +42,6 @@ def room() -> World:
 
 
 def read(world: World, function: Any, knot: int | None = None) -> Addition:
-    """Returns a cost (an expression) or a constraint (a formula) of a world's symbols."""
     parts: dict[Any, Any] = {"q": world.positions, "v": world.velocities, "u": world.controls}
     prog = MathematicalProgram()
     places: dict[int, Any] = {}
@@ -98,7 +97,6 @@ class Peer:
         prog.AddCost(20 * (q[N, 0] - 0.8) ** 2 + 20 * (q[N, 1] - 0.6) ** 2)
 
     def at(self, function: Any, k: int) -> Any:
-        """Returns a function of the world's symbols at a knot."""
         world, u = room(), self.u[min(k, N - 1)]
         symbols = [*world.positions, *world.velocities, *world.controls]
         return function.Substitute(dict(zip(symbols, [*self.q[k], *self.v[k], *u], strict=True)))

@@ -1,7 +1,4 @@
-"""Arcs: the multi-phase problem in a few unknowns has the optimum of the one with every knot.
-
-Boxes with several faces: the face in force stands for all, and changes on the way around.
-"""
+"""Arcs: the multi-phase problem in a few unknowns has the optimum of the one with every knot."""
 
 from __future__ import annotations
 

@@ -36,13 +36,11 @@ class FakeClock:
 
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
-    """Returns one whose mass flies past the wall to its goal by itself: J* = 0."""
     return Scenario(initial_position=0.3, initial_velocity=0.5, goal_position=0.8, time_step=0.05)
 
 
 @pytest.fixture(scope="module")
 def bounce() -> Scenario:
-    """Returns one whose optimum bounces."""
     return make_scenario(0.5, -1.5, 0.7, restitution=0.8, time_step=0.05)
 
 

@@ -1,7 +1,4 @@
-"""One-variable means and their derivatives against exact arithmetic, wherever they are used.
-
-Means of whole polynomials over boxes: their laws, their derivatives.
-"""
+"""One-variable means and their derivatives against exact arithmetic, wherever they are used."""
 
 from __future__ import annotations
 
@@ -90,7 +87,6 @@ KINDS = (
 
 
 def is_smooth(case: Case) -> bool:
-    """Returns whether derivatives are told from differences: off borders, over some length."""
     factor, center, half_width = case
     if factor is SQUARED_HINGE:
         return abs(abs(center) - half_width) > 1e-9 * half_width

@@ -1,7 +1,4 @@
-"""The search over boxes: against exact optima, within bounds, and the same bits every time.
-
-Mixes of points: the best of all combinations, also where loops have to be cut.
-"""
+"""The search over boxes: against exact optima, within bounds, and the same bits every time."""
 
 from __future__ import annotations
 
@@ -58,7 +55,6 @@ def exact_minimum(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def rosenbrock_pair() -> BoxPolynomial:
-    """Returns (1 − x)² + 100 (y − x²)²."""
     terms = (
         Term(1.0, ()),
         Term(-2.0, (power(0, 1),)),

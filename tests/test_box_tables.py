@@ -1,7 +1,4 @@
-"""Polynomials as tables: what is stored, shared, and refused.
-
-Polynomials whose formula Drake hides, read off their values.
-"""
+"""Polynomials as tables: what is stored, shared, and refused."""
 
 from __future__ import annotations
 
@@ -211,7 +208,6 @@ ORDER = range(NUM_VARIABLES)
 
 
 def rescaled(block: TermBlock, factor: float) -> TermBlock:
-    """Returns a block whose coefficients are those of another, times a factor."""
     terms = [
         dataclasses.replace(term, coefficient=factor * term.coefficient) for term in block.terms
     ]

@@ -84,7 +84,6 @@ CONTROL = ("control", "table1/1", "--json", "run.json")
 
 
 def failing(plan: Plan) -> Plan:
-    """Returns a plan whose simulation in Drake says otherwise."""
     assert plan.replay.drake is not None
     missed = dataclasses.replace(plan.replay.drake, cost=1.0)
     return dataclasses.replace(plan, replay=Replays(plan.replay.event_driven, missed))
@@ -304,7 +303,6 @@ def test_who_reads_only_the_head_sees_no_traceback() -> None:
 
 
 def commands(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
-    """Yields a parser and those of all commands below it."""
     yield parser
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):

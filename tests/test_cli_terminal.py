@@ -35,8 +35,6 @@ ESCAPE = "\033"
 
 
 class Terminal(io.StringIO):
-    """What a terminal would be sent."""
-
     def isatty(self) -> bool:
         return True
 
@@ -47,7 +45,6 @@ class Terminal(io.StringIO):
 
 
 def open_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
-    """Has standard error be a terminal of 60 columns; pytest would undo it in a fixture."""
     stream = Terminal()
     monkeypatch.setattr(sys, "stderr", stream)
     for name, value in {"COLUMNS": "60", "LINES": "20", "TERM": "xterm"}.items():
@@ -74,8 +71,6 @@ def telling(monkeypatch: pytest.MonkeyPatch, plan_file: Path) -> Callable[..., N
 
 
 def failing(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
-    """Has planning end with an error."""
-
     def fail(planner: Planner, **keywords: Any) -> None:
         raise error
 
@@ -328,7 +323,6 @@ def test_ctrl_c_on_a_terminal_leaves_nothing_behind(tmp_path: Path) -> None:
 
 
 def _read(descriptor: int) -> bytes:
-    """Returns what is there, or nothing once the other side is closed."""
     try:
         return os.read(descriptor, 1 << 16)
     except OSError:

@@ -50,7 +50,6 @@ def make_controller() -> ModelPredictiveController:
 
 @cache
 def replan() -> ClosedLoopRun:
-    """A cart-pole that is kicked as it swings up."""
     return run_in_loop(make_controller(), POLE, make_planner().world, KICK)
 
 

@@ -19,7 +19,6 @@ from drake_aigto.terms import FunctionKind
 
 
 def total_cost(prog: MathematicalProgram, x: np.ndarray) -> float:
-    """Returns what Drake says that the costs are."""
     return sum(float(prog.EvalBinding(cost, x)[0]) for cost in prog.GetAllCosts())
 
 

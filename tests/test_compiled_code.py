@@ -88,7 +88,6 @@ Start = Callable[[], subprocess.Popen[str]]
 
 @pytest.fixture
 def little(tmp_path: Path) -> Path:
-    """The folder of a package with kernels."""
     folder = tmp_path / "little"
     (folder / "door").mkdir(parents=True)
     for name, source in SOURCES.items():
@@ -98,7 +97,6 @@ def little(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def start(little: Path) -> Start:
-    """Calls the outer kernel in a process of its own."""
     path = os.pathsep.join([str(little.parent), str(CHECKOUT)])
     environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
 
@@ -110,7 +108,6 @@ def start(little: Path) -> Start:
 
 
 def wait(process: subprocess.Popen[str]) -> tuple[float, bool]:
-    """Returns a process's result, and whether it compiled the kernel."""
     value, compiled = process.communicate()[0].split()
     assert process.returncode == 0
     return float(value), compiled == "True"
@@ -127,7 +124,6 @@ def test_of_processes_that_need_the_same_kernel_one_compiles_it(start: Start) ->
 
 
 def edit(file: Path, old: str, new: str) -> None:
-    """Changes a source."""
     text = file.read_text(encoding="utf-8")
     assert old in text
     file.write_text(text.replace(old, new), encoding="utf-8")

@@ -62,7 +62,6 @@ class Told:
     """A controller in a Diagram whose states are given, as nothing moves."""
 
     def __init__(self, controller: LoopController, told: Any, goal: Any = None) -> None:
-        """Takes states that are told from times on."""
         self.controller, times = controller, [*told, 9.0]
         rows = np.array([*told.values(), told[max(told)]]).T
         builder = DiagramBuilder()

@@ -1,8 +1,4 @@
-"""Figures of costs and phase portraits draw what they say.
-
-The paper's three methods, drawn with all that has to be known of their costs. What is shown beside
-a plan is what a gradient solver makes of the same scenario.
-"""
+"""Figures of costs and phase portraits draw what they say."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Impacts with friction against Routh's path integrated, exact fractions, and closed forms.
-
-How contacts slip: T(q) against Drake's own slip speed, and friction of a world by contact. Which
-contacts stick, slip or open: one way by Coulomb's law, or a refusal.
-"""
+"""Impacts with friction against Routh's path integrated, exact fractions, and closed forms."""
 
 from __future__ import annotations
 
@@ -35,7 +31,6 @@ from drake_aigto.paper import plan_literal
 
 
 def draw(rng: np.random.Generator, size: int = 3) -> tuple[Mobility, Floats, Floats, Floats]:
-    """Returns a mobility, and the mass matrix and rows J and T that it is of."""
     root = rng.normal(size=(size, size))
     mass_matrix = root @ root.T + 0.1 * np.eye(size)
     normal, tangent = rng.normal(size=(2, size))
@@ -175,7 +170,6 @@ def test_the_slip_velocity_changes_as_its_bias_says() -> None:
 
 
 def read_friction(world: World, friction: float | None) -> tuple[float, float]:
-    """Returns the ground's static and dynamic coefficients in a simulation."""
     root = world.create_context()
     world.rubbing.impose(root, friction)
     query: Any = world.scene_graph.get_query_output_port()
@@ -186,7 +180,6 @@ def read_friction(world: World, friction: float | None) -> tuple[float, float]:
 
 
 def ask(friction: float | None = None, num_positions: int = 3) -> Scenario:
-    """Returns a task of a ball above the ground."""
     place = np.concatenate([[0.0, 1.0], np.zeros(num_positions - 2)])
     still = np.zeros(num_positions)
     return make_scenario(place, still, place, goal_weight=np.ones(num_positions), friction=friction)
@@ -224,7 +217,6 @@ def test_who_plans_without_friction_refuses_it(friction: float | None) -> None:
 def touch(
     rows: Floats, mass_matrix: Floats, rates: Floats, friction: list[float], slips: list[int]
 ) -> Touching:
-    """Returns closed contacts of rows [J; T] at a mass matrix."""
     kicks = np.asarray(np.linalg.solve(mass_matrix, rows.T), dtype=float)
     return Touching(kicks, rows, rates, np.array(friction), slips)
 

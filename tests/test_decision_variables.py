@@ -1,7 +1,4 @@
-"""Decision variables of all transcriptions: nothing gets lost or mixed up between forms.
-
-Impulses as decision variables: the closed form of Fig. 1, and where boxes lose the bounce.
-"""
+"""Decision variables of all transcriptions: nothing gets lost or mixed up between forms."""
 
 from __future__ import annotations
 

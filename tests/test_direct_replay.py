@@ -1,7 +1,4 @@
-"""The roll-out by roots alone: against integrated motion, against itself, and many at once.
-
-A wall that is moved: what is read, and what Drake simulates, is the same world elsewhere.
-"""
+"""The roll-out by roots alone: against integrated motion, against itself, and many at once."""
 
 from __future__ import annotations
 
@@ -39,7 +36,6 @@ def world_of(name: str) -> World:
 
 
 def draw_task(name: str, seed: int) -> tuple[tuple[Array, Array], Array, Array]:
-    """Returns a start outside of all solids, knots, and a control, all at random."""
     rng, world = np.random.default_rng(seed), world_of(name)
     q = np.sort(rng.uniform(0.05, 0.95, world.num_positions))
     while np.any(world.calc_clearance(q) < 0.01):

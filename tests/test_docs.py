@@ -1,9 +1,4 @@
-"""The documentation has a page for everything that is public.
-
-Notebooks are kept as they should be; `.ci/run` runs them. README and docs quote what benchmarks
-printed, and nothing else. README and the page of models tell the truth: examples print it, commands
-are those of CI.
-"""
+"""The documentation has a page for everything that is public."""
 
 from __future__ import annotations
 
@@ -192,7 +187,6 @@ RELATIVE_TOLERANCE = 0.02
 
 
 def examples(markdown: str) -> list[tuple[str, str]]:
-    """Returns every Python block with the text block next after it: what it prints, or nothing."""
     blocks = [(match[1], match[2]) for match in FENCED.finditer(markdown)]
     return [
         (code, following[1] if following[0] == "text" else "")
@@ -295,7 +289,6 @@ def test_the_page_of_tasks_has_every_field_and_what_it_shows_is_understood() -> 
 
 
 def commands() -> dict[str, str]:
-    """Returns README's marked commands by their marks."""
     pattern = r"^<!-- command: (\w+) -->\n```sh\n(.*?)\n```$"
     return dict(re.findall(pattern, README, re.DOTALL | re.MULTILINE))
 

@@ -167,7 +167,6 @@ MPMATH: dict[Operation, Callable[..., Any]] = {
 
 
 def values_of(tape: Tape, x: Sequence[Any]) -> list[Any]:
-    """Returns the values of a tape's entries at a point."""
     values: list[Any] = []
     for number, a, b, p in zip(*tape[:4], strict=True):
         operation = Operation(number)

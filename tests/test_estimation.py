@@ -47,7 +47,6 @@ NOISE = 1e-3  # [m, rad], and ten times as much of velocities
 def watch(
     known: ModelEstimate, truth: tuple[World, Scenario], noise: float = 0.0, count: int = 36
 ) -> ModelEstimate:
-    """Returns what is known after a motion of the truth under controls by chance."""
     world, scenario = truth
     rng, n, period = np.random.default_rng(0), world.num_positions, 0.025
     x = np.concatenate([scenario.initial_position, scenario.initial_velocity])
@@ -267,7 +266,6 @@ def test_what_a_model_has_nothing_of_is_refused(
 
 
 def apply(world: World, scenario: Scenario, known: ModelEstimate, values: Any) -> Model:
-    """Returns the model with other parameters, read anew."""
     pairs = list(zip(known.parameters, values, strict=True))
     factors = {f"{each.kind}_factor": value for each, value in pairs if each.usual == 1.0}
     world, scenario = Disturbance(**factors).apply(world, scenario)

@@ -54,13 +54,11 @@ SIMULATION = Motion("simulation", TIMES, PLAN.positions * 0.9, PLAN.velocities *
 
 
 def line(axes: Axes, label: str) -> Any:
-    """Returns the one line of this label."""
     (found,) = (line for line in axes.lines if line.get_label() == label)
     return found
 
 
 def labels(axes: Axes) -> list[str]:
-    """Returns the texts of the legend."""
     legend = axes.get_legend()
     assert legend is not None
     return [text.get_text() for text in legend.get_texts()]
@@ -127,7 +125,6 @@ def test_the_force_of_a_contact_that_lasts_is_shaded_where_it_acts(
 
 
 def wall_edges(axes: Axes) -> tuple[float, float]:
-    """Returns from where to where the wall is shaded."""
     (patch,) = axes.patches
     box = patch.get_extents().transformed(axes.transData.inverted())
     return box.y0, box.y1
@@ -252,7 +249,6 @@ def test_too_few_axes_and_a_path_of_one_coordinate_are_refused(
 
 
 def solids(axes: Axes) -> list[np.ndarray]:
-    """Returns the corners of what is shaded."""
     return [np.asarray(patch.get_xy())[:-1] for patch in axes.patches if isinstance(patch, Polygon)]
 
 
@@ -310,7 +306,6 @@ def cart_pole(soft: Scenario) -> World:
 
 
 def move(velocity: list[float], **more: Any) -> Motion:
-    """Returns a motion from (0.5, 0) at a constant velocity for 1 s."""
     q = np.array([0.5, 0.0]) + np.outer(EVEN, velocity)
     return Motion("plan", EVEN, q, np.tile(velocity, (len(EVEN), 1)), **more)
 

@@ -41,7 +41,6 @@ def start(scenario: Scenario) -> Any:
 
 
 def run(world: World, scenario: Scenario, noise: Any, measured: Any, u: Any) -> Any:
-    """Returns estimates after samples, which are rows a period apart, and the last covariance."""
     builder, times = DiagramBuilder(), PERIOD * np.arange(len(measured) + 1)
     held = PiecewisePolynomial.ZeroOrderHold(times, np.vstack([measured, measured[-1:]]).T)
     quiet = builder.AddSystem(StateFilter(world, scenario, noise, PERIOD))

@@ -1,7 +1,4 @@
-"""Friction of a model, which no plan knows: refused where it acts, or left out when asked.
-
-Dry friction in joints: its law in all simulations, in shooting, and in plans.
-"""
+"""Friction of a model, which no plan knows: refused where it acts, or left out when asked."""
 
 from __future__ import annotations
 
@@ -40,7 +37,6 @@ def material(friction: float | None) -> ProximityProperties:
 def make_diagram(
     frictions: tuple[float | None, float | None], along: bool = False, spins: bool = False
 ) -> Diagram:
-    """Returns a ball above the ground, which may also move along it, or spin."""
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     inertia = SpatialInertia(1.0, np.zeros(3), UnitInertia.SolidSphere(0.1))
@@ -143,7 +139,6 @@ def test_friction_of_what_the_ball_always_overlaps_is_refused_or_left_out_as_ask
 
 
 def ask(**changes: Any) -> Scenario:
-    """Returns a swing of the pole on a dry rail, too short to be unstable."""
     fields: dict[str, Any] = {
         "duration": 1.0,
         "initial_position": [1.0, 1.5],
@@ -158,7 +153,6 @@ def read_dry() -> World:
 
 
 def calc_energy(x: Any) -> float:
-    """Returns that of the cart-pole at (q, v), of 1 kg, 0.1 kg and 1 m [J]."""
     q, v = x[:2], x[2:]
     kinetic = float(read_dry().calc_kinetic_energy(q, v))
     return kinetic - 0.1 * 9.81 * float(np.cos(q[1]))

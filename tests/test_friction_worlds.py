@@ -44,14 +44,12 @@ def test_guesses_that_know_no_friction_close_near_a_plan_that_slides_to_its_goal
 
 
 def plan_of(times: Any, q: Any, v: Any, controls: Any) -> Any:
-    """Returns what is read of a plan."""
     motion = SimpleNamespace(times=times, positions=q, velocities=v, controls=controls)
     scenario = SimpleNamespace(time_step=times[1])
     return SimpleNamespace(best=SimpleNamespace(trajectory=motion), scenario=scenario)
 
 
 def worst_row(rows: Sequence[Any], prog: MathematicalProgram, x: Floats) -> float:
-    """Returns by how much the worst of rows is violated, 0 if none is."""
     worst = 0.0
     for row in rows:
         value = prog.EvalBinding(row, x)
@@ -225,7 +223,6 @@ GOAL = np.array([0.1, -0.2, 0.7])
 
 
 def is_in_tee(points: Floats, pose: Floats) -> Bools:
-    """Returns which of points (n, 2) are in the T at a pose."""
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     x, y = ((points - pose[:2]) @ np.array([[cos, -sin], [sin, cos]])).T
     bar = np.maximum(np.abs(x) / 0.06, np.abs(y - 0.02571) / 0.015) <= 1.0

@@ -291,7 +291,6 @@ def build_discs(**options: Any) -> World:
 
 
 def ask(world: World, q: list[float], v: list[float], **fields: Any) -> Scenario:
-    """Returns a task from a state, at 0.3 of friction."""
     task = {"goal_position": q, "goal_weight": np.ones(len(q)), **fields}
     return Scenario(initial_position=q, initial_velocity=v, **task)
 
@@ -299,7 +298,6 @@ def ask(world: World, q: list[float], v: list[float], **fields: Any) -> Scenario
 def replay(
     world: World, q: list[float], v: list[float], pushes: list[float] | None = None, **fields: Any
 ) -> Replay:
-    """Returns what pushes do, each for a second."""
     controls = np.array(pushes or [0.0])[:, np.newaxis]
     times = np.arange(len(controls) + 1.0)
     return replay_event_driven(world, ask(world, q, v, **fields), times, controls)
@@ -391,7 +389,6 @@ def test_energy_never_grows_whatever_falls_and_rubs() -> None:
 
 
 def calc_energy(world: World, found: Replay) -> Floats:
-    """Returns kinetic energy and height's, at each row."""
     kinetic = world.calc_kinetic_energy(found.positions, found.velocities)
     return kinetic + G * found.positions[:, 1::3].sum(axis=1)
 
@@ -412,12 +409,10 @@ SOON, BRIEFLY = 1e-6, 1e-3
 
 @cache
 def tilted() -> World:
-    """Returns a disc over a board on a hinge, where M and b depend on q."""
     return World.from_diagram(make_discs(tilts=True))
 
 
 def hit(state: Floats, mode: int) -> ShootingProblem:
-    """Returns a problem of a touch right after the start."""
     world = tilted()
     n, nu, m = world.num_positions, world.num_actuators, world.num_contacts
     phases = Phases(
@@ -433,7 +428,6 @@ def hit(state: Floats, mode: int) -> ShootingProblem:
 
 
 def draw(seed: int) -> tuple[Floats, Mobility, float, float]:
-    """Returns a state on the wall, and what its impact is about."""
     world, rng = tilted(), np.random.default_rng(seed)
     q, v = rng.normal(size=world.num_positions), rng.normal(size=world.num_positions)
     q[3] = 0.2 * q[3]
@@ -487,7 +481,6 @@ BRIEF = PlanOptions(starts=3, renewals=0)
 
 @cache
 def shot(friction: float | None = None) -> Plan:
-    """Returns the plan of the shipped shot."""
     scenario = dataclasses.replace(Scenario.named("billiard/spin_shot"), friction=friction)
     return plan(scenario, BRIEF)
 

@@ -1,8 +1,4 @@
-"""The road: a package imports only from those before it, and importing ours is quick.
-
-No import is overlooked by the cache of machine code. One name, one thing: no two classes of the
-package share a name, private ones neither.
-"""
+"""The road: a package imports only from those before it, and importing ours is quick."""
 
 from __future__ import annotations
 
@@ -23,14 +19,12 @@ from drake_aigto import code_cache
 
 @functools.cache
 def statements(source: str) -> tuple[ast.Import | ast.ImportFrom | ast.ClassDef, ...]:
-    """Returns the imports and classes of a file, wherever they are."""
     kinds = ast.Import, ast.ImportFrom, ast.ClassDef
     return tuple(node for node in ast.walk(ast.parse(source)) if isinstance(node, kinds))
 
 
 @functools.cache
 def imported_modules(source: str, package: str) -> tuple[str, ...]:
-    """Returns the dotted names of all that a file of the package imports, wherever it does."""
     names: list[str] = []
     for node in statements(source):
         if isinstance(node, ast.Import):
@@ -103,12 +97,10 @@ DOORS = ("__init__", "__main__")
 
 
 def place(path: Path) -> str:
-    """Returns the package or module of drake_aigto that a file belongs to."""
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
 def steps_imported(source: str, package: str = "drake_aigto") -> set[str]:
-    """Returns the steps of the road that a file imports from."""
     names = (name.split(".") for name in imported_modules(source, package))
     return {name[1] for name in names if name[0] == "drake_aigto" and len(name) > 1}
 
@@ -150,7 +142,6 @@ OUTSIDE = [*CHECKOUT.glob("tests/*.py"), *CHECKOUT.glob("benchmarks/**/*.py")]
 
 
 def names_of_door(room: str) -> set[str]:
-    """Returns what a room's `__init__`, or the stub beside it, imports."""
     door = PACKAGE / room / "__init__.pyi"
     door = door if door.exists() else door.with_suffix(".py")
     tree = ast.parse(door.read_text(encoding="utf-8"))

@@ -1,7 +1,4 @@
-"""Test functions with known optima: they are right, and so is what is said of them.
-
-Constrained programs with known optima: these are feasible, and nothing beats them.
-"""
+"""Test functions with known optima: they are right, and so is what is said of them."""
 
 from __future__ import annotations
 

@@ -149,7 +149,6 @@ def test_a_gain_of_one_period_is_the_best_answer_in_simulations(spin: float) -> 
 def run(
     world: World, scenario: Scenario, controller: Controller, off: Any = 0.0, **changes: Any
 ) -> Floats:
-    """Returns where a controller leads what starts elsewhere, or rubs otherwise, shape (n,)."""
     true = dataclasses.replace(scenario, **changes)
     start = scenario.initial_position + off, scenario.initial_velocity
     return np.array(EVENT_DRIVEN.simulate(world, true, controller, start).positions[-1])

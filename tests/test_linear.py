@@ -1,7 +1,4 @@
-"""Sparse symmetric matrices, their orders, and the choice between them and bands.
-
-Programs whose bands are wide: the same optima by sparse factors, and the choice is told.
-"""
+"""Sparse symmetric matrices, their orders, and the choice between them and bands."""
 
 from __future__ import annotations
 
@@ -40,7 +37,6 @@ from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 
 @st.composite
 def patterns(draw: st.DrawFn, least: int = 1) -> tuple[Pattern, np.random.Generator]:
-    """Random patterns of some unknowns, pairs twice and with themselves among the edges."""
     size = draw(st.integers(least, 25))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     edges = rng.integers(0, size, (2, draw(st.integers(0, 3 * size))))
@@ -120,7 +116,6 @@ def test_orders_are_permutations_and_the_fill_that_of_a_dense_elimination(
 
 
 def fill(size: int, edges: np.ndarray) -> int:
-    """Returns the entries of L in an order of minimum degree."""
     return count_fill(make_pattern(size, minimum_degree(make_pattern(size, edges))[edges]))
 
 
@@ -133,7 +128,6 @@ def test_minimum_degree_keeps_arrows_and_grids_sparse() -> None:
 
 
 def choose(size: int, edges: np.ndarray, may_be_dense: bool = False) -> Storage:
-    """Returns the choice where the order given is the only one for a band."""
     return choose_storage(size, edges, [np.arange(size)], may_be_dense=may_be_dense)
 
 
@@ -179,19 +173,16 @@ def test_the_narrowest_of_several_bands_is_taken() -> None:
 
 @contextmanager
 def only_bands() -> Iterator[None]:
-    """No sparse factors are chosen."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("drake_aigto.linear.storage._SPARSE_CALL", np.inf)
         yield
 
 
 def product(coefficient: float, *powers: tuple[int, int]) -> Term:
-    """Returns a monomial of (variable, exponent)."""
     return Term(coefficient, tuple(Factor(i, FunctionKind.POWER, p) for i, p in powers))
 
 
 def wells(num_variables: int, seed: int = 0) -> list[TermBlock]:
-    """Returns (x² − 1)² of every variable, tilted at random."""
     well = (product(1.0, (0, 4)), product(-2.0, (0, 2)))
     tilts = 0.3 * np.random.default_rng(seed).normal(size=num_variables)
     blocks = [TermBlock("wells", well, np.arange(num_variables)[:, np.newaxis])]
@@ -210,7 +201,6 @@ def shared_variable(num_variables: int) -> BoxPolynomial:
 
 
 def on_grid(side: int) -> BoxPolynomial:
-    """Returns wells on a square grid, neighbours coupled."""
     link = TermBlock("links", (product(0.4, (0, 1), (1, 1)),), grid(side).T)
     return BoxPolynomial(side * side, (link, *wells(side * side)))
 

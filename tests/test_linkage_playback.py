@@ -45,14 +45,12 @@ def cart_pole() -> World:
 
 
 def swing(label: str = "plan", **more: Any) -> Motion:
-    """Returns a cart that stands still, then moves right, while its pole swings at 2 rad/s."""
     times = np.linspace(0.0, 1.0, 101)
     q = np.column_stack([np.maximum(0.0, times - 0.5), 2 * times - 0.5])
     return Motion(label, times, q, np.gradient(q, times, axis=0), **more)
 
 
 def ask(**fields: Any) -> Scenario:
-    """Returns the task to bring the pole upright from where it hangs."""
     asked: dict[str, Any] = {
         "initial_position": [0.0, -0.5],
         "initial_velocity": [0.0, 0.0],
@@ -63,7 +61,6 @@ def ask(**fields: Any) -> Scenario:
 
 
 def rotations(meshcat: Meshcat, path: str) -> np.ndarray:
-    """Returns how an object is turned in each of its keys, shape (F, 3, 3)."""
     _, quaternions = clips(meshcat, "quaternion")[path]
     return np.array([RotationMatrix(Quaternion(w, x, y, z)).matrix() for x, y, z, w in quaternions])
 
@@ -300,7 +297,6 @@ FOLDER = f"{ROOT}/motions/1"
 
 @cache
 def read(name: str) -> tuple[World, Scenario, float]:
-    """Returns the world of a scenario, the scenario, and μ."""
     scenario = Scenario.named(name)
     world = World.from_scenario(scenario)
     return world, scenario, float(world.friction_coefficients(scenario).max())

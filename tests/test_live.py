@@ -31,7 +31,6 @@ def live() -> Iterator[Live]:
 
 
 def wait_for(live: Live, is_so: Callable[[], bool]) -> None:
-    """Looks at sliders until something is so."""
     end = time.monotonic() + 120.0
     while not is_so():
         assert time.monotonic() < end, live.message
@@ -40,7 +39,6 @@ def wait_for(live: Live, is_so: Callable[[], bool]) -> None:
 
 
 def drag(live: Live, slider: str, value: float) -> Plan:
-    """Returns the plan after a slider was moved, and no answer to what was asked before that."""
     wait_for(live, lambda: not live.is_searching)
     before = live.plan
     live.meshcat.SetSliderValue(slider, value)

@@ -69,7 +69,6 @@ def test_known_optima_are_found_and_meet_the_optimality_conditions(name: str) ->
 
 
 def numeric_derivatives(nlp: PolynomialNlp, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns ∇f and ∂c by central differences."""
     columns = []
     for i in range(x.size):
         h = np.zeros(x.size)

@@ -1,8 +1,4 @@
-"""Plain Newton steps end in what the interior point finds, or in nothing.
-
-Derivatives and ladders of penalties. The local solver where f or its rows are small sums of large
-terms, so that rounding shows. What the local solver refuses, by name and before it starts.
-"""
+"""Plain Newton steps end in what the interior point finds, or in nothing."""
 
 from __future__ import annotations
 

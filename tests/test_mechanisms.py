@@ -1,7 +1,4 @@
-"""Hinges and sliders: what is read off a mechanism agrees with Drake's own numbers.
-
-The shipped robots: each is what its comment says.
-"""
+"""Hinges and sliders: what is read off a mechanism agrees with Drake's own numbers."""
 
 from __future__ import annotations
 
@@ -46,7 +43,6 @@ def world(request: pytest.FixtureRequest) -> World:
 
 
 def draw(world: World, number: int = 5) -> list[Any]:
-    """Returns states (q, v, u) by chance, with angles on the whole circle."""
     rng = np.random.default_rng(7)
     sizes = 2 * world.num_positions + world.num_actuators
     spread = np.full(sizes, 3.0)

@@ -107,7 +107,6 @@ WHEELS = ["dm_cheetah/leap", "gymnasium_hopper/hop", "half_cheetah/leap", "walke
 
 
 def read_scenario(name: str) -> tuple[SpaceWorld, Scenario, Any]:
-    """Returns the world of a scenario, its numbers, and MuJoCo's model."""
     if name not in scenario_names():
         pytest.skip("pip install 'drake_aigto[models]'")
     world = World.from_scenario(Scenario.named(name))

@@ -1,7 +1,4 @@
-"""A diagram of one's own, in a Simulator whose walls return what the scenario says.
-
-Drake's stiff walls around mechanisms: off by what contacts last, and by no more.
-"""
+"""A diagram of one's own, in a Simulator whose walls return what the scenario says."""
 
 from __future__ import annotations
 
@@ -71,7 +68,6 @@ def make_task(speed: float, **fields: Any) -> Scenario:
 
 
 def simulate(world: World, scenario: Scenario) -> tuple[float, float]:
-    """Returns q and v at the end."""
     simulator = make_simulator(world, scenario)
     simulator.AdvanceTo(scenario.duration)
     q, v = state_of(world, simulator.get_context())

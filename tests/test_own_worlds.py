@@ -1,7 +1,4 @@
-"""Worlds of the user's own: diagrams made in code, URDF, other masses.
-
-The equations of motion: one source for expressions, functions, and the constant special case.
-"""
+"""Worlds of the user's own: diagrams made in code, URDF, other masses."""
 
 from __future__ import annotations
 
@@ -242,7 +239,6 @@ def world(request: pytest.FixtureRequest) -> World:
 
 @pytest.fixture(params=[*VARIANTS, *SHIPPED])
 def straight(request: pytest.FixtureRequest) -> World:
-    """M and J are constant."""
     return read(request.param)
 
 
@@ -252,7 +248,6 @@ def agree(got: Any, expected: Any, where: str = "") -> None:
 
 
 def draw(world: World, *axes: int) -> tuple[Array, Array, Array, Array]:
-    """Returns positions, velocities, controls and impulses by chance."""
     rng = np.random.default_rng(5)
     sizes = world.num_positions, world.num_velocities, world.num_actuators, world.num_contacts
     q, v, u, p = (rng.uniform(-1.0, 1.0, (*axes, size)) for size in sizes)

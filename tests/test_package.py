@@ -43,7 +43,6 @@ def run_python(program: str, installed: Path, **environment: str) -> str:
 
 
 def build(source: Path, target: Path, *options: str) -> Path:
-    """Returns the folder where a source tree's wheel (and sdist, if asked for) was put."""
     command = [sys.executable, "-m", "hatchling", "build", *options, "--directory", str(target)]
     subprocess.run(command, cwd=source, check=True, capture_output=True)
     return target
@@ -51,12 +50,10 @@ def build(source: Path, target: Path, *options: str) -> Path:
 
 @pytest.fixture(scope="module")
 def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder with the checkout's wheel and sdist."""
     return build(CHECKOUT, tmp_path_factory.mktemp("dist"))
 
 
 def install(dist: Path, target: Path) -> Path:
-    """Returns the folder where a folder's one wheel was installed, without its dependencies."""
     (wheel,) = dist.glob("*.whl")
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
     subprocess.run([*command, "--target", str(target), str(wheel)], check=True)
@@ -69,7 +66,6 @@ def installed(dist: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def names_in_wheel(directory: Path) -> set[str]:
-    """Returns the files in a folder's one wheel."""
     (wheel,) = directory.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         return set(archive.namelist())

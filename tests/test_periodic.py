@@ -40,7 +40,6 @@ QUICK = PlanOptions(starts=4, renewals=0, finalists=1)
 
 @cache
 def cart(in_space: bool = False) -> World:
-    """Returns a damped cart on a rail."""
     damping = f"<dynamics><damping>{DAMPING}</damping></dynamics>"
     parts = link("cart", MASS, WORLD_AT) + joint("prismatic", "world", "cart", "1 0 0", damping)
     kind = SpaceWorld if in_space else World
@@ -118,7 +117,6 @@ def test_starts_stay_within_bounds_and_where_joints_are_named() -> None:
 
 @kernel
 def measure_bounds(program: Any, states: Floats, controls: Floats, job: int, memory: Any) -> float:
-    """Does a job for all bounds."""
     program, memory = borrow(program), borrow(memory)
     return visit_bounds(program, borrow(states), borrow(controls), 2.0, job, memory)
 

@@ -1,7 +1,4 @@
-"""The multi-phase problem of a contact sequence: closed forms, replays, and what users add.
-
-Contact sequences that degenerate: touches at the ends, that merge, of any scale.
-"""
+"""The multi-phase problem of a contact sequence: closed forms, replays, and what users add."""
 
 from __future__ import annotations
 

@@ -55,7 +55,6 @@ def evenly(sequence: TouchSequence) -> TouchSequence:
 
 
 def check_unfolds(found: Solved, axes: int) -> None:
-    """Without walls, its control leads where folding says: no other code is asked."""
     motion, scenario = found.trajectory, found.phases.scenario
     tau = np.diff(motion.times)[:, np.newaxis]
     side = np.ones(axes)

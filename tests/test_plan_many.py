@@ -1,7 +1,4 @@
-"""Many questions at once: plans as they come, kept, gone on from; one that fails stops no other.
-
-Jobs under way: whose process dies is told apart from what only waited beside it.
-"""
+"""Many questions at once: plans as they come, kept, gone on from; one that fails stops no other."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""What users add to a planner's program counts to the end: in plans, simulations, and files.
-
-What users add to a mechanism's program counts to the end: in plans and in both simulations.
-"""
+"""What users add to a planner's program counts to the end: in plans, simulations, and files."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Whole plans in worlds of several contacts, against their optima; the steps that lead there.
-
-A planner plans again, with what it compiled once, as a new one of the changed scenario would.
-"""
+"""Whole plans in worlds of several contacts, against their optima; the steps that lead there."""
 
 from __future__ import annotations
 
@@ -254,7 +251,6 @@ def changes(scenario: Scenario) -> dict[str, Any]:
 
 
 def assert_same(one: Plan, other: Plan) -> None:
-    """Checks that two plans are equal to the last bit, and so are all their candidates."""
     assert one.scenario == other.scenario
     assert len(one.candidates) == len(other.candidates)
     for mine, yours in zip(one.candidates, other.candidates, strict=True):
@@ -264,7 +260,6 @@ def assert_same(one: Plan, other: Plan) -> None:
 
 
 def draw(world: str, count: int, seed: int) -> list[Scenario]:
-    """Returns random scenarios with one restitution, coarse ones."""
     if world == "point mass":
         found = list(ScenarioQuestion(count=count, seed=seed, num_steps=50).scenarios())
     else:

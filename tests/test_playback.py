@@ -187,7 +187,6 @@ def test_the_camera_sees_all_that_moves_and_its_arrows(
 
 
 def room_motion(label: str) -> Motion:
-    """Returns a motion in a room, off its right wall."""
     q = np.array([[0.2, 0.3], [1.0, 0.5], [1.0, 0.5], [0.8, 0.6]])
     times = np.array([0.0, 0.6, 0.6, 1.0])
     return Motion(label, times, q, np.zeros((4, 2)), touches=(Touch.bounce(0.6, 1),))

@@ -32,7 +32,6 @@ PENDULUM = Scenario.named("pendulum/off_the_wall")
 
 
 def swing(scenario: Scenario, truth: Disturbance, renewals: int, **options: Any) -> ClosedLoopRun:
-    """Returns a run of a mechanism between rigid walls."""
     world = World.from_scenario(scenario)
     counts = PlanOptions(renewals=renewals, search_steps=30, threads=1)
     planner = Planner(scenario, counts, world)
@@ -82,7 +81,6 @@ def test_a_tick_keeps_what_its_search_finds() -> None:
 
 
 def calc_spent(run: ClosedLoopRun, until: float) -> float:
-    """Returns what a run has cost by a time."""
     replay = run.replay
     rows = np.flatnonzero(replay.times <= until)
     held = np.searchsorted(run.control_times, replay.times[rows], side="right") - 1

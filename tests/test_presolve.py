@@ -1,7 +1,4 @@
-"""Presolve of `AigoSolver`: what is substituted, that nothing else changes, and what is refused.
-
-Bounds that rows leave: sound for every feasible point, and as narrow as intervals allow.
-"""
+"""Presolve of `AigoSolver`: what is substituted, that nothing else changes, and what is refused."""
 
 from __future__ import annotations
 
@@ -175,7 +172,6 @@ ROWS: tuple[Callable[[Any, Any], Any], ...] = (
 
 
 def tight_bounds(row: Any, lower: Any, upper: Any) -> tuple[Any, Any]:
-    """Returns the bounds of the variables of a formula, and of its slack."""
     prog = MathematicalProgram()
     x = prog.NewContinuousVariables(3, "x")
     prog.AddBoundingBoxConstraint(lower, upper, x)

@@ -222,7 +222,6 @@ def test_the_verdict_is_the_same_at_every_size(size: float, miss: float) -> None
 def run_both(
     world: World, q: Any, v: Any, times: npt.ArrayLike, controls: npt.ArrayLike, e: float
 ) -> tuple[Replay, Replay]:
-    """Returns the rigid replay and Drake's."""
     scenario = make_task("corridor", q, v, restitution=e)
     rigid = replay_event_driven(world, scenario, times, controls)
     return rigid, replay_drake(world, scenario, times, controls)

@@ -43,7 +43,6 @@ def page(path: Path) -> Iterator[Page]:
 
 
 def open_report(page: Page, path: Path) -> None:
-    """Shows a report, and waits until its scene is there."""
     page.open(path)
     page.wait_for(f"!document.querySelector('{SLIDER}').disabled")
 

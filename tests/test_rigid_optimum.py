@@ -162,7 +162,6 @@ def test_the_optimum_bounces_and_costs_as_it_says_in_both_simulations(
 
 
 def assert_same(one: RigidOptimum, other: RigidOptimum, **scales: float) -> None:
-    """Two optima agree but for factors of cost, time and velocity."""
     cost, time, velocity = (scales.get(name, 1.0) for name in ("cost", "time", "velocity"))
     assert other.cost == pytest.approx(one.cost * cost, rel=1e-7, abs=1e-16)
     assert other.flight_cost == pytest.approx(one.flight_cost * cost, rel=1e-9, abs=1e-16)

@@ -261,7 +261,6 @@ def make_study() -> ScenarioStudy:
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of one study, whose results lie beside it."""
     folder = tmp_path_factory.mktemp("page")
     make_study().save(folder / "rivals.json")
     page = folder / "results.md"
@@ -366,7 +365,6 @@ TWO = AblationQuestion(count=2, methods=("default", "bare, no boxes"), num_steps
 
 
 def differences(one: Variant, other: Variant) -> set[str]:
-    """Returns the names of what differs, options and all else."""
     fields = {field.name for field in dataclasses.fields(PlanOptions)}
     pairs = [(name, one.options, other.options) for name in fields]
     fields = {field.name for field in dataclasses.fields(Variant)} - {"group", "options"}

@@ -1,8 +1,4 @@
-"""Every shipped plan in the page's player: motions fill the view, and no text covers another.
-
-The player is real, in a real browser; in place of Meshcat's library, which takes seconds a scene,
-the frame has a camera of its window's shape alone. Where that looks is read off Meshcat's messages.
-"""
+"""Every shipped plan in the page's player: motions fill the view, and no text covers another."""
 
 from __future__ import annotations
 
@@ -62,7 +58,6 @@ READ = f"""(async () => {{
 
 
 def read_motion(name: str, world: World) -> Motion:
-    """Returns the motion of a scenario's plan, as `docs.make_gallery` has written it."""
     told = MOTIONS[name]
     times, states = np.array(told["times"]), np.array(told["states"])
     motion = Motion.from_path("plan", world, times, states)

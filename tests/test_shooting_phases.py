@@ -1,7 +1,4 @@
-"""Shooting in phases: impacts, free durations, and what calculus says of a ball.
-
-Plans whose duration is free, against what calculus says of a cart that has to keep a pace.
-"""
+"""Shooting in phases: impacts, free durations, and what calculus says of a ball."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Functions without a mean in `AigoSolver`: quotients, roots, logarithms, |x|, max, and others.
-
-`AigoSolver` as Drake users call it: results, options, callbacks, refusals.
-"""
+"""Functions without a mean in `AigoSolver`: quotients, roots, logarithms, |x|, max, and others."""
 
 from __future__ import annotations
 

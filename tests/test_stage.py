@@ -1,7 +1,4 @@
-"""A stage shows a world's shapes, in the frame that their motion is watched in.
-
-Arrows are the control, flashes are impacts, in what Meshcat sends to a browser.
-"""
+"""A stage shows a world's shapes, in the frame that their motion is watched in."""
 
 from __future__ import annotations
 
@@ -80,7 +77,6 @@ RADIUS = 0.05  # of the corridor's ball [m]
 
 
 def along(meshcat: Meshcat, path: str) -> np.ndarray:
-    """Returns the direction of an arrow in each of its keys, shape (F, 3)."""
     _, quaternions = clips(meshcat, "quaternion")[path]
     rotations = [RotationMatrix(Quaternion(w, x, y, z)) for x, y, z, w in quaternions]
     return np.array([rotation.matrix()[:, 2] for rotation in rotations])

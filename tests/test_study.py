@@ -1,8 +1,4 @@
-"""Table I as a study: rigid plans near the exact optimum, failures shown, and Ctrl-C.
-
-A job that fails takes no other with it, and one that time ends has not failed. Random scenarios:
-the same for everyone, and refused at once where they make no sense.
-"""
+"""Table I as a study: rigid plans near the exact optimum, failures shown, and Ctrl-C."""
 
 from __future__ import annotations
 

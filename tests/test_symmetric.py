@@ -1,7 +1,4 @@
-"""Factors of symmetric indefinite matrices, against NumPy's eigenvalues and solutions.
-
-Complementarities are recognized however they are written, and answers meet them.
-"""
+"""Factors of symmetric indefinite matrices, against NumPy's eigenvalues and solutions."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The cost of a task: its formula, written out once more, and what it does not depend on.
-
-Whoever plans, judges or tracks plain tasks alone refuses others before any work.
-"""
+"""The cost of a task: its formula, written out once more, and what it does not depend on."""
 
 from __future__ import annotations
 

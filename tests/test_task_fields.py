@@ -1,7 +1,4 @@
-"""What a robot's task asks for: fields of a scenario that AIGTO's has none of.
-
-What plans and reports say of tasks whose coordinates are lengths and angles.
-"""
+"""What a robot's task asks for: fields of a scenario that AIGTO's has none of."""
 
 from __future__ import annotations
 
@@ -181,7 +178,6 @@ def cart_pole() -> World:
 
 
 def end_at(q: Any, v: Any, scenario: Scenario) -> Replay:
-    """Returns a replay that ends there."""
     q, v = np.array(q), np.array(v)
     ends = np.stack([scenario.initial_position, q]), np.stack([scenario.initial_velocity, v])
     return Replay(

@@ -1,7 +1,4 @@
-"""Contact sequences: read off the impulses of boxes, compared, and read off trajectories.
-
-Touches of a plan that may still come: none is lost, and the likelier ones are tried first.
-"""
+"""Contact sequences: read off the impulses of boxes, compared, and read off trajectories."""
 
 from __future__ import annotations
 

@@ -67,8 +67,6 @@ _X_BG = RigidTransform(RollPitchYaw(0.3, 0.2, -0.4), [0.02, -0.03, 0.01])
 
 
 class Bodies(NamedTuple):
-    """A plant of two bodies, the second of which may be the world."""
-
     plant: MultibodyPlant
     diagram: Any
     root: Context
@@ -78,7 +76,6 @@ class Bodies(NamedTuple):
 
     @classmethod
     def of(cls, *kinds: str) -> Bodies:
-        """Returns bodies with shapes of these kinds."""
         builder = DiagramBuilder()
         plant, _ = AddMultibodyPlantSceneGraph(builder, 0.0)
         of_shapes = []
@@ -118,18 +115,15 @@ class Bodies(NamedTuple):
 
     @property
     def bodies(self) -> list[Any]:
-        """The bodies that float."""
         return [self.plant.get_body(BodyIndex(i)) for i in range(1, self.plant.num_bodies())]
 
     def push(self, q: Floats, v: Floats, eps: float = 0.0) -> tuple[Floats, Floats]:
-        """Returns the generalized force of contact, and its derivatives."""
         n = len(v)
         force, slopes = np.zeros(n), np.zeros((n, 2 * n))
         _push(self.table, *self.place(q), v, eps, self.room, force, slopes)
         return force, slopes
 
     def draw(self, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        """Returns random positions and velocities."""
         q = self.plant.GetPositions(self.context).copy()
         for body in self.bodies:
             first = body.floating_positions_start()
@@ -139,7 +133,6 @@ class Bodies(NamedTuple):
         return q, 0.3 * rng.normal(size=self.plant.num_velocities())
 
     def moved(self, q: Floats, delta: Floats) -> Floats:
-        """Returns q ⊕ δ to first order."""
         self.plant.SetPositions(self.context, q)
         return q + self.plant.MapVelocityToQDot(self.context, delta)
 
@@ -188,7 +181,6 @@ def _push(
     table: TouchTable, poses: Floats, S: Floats, v: Floats,
     eps: float, room: TouchRoom, force: Floats, slopes: Floats,
 ) -> None:  # fmt: skip
-    """Does what `push` does, with derivatives."""
     table, poses, S, v, room = borrow(table), borrow(poses), borrow(S), borrow(v), borrow(room)
     push(table, poses, S, v, eps, 1.0, True, room, borrow(force), borrow(slopes))
 
@@ -204,7 +196,6 @@ _RODS = (0.03, 0.031), (0.04, 0.18)  # Radius and length [m].
 
 
 def touching(bodies: Bodies, count: int) -> list[tuple[Floats, Floats]]:
-    """Returns random states in which bodies touch."""
     rng, found = np.random.default_rng(0), list[tuple[Floats, Floats]]()
     while len(found) < count:
         q, v = bodies.draw(rng)
@@ -291,7 +282,6 @@ def test_a_capsule_is_as_far_from_a_box_as_their_difference_is_from_zero() -> No
 
 
 def find_nearest(points: Floats) -> float:
-    """Returns how far the convex hull of points is from zero."""
     # Σ w = 1 counts as a row with a large weight.
     rows = np.vstack([points.T, np.full(len(points), 1e4)])
     weights, _ = nnls(rows, [0.0, 0.0, 0.0, 1e4])
@@ -316,7 +306,6 @@ def test_a_ball_is_as_far_from_a_hull_as_the_nearest_mixture_of_its_corners() ->
 
 
 def write_mesh(path: Path, corners: Floats) -> str:
-    """Writes the convex hull of points as a file, and returns its shape."""
     rows = [f"v {x} {y} {z}" for x, y, z in corners]
     rows += [f"f {a} {b} {c}" for a, b, c in 1 + ConvexHull(corners).simplices]
     path.write_text("\n".join(rows), encoding="utf-8")

@@ -1,7 +1,4 @@
-"""Trajectories: checks, JSON without loss, and curves with jumps.
-
-Motions are drawn as they are: rows are kept, gaps filled on the curve, impacts are jumps.
-"""
+"""Trajectories: checks, JSON without loss, and curves with jumps."""
 
 from __future__ import annotations
 
@@ -29,7 +26,6 @@ from drake_aigto.transcription import Touch
 
 
 def make_fields(**changes: Any) -> dict[str, Any]:
-    """Returns a ball that flies in at −2 m/s, bounces at 0.5 s, and is pushed until 0.8 s."""
     fields = {
         "times": [0.0, 0.2, 0.5, 0.8],
         "positions": [[1.0], [0.6], [0.0], [0.6 + 0.045]],
@@ -201,7 +197,6 @@ def scenario() -> Scenario:
 
 
 def replay_of(times: Any, positions: Any, velocities: Any) -> Replay:
-    """Returns a replay with these rows, and nothing else of interest."""
     nothing: dict[str, Any] = {
         **dict.fromkeys(("cost", "goal_error", "max_penetration"), 0.0),
         **dict.fromkeys(("compliance_error", "compliance_cost"), 0.0),

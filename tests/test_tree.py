@@ -31,12 +31,10 @@ from drake_aigto.world import SpaceWorld, TaskCost
 
 @pytest.fixture(scope="module", params=[0, 1, 2])
 def plant(request: pytest.FixtureRequest) -> MultibodyPlant:
-    """Returns a plant of all joints, twice each, in an order of its own."""
     return make_zoo(request.param)
 
 
 def relative(found: np.ndarray, expected: np.ndarray) -> float:
-    """Returns the largest difference as a share of the largest value, at least 1."""
     return float(np.abs(found - expected).max() / max(1.0, np.abs(expected).max()))
 
 
@@ -205,7 +203,6 @@ def test_slopes_of_thrusts_are_differences_along_the_manifold() -> None:
 
 
 def hover(folder: Path, **changes: Any) -> Scenario:
-    """Returns a scenario of a ball with two thrusters, and a finger with three motors."""
     thrusters = [
         {"body": "thing", "xyz": [0.1, 0.2, 0.0], "direction": [0.0, 0.6, 0.8], "drag": 0.02},
         {"body": "thing", "direction": [1.0, 0.0, 0.0]},

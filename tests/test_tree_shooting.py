@@ -46,12 +46,10 @@ Rng = np.random.Generator
 
 
 def make_hinge(name: str, F: object, M: object) -> Joint:
-    """Returns a hinge with damping."""
     return RevoluteJoint(name, F, M, AXIS, damping=0.1)
 
 
 def make_floating(rng: Rng) -> MultibodyPlant:
-    """Returns a body that floats, with two driven arms."""
     plant = MultibodyPlant(0.0)
     base = add_body(plant, "base", rng)
     for k in range(2):
@@ -63,12 +61,10 @@ def make_floating(rng: Rng) -> MultibodyPlant:
 
 
 def make_stiff_hinge(name: str, F: object, M: object) -> Joint:
-    """Returns a hinge with much damping."""
     return RevoluteJoint(name, F, M, AXIS, damping=5.0)
 
 
 def make_arm(rng: Rng, count: int = 7) -> MultibodyPlant:
-    """Returns an arm of driven hinges about skew axes."""
     plant = MultibodyPlant(0.0)
     last = plant.world_body()
     for k in range(count):

@@ -146,12 +146,10 @@ def test_bash_completes_commands_and_scenarios(
 
 
 def unpack(packed: str) -> str:
-    """Returns what the page's script makes of it."""
     return gzip.decompress(base64.b64decode(packed)).decode()
 
 
 def scenes(text: str) -> list[str]:
-    """Returns the pages that a frame is given."""
     packed = dict(re.findall(r'id="scene-(\w+)">([^<]*)<', text))
     start, end = (unpack(packed.pop(name)) for name in ("start", "end"))
     return [start + unpack(each) + end for each in packed.values()]
@@ -175,7 +173,6 @@ def test_what_pages_share_is_there_once() -> None:
 
 
 def words(page: str) -> str:
-    """Returns a page's text."""
     body = re.sub(r"<(script|style).*?</\1>", "", page, flags=re.DOTALL)
     return html.unescape(re.sub(r"<[^>]+>", " ", body))
 

@@ -1,7 +1,4 @@
-"""Processes that work side by side: what one does is no other's business.
-
-Plans on Dask's workers: nothing is lost, and what can't be run on is refused by name.
-"""
+"""Processes that work side by side: what one does is no other's business."""
 
 from __future__ import annotations
 
@@ -169,7 +166,6 @@ def scheduler(workers: int = 1, threads: int = 1) -> Iterator[LocalCluster]:
 
 
 def costs(answers: Iterable[Answer]) -> dict[str, float]:
-    """Returns what each plan costs."""
     return {each.name: each.plan.cost for each in answers if each.plan is not None}
 
 
@@ -207,7 +203,6 @@ def test_a_scheduler_that_is_lost_ends_the_work_and_what_was_done_is_kept(tmp_pa
 
 @pytest.fixture
 def silent() -> Iterator[str]:
-    """The address of one who takes calls and says nothing."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         yield f"tcp://127.0.0.1:{server.getsockname()[1]}"
 

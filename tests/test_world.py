@@ -1,7 +1,4 @@
-"""The world: what is read off a plant agrees with Drake's own numbers.
-
-The shipped worlds: what each is, and that φ is Drake's own signed distance.
-"""
+"""The world: what is read off a plant agrees with Drake's own numbers."""
 
 from __future__ import annotations
 
@@ -152,13 +149,11 @@ NAMES = [*RADIUS, "two_masses", "table1"]
 
 
 def load(name: str) -> World:
-    """Returns a shipped world, by one of its scenarios."""
     first = next(each for each in scenario_names() if each.startswith(f"{name}/"))
     return World.from_scenario(Scenario.named(first))
 
 
 def measure(world: World, q: np.ndarray, root: Any) -> dict[Any, float]:
-    """Returns Drake's signed distance of each pair of shapes that may collide."""
     context = world.plant.GetMyMutableContextFromRoot(root)
     world.plant.SetPositions(context, q)
     scene_graph: SceneGraph = world.scene_graph

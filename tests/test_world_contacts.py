@@ -1,7 +1,4 @@
-"""Several contacts: which faces count, what a solid is, whose mass and restitution it is.
-
-A world is known again by its fingerprint, and no change of its physics goes unnoticed.
-"""
+"""Several contacts: which faces count, what a solid is, whose mass and restitution it is."""
 
 from __future__ import annotations
 
@@ -67,7 +64,6 @@ def add_ball(plant: MultibodyPlant, name: str, axes: Sequence[str], actuated: bo
 def make_diagram(
     axes: Sequence[str], walls: Shapes, start: Any, restitution: object = None, balls: int = 1
 ) -> Diagram:
-    """Returns balls on joints, and anchored walls: name, shape, position."""
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     for number in range(balls):

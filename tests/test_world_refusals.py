@@ -1,7 +1,4 @@
-"""Bad models, and scenarios that do not fit them, each with one clear error.
-
-Within which bounds a motion has to stay: the model's limits, and those of the scenario.
-"""
+"""Bad models, and scenarios that do not fit them, each with one clear error."""
 
 from __future__ import annotations
 
@@ -37,7 +34,6 @@ PRISMATIC = '<joint name="slider" type="prismatic">'
 
 
 def between(start: str, end: str) -> str:
-    """Returns a piece of the shipped SDF, both marks included."""
     text = read_thin_walled()
     first = text.index(start)
     return text[first : text.index(end, first) + len(end)]
@@ -225,7 +221,6 @@ INF = np.inf
 
 @cache
 def arm() -> World:
-    """Returns a double pendulum without walls, the first hinge of which has limits."""
     return build_world(DOUBLE_PENDULUM.replace(PASSIVE, LIMIT))
 
 

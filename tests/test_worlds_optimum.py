@@ -123,7 +123,6 @@ def axis_line(scenario: Scenario, axis: int) -> Line:
 
 
 def axis_legs(scenario: Scenario, optimum: ContactOptimum, axis: int) -> list[Leg]:
-    """Returns the flights of one axis, in unit time."""
     line, T = axis_line(scenario, axis), scenario.duration
     bounces = [
         LineBounce(touch.start / T, touch.contact, touch.impact_speed * T)

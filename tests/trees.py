@@ -30,7 +30,6 @@ AXIS = np.array([0.36, 0.48, 0.8])
 
 
 def random_pose(rng: np.random.Generator) -> RigidTransform:
-    """Returns a pose within some 0.5 m of the origin."""
     return RigidTransform(RollPitchYaw(rng.uniform(-1.0, 1.0, 3)), rng.uniform(-0.5, 0.5, 3))
 
 
@@ -49,7 +48,6 @@ def attach(
     make: Callable[..., Joint],
     rng: np.random.Generator,
 ) -> Joint:
-    """Adds a joint of a type between frames anywhere on two bodies."""
     frame_P, frame_C = (
         plant.AddFrame(_fixed(f"{child.name()}_{end}", body, random_pose(rng)))
         for end, body in (("F", parent), ("M", child))
@@ -98,7 +96,6 @@ def make_zoo(seed: int = 0) -> MultibodyPlant:
 def sample_state(
     plant: MultibodyPlant, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns q, with unit quaternions, v and u."""
     q = plant.GetDefaultPositions()
     for index in plant.GetJointIndices():
         joint = plant.get_joint(index)
@@ -125,7 +122,6 @@ def difference_slopes(tree: Tree, q: np.ndarray, v: np.ndarray, u: np.ndarray) -
 
 
 def calc_poses(tree: Tree, q: Floats) -> tuple[Floats, Floats]:
-    """Returns rotations (B, 3, 3) and positions (B, 3) [m] of bodies in the world, at one q."""
     memory = make_tree_memory(tree)
     _place_links(tree, np.array(q, dtype=float), memory)
     R, p = tree.body_rotations.reshape(-1, 3, 3).copy(), tree.body_offsets.copy()

@@ -86,7 +86,6 @@ VARIANTS: dict[str, dict[str, str]] = {
 
 
 def read_thin_walled() -> str:
-    """Returns the shipped SDF with a thin wall."""
     text = SHIPPED.read_text(encoding="utf-8")
     for old, new in THIN_WALL.items():
         assert old in text, f"the shipped model has no {old!r} to replace"
