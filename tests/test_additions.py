@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,12 +15,24 @@ from marks import slow
 from phase_solutions import MET, solve
 from pydrake.solvers import LorentzConeConstraint
 from pydrake.symbolic import exp, sin
-from replay_worlds import shipped_world
+from replay_worlds import make_diagram, make_scenario, shipped_world
 
-from drake_aigto.errors import AigtoError, ProgramError, UnsupportedTermError
+from drake_aigto import ModelPredictiveController, Plan, Planner, PlanOptions, World
+from drake_aigto.cli import main
+from drake_aigto.errors import AigtoError, ControlError, ProgramError, UnsupportedTermError
 from drake_aigto.local import InteriorPoint
-from drake_aigto.planning import Arcs, BallTask, PhaseMotion, PhaseProblem, sample, solve_in_arcs
-from drake_aigto.transcription import RigidTranscription, Samples, Touch, TouchSequence
+from drake_aigto.planning import (
+    Arcs,
+    BallTask,
+    PhaseMotion,
+    PhaseProblem,
+    PlanningError,
+    make_ball_task,
+    sample,
+    solve_in_arcs,
+)
+from drake_aigto.show import format_plan
+from drake_aigto.transcription import OpenProgram, RigidTranscription, Samples, Touch, TouchSequence
 from drake_aigto.world import Scenario
 
 # 1 m from a wall, towards it at 2 m/s.
@@ -258,3 +273,315 @@ def test_what_cannot_be_met_is_one_clear_error(add: Add, message: str) -> None:
         add(transcription)
         BallTask(transcription)
     assert isinstance(caught.value, AigtoError)
+
+
+# 1 m from a wall, towards it at 2 m/s. Free plans bounce at 0.55 s and end at 0.7 m/s.
+STEADY = Scenario(initial_position=1.0, initial_velocity=-2.0, goal_position=0.73, time_step=0.02)
+
+
+def planner(confirm: bool = False) -> Planner:
+    return Planner(STEADY, PlanOptions(confirm=confirm))
+
+
+@cache
+def free_plan() -> Plan:
+    return planner().plan()
+
+
+@cache
+def through_waypoint() -> tuple[Planner, Plan]:
+    """Returns a plan that is at 0.6 m at 0.3 s, ends slowly, and pays for its way."""
+    found = planner(confirm=True)
+    program = found.transcription
+    q, v = program.state()
+    program.AddRunningCost(1e-2 * q**2, "near the wall")
+    program.AddFinalCost(1e-2 * v**2, "slow end")
+    at = program.state(program.knot_at(0.3))
+    program.prog().AddConstraint(at[0] == 0.6).evaluator().set_description("waypoint")
+    return found, found.plan()
+
+
+def test_a_waypoint_is_met_by_the_plan_and_in_both_simulations() -> None:
+    _, found = through_waypoint()
+    assert found.holds and found.replay.drake is not None
+    for times, positions in [
+        (found.trajectory.times, found.trajectory.positions),
+        *((replay.times, replay.positions) for replay in found.replay),
+    ]:
+        row = int(np.argmin(np.abs(times - 0.3)))
+        assert times[row] == pytest.approx(0.3, abs=1e-9)
+        assert positions[row, 0] == pytest.approx(0.6, abs=1e-6)
+    before = np.interp(0.3, free_plan().trajectory.times, free_plan().trajectory.positions[:, 0])
+    assert abs(before - 0.6) > 0.1
+
+
+def test_costs_of_users_are_part_of_the_plans_cost_and_of_its_replays() -> None:
+    _, found = through_waypoint()
+    motion, scenario = found.trajectory, found.scenario
+    steps = np.diff(motion.times)
+    effort = scenario.control_weight * steps @ np.sum(motion.controls**2, axis=1)
+    missed = scenario.goal_weight * found.best.goal_error**2
+    added = {
+        "near the wall": 1e-2 * steps @ motion.positions[:-1, 0] ** 2,
+        "slow end": 1e-2 * motion.velocities[-1, 0] ** 2,
+    }
+    assert found.best.added_costs == pytest.approx(added)
+    assert found.cost == pytest.approx(effort + missed + sum(added.values()))
+    assert motion.velocities[-1, 0] < 0.9 * free_plan().trajectory.velocities[-1, 0]
+    for replay in found.replay:
+        assert replay.cost == pytest.approx(found.cost, rel=0.02)
+        assert replay.added_costs == pytest.approx(added, rel=0.02)
+        assert replay.violations["waypoint"] <= 1e-3
+
+
+def test_a_plan_moves_its_bounce_past_a_time_that_is_bound() -> None:
+    # A cost that changes next to nothing, but phases have to meet at its time.
+    program = make_ball_task(World.from_scenario(STEADY), STEADY).transcription
+    program.prog().AddCost(1e-9 * program.state(program.knot_at(0.5))[0])
+    held = BallTask(program)
+    path = held.transcription.GetSampleTimes(), held.transcription.split(held.box.center)[0]
+    for time in (0.45, 0.5, 0.55):
+        found = held.polish_along(path, (Touch.bounce(time),))
+        (touch,) = found.sequence
+        assert touch.start == pytest.approx(free_plan().best.contacts[0].time, abs=1e-4)
+        assert held.cost(found) == pytest.approx(free_plan().cost, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_a_spring_is_taken_through_a_waypoint() -> None:
+    # Neither flight nor costs have a closed form there: replays integrate.
+    world = World.from_diagram(make_diagram(spring=3.0))
+    swinging = Planner(STEADY, PlanOptions(confirm=False), world)
+    program = swinging.transcription
+    at = program.state(program.knot_at(0.3))
+    program.prog().AddConstraint(at[0] == 0.6).evaluator().set_description("waypoint")
+    found = swinging.plan()
+    assert found.holds
+    assert found.replay.event_driven.violations["waypoint"] <= 1e-3
+
+
+def test_changed_ends_keep_what_was_added() -> None:
+    found, _ = through_waypoint()
+    again = found.plan(initial_velocity=-1.5, goal_position=0.9)
+    row = int(np.argmin(np.abs(again.trajectory.times - 0.3)))
+    assert again.trajectory.positions[row, 0] == pytest.approx(0.6, abs=1e-9)
+    assert set(again.best.added_costs) == {"near the wall", "slow end"}
+    assert again.holds
+
+
+def test_nothing_is_added_after_the_first_plan() -> None:
+    found, _ = through_waypoint()
+    program = found.transcription
+    with pytest.raises(ProgramError, match="after the first plan, expected all of them before"):
+        program.AddFinalCost(program.state()[0])
+    late = planner()
+    late.plan()
+    assert late.transcription.prog().num_vars() > 0  # Looking at it is no addition.
+    late.plan()
+    late.transcription.prog().AddConstraint(late.transcription.state(3)[0] >= 0.0)
+    with pytest.raises(ProgramError, match="after the first plan"):
+        late.plan()
+    mechanism = make_planner(SOFT)
+    mechanism.plan()
+    with pytest.raises(ProgramError, match="a cost or constraint after the first plan"):
+        mechanism.transcription.AddFinalCost(mechanism.transcription.state()[0])
+
+
+def test_a_plan_that_a_simulation_breaks_a_constraint_of_does_not_hold() -> None:
+    found, plan = through_waypoint()
+    drake = plan.replay.drake
+    assert drake is not None
+    broken = dataclasses.replace(drake, violations={"waypoint": 3e-3})
+    failing = dataclasses.replace(plan, replay=dataclasses.replace(plan.replay, drake=broken))
+    assert plan.holds and not failing.holds
+    text = format_plan(failing, found.world)
+    assert "on Drake's plant, breaks 'waypoint'" in " ".join(text.split())
+    assert "waypoint violated by 3e-03 of the task's scales" in text
+
+
+@pytest.mark.slow
+def test_what_no_motion_meets_is_an_error_that_names_it() -> None:
+    pushed = planner()
+    program = pushed.transcription
+    u = program.input()[0]
+    program.AddConstraintToAllKnotPoints([u <= 0.1, u >= -0.1], "weak")
+    at = program.state(program.knot_at(0.3))
+    program.prog().AddConstraint(at[0] == 0.6).evaluator().set_description("waypoint")
+    with pytest.raises(PlanningError, match=r"no candidate meets .* smallest defect .*waypoint"):
+        pushed.plan()
+
+
+def test_a_saved_plan_names_what_was_added_and_replays_without_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, plan = through_waypoint()
+    path = tmp_path / "plan.json"
+    plan.save(path)
+    assert Plan.load(path) == plan
+    assert main(["replay", str(path), "--no-confirm"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"near the wall \d\S+, slow end \d\S+, waypoint, simulated and compared", text)
+    assert "a plan file has only their names" in text
+
+
+@pytest.mark.slow
+def test_a_report_names_what_was_added_and_a_gradient_solver_does_without(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, plan = through_waypoint()
+    assert plan.additions == ("near the wall", "slow end", "waypoint")
+    path, page = tmp_path / "plan.json", tmp_path / "page.html"
+    plan.save(path)
+    assert main(["report", str(path), "--html", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    names = "near the wall, slow end, waypoint"
+    assert f"program in Python: {names}." in text
+    assert re.search(rf"boxes can.{{1,6}}t be run again: .* by name only \({names}\)", text)
+    assert main(["play", str(path), "--html", str(page), "--beside", "gradient"]) == 0
+    assert f"SNOPT plans without what was added: {names}" in capsys.readouterr().out
+    assert main(["play", str(path), "--html", str(page), "--optimization"]) == 2
+
+
+@pytest.mark.slow
+def test_a_rest_goes_on_past_a_time_that_is_bound() -> None:
+    # Without rebound, on a floor: staying there costs nothing, and hovering does.
+    world = World.from_diagram(make_diagram(gravity=9.81))
+    scenario = make_scenario(0.3, 0.0, 0.5, duration=2.0, time_step=0.02, restitution=0.0)
+    resting = Planner(scenario, PlanOptions(confirm=False), world)
+    program = resting.transcription
+    state = program.state(program.knot_at(0.8))
+    program.prog().AddConstraint(state[0] <= 1e-3).evaluator().set_description("down")
+    program.prog().AddCost(1e-6 * program.input(program.knot_at(0.6))[0] ** 2)
+    found = resting.plan()
+    (contact,) = found.best.contacts
+    assert found.holds and contact.time < 0.3 and contact.last_time > 1.0
+
+
+QUICK = PlanOptions(renewals=0, starts=12, finalists=1)
+SOFT, RIGID = "cart_pole/soft_06", "cart_pole/rigid_06"
+FASTEST = np.array([3.0, 5.0])  # of cart and pole [m/s, rad/s]
+
+
+def make_planner(name: str, seed: int = 0, **changes: Any) -> Planner:
+    options = dataclasses.replace(QUICK, seed=seed)
+    return Planner(dataclasses.replace(Scenario.named(name), **changes), options)
+
+
+@cache
+def plan_plain(name: str) -> Plan:
+    return make_planner(name).plan()
+
+
+def bound_velocities(program: OpenProgram) -> None:
+    for v, fastest in zip(program.state()[2:], FASTEST, strict=True):
+        program.AddConstraintToAllKnotPoints([v <= fastest, v >= -fastest], "slow")
+
+
+EITHER = pytest.mark.parametrize("name", [SOFT, RIGID])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [SOFT, RIGID])
+def test_constraints_of_every_knot_are_met_as_the_scenarios_bounds_are(name: str) -> None:
+    # A dozen searches end in one of several optima, here in the same.
+    bounded = make_planner(name, 2, velocity_lower=-FASTEST, velocity_upper=FASTEST).plan()
+    planner = make_planner(name, 2)
+    bound_velocities(planner.transcription)
+    found = planner.plan()
+    assert np.any(np.abs(plan_plain(name).trajectory.velocities) > 1.2 * FASTEST)
+    assert np.all(np.abs(found.trajectory.velocities) <= FASTEST + 1e-3)
+    assert found.holds and found.additions == ("slow",)
+    assert [replay.violations["slow"] <= 2e-3 for replay in found.replay] == [True, True]
+    assert found.cost == pytest.approx(bounded.cost, rel=2e-2)
+
+
+@pytest.mark.slow
+@EITHER
+def test_a_running_cost_of_control_counts_as_its_weight_does(name: str) -> None:
+    weight = Scenario.named(name).control_weight
+    planner = make_planner(name)
+    program = planner.transcription
+    program.AddRunningCost(weight * program.input()[0] ** 2, "more effort")
+    found, weighed = planner.plan(), make_planner(name, control_weight=2 * weight).plan()
+    assert found.cost == pytest.approx(weighed.cost, rel=2e-2)
+    motion = found.trajectory
+    effort = weight * np.diff(motion.times) @ motion.controls[:, 0] ** 2
+    assert found.best.added_costs == pytest.approx({"more effort": effort}, rel=1e-6)
+    assert found.holds and len(list(found.replay)) == 2
+    for replay in found.replay:
+        assert replay.cost == pytest.approx(found.cost, rel=1e-2)
+        assert replay.added_costs == pytest.approx(found.best.added_costs, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_final_cost_and_a_bound_of_the_last_knot_count_between_rigid_walls() -> None:
+    planner, plain = make_planner(RIGID), plan_plain(RIGID).trajectory
+    program = planner.transcription
+    program.AddFinalCost(50 * program.state()[2] ** 2, "slow cart")
+    program.prog().AddBoundingBoxConstraint(-0.005, 0.005, program.final_state()[0])
+    found = planner.plan()
+    end = found.trajectory.positions[-1], found.trajectory.velocities[-1]
+    assert found.holds
+    assert abs(end[0][0]) <= 0.006 < abs(plain.positions[-1, 0])
+    assert abs(end[1][0]) < 0.5 * abs(plain.velocities[-1, 0])
+    assert found.best.added_costs == pytest.approx({"slow cart": 50 * end[1][0] ** 2}, abs=1e-6)
+
+
+def test_a_waypoint_is_met_between_soft_walls() -> None:
+    planner = make_planner(SOFT)
+    program = planner.transcription
+    at = program.state(program.knot_at(0.75))
+    program.prog().AddConstraint(at[0] == 0.0).evaluator().set_description("waypoint")
+    found = planner.plan()
+    assert found.holds
+    for motion in (found.trajectory, *found.replay):
+        row = int(np.argmin(np.abs(motion.times - 0.75)))
+        assert motion.positions[row, 0] == pytest.approx(0.0, abs=2e-3)
+
+
+def add_waypoint(program: OpenProgram) -> None:
+    program.prog().AddConstraint(program.state(20)[0] == 0.0).evaluator().set_description("way")
+
+
+def add_root(program: OpenProgram) -> None:
+    q = program.state()
+    program.AddRunningCost(q[0] * q[1] ** 0.5, "root")
+
+
+def add_step(program: OpenProgram) -> None:
+    program.prog().AddConstraint(program.state(3)[0] == program.state(2)[0] + 0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "add", "error", "message"),
+    [
+        (RIGID, add_waypoint, ProgramError, r"'way' can't be planned: .* phases of free durations"),
+        (SOFT, add_root, UnsupportedTermError, "'root' .* exponent .* is not a whole number"),
+        (SOFT, add_step, ProgramError, "variables of knots 2, 3, expected those of one knot"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused_by_name(
+    name: str, add: Any, error: type[Exception], message: str
+) -> None:
+    planner = make_planner(name)
+    add(planner.transcription)
+    with pytest.raises(error, match=message):
+        planner.plan()
+
+
+@pytest.mark.slow
+def test_a_constraint_that_nothing_meets_is_named() -> None:
+    planner = make_planner(SOFT)
+    program = planner.transcription
+    program.prog().AddConstraint(program.final_state()[0] >= 40.0).evaluator().set_description(
+        "far"
+    )
+    with pytest.raises(PlanningError, match=r"there it breaks .*'far'"):
+        planner.plan()
+
+
+def test_controllers_that_plan_again_refuse_what_was_added() -> None:
+    planner = make_planner(SOFT)
+    bound_velocities(planner.transcription)
+    with pytest.raises(ControlError, match="costs or constraints that were added"):
+        ModelPredictiveController(planner, 0.025)

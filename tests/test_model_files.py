@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from other_models import GANTRY, INERTIAL, MESH, make, write
+from other_models import ARM, GANTRY, GRAVITY, INERTIAL, MESH, TRANSMISSION, make, write
 
-from drake_aigto.errors import ModelError
+from drake_aigto import PlanningError, Scenario, World, plan
+from drake_aigto.cli import main
+from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.world import find_model, read_model
 
 
 @pytest.mark.parametrize("mass", ["-1", "nan"])
@@ -186,3 +191,214 @@ def test_friction_in_files_that_an_sdf_includes_acts(tmp_path: Path) -> None:
     np.testing.assert_array_equal(make(str(model), 1).dry_friction, [0.5])
     with pytest.raises(ModelError, match=r"got j in the included .*part.sdf, expected joints of"):
         make(str(model), 1, fixed_joints=["j"])
+
+
+def test_friction_of_a_scenario_stands_in_place_of_the_models(gantry: Any) -> None:
+    np.testing.assert_array_equal(gantry().dry_friction, [0.7, 0.0])
+    world = gantry({"dry_friction": [0.0, 0.2]})
+    np.testing.assert_array_equal(world.dry_friction, [0.0, 0.2])
+
+
+def test_joints_are_driven_and_limited_as_the_scenario_says(gantry: Any) -> None:
+    world = gantry({"actuators": ["y"], "effort_limits": {"drive": 3.0}})
+    np.testing.assert_array_equal(world.limits.control[1], [3.0, 8.0])
+    world = gantry({"actuators": ["y"], "effort_limits": {"*": 2.0, "y": 5.0}})
+    np.testing.assert_array_equal(world.limits.control[1], [2.0, 5.0])
+    world = gantry({"effort_limits": {"x": 4.0}}, EFFORT="0")
+    np.testing.assert_array_equal(world.limits.control, [[-4.0], [4.0]])
+    np.testing.assert_array_equal(gantry({"limits": "ignore"}).limits.position[1], np.inf)
+    with pytest.raises(ModelError, match=r"limits of effort of 0 at x, .*effort_limits: {x"):
+        gantry(EFFORT="0")
+    with pytest.raises(ModelError, match=r"none in .*Drive joints by the scenario's actuators: .x"):
+        gantry(MORE="")
+
+
+def test_a_servo_pulls_its_joint_to_where_the_control_says(gantry: Any, arm: Any) -> None:
+    q, v, u = np.array([0.3, -0.2]), np.array([0.5, 0.4]), np.array([7.0])
+    plain, world = gantry(), gantry({"servos": {"x*": [20, 3]}})
+    force = world.actuation @ u - world.calc_bias(q, v)
+    force -= plain.actuation @ u - plain.calc_bias(q, v)
+    np.testing.assert_allclose(force, [-20 * q[0] - 3 * v[0], 0.0], atol=1e-12)
+    at_rest = 20 * np.array([0.35, 0.0])  # The set point times k, where the spring holds it.
+    still = world.actuation @ at_rest[:1] - world.calc_bias(np.array([0.35, 0.0]), np.zeros(2))
+    np.testing.assert_allclose(still, 0.0, atol=1e-12)
+    text = '<position joint="shoulder" gear="2" kp="5" kv="0.5" ctrlrange="-1 2"/>'
+    plain, world = arm(), arm(ACTUATORS=text)
+    force = plain.calc_bias(q, v) - world.calc_bias(q, v)
+    np.testing.assert_allclose(force, [-20 * q[0] - 2 * v[0], 0.0], atol=1e-12)
+    np.testing.assert_array_equal(world.limits.control, [[-10.0], [20.0]])
+    with pytest.raises(ModelError, match=r"servos in .*: got 'y', expected one of x"):
+        gantry({"servos": {"y": 1.0}})
+    with pytest.raises(ScenarioError, match=r"servos\[x\]: got \[0, 1\], expected stiffness > 0"):
+        gantry({"servos": {"x": [0, 1]}})
+
+
+def test_a_model_is_without_weight_where_gravity_is_compensated(arm: Any) -> None:
+    q, still = np.array([0.5, -0.3]), np.zeros(2)
+    assert np.abs(arm().calc_bias(q, still)).max() > 1.0
+    world = arm({"weightless": ["arm"]})
+    np.testing.assert_allclose(world.calc_bias(q, still), 0.0, atol=1e-12)
+    np.testing.assert_array_equal(world.calc_mass_matrix(q), arm().calc_mass_matrix(q))
+    with pytest.raises(ModelError, match=r"weightless in .*: got 'leg', expected one of arm"):
+        arm({"weightless": ["leg"]})
+
+
+def test_joints_can_be_fixed(gantry: Any, tmp_path: Path) -> None:
+    model = write(tmp_path / "gantry.urdf", GANTRY)
+    world = make(model, size=1, fixed_joints=["y"])
+    assert world.num_positions == 1
+    np.testing.assert_allclose(world.calc_mass_matrix(np.zeros(1)), [[4.0]])
+    arm = write(tmp_path / "arm.xml", ARM)
+    assert make(arm, size=1, fixed_joints=["elb*"]).num_positions == 1
+
+
+@pytest.mark.parametrize("is_declared", [True, False])
+def test_drakes_own_elements_stay_as_they_are_where_a_text_is_changed(
+    tmp_path: Path, is_declared: bool
+) -> None:
+    text = find_model("package://drake_aigto_models/corridor.sdf").read_text(encoding="utf-8")
+    model = tmp_path / "corridor.sdf"
+    declared = re.search(r' xmlns:drake="[^"]*"', text)
+    assert declared and "point_contact_stiffness" in text
+    model.write_text(text if is_declared else text.replace(declared[0], ""), encoding="utf-8")
+    shipped = World.from_scenario(Scenario.named("corridor/three_bounces"))
+    names = [contact.name for contact in shipped.contacts]
+    within = {"initial_position": [0.5], "goal_position": [0.4]}
+    pruned = make(str(model), 1, ignored_shapes=[], collisions=["ball*", "left*"], **within)
+    assert len(pruned.contacts) == 1 < len(names)
+    assert pruned.stiffness[0] == shipped.stiffness[0]
+
+
+BAD_FIELDS: dict[str, tuple[dict[str, Any], str]] = {
+    "unknown joint": ({"actuators": ["z"]}, "actuators in .*: got 'z', expected one of x, y"),
+    "driven already": ({"actuators": ["x"]}, "joint 'x', which actuator '.*drive' drives"),
+    "unknown actuator": ({"effort_limits": {"y": 1.0}}, "effort_limits .*: got 'y', expected an"),
+    "unknown link": ({"weld": {"hook": [0, 0, 0]}}, "weld of 'hook' in .*: got no such link"),
+    "held link": ({"weld": {"bridge": [0, 0, 0]}}, "a link that joint 'x' holds"),
+    "missing package": ({"packages": {"p": "/none"}}, "package 'p': got no folder /none"),
+    "unknown shape": ({"material": {"wall": {"friction": 0}}}, "material: got 'wall', expected of"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FIELDS)
+def test_fields_that_do_not_fit_the_model_are_refused(gantry: Any, name: str) -> None:
+    fields, message = BAD_FIELDS[name]
+    with pytest.raises(ModelError, match=message):
+        gantry(fields)
+
+
+BAD_VALUES: dict[str, tuple[dict[str, Any], str]] = {
+    "no rotation": (
+        {"weld": {"a": np.diag([1.0, 1.0, -1.0, 1.0]).tolist()}},
+        r"weld\[a\]: got a matrix that is no rotation and translation",
+    ),
+    "no pose": ({"weld": {"a": [1.0, 2.0]}}, r"weld\[a\]: got 2 numbers, expected x, y, z"),
+    "twice": ({"actuators": ["a", "a"]}, "actuators: got 'a' twice, expected each name once"),
+    "no mapping": (
+        {"effort_limits": [3]},
+        r"effort_limits: got \[3\], expected a mapping of names, such as {shou",
+    ),
+    "no effort": ({"effort_limits": {"a": 0}}, r"effort_limits\[a\]: got 0 N or N m, exp"),
+    "no material": ({"material": {"a": {"color": 1}}}, r"material\[a\]: got .*expected a map"),
+    "negative": ({"material": {"a": {"friction": -1}}}, r"material\[a\]\.friction: got -1, exp"),
+    "limits": ({"limits": "none"}, "limits: got 'none', expected 'model' or 'ignore'"),
+    "no folder": ({"packages": {"a": 3}}, r"packages\[a\]: got 3, expected a text"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_VALUES)
+def test_fields_that_are_wrong_in_themselves_are_refused(name: str) -> None:
+    fields, message = BAD_VALUES[name]
+    ends: dict[str, Any] = {"initial_position": 1.0, "initial_velocity": 0.0, "goal_position": 1.0}
+    with pytest.raises(ScenarioError, match=message):
+        Scenario(**ends, **fields)
+
+
+def test_a_link_is_welded_where_the_scenario_says(gantry: Any, tmp_path: Path) -> None:
+    text = GANTRY.replace('link="world"', 'link="cart"').replace('name="world"', 'name="cart"')
+    model = write(tmp_path / "gantry.urdf", text, MORE=TRANSMISSION)
+    world = make(model, weld={"cart": [0, 0, 0, 0, np.pi / 2, 0]})
+    lift = world.calc_bias(np.zeros(2), np.zeros(2))
+    np.testing.assert_allclose(lift, [-4 * GRAVITY, 0.0], atol=1e-12)
+
+
+def test_limits_of_a_scenario_and_a_model_are_told_apart(arm: Any) -> None:
+    world = arm()
+    names = "initial_position", "initial_velocity", "goal_position"
+    ends: dict[str, Any] = {name: [0, 0] for name in names}
+    scenario = Scenario(model=world.model or "", control_upper=4.0, **ends)
+    items = world.limits.control_items(world.plant, scenario)
+    assert items == ["arm_motor from -10 (model) to 4 (scenario) N m"]
+
+
+def test_look_tells_what_is_understood(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = write(tmp_path / "arm.xml", ARM, JOINT='frictionloss="0.25"', OPTION='density="2"')
+    picture = tmp_path / "arm.png"
+    words = ["look", model, "--allow-ignored", "fluid", "--png", str(picture)]
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    assert "shoulder  revolute  rad   -inf    inf    0.5      0.25" in text
+    assert "arm_motor from -10 (model) to 15 (model) N m" in text
+    assert "the density 2 of a fluid: its forces on all links" in text
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert main(["look", "cart_pole/soft_06", "--control-upper", "5"]) == 0
+    text = capsys.readouterr().out
+    assert "_rail from -20 (model) to 5 (scenario) N" in text
+    assert "pole against left_wall   2e+09 | 200" in text
+    assert main(["look", "finger_and_box/push"]) == 0
+    floating = [line.split() for line in capsys.readouterr().out.splitlines() if "floating" in line]
+    assert [line[2:5] for line in floating] == 3 * [["rad", "-inf", "inf"]] + 3 * [
+        ["m", "-inf", "inf"]
+    ]
+    assert main(["look", model]) == 2
+    assert "allow_ignored: [fluid]" in capsys.readouterr().err
+
+
+def test_materials_replace_those_of_a_diagram_in_a_copy_of_it() -> None:
+    diagram = read_model("package://drake_aigto_models/pushed_block.sdf").diagram
+    own = World.from_diagram(diagram)
+    world = World.from_diagram(diagram, stiction_speed=0.01, material={"*": {"stiffness": 3e5}})
+    np.testing.assert_allclose(world.stiffness, 1.5e5)
+    assert [each.name for each in world.contacts] == [each.name for each in own.contacts]
+    np.testing.assert_allclose(own.stiffness, 2e3)
+    with pytest.raises(ModelError, match="material: got 'wall', expected of the collision shapes"):
+        World.from_diagram(diagram, material={"wall": {"stiffness": 3e5}})
+    bare = Scenario.named("pushed_block/slide")
+    told = r"material: got {}, expected {'\*': .*stiffness=300000.*}, as the world has it\. Give"
+    with pytest.raises(ScenarioError, match=told):
+        world.check(bare)
+    changed: dict[str, Any] = {"material": world.model_fields.material}
+    world.check(dataclasses.replace(bare, **changed))
+
+
+def test_bounds_that_a_motion_touches_are_named_with_their_origin(arm: Any) -> None:
+    world = arm()
+    ends = {name: [0, 0] for name in ("initial_position", "initial_velocity", "goal_position")}
+    asked: Any = {**ends, "control_upper": 4.0, "velocity_lower": -1.0}
+    scenario = Scenario(model=world.model or "", **asked)
+    q, v = np.array([[0.0, 0.0], [9.0, np.deg2rad(120)]]), np.array([[0.0, -1.0], [5.0, 1.0]])
+    active = world.limits.active_items(world.plant, scenario, q, v, np.array([[-10.0], [3.0]]))
+    assert active == [
+        "position of arm_elbow_q at most 2.0944 (model)",
+        "velocity of arm_elbow_w at least -1 (scenario)",
+        "control of arm_motor at least -10 (model)",
+    ]
+
+
+def test_limits_that_are_none_are_refused_or_noted(gantry: Any, tmp_path: Path) -> None:
+    model = write(tmp_path / "gantry.urdf", GANTRY.replace('lower="-2"', 'lower="3"'))
+    with pytest.raises(ModelError, match=r"range of joint 'x' in .*: got from 3 to 2, expected l"):
+        make(model)
+    model = write(tmp_path / "gantry.urdf", GANTRY.replace('velocity="9"', 'velocity="0"'))
+    world = make(model)
+    assert np.isinf(world.limits.velocity).all()
+    assert world.notes[0] == "the velocity limit 0 of joint 'x' counts as none"
+
+
+@pytest.mark.slow
+def test_a_search_that_finds_nothing_names_the_bounds_that_are_active(tmp_path: Path) -> None:
+    model = write(tmp_path / "arm.xml", ARM)
+    task: dict[str, Any] = {"goal_position": 3.0, "hard_goal": True, "goal_velocity": 0.0}
+    task |= {"initial_position": 0.0, "initial_velocity": 0.0, "duration": 0.3, "time_step": 0.05}
+    with pytest.raises(PlanningError, match=r"These bounds are active: control of arm_motor at l"):
+        plan(Scenario(model=model, fixed_joints=["elbow"], ignored_shapes="all", **task))

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from marks import slow
 from phase_solutions import free_flight_cost
+from replay_worlds import make_scenario
 
+from benchmarks import certificates
+from benchmarks.optima import line_optimum as optima
+from benchmarks.optima import masses_optimum, walls_optimum
+from benchmarks.worlds import WORLDS
 from drake_aigto import Plan, Scenario
+from drake_aigto.certify import Line, PlanBound, Wall, bound_line, bound_plans, fold, out_of_reach
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import (
     LITERAL_LADDER,
@@ -19,6 +26,7 @@ from drake_aigto.paper import (
     LiteralTask,
     LiteralTranscription,
     plan_literal,
+    rigid_optimum,
 )
 from drake_aigto.planning import (
     LocalSolverName,
@@ -28,6 +36,7 @@ from drake_aigto.planning import (
     ProgramSolution,
     SearchOptions,
 )
+from drake_aigto.show import format_plan
 from drake_aigto.simulation import find_contacts
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import World
@@ -160,3 +169,167 @@ def test_options_of_another_transcription_are_refused_before_any_work() -> None:
     options: Any = LiteralOptions()
     with pytest.raises(OptionsError, match=r"got LiteralOptions, expected PlanOptions.*plan_lit"):
         Planner(Scenario.named("table1/1"), options)
+
+
+def known(bound: PlanBound, cost: float) -> tuple[float, float]:
+    gap = bound.gap(cost)
+    assert bound.lower_bound is not None
+    assert gap is not None
+    return bound.lower_bound, gap
+
+
+def test_one_wall_is_bounded_by_the_exact_optimum_for_every_restitution() -> None:
+    rng = np.random.default_rng(0)
+    world = World.from_scenario(Scenario.named("table1/1"))
+    for e in (1.0, 0.9, 0.5, 0.1, 0.0) * 4:
+        scenario = make_scenario(
+            rng.uniform(0.05, 1.5), rng.uniform(-4.0, 1.0), rng.uniform(0.05, 1.5), restitution=e
+        )
+        least = rigid_optimum(world, scenario).cost
+        bound = bound_plans(world, scenario, 1.5 * least)
+        low, gap = known(bound, least)
+        assert low <= least
+        assert gap <= 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "seed", "change"),
+    [
+        ("corridor", 3, {}),
+        # Four touches, and hundreds of thousands of flights between their cells.
+        ("corridor", 0, {"restitution": 0.8}),
+        ("corridor", 3, {"restitution": 0.5}),
+        ("room", 3, {}),
+        ("floor", 3, {}),
+    ],
+)
+def test_several_walls_are_bounded_by_the_exact_optimum(
+    name: str, seed: int, change: dict[str, Any]
+) -> None:
+    count = 1 if name == "floor" or "restitution" in change else 3
+    for drawn in WORLDS[name].draw(count, seed):
+        scenario = dataclasses.replace(drawn, **change)
+        world = World.from_scenario(scenario)
+        least = walls_optimum(world, scenario).cost
+        bound = bound_plans(world, scenario, 1.02 * least + 1e-6)
+        low, gap = known(bound, least)
+        assert low <= least * (1 + 1e-9)
+        assert gap <= 1e-2
+
+
+def test_the_benchmark_counts_no_bound_of_nothing_as_near(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(certificates, "bound_plans", lambda *_: PlanBound(0.0, "", 1.0))
+    assert "0 of 3 within" in certificates.one_wall(3)[0]
+
+
+@pytest.mark.slow
+def test_like_masses_that_touch_are_bounded_by_the_exact_optimum() -> None:
+    for scenario in WORLDS["two_masses"].draw(40, 0):
+        world = World.from_scenario(scenario)
+        least = masses_optimum(world, scenario).cost
+        low, gap = known(bound_plans(world, scenario, 1.5 * least + 1e-6), least)
+        assert low <= least * (1 + 1e-9)
+        assert gap <= 1e-6
+
+
+@pytest.mark.parametrize(
+    ("name", "restitution", "reason"),
+    [("two_masses", 0.8, "touches take energy away"), ("room_with_block", 1.0, "a block")],
+)
+def test_what_couples_the_axes_may_have_no_bound(
+    name: str, restitution: float, reason: str
+) -> None:
+    scenario = dataclasses.replace(next(WORLDS[name].draw(1, 0)), restitution=restitution)
+    bound = bound_plans(World.from_scenario(scenario), scenario, 1.0)
+    assert bound.lower_bound is None
+    assert reason in bound.reason
+
+
+def test_a_place_is_folded_into_a_room_of_mirrors() -> None:
+    """Any triangle of 45°, 45° and 90°: what two of its images have in common is folded alike."""
+    normals, offsets = np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]]), np.array([0.0, 0.0, 1.0])
+    rng = np.random.default_rng(1)
+    for _ in range(30):
+        place = np.sort(rng.uniform(size=2))
+        image = place
+        for turn in rng.integers(0, 3, 20):
+            n, d = normals[turn], offsets[turn]
+            image = image - 2.0 * (n @ image + d) / (n @ n) * n
+        folded = fold(image, normals, offsets)
+        assert folded is not None
+        assert np.allclose(folded, place, atol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("restitution", [0.0, 1.0])
+def test_a_force_between_two_walls_is_bounded(restitution: float) -> None:
+    places, line = (0.0, 1.0), {"position": 0.4, "velocity": -2.0, "goal": 0.7, "weight": 20.0}
+    walls = [(place, side, restitution) for place, side in zip(places, (1, -1), strict=True)]
+    known = optima.Line(**line, gravity=6.0, walls=tuple(optima.Wall(*wall) for wall in walls))
+    least = known.optimum(3).cost
+    asked = Line(**line, price=1.0, drift=-6.0, walls=tuple(Wall(*wall) for wall in walls))
+    bound = bound_line(asked, 1.01 * least)
+    assert 0.98 * least <= bound <= least
+
+
+def test_controls_that_are_held_cost_no_less_than_the_bound(tmp_path: Path) -> None:
+    scenario = dataclasses.replace(Scenario.named("table1/1"), restitution=0.8, time_step=0.05)
+    plan = Planner(scenario, PlanOptions(certify=True, confirm=False)).plan()
+    assert plan.bound is not None
+    low, gap = known(plan.bound, cost := plan.replay.event_driven.cost)
+    assert 0.0 < low <= cost
+    assert (plan.lower_bound, plan.gap) == (low, gap)
+    assert gap <= 0.05
+    assert "% above any plan" in " ".join(format_plan(plan).split())
+    plan.save(tmp_path / "plan.json")
+    assert Plan.load(tmp_path / "plan.json").bound == plan.bound
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"contact": "compliant"}, "compliant walls"),
+        ({"velocity_weight": 1e-3}, "more than effort and goal: velocity_weight"),
+    ],
+)
+def test_where_there_is_no_bound_it_says_why(change: dict[str, Any], reason: str) -> None:
+    scenario = dataclasses.replace(Scenario.named("table1/1"), **change)
+    bound = bound_plans(World.from_scenario(scenario), scenario, 1.0)
+    assert bound.lower_bound is None
+    assert reason in bound.reason
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"restitution": 0.207},  # √(0.81/18.81) = 0.2075 is enough for the height, but for rounding
+        {"duration": 0.8, "goal_position": [4.0, 0.5]},  # 9 · 0.8²/2 = 2.88 m
+    ],
+)
+def test_a_throw_that_no_control_is_enough_for_is_refused_before_a_search(
+    change: dict[str, Any],
+) -> None:
+    scenario = dataclasses.replace(Scenario.named("throwing_ball/bounces"), **change)
+    with pytest.raises(PlanningError, match="proven that no motion meets the hard goal") as caught:
+        Planner(scenario).plan()
+    assert caught.value.is_proven
+
+
+def test_a_block_that_nothing_lifts_off_a_floor_with_friction_is_refused_above_it() -> None:
+    scenario = Scenario.named("sliding_block/to_rest")
+    lifted = dataclasses.replace(scenario, goal_position=[1.0, 0.19])
+    with pytest.raises(PlanningError, match=r"0\.19 m, and no control .* but to 0\.15 m"):
+        Planner(lifted).plan()
+    # On the floor, 1 mm above it, as near as simulations have to come, and far along it.
+    for goal in ([1.0, 0.15], [1.0, 0.151], [90.0, 0.15]):
+        other = dataclasses.replace(scenario, goal_position=goal)
+        assert not out_of_reach(World.from_scenario(other), other)
+
+
+def test_what_may_be_in_reach_is_not_refused() -> None:
+    scenario = Scenario.named("throwing_ball/bounces")
+    for change in ({}, {"restitution": 0.208}, {"duration": 1.0}, {"hard_goal": False}):
+        change = {**change, "goal_weight": 1.0} if "hard_goal" in change else change
+        other = dataclasses.replace(scenario, **change)
+        assert not out_of_reach(World.from_scenario(other), other)
