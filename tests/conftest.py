@@ -35,8 +35,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 # Files whose tests compile longest: shooting in the plane and in space, with those that compile
 # parts of it alone, which takes a sixth as long where all is known; the solver, certificates.
-SHOOTING = ("mechanism_planner", "reaches", "tree_shooting", "added_terms", "cli")
-OF_SHOOTING = ("shooting_phases", "held_friction", "tree")
+SHOOTING = ("mechanism_planner", "reaches", "tree_shooting", "shooting", "cli")
+OF_SHOOTING = ("shooting_phases", "held_friction")
 SOLVING = ("certify", "presolve")
 
 

@@ -301,7 +301,7 @@ def through_waypoint() -> tuple[Planner, Plan]:
     return found, found.plan()
 
 
-def test_a_waypoint_is_met_by_the_plan_and_in_both_simulations() -> None:
+def test_a_waypoint_is_met_and_its_way_paid_for_by_the_plan_and_in_both_simulations() -> None:
     _, found = through_waypoint()
     assert found.holds and found.replay.drake is not None
     for times, positions in [
@@ -313,10 +313,6 @@ def test_a_waypoint_is_met_by_the_plan_and_in_both_simulations() -> None:
         assert positions[row, 0] == pytest.approx(0.6, abs=1e-6)
     before = np.interp(0.3, free_plan().trajectory.times, free_plan().trajectory.positions[:, 0])
     assert abs(before - 0.6) > 0.1
-
-
-def test_costs_of_users_are_part_of_the_plans_cost_and_of_its_replays() -> None:
-    _, found = through_waypoint()
     motion, scenario = found.trajectory, found.scenario
     steps = np.diff(motion.times)
     effort = scenario.control_weight * steps @ np.sum(motion.controls**2, axis=1)

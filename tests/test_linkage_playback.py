@@ -384,7 +384,9 @@ def test_what_does_not_rub_has_no_cones(meshcat: Meshcat) -> None:
     assert not [path for path in objects(meshcat) if "/friction/" in path]
 
 
-def test_a_figure_has_the_friction_of_rigid_contact_that_lasts() -> None:
+def test_a_figure_has_the_friction_of_contact_that_lasts_and_impulses_on_an_axis_of_their_own() -> (
+    None
+):
     world, scenario, mu = read("sliding_block/to_rest")
     plot_friction(axes := Figure().subplots(), drag(), world, scenario)
     line, rings, crosses = axes.lines
@@ -394,10 +396,6 @@ def test_a_figure_has_the_friction_of_rigid_contact_that_lasts() -> None:
         held = (times > first) & (times < last)
         np.testing.assert_allclose(friction[held], size, atol=1e-9)
     assert np.max(rings.get_xdata()) < 0.31 < 0.7 > np.max(crosses.get_xdata())
-
-
-def test_a_figure_has_impulses_beside_forces_on_an_axis_of_their_own() -> None:
-    world, scenario, mu = read("sliding_block/to_rest")
     slid, row = drag(), 50
     struck = dataclasses.replace(
         slid,

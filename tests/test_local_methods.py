@@ -217,7 +217,7 @@ def test_bands_are_solved_unless_they_are_indefinite(bandwidth: int) -> None:
     assert not factorize_band(band)
 
 
-def test_a_ladder_leads_from_anywhere_to_a_feasible_point_near_an_optimum() -> None:
+def test_a_ladder_leads_from_anywhere_to_a_feasible_point_unless_that_is_too_dear() -> None:
     nlp = chain()
     center, half_width = np.zeros(nlp.num_variables), np.full(nlp.num_variables, 2.0)
     tables, none = make_penalty_tables(nlp), np.empty(0, dtype=np.int64)
@@ -232,13 +232,6 @@ def test_a_ladder_leads_from_anywhere_to_a_feasible_point_near_an_optimum() -> N
         polished = InteriorPoint.warm().solve(nlp, end.x)
         assert polished.is_success
         assert polished.cost == pytest.approx(end.cost, rel=0.05)
-
-
-def test_a_ladder_to_a_point_too_dear_is_given_up() -> None:
-    nlp = chain()
-    center, half_width = np.zeros(nlp.num_variables), np.full(nlp.num_variables, 2.0)
-    tables, none = make_penalty_tables(nlp), np.empty(0, dtype=np.int64)
-    ladder = PenaltyLadder(nlp, tables, center, half_width, none, np.zeros(nlp.num_rows, bool))
     whole = ladder.climb(center, 0.01, 1e3)
     near, far = (ladder.climb(center, 0.01, 1e3, most=whole.cost - d) for d in (0.1, 10.0))
     assert far.steps < near.steps < whole.steps

@@ -85,20 +85,14 @@ def test_a_plan_says_how_often_it_was_found(found: int, words: str) -> None:
     assert str(PlanStats(0, 1, {}, searches=60, found=found)).startswith(words)
 
 
-def test_the_pole_pushes_off_a_wall_to_stand_up(plan: Plan) -> None:
+def test_the_pole_pushes_off_a_wall_to_stand_up_in_both_simulations(plan: Plan) -> None:
     assert plan.holds
     assert plan.best.contacts
     # No motion that 300 starts of shooting, or 60 of IPOPT, lead to costs less than 80.0.
     assert plan.cost < 80.1
-
-
-def test_both_simulations_agree_to_a_millionth(plan: Plan) -> None:
     assert plan.replay.drake is not None
     assert plan.replay.drake.cost == pytest.approx(plan.replay.event_driven.cost, rel=1e-6)
     assert plan.cost == pytest.approx(plan.replay.event_driven.cost, rel=1e-3)
-
-
-def test_a_trajectory_obeys_the_equations_of_motion(plan: Plan) -> None:
     assert plan.defects["integration"] < 1e-6
     assert np.all(np.abs(plan.trajectory.controls) <= 20.0)
 
@@ -519,41 +513,11 @@ def test_a_thrown_ball_bounces_six_times(throw: Plan) -> None:
     check_impacts(throw)
 
 
-@pytest.mark.slow
-def test_no_motion_that_misses_much_of_a_hard_goal_is_taken_for_a_cheap_one() -> None:
-    """By continuation from the shipped throw, six bounces cost 9.313."""
-    scenario = dataclasses.replace(
-        Scenario.named("throwing_ball/bounces"),
-        initial_position=[0.0, 0.51338337],
-        goal_position=[3.86148829, 0.51338337],
-        restitution=0.8594073825461525,
-    )
-    swing = Planner(scenario, dataclasses.replace(QUICKER, confirm=False)).plan()
-    assert swing.holds
-    assert swing.cost < 9.33
-
-
 def test_who_needs_no_wall_touches_none(pendulum: Planner) -> None:
     free = pendulum.plan(initial_velocity=[0.0], duration=0.3)
     assert free.holds
     assert not free.best.contacts
     assert free.replay.event_driven.max_penetration == 0
-
-
-@pytest.mark.slow
-def test_who_starts_fast_towards_a_wall_hits_it_instead_of_braking() -> None:
-    """A search over times and speeds of bounces knows 0.1391; to brake and graze costs 0.387."""
-    scenario = dataclasses.replace(
-        Scenario.named("pendulum/off_the_wall"),
-        initial_position=[0.19013523],
-        initial_velocity=[-4.36506404],
-        goal_position=[-0.11252498],
-        duration=1.04,
-        restitution=0.5,
-    )
-    swing = Planner(scenario, dataclasses.replace(QUICKER, renewals=0, confirm=False)).plan()
-    assert swing.holds
-    assert swing.cost < 0.1395
 
 
 @pytest.mark.slow
@@ -570,20 +534,6 @@ def test_what_costs_more_than_a_finalist_that_holds_is_left_before_it_meets_its_
     closed, left = problem.polish(motion), problem.polish(motion, most=best.cost)
     assert closed.cost > 1.01 * best.cost
     assert closed.violation < 1e-9 < left.violation
-
-
-@pytest.mark.slow
-def test_a_motion_that_is_best_in_the_steps_of_the_search_is_polished_in_them() -> None:
-    """It has fewer of them than the scenario, and so have the distances that it keeps off walls."""
-    scenario = dataclasses.replace(
-        Scenario.named("cart_pole/rigid_06"),
-        goal_position=[0.04490026932956917, 3.224243271730047],
-        duration=1.602175676915813,
-        time_step=1.602175676915813 / 64,
-    )
-    swing = Planner(scenario, PlanOptions(renewals=0, seed=1, confirm=False)).plan()
-    assert swing.holds
-    assert swing.cost < 80
 
 
 @pytest.mark.slow

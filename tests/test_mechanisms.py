@@ -249,7 +249,9 @@ def test_the_wall_of_the_acrobot_is_what_its_comment_adds() -> None:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_a_robot_is_driven_and_stopped_where_its_comment_says(name: str) -> None:
+def test_a_robot_is_driven_stopped_and_drawn_as_its_comment_says_and_nothing_rubs(
+    name: str,
+) -> None:
     world = read(name)
     driven = {"acrobot": [1], "three_carts": [1], "throwing_ball": [0, 1]}
     found = np.flatnonzero(world.actuation.any(axis=1)).tolist()
@@ -264,11 +266,6 @@ def test_a_robot_is_driven_and_stopped_where_its_comment_says(name: str) -> None
     stops = np.full(world.num_positions, np.inf)
     stops[0] = 1.0 if is_cart_pole else np.inf
     np.testing.assert_array_equal(world.limits.position, [-stops, stops])
-
-
-@pytest.mark.parametrize("name", ROBOTS)
-def test_every_link_of_a_robot_that_weighs_something_is_drawn_and_nothing_rubs(name: str) -> None:
-    world = read(name)
     assert not world.frictions
     plant, inspector = world.plant, world.scene_graph.model_inspector()
     links = [plant.get_body(BodyIndex(i)) for i in range(1, plant.num_bodies())]

@@ -26,7 +26,7 @@ IN_SPACE = (  # Floating bodies, servos, dampers, thrusters, weightless arms, a 
 
 
 @pytest.mark.parametrize("name", IN_SPACE)
-def test_accelerations_are_the_worlds(name: str) -> None:
+def test_a_world_accelerates_and_stands_apart_as_mujocos(name: str) -> None:
     world = World.from_scenario(Scenario.named(name))
     assert isinstance(world, SpaceWorld)
     scenario = world.place(Scenario.named(name))
@@ -47,13 +47,6 @@ def test_accelerations_are_the_worlds(name: str) -> None:
         expected = world.tree.calc_acceleration(q, v, u)
         scale = np.max(np.abs(expected))
         np.testing.assert_allclose((after - v) / dt, expected, atol=1e-5 * scale)
-
-
-@pytest.mark.parametrize("name", IN_SPACE)
-def test_bodies_are_as_far_apart(name: str) -> None:
-    world = World.from_scenario(Scenario.named(name))
-    assert isinstance(world, SpaceWorld)
-    scenario = world.place(Scenario.named(name))
     found = MujocoModel.of(world, scenario)
     data = mujoco.MjData(found.model)
     q = world.add(scenario.initial_position, 0.1 * np.ones(world.num_velocities))

@@ -297,7 +297,9 @@ def test_many_states_at_once_are_each_on_its_own(world: World) -> None:
     agree(world.calc_velocity_change(q[0, 0], p), world.calc_velocity_change(still, p))
 
 
-def test_what_is_constant_is_what_the_functions_say_anywhere(straight: World) -> None:
+def test_what_is_constant_is_what_the_functions_say_anywhere_and_lifts_cost_the_mass(
+    straight: World,
+) -> None:
     inertia = straight.constant_inertia
     q, v, u, p = draw(straight, *MANY)
     agree(straight.calc_mass_matrix(q)[1, 2], inertia.mass_matrix)
@@ -309,10 +311,6 @@ def test_what_is_constant_is_what_the_functions_say_anywhere(straight: World) ->
     added = straight.calc_acceleration(q, v, u) - straight.calc_acceleration(q, v, 0.0 * u)
     agree(added, u @ inertia.gain.T)
     assert inertia.solids == straight.solids
-
-
-def test_a_lift_changes_its_own_speed_by_one_and_costs_what_the_mass_is(straight: World) -> None:
-    inertia = straight.constant_inertia
     M, J, lifts = inertia.mass_matrix, inertia.jacobian, inertia.lifts
     agree(np.sum(J * lifts, axis=1), 1.0)
     # Of all changes that do so it takes the least energy, ½ m: it is along M⁻¹ Jᵀ.

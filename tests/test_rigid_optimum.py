@@ -113,7 +113,7 @@ def test_a_ball_that_comes_to_the_wall_at_the_very_end_has_an_optimum(position: 
 
 
 @given(scenarios, lengths)
-def test_a_flight_that_no_wall_meets_costs_the_linear_quadratic_optimum(
+def test_the_optimum_of_one_wall_is_a_motion_that_costs_as_much_and_no_more_than_a_flight(
     scenario: Scenario, goal: float
 ) -> None:
     scenario = set_goal(scenario, goal)
@@ -130,14 +130,6 @@ def test_a_flight_that_no_wall_meets_costs_the_linear_quadratic_optimum(
     elif np.min(path) > 1e-4 * (p + abs(v)):
         assert optimum.flight_cost == pytest.approx(cost, rel=1e-9, abs=1e-18)
     assert optimum.cost <= optimum.flight_cost
-
-
-@given(scenarios, lengths)
-def test_the_optimum_of_one_wall_is_a_motion_that_costs_as_much(
-    scenario: Scenario, goal: float
-) -> None:
-    scenario = set_goal(scenario, goal)
-    optimum = solve_row(scenario)
     assert all(0 < time <= 1 for time in optimum.bounce_times)
     assert all(velocity < 0 for velocity in optimum.impact_velocities)
     cost = scenario.control_weight * cost_of(line_of(scenario), bounces_of(optimum))
@@ -213,22 +205,24 @@ def test_the_wall_may_be_elsewhere_and_the_joint_turned(
     )
 
 
-def test_two_coordinates_are_refused() -> None:
-    world = World.from_diagram(make_diagram(num_joints=2))
+def test_motions_without_an_optimum_that_is_known_exactly_are_refused() -> None:
+    world, across = shipped_world(), World.from_diagram(make_diagram(num_joints=2))
+    scenario, pushed = make_scenario(), make_scenario([0.0, 1.0], [0.0, -2.0])
+    bent = Contact("bent", world.positions[0] ** 2, np.array([2 * world.positions[0]]))
+    with pytest.raises(ModelError, match=r"∂φ/∂q of bent: got \(2 \* .*\), expected a constant"):
+        rigid_optimum(dataclasses.replace(world, contacts=(bent,)), scenario)
+    springy = World.from_diagram(make_diagram(spring=3.0, reference=0.5))
+    for optimum in (rigid_optimum, walls_optimum):
+        with pytest.raises(ModelError, match=r"the bias h\(q, v\): got .*3 \*.*, expected a const"):
+            optimum(springy, scenario)
+    with pytest.raises(ModelError, match=r"got M = \[\[.*, expected a diagonal matrix"):
+        walls_optimum(across, pushed)
     with pytest.raises(ModelError) as error:
-        rigid_optimum(world, make_scenario([0.0, 1.0], [0.0, -2.0]))
+        rigid_optimum(across, pushed)
     assert str(error.value) == (
         "the exact optimum: got 2 coordinates, expected one coordinate. For other worlds no exact "
         "optimum is known here; judge a plan by its replays."
     )
-
-
-def test_a_distance_that_is_not_affine_is_refused() -> None:
-    world = shipped_world()
-    (q,) = world.positions
-    bent = Contact("bent", q**2, np.array([2 * q]))
-    with pytest.raises(ModelError, match=r"∂φ/∂q of bent: got \(2 \* .*\), expected a constant"):
-        rigid_optimum(dataclasses.replace(world, contacts=(bent,)), make_scenario())
 
 
 def make_corridor(
@@ -582,19 +576,6 @@ def test_the_replayed_optimum_touches_and_costs_as_it_says(name: str, seed: int,
     assert replay.cost == pytest.approx(optimum.cost, rel=1e-3, abs=1e-9)
     assert replay.bounce_contacts == optimum.contacts
     assert replay.bounce_times == pytest.approx([t.start for t in optimum.touches], abs=1e-4)
-
-
-@pytest.mark.parametrize("optimum", [rigid_optimum, walls_optimum])
-def test_a_spring_is_refused(optimum: Optimum) -> None:
-    world = World.from_diagram(make_diagram(spring=3.0, reference=0.5))
-    with pytest.raises(ModelError, match=r"the bias h\(q, v\): got .*3 \*.*, expected a constant"):
-        optimum(world, make_scenario())
-
-
-def test_coupled_coordinates_are_refused() -> None:
-    world = World.from_diagram(make_diagram(num_joints=2))
-    with pytest.raises(ModelError, match=r"got M = \[\[.*, expected a diagonal matrix"):
-        walls_optimum(world, make_scenario([0.0, 1.0], [0.0, -2.0]))
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.mark.usefixtures("coasting")
-def test_a_method_succeeds_where_its_replay_costs_no_more_than_the_optimum() -> None:
+def test_a_study_knows_who_succeeds_and_who_fails_and_survives_its_file(path: Path) -> None:
     study = run_study(QUICK)
     assert study.is_complete
     easy, hard, *_ = study.results
@@ -83,15 +83,12 @@ def test_a_method_succeeds_where_its_replay_costs_no_more_than_the_optimum() -> 
     assert study.cost(hard, "coast", 100.0) == pytest.approx(0.49)
     assert 0.0 < hard.optimum < 0.49
     assert not study.succeeds(hard, "coast", 100.0)
-
-
-@pytest.mark.usefixtures("coasting")
-def test_a_method_that_fails_is_kept_with_its_error() -> None:
-    study = run_study(QUICK)
     for result in study.results:
         assert result.runs["crash"].error == "ZeroDivisionError: no way\nat all"
         assert result.runs["crash"].cost == math.inf
         assert not study.succeeds(result, "crash", 100.0)
+    study.save(path)
+    assert ScenarioStudy.load(path) == study
 
 
 @pytest.mark.usefixtures("coasting")
@@ -130,13 +127,6 @@ def test_thinning_loses_no_budgets_cost(
         # Costs have seven digits; times four, rounded down.
         assert thinned.cost_within(end) <= whole.cost_within(end) * (1 + 1e-6)
         assert thinned.cost_within(end) >= whole.cost_within(end * 1.001) * (1 - 1e-6)
-
-
-@pytest.mark.usefixtures("coasting")
-def test_a_study_survives_its_file(path: Path) -> None:
-    study = run_study(QUICK)
-    study.save(path)
-    assert ScenarioStudy.load(path) == study
 
 
 @pytest.mark.parametrize(

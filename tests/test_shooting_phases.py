@@ -351,7 +351,7 @@ def test_carts_push_each_other_apart_and_a_simulation_agrees() -> None:
 
 
 @pytest.mark.slow
-def test_drake_confirms_carts_that_push_each_other_and_refuses_what_they_do_not() -> None:
+def test_what_is_held_stays_at_the_wall_and_pushes_and_drake_confirms_it() -> None:
     result, world = push_apart(), carts()
     replay = replay_drake(world, CARTS, result.times, result.controls)
     rigid = replay_event_driven(world, CARTS, result.times, result.controls)
@@ -361,6 +361,16 @@ def test_drake_confirms_carts_that_push_each_other_and_refuses_what_they_do_not(
     assert not confirms(0.9 * result.cost, replay, scales)
     weaker = replay_drake(world, CARTS, result.times, 0.9 * result.controls)
     assert not confirms(result.cost, weaker, scales, rigid.goal_error)
+    phi = world.calc_signed_distance(result.states[:, :3])
+    rate = np.einsum(
+        "kij,kj->ki", world.calc_contact_jacobian(result.states[:, :3]), result.states[:, 3:]
+    )
+    for contact, first, last in ((0, 8, 18), (1, 30, 42)):
+        np.testing.assert_allclose(phi[first : last + 1, contact], 0.0, atol=1e-3)
+        np.testing.assert_allclose(rate[first : last + 1, contact], 0.0, atol=1e-9)
+        for k in range(first, last):
+            forces, *_ = run(world, [contact], result.states[k].copy(), result.controls[k].copy())
+            assert forces > -0.05
 
 
 def test_what_lasts_yields_more_and_other_contacts_as_before() -> None:
@@ -377,21 +387,6 @@ def test_what_lasts_yields_more_and_other_contacts_as_before() -> None:
         set_stiffness(world, root, 1, factor)
         assert read(1) == pytest.approx(factor * world.stiffness[1])
         assert read(0) == pytest.approx(world.stiffness[0])
-
-
-@pytest.mark.slow
-def test_what_is_held_stays_at_the_wall_and_pushes() -> None:
-    result, world = push_apart(), carts()
-    phi = world.calc_signed_distance(result.states[:, :3])
-    rate = np.einsum(
-        "kij,kj->ki", world.calc_contact_jacobian(result.states[:, :3]), result.states[:, 3:]
-    )
-    for contact, first, last in ((0, 8, 18), (1, 30, 42)):
-        np.testing.assert_allclose(phi[first : last + 1, contact], 0.0, atol=1e-3)
-        np.testing.assert_allclose(rate[first : last + 1, contact], 0.0, atol=1e-9)
-        for k in range(first, last):
-            forces, *_ = run(world, [contact], result.states[k].copy(), result.controls[k].copy())
-            assert forces > -0.05
 
 
 def test_what_slides_along_a_wall_without_a_push_keeps_its_energy() -> None:

@@ -319,7 +319,7 @@ def test_options_and_guesses_work_with_functions_by_rows() -> None:
         assert result.get_optimal_cost() == pytest.approx(-math.sqrt(0.5), abs=1e-6)
 
 
-def test_both_ways_to_call_it() -> None:
+def test_both_ways_to_call_it_agree_and_callbacks_see_the_answer_last() -> None:
     prog, x = himmelblau()
     returned = AigoSolver().Solve(prog)
     filled = MathematicalProgramResult()
@@ -329,6 +329,11 @@ def test_both_ways_to_call_it() -> None:
     assert returned.get_solver_id() is AigoSolver.id() and AigoSolver.id().name() == "AIGO"
     assert AigoSolver().solver_id() is AigoSolver.id()
     assert AigoSolver().available() and AigoSolver().enabled()
+    seen: list[Any] = []
+    prog.AddVisualizationCallback(lambda values: seen.append(np.array(values)), x)
+    result = solve(prog)
+    np.testing.assert_array_equal(seen[-1], result.get_x_val())
+    assert len(seen) >= 2
 
 
 def test_details_say_what_it_took() -> None:
@@ -356,15 +361,6 @@ def test_options_come_from_program_call_and_constructor(capsys: Any) -> None:
     options.SetOption(CommonSolverOption.kPrintToConsole, 1)
     solver.Solve(prog, None, options)
     assert capsys.readouterr().out.startswith("cost ")
-
-
-def test_visualization_callbacks_see_the_answer_last() -> None:
-    prog, x = himmelblau()
-    seen: list[Any] = []
-    prog.AddVisualizationCallback(lambda values: seen.append(np.array(values)), x)
-    result = solve(prog)
-    np.testing.assert_array_equal(seen[-1], result.get_x_val())
-    assert len(seen) >= 2
 
 
 @pytest.mark.parametrize(

@@ -230,15 +230,12 @@ def test_penalised_cost_is_cost_plus_weighted_squares() -> None:
     assert f(x) == pytest.approx(sum(shares.values()))
 
 
-def test_both_sides_of_an_interval_are_penalised() -> None:
+def test_every_bound_is_penalised_as_its_own_but_for_fixed_variables() -> None:
     prog = MathematicalProgram()
     x = prog.NewContinuousVariables(1, "x")
     prog.AddBoundingBoxConstraint(-1.0, 2.0, x)
     f = compile_program(penalize(prog))
     assert [f(np.array([at])) for at in (-3.0, 0.0, 4.0)] == pytest.approx([4.0, 0.0, 4.0])
-
-
-def test_every_bound_of_many_is_penalised_as_its_own() -> None:
     # Drake hands out short-lived Python objects for evaluators, whose ids repeat.
     prog = MathematicalProgram()
     x = prog.NewContinuousVariables(20, "x")
@@ -247,9 +244,6 @@ def test_every_bound_of_many_is_penalised_as_its_own() -> None:
         prog.AddBoundingBoxConstraint(bound, np.inf, variable)
     f = compile_program(penalize(prog))
     assert f(np.zeros(20)) == pytest.approx(np.sum(lower**2))
-
-
-def test_fixed_variables_keep_their_bounds_instead_of_a_penalty() -> None:
     prog = MathematicalProgram()
     x = prog.NewContinuousVariables(2, "x")
     prog.AddBoundingBoxConstraint(3.0, 3.0, x[1])
@@ -258,9 +252,6 @@ def test_fixed_variables_keep_their_bounds_instead_of_a_penalty() -> None:
     center, half_width = cut_to(read_bounds(penalized), np.zeros(2), np.ones(2))
     np.testing.assert_array_equal(center, [0.0, 3.0])
     np.testing.assert_array_equal(half_width, [1.0, 0.0])
-
-
-def test_an_inequality_of_several_variables_is_refused_by_name() -> None:
     prog = MathematicalProgram()
     x = prog.NewContinuousVariables(2, "x")
     prog.AddConstraint(x[0] + x[1] <= 1.0).evaluator().set_description("budget")
