@@ -49,12 +49,7 @@ def _scip() -> Any:
 def bound_by_scip(
     formulas: Formulas, gap: float, seconds: float | None
 ) -> tuple[float, Floats | None]:
-    """Returns SCIP's lower bound, ∞ if it finds no feasible point, and its best point (n,).
-
-    Raises:
-        OptionsError: SCIP is not installed.
-        UnsupportedTermError: a function that SCIP does not know, by name.
-    """
+    """Returns SCIP's lower bound, ∞ if it finds no feasible point, and its best point (n,)."""
     scip = _scip()
     model = scip.Model()
     model.hideOutput()

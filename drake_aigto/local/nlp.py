@@ -26,11 +26,7 @@ Summand = Monomial | Term
 
 
 def check_bounds(lower: Floats, upper: Floats, name: Callable[[int], str]) -> None:
-    """Refuses bounds (n,) that contradict each other; messages call a variable by its name.
-
-    Raises:
-        UnsupportedTermError: A variable has no value.
-    """
+    """Refuses bounds (n,) that contradict each other; messages call a variable by its name."""
     bad = np.flatnonzero((lower > upper) | np.isposinf(lower) | np.isneginf(upper))
     if bad.size:
         i = int(bad[0])

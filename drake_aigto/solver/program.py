@@ -56,13 +56,7 @@ class ParsedProgram:
 
     @classmethod
     def of(cls, prog: MathematicalProgram) -> ParsedProgram:
-        """Reads a program.
-
-        Raises:
-            UnsupportedTermError: a cost or row without a mean in closed form, or variables that
-                are not continuous; by name.
-            ContradictionError: bounds or constants alone leave no feasible point.
-        """
+        """Reads a program."""
         terms.check_continuous(prog)
         parsed = cls(prog.num_vars())
         for label, evaluator, copies in terms.shared_evaluators(prog, prog.GetAllConstraints()):
@@ -97,11 +91,7 @@ class ParsedProgram:
         return bool(small)
 
     def add(self, row: terms.ParsedRow) -> None:
-        """Adds the copies of a row.
-
-        Raises:
-            ContradictionError: it leaves no feasible point.
-        """
+        """Adds the copies of a row."""
         if row.lower > row.upper or np.isposinf(row.lower) or np.isneginf(row.upper):
             raise ContradictionError
         if row.is_free:

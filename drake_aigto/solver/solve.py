@@ -50,9 +50,6 @@ class Solve:
         options: numerics.
         guess: shape (n,), NaN where there is none.
         observe: called with every better point, and a line about it.
-
-    Raises:
-        ContradictionError: presolve shows that there is no feasible point.
     """
 
     def __init__(

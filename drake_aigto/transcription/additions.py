@@ -253,9 +253,6 @@ def read_binding(
     """Returns a cost or constraint with its variables as places, by their ids.
 
     A message tells which variables are expected, and what to do where there is another one.
-
-    Raises:
-        ProgramError: it reads another variable.
     """
     listed = ", ".join(map(str, variables[:_MOST_LISTED]))
     more = ", …" if len(variables) > _MOST_LISTED else ""
@@ -308,9 +305,6 @@ def make_rows(
 
     Its K copies read decision variables (K, …), at knots up to these stages (K,); `new` returns so
     many new variables.
-
-    Raises:
-        UnsupportedTermError: Drake does not give its formula.
     """
     x, s = MakeVectorVariable(reads.shape[1], "x"), Variable("s")
     place = {variable.get_id(): i for i, variable in enumerate([*x, s])}

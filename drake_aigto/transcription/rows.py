@@ -127,11 +127,7 @@ def shared_constraint(
 def formula_rows(
     constraint: solvers.EvaluatorBase, name: str, x: NDArray[Any]
 ) -> Iterator[tuple[Expression, float, float]]:
-    """Yields each row of a constraint on x: its formula, and its lower and upper bound.
-
-    Raises:
-        UnsupportedTermError: Drake does not give the formula.
-    """
+    """Yields each row of a constraint on x: its formula, and its lower and upper bound."""
     if not isinstance(constraint, _WITH_FORMULA):
         raise UnsupportedTermError(
             f"the constraint '{name}' can't be met",
