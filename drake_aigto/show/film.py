@@ -6,6 +6,7 @@ import base64
 import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from importlib import resources
 
 import numpy as np
@@ -73,22 +74,18 @@ def open_meshcat(port: int | None = None) -> Meshcat:
     Raises:
         OptionsError: the port is in use, or no user may listen there.
     """
-    got = "none of 7000 to 7999 that is free" if port is None else f"{port}, in use"
-    cause: RuntimeError | None = None
+    got = "none of 7000 to 7999 that is free" if port is None else f"{port}"
     # Drake ends the process below, and takes the port's last 16 bits above.
-    if port and not _PORTS[0] <= port <= _PORTS[1]:
-        got = f"{port}"
-    else:
-        try:
+    if not port or _PORTS[0] <= port <= _PORTS[1]:
+        with suppress(RuntimeError):
             return Meshcat(MeshcatParams(port=port, show_stats_plot=False))
-        except RuntimeError as error:
-            cause = error
+        got += ", in use" if port else ""
     raise OptionsError(
         "Meshcat's port",
         got=got,
         expected=f"a free one, {_PORTS[0]} to {_PORTS[1]}",
         remedy="Name another port, or 0 for any that is free.",
-    ) from cause
+    )
 
 
 class Film:
