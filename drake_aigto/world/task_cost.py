@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -214,10 +213,6 @@ def _check_angles(angles: str, final: Floats, is_hinge: Bools) -> None:
         )
 
 
-# Those of each world's last scenario: planning again asks for them at each tick, many times.
-_scales: WeakKeyDictionary[EquationsOfMotion, tuple[Scenario, Scales]] = WeakKeyDictionary()
-
-
 @dataclass(frozen=True)
 class Scales:
     """Units in which tolerances are given, so that a verdict is the same at every size.
@@ -239,9 +234,11 @@ class Scales:
     @classmethod
     def of(cls, world: EquationsOfMotion, scenario: Scenario) -> Scales:
         """Returns the scales of a scenario in its world."""
-        if (known := _scales.get(world)) is None or known[0] is not scenario:
-            known = _scales[world] = scenario, cls._measure(world, scenario)
-        return known[1]
+        # A world keeps those of its last scenario: planning again asks for them many times a tick.
+        if (known := vars(world).get("_scales")) is None or known[0] is not scenario:
+            known = vars(world)["_scales"] = scenario, cls._measure(world, scenario)
+        found: Scales = known[1]
+        return found
 
     @classmethod
     def _measure(cls, world: EquationsOfMotion, scenario: Scenario) -> Scales:
