@@ -14,7 +14,7 @@ from other_models import ARM, GANTRY, GRAVITY, INERTIAL, MESH, TRANSMISSION, mak
 from drake_aigto import PlanningError, Scenario, World, plan
 from drake_aigto.cli import main
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world import find_model, read_model
+from drake_aigto.world import find_model, models_directory, read_model
 
 
 @pytest.mark.parametrize("mass", ["-1", "nan"])
@@ -352,6 +352,11 @@ def test_look_tells_what_is_understood(tmp_path: Path, capsys: pytest.CaptureFix
     ]
     assert main(["look", model]) == 2
     assert "allow_ignored: [fluid]" in capsys.readouterr().err
+    floats = str(models_directory() / "quadruped.sdf")
+    assert main(["look", floats]) == 0
+    assert "read with contact: compliant" in capsys.readouterr().out
+    assert main(["look", floats, "--contact", "rigid"]) == 2
+    assert "so it floats" in capsys.readouterr().err
 
 
 def test_materials_replace_those_of_a_diagram_in_a_copy_of_it() -> None:

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenario_fields import ALL_FIELDS
 
-from drake_aigto import Scenario, scenario_names
+from drake_aigto import Scenario, World, scenario_names
 from drake_aigto.errors import AigtoError, OutputFileError, ScenarioError
 from drake_aigto.plain import write_text
 from drake_aigto.world import ModelFields, scenario_summaries
@@ -307,11 +307,8 @@ GOOD = "initial_position: 1.0\ninitial_velocity: [-2.0]\ngoal_position: 0.73\n"
             "ignored_shapes.",
         ),
         (GOOD + "zzz: 1\n", r"unknown key 'zzz': expected one of .*, ignored_shapes\.$"),
-        ("goal_position: 1\n", r"missing initial_position, initial_velocity\. These have no defau"),
-        (
-            "initial_position: 1\ngoal_position: 1\n",
-            r"missing initial_velocity\. It has no default",
-        ),
+        ("duration: 1\n", r"missing initial_position, goal_position\. These have no defau"),
+        ("goal_position: 1\n", r"missing initial_position\. It has no default"),
         (GOOD + "epsilon: 0\n", r"epsilon: got 0 J, expected more than 0 J"),
         (GOOD + "epsilon: tiny\n", r"epsilon: got 'tiny' \(str\), expected a number"),
         (GOOD + "delta: .nan\n", "delta: got nan, expected a finite number"),
@@ -397,3 +394,16 @@ def test_an_error_is_caught_as_what_python_calls_it() -> None:
         raise ScenarioError("mass")
     with pytest.raises(OSError, match=r"can't be written\. Name another\."):
         raise OutputFileError("it can't be written", remedy="Name another.")
+
+
+@pytest.mark.parametrize("name", ["cart_pole/soft_06", "finger_and_box/push"])
+def test_what_starts_at_rest_needs_no_velocity(name: str, tmp_path: Path) -> None:
+    asked = Scenario.named(name).to_plain()
+    del asked["initial_velocity"]
+    resting = Scenario.from_plain(asked)
+    resting.save(tmp_path / "resting.yaml")
+    world = World.from_scenario(resting)
+    for each in (resting, Scenario.load(tmp_path / "resting.yaml")):
+        np.testing.assert_array_equal(
+            world.place(each).initial_velocity, np.zeros(world.num_velocities)
+        )

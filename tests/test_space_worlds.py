@@ -143,6 +143,12 @@ def test_a_body_that_turns_is_shown_between_knots_and_across_its_way(tmp_path: P
     assert captions[0].startswith("Links at evenly spaced times")
 
 
+def test_drake_does_not_warn_of_half_spaces(caplog: pytest.LogCaptureFixture) -> None:
+    world, scenario = build(Scenario.named("finger_and_box/push"))
+    assert world.calc_solid_distances(scenario.initial_position[np.newaxis]).shape[0] == 1
+    assert "half space" not in caplog.text
+
+
 def test_contacts_in_space_are_named_by_models_once_and_names_keep_apart() -> None:
     world, scenario = build(Scenario.named("finger_and_box/push"))
     touches = tuple(Touch(0.01 * i, 0.5 + 0.01 * i, i) for i in range(world.num_contacts))

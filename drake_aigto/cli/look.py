@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Iterator
+import dataclasses
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from pydrake.systems.sensors import CameraInfo
 from drake_aigto import world as worlds
 from drake_aigto.cli.command_line import make_parser
 from drake_aigto.cli.flags import FINE, add_command, add_scenario, load_scenario
-from drake_aigto.errors import OptionsError
+from drake_aigto.errors import ModelError, OptionsError
 from drake_aigto.plain import check_writable
 
 _MODELS = (".xml", ".urdf", ".sdf")
@@ -91,20 +92,41 @@ def _look(options: argparse.Namespace) -> int:
     """Prints tables, and draws the model if that is asked for."""
     check_writable(options.png)
     if Path(options.scenario).suffix in _MODELS:
-        ends: dict[str, Any] = {"initial_position": 0, "initial_velocity": 0, "goal_position": 0}
-        scenario = load_scenario(options, worlds.Scenario(model=options.scenario, **ends))
-        world = worlds.World.from_model(scenario)
+        ends: dict[str, Any] = {"initial_position": 0, "goal_position": 0}
+        given = load_scenario(options, worlds.Scenario(model=options.scenario, **ends))
+        world, scenario, notes = _read_model(given, "contact" in options)
     else:
-        scenario = load_scenario(options)
+        scenario, notes = load_scenario(options), []
         world = worlds.World.from_model(scenario, scenario.initial_position)
-    print("\n".join(_tell(world, scenario)))
+    print("\n".join(_tell(world, scenario, notes)))
     if options.png:
         drawn = _draw(world, options.png)
         print(f"wrote {options.png}" if drawn else "no picture: there is no shape to draw")
     return FINE
 
 
-def _tell(world: worlds.World, scenario: worlds.Scenario) -> Iterator[str]:
+def _read_model(
+    given: worlds.Scenario, is_asked: bool
+) -> tuple[worlds.World, worlds.Scenario, list[str]]:
+    """Returns a model's world, its scenario, and notes.
+
+    No contact law was asked for where only a compliant one fits: that of bodies that float.
+    """
+    try:
+        return worlds.World.from_model(given), given, []
+    except ModelError as error:
+        soft = dataclasses.replace(given, contact="compliant")
+        if is_asked:
+            raise
+        try:
+            world = worlds.World.from_model(soft)
+        except ModelError:
+            raise error from None
+        why = "--contact rigid says why that does not read it"
+        return world, soft, [f"read with contact: compliant ({why})"]
+
+
+def _tell(world: worlds.World, scenario: worlds.Scenario, notes: Sequence[str]) -> Iterator[str]:
     """Yields lines about a world."""
     plant = world.plant
     masses = sum(plant.get_body(i).default_mass() for i in plant.GetBodyIndices(_own(world)))
@@ -123,7 +145,7 @@ def _tell(world: worlds.World, scenario: worlds.Scenario) -> Iterator[str]:
     yield from (f"  {text}" for text in (*bounds, *(f"{name} without limit" for name in names)))
     header = "contact", "stiffness", "dissipation", "friction", "restitution"
     yield from _table(header, _contacts(world, scenario))
-    for title, lines in (("left out", world.ignored), ("notes", world.notes)):
+    for title, lines in (("left out", world.ignored), ("notes", [*notes, *world.notes])):
         if lines:
             yield from ("", title, *(f"  {line}" for line in lines))
 

@@ -24,7 +24,7 @@ from drake_aigto.world.model_facts import FixableError
 from drake_aigto.world.model_fields import Thruster
 
 # Drake warns that half spaces don't touch deformable bodies: we have none.
-HALF_SPACES = "half spaces are not currently supported for deformable"
+_HALF_SPACES = "half spaces are not currently supported for deformable"
 # By how much positions differ from their defaults where nothing cancels by chance.
 _ANYWHERE = 0.37
 
@@ -39,8 +39,7 @@ _HINGES = {
 
 def check_friction_acts(plant: MultibodyPlant, diagram: Diagram) -> None:
     """Refuses a diagram in which nothing makes dry friction act on its plant."""
-    with hear_drake(HALF_SPACES):
-        context = plant.GetMyContextFromRoot(diagram.CreateDefaultContext())
+    context = plant.GetMyContextFromRoot(create_root(diagram))
     if not plant.get_applied_generalized_force_input_port().HasValue(context):
         raise ModelError(
             "dry_friction",
@@ -176,6 +175,12 @@ def exclude(
     scene_graph.collision_filter_manager(*context).Apply(
         CollisionFilterDeclaration().ExcludeBetween(*sets)
     )
+
+
+def create_root(diagram: Diagram) -> Context:
+    """Returns a new root context, at defaults."""
+    with hear_drake(_HALF_SPACES):
+        return diagram.CreateDefaultContext()
 
 
 @contextmanager

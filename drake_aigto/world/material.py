@@ -16,7 +16,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Floats, read_only
 from drake_aigto.errors import ModelError
-from drake_aigto.world.diagram import HALF_SPACES, hear_drake
+from drake_aigto.world.diagram import create_root
 from drake_aigto.world.pairs import ReachableFace
 
 FRICTION = ("material", "coulomb_friction")
@@ -171,8 +171,7 @@ def read_frictions(
     scene_graph: SceneGraph, diagram: Diagram, pairs: Iterable[tuple[GeometryId, GeometryId]]
 ) -> list[float]:
     """Returns the dynamic μ of pairs of shapes, 2 μ₁ μ₂ / (μ₁ + μ₂), with defaults of Drake."""
-    with hear_drake(HALF_SPACES):
-        root = diagram.CreateDefaultContext()  # Drake's defaults are in contexts only.
+    root = create_root(diagram)  # Drake's defaults are in contexts only.
     found = []
     for pair in pairs:
         materials = [read_material(scene_graph, root, shape) for shape in pair]
@@ -190,8 +189,7 @@ def scale_friction(
     factor: float,
 ) -> None:
     """Gives shapes times as large coefficients of friction, in the model."""
-    with hear_drake(HALF_SPACES):
-        root = diagram.CreateDefaultContext()  # Drake's defaults are in contexts only.
+    root = create_root(diagram)  # Drake's defaults are in contexts only.
     for shape in dict.fromkeys(shapes):
         material = read_material(scene_graph, root, shape)
         own = material.GetProperty(*FRICTION)  # It lives no longer than the properties.

@@ -31,7 +31,7 @@ from pydrake.systems.primitives import SymbolicVectorSystem
 from drake_aigto.arrays import Floats, read_only
 from drake_aigto.dynamics import STICTION_SPEED, refuse_loop, smooth_sign
 from drake_aigto.errors import ModelError
-from drake_aigto.world.diagram import HALF_SPACES, add_actuation, check_plant, hear_drake
+from drake_aigto.world.diagram import add_actuation, check_plant, hear_drake
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
 from drake_aigto.world.model_facts import MESHES, FixableError, ModelFacts, Spring, fits, pick
@@ -179,9 +179,6 @@ def _read_model(
     ignored = tuple(dict.fromkeys(f"{what}: {cost}" for _, what, cost in facts.ignored))
     told = ignored, tuple(facts.notes), facts.is_bare
     diagram = builder.Build()
-    if facts.planes:
-        with hear_drake(HALF_SPACES):  # It warns once.
-            diagram.CreateDefaultContext()
     return ReadModel(diagram, friction, facts.efforts, *told)
 
 

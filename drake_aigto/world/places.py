@@ -172,7 +172,7 @@ RESTS = {
     **dict.fromkeys(("position_upper", "velocity_upper", "control_upper"), math.inf),
 }
 
-REQUIRED = ("initial_position", "initial_velocity", "goal_position")
+REQUIRED = ("initial_position", "goal_position")
 
 BOUNDS: dict[str, dict[str, Any]] = {
     "duration": {"above": 0.0, "unit": "s"},

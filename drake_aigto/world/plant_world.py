@@ -22,14 +22,13 @@ from drake_aigto.arrays import Floats
 from drake_aigto.dynamics import STICTION_SPEED, EquationsOfMotion, read_damping
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.diagram import (
-    HALF_SPACES,
     check_friction_acts,
     check_plant,
     copy_diagram,
+    create_root,
     exclude,
     find_plant,
     find_propeller,
-    hear_drake,
     scale_masses,
 )
 from drake_aigto.world.frames import find_advance, place_scenario
@@ -245,8 +244,7 @@ class PlantWorld(EquationsOfMotion):
 
     def create_context(self) -> Context:
         """Returns a new root context, at defaults, with masses as here and shapes ignored."""
-        with hear_drake(HALF_SPACES):
-            root = self.diagram.CreateDefaultContext()
+        root = create_root(self.diagram)
         scale_masses(self.plant, self.plant.GetMyMutableContextFromRoot(root), self.mass_factor)
         if self.ignored_shapes:
             names = name_shapes(self.plant, self.scene_graph)

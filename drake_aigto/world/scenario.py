@@ -63,7 +63,7 @@ class Scenario(ModelFields):
             there. How it is read, say the `ModelFields`.
         initial_position: q(0), shape (nq,); or by names of joints and floating bodies, of which
             others are at the model's default: numbers of a joint, or a pose (`place_scenario`).
-        initial_velocity: v(0), shape (nv,); or by names, 0 of others.
+        initial_velocity: v(0), shape (nv,); or by names, 0 of others: {}, which is at rest.
         goal_position: where q(T) should be, the same, or {by: numbers} for so far from the start;
             what is not named, where it starts. Of a motion that is `periodic` it is known.
         goal_velocity: v(T), the same; None: zero where it is weighed, free where the goal is hard.
@@ -126,7 +126,7 @@ class Scenario(ModelFields):
 
     model: str = DEFAULT_MODEL
     initial_position: ArrayField[Floats] = ArrayField(places.as_positions)
-    initial_velocity: ArrayField[Floats] = ArrayField(places.as_velocity)
+    initial_velocity: ArrayField[Floats] = ArrayField(places.as_velocity, Named())
     goal_position: ArrayField[Floats] = ArrayField(places.as_positions, None)
     goal_velocity: places.Vector = ArrayField(places.as_velocity, None)
     hard_goal: bool = False

@@ -25,7 +25,13 @@ from drake_aigto.dynamics import (
 )
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.geometry import make_closest
-from drake_aigto.world.diagram import find_plant, find_propeller, read_thrusts, scale_masses
+from drake_aigto.world.diagram import (
+    create_root,
+    find_plant,
+    find_propeller,
+    read_thrusts,
+    scale_masses,
+)
 from drake_aigto.world.frames import FrameGoals
 from drake_aigto.world.limits import Limits
 from drake_aigto.world.material import SpringMaterial, combine_springs
@@ -224,7 +230,7 @@ class SpaceWorld(SpaceCoordinates, World):
 
     def calc_solid_distances(self, q: Floats) -> Floats:
         """Returns distances of such solids, by Drake, edges too, (K, S) [m], at q (K, nq)."""
-        root = self.diagram.CreateDefaultContext()
+        root = create_root(self.diagram)
         graph = self.scene_graph.GetMyContextFromRoot(root)
         of_plant = self.plant.GetMyContextFromRoot(root)
         found = np.empty((len(q), len(self._solids)))
