@@ -547,7 +547,7 @@ def test_unnamed_costs_go_by_their_type() -> None:
 def test_costs_that_are_too_many_terms_as_one_are_parsed_each(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("drake_aigto.terms.expressions.MAX_TERMS", 8)
+    monkeypatch.setattr("drake_aigto.terms.products.MAX_TERMS", 8)
     prog, x = program()
     add(prog, (x[0] + x[1]) ** 5, "power")
     add(prog, (x[0] + 2 * x[1]) ** 4, "power")
