@@ -53,12 +53,19 @@ def test_a_weight_of_zero_switches_an_infinite_barrier_off() -> None:
     assert off.gradient(outside, width)[0] == off.newton_system(outside, width).value == 6.0
 
 
-def test_unknown_names_and_useless_weights_are_refused() -> None:
+def test_unknown_names_useless_weights_and_boxes_of_another_size_are_refused() -> None:
     f = BoxPolynomial(2, (block(BARRIER, name="barrier"), block(Term(1.0, (X0,)), name="slope")))
     with pytest.raises(OptionsError, match=r"no cost named \['barier'\].*'barrier', 'slope'"):
         f.with_weights({"barier": 2.0})
     with pytest.raises(OptionsError, match="weight of 'barrier': got nan, expected a finite"):
         f.with_weights({"barrier": math.nan})
+    f = BoxPolynomial(2, (block(Term(1.0, (X0, X1))),))
+    with pytest.raises(ValueError, match=r"center has shape \(3,\) and half_width \(2,\); expecte"):
+        f.mean(np.ones(3), np.ones(2))
+    with pytest.raises(ValueError, match=r"half_width \(3,\); expected \(2,\)"):
+        f.gradient(np.ones(2), np.ones(3))
+    with pytest.raises(ValueError, match=r"half_width is -0\.5 at its least"):
+        f.newton_system(np.ones(2), [1.0, -0.5])
 
 
 @pytest.mark.parametrize(
@@ -87,16 +94,6 @@ def test_a_variable_may_come_back_in_another_term() -> None:
 def test_an_order_that_is_no_permutation_is_refused(order: list[int]) -> None:
     with pytest.raises(OptionsError, match=r"elimination order: got .* expected each of 0 … 1 onc"):
         BoxPolynomial(2, (block(Term(1.0, (X0, X1))),), order)
-
-
-def test_boxes_of_another_size_or_of_negative_width_are_refused() -> None:
-    f = BoxPolynomial(2, (block(Term(1.0, (X0, X1))),))
-    with pytest.raises(ValueError, match=r"center has shape \(3,\) and half_width \(2,\); expecte"):
-        f.mean(np.ones(3), np.ones(2))
-    with pytest.raises(ValueError, match=r"half_width \(3,\); expected \(2,\)"):
-        f.gradient(np.ones(2), np.ones(3))
-    with pytest.raises(ValueError, match=r"half_width is -0\.5 at its least"):
-        f.newton_system(np.ones(2), [1.0, -0.5])
 
 
 @settings(max_examples=10)

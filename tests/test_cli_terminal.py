@@ -77,7 +77,7 @@ def failing(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
     monkeypatch.setattr(Planner, "plan", fail)
 
 
-def test_progress_is_one_line_of_the_terminals_width(
+def test_progress_is_one_line_of_the_terminals_width_and_quiet_shows_none(
     telling: Callable[..., None],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -95,9 +95,13 @@ def test_progress_is_one_line_of_the_terminals_width(
     assert "\033[?25l" not in terminal.getvalue()
     printed = capsys.readouterr().out
     assert printed.startswith("verdict ") and ESCAPE not in printed
+    terminal = open_terminal(monkeypatch)
+    telling("AIGO 1 of 5")
+    assert main(["--quiet", "plan", "table1/1"]) == FINE
+    assert not terminal.getvalue()
 
 
-def test_what_is_counted_has_a_bar(
+def test_what_is_counted_has_a_bar_without_colour_where_there_is_to_be_none(
     telling: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     terminal = open_terminal(monkeypatch)
@@ -109,26 +113,12 @@ def test_what_is_counted_has_a_bar(
     filled = re.search(r"\033\[91m(━+)", last)
     assert filled and len(filled[1]) == 15
     assert re.search(r"0:00:0\d ━.* left; 3 of 4", terminal.shown()[-2])
-
-
-def test_without_colour_there_is_none(
-    telling: Callable[..., None], monkeypatch: pytest.MonkeyPatch
-) -> None:
     terminal = open_terminal(monkeypatch)
     monkeypatch.setenv("NO_COLOR", "1")
     telling(Count(1, 4, "cells done"))
     assert main(["plan", "table1/1"]) == FINE
     assert any("1 of 4 cells done" in line for line in terminal.shown())
     assert not re.search(r"\033\[[\d;]*3\d", terminal.getvalue())
-
-
-def test_quiet_shows_no_progress(
-    telling: Callable[..., None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    terminal = open_terminal(monkeypatch)
-    telling("AIGO 1 of 5")
-    assert main(["--quiet", "plan", "table1/1"]) == FINE
-    assert not terminal.getvalue()
 
 
 KEPT = Notice("compiling machine code")

@@ -253,13 +253,16 @@ def test_only_touches_that_push_a_coordinate_are_in_its_column_by_name(room: Sce
             assert time in dotted and {0.4, 0.7} - {time} != set(dotted) & {0.4, 0.7}
 
 
-def test_too_few_axes_and_a_path_of_one_coordinate_are_refused(
+def test_too_few_axes_paths_of_one_coordinate_and_landscapes_of_several_walls_are_refused(
     axes: Axes, world: World, scenario: Scenario, room: Scenario
 ) -> None:
     with pytest.raises(ModelError, match=r"got one coordinate, expected two\. Use plot_positions"):
         plot_path(axes, [PLAN], world, scenario)
     with pytest.raises(ModelError, match=r"axes: got \(3, 1\), expected \(3, 2\)"):
         plot_motions(Figure().subplots(3, 1), [PLANE], World.from_scenario(room), room)
+    corridor = Scenario.named("room/two_walls")
+    with pytest.raises(ModelError, match="the exact optimum"):
+        plot_cost_landscape(axes, World.from_scenario(corridor), corridor, {})
 
 
 def solids(axes: Axes) -> list[np.ndarray]:
@@ -490,12 +493,6 @@ def test_a_landscape_has_the_optimum_and_where_methods_end(
         "AIGTO: holds",
         "other: holds, no contact",
     ]
-
-
-def test_a_landscape_of_several_walls_is_refused(axes: Axes) -> None:
-    corridor = Scenario.named("room/two_walls")
-    with pytest.raises(ModelError, match="the exact optimum"):
-        plot_cost_landscape(axes, World.from_scenario(corridor), corridor, {})
 
 
 BOUNCE = Motion(

@@ -174,11 +174,6 @@ def test_what_changes_the_physics_is_refused_by_name_or_left_out_as_allowed(
     assert len(world.ignored) == 1
 
 
-def test_all_that_is_refused_is_listed_at_once(arm: Any) -> None:
-    with pytest.raises(ModelError, match=r"allow_ignored: \[fluid, springdamper\]"):
-        arm(OPTION='density="1"', JOINT='springdamper="1 1"')
-
-
 def test_drawing_and_numerics_are_read_without_a_word(
     arm: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -202,6 +197,14 @@ def test_includes_are_read_and_missing_ones_refused(tmp_path: Path) -> None:
 
 
 BAD_MJCF = {
+    "all at once": (
+        {"OPTION": 'density="1"', "JOINT": 'springdamper="1 1"'},
+        r"allow_ignored: \[fluid, springdamper\]",
+    ),
+    "what Drake asserts": (
+        {"JOINT": '/><body pos="0 0 1"><geom size="-1"/></body><site'},
+        r"Drake can't parse the model .*arm.xml: got .*radius",
+    ),
     "a gear of 0": ({"ACTUATORS": '<motor joint="elbow" gear="0"/>'}, "with a gear of 0"),
     "an unknown joint": ({"ACTUATORS": '<motor joint="knee"/>'}, "the unknown joint 'knee'"),
     "an unknown class": ({"ACTUATORS": '<motor joint="elbow" class="x"/>'}, "unknown class 'x'"),
@@ -224,12 +227,6 @@ def test_a_bad_mjcf_is_refused_by_name(arm: Any, name: str) -> None:
     parts, message = BAD_MJCF[name]
     with pytest.raises(ModelError, match=message):
         arm(**parts)
-
-
-def test_what_drake_asserts_of_a_model_is_an_error_of_the_model(arm: Any) -> None:
-    body = '/><body pos="0 0 1"><geom size="-1"/></body><site'
-    with pytest.raises(ModelError, match=r"Drake can't parse the model .*arm.xml: got .*radius"):
-        arm(JOINT=body)
 
 
 SAME_TWICE = {

@@ -312,11 +312,15 @@ def test_a_square_of_too_many_terms_is_refused_by_name() -> None:
         assert read_program(prog).penalties
 
 
-def test_rows_that_are_constant_once_multiplied_out_are_checked() -> None:
+def test_rows_that_are_constant_and_variables_that_are_not_continuous_are_refused() -> None:
     program = read_program(make_rows(lambda x: (sin(x[0]) ** 2 + cos(x[0]) ** 2, 1, 1)))
     assert program.nlp.num_rows == 0
     with pytest.raises(ContradictionError):
         read_program(make_rows(lambda x: (sin(x[0]) ** 2 + cos(x[0]) ** 2, 2, 3)))
+    prog = make_rows()
+    prog.NewBinaryVariables(1, "b")
+    with pytest.raises(UnsupportedTermError, match=r"the variable b\(0\) .* got one of type BINAR"):
+        read_program(prog)
 
 
 def test_copies_of_a_constraint_share_a_table_and_have_slacks_of_their_own() -> None:
@@ -351,13 +355,6 @@ def test_a_cost_that_is_named_like_a_row_keeps_its_weight() -> None:
 def test_bounds_that_contradict_each_other_are_found_at_once(constraints: Any) -> None:
     with pytest.raises(ContradictionError):
         read_program(make_rows(*constraints))
-
-
-def test_variables_that_are_not_continuous_are_refused_by_name() -> None:
-    prog = make_rows()
-    prog.NewBinaryVariables(1, "b")
-    with pytest.raises(UnsupportedTermError, match=r"the variable b\(0\) .* got one of type BINAR"):
-        read_program(prog)
 
 
 def first_box(prog: MathematicalProgram, guess: Any = NAN, **options: Any) -> tuple[Any, Any]:
