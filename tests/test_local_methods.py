@@ -243,20 +243,15 @@ NAMES = [problem.name for problem in PLANAR]
 
 
 @pytest.mark.parametrize("problem", PLANAR, ids=NAMES)
-def test_no_start_wastes_steps_at_a_minimum_that_rounding_blurs(problem: GlobalProblem) -> None:
+def test_rounding_wastes_no_steps_at_a_minimum_nor_where_tolerances_are_below_it(
+    problem: GlobalProblem,
+) -> None:
     nlp = compile_nlp(problem.prog())
     for seed in range(5):
         start = np.random.default_rng(seed).uniform(problem.lower, problem.upper)
         result = InteriorPoint().solve(nlp, start)
         assert result.status is LocalStatus.CONVERGED, seed
         assert result.iterations <= 60, seed
-
-
-@pytest.mark.parametrize("problem", PLANAR, ids=NAMES)
-def test_tolerances_below_rounding_end_the_run_where_it_gets_no_further(
-    problem: GlobalProblem,
-) -> None:
-    nlp = compile_nlp(problem.prog())
     for seed in range(2):
         start = np.random.default_rng(seed).uniform(problem.lower, problem.upper)
         result = InteriorPoint(tolerance=1e-15).solve(nlp, start)

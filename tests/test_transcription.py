@@ -184,7 +184,7 @@ def test_a_running_cost_of_degree_4_keeps_its_formula() -> None:
     assert mean_by_block(f, x, 0.0)["quartic"] == pytest.approx(total)
 
 
-def test_results_are_reconstructed_as_drake_trajectories() -> None:
+def test_guesses_and_results_are_drake_trajectories() -> None:
     transcription = transcribe()
     result = SnoptSolver().Solve(transcription.prog())
     x = result.get_x_val()
@@ -197,10 +197,6 @@ def test_results_are_reconstructed_as_drake_trajectories() -> None:
     assert state.value(times[4])[0, 0] == pytest.approx(q[4, 0])
     np.testing.assert_allclose(transcription.GetStateSamples(result), np.hstack([q, v]).T)
     np.testing.assert_allclose(transcription.GetInputSamples(result), u.T)
-
-
-def test_a_guess_is_sampled_from_trajectories() -> None:
-    transcription = transcribe()
     times = [0.0, SCENARIO.duration]
     transcription.SetInitialTrajectory(
         PiecewisePolynomial.FirstOrderHold(times, np.array([[1.0, 3.0]])),
