@@ -197,10 +197,10 @@ def test_guesses_and_results_are_drake_trajectories() -> None:
     assert state.value(times[4])[0, 0] == pytest.approx(q[4, 0])
     np.testing.assert_allclose(transcription.GetStateSamples(result), np.hstack([q, v]).T)
     np.testing.assert_allclose(transcription.GetInputSamples(result), u.T)
-    times = [0.0, SCENARIO.duration]
+    ends = [0.0, SCENARIO.duration]
     transcription.SetInitialTrajectory(
-        PiecewisePolynomial.FirstOrderHold(times, np.array([[1.0, 3.0]])),
-        PiecewisePolynomial.FirstOrderHold(times, np.array([[1.0, 0.5], [-2.0, 2.0]])),
+        PiecewisePolynomial.FirstOrderHold(ends, np.array([[1.0, 3.0]])),
+        PiecewisePolynomial.FirstOrderHold(ends, np.array([[1.0, 0.5], [-2.0, 2.0]])),
     )
     q, v, u = transcription.split(transcription.prog().initial_guess())
     np.testing.assert_allclose(q[:, 0], np.linspace(1, 0.5, 11))
