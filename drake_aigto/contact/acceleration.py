@@ -48,9 +48,15 @@ def find_slope(n: int, m: int, w: int, k: int, i: int, c: int) -> int:
 def run_tape(
     code: Ints, numbers: Floats, x: Floats, has_slopes: bool, values: Floats, sums: Floats
 ) -> None:
-    """Computes the sums (Z,) of a tape at x (n,) that change, and their derivatives if asked.
+    """Computes the sums at x that change, and their derivatives if asked.
 
-    Those that never change are there already; values has room for all that have a place.
+    Args:
+        code: of the tape.
+        numbers: of the tape.
+        x: the coordinates, shape (n,).
+        has_slopes: whether the derivatives are computed, too.
+        values: memory for all values with a place.
+        sums: the result, shape (Z,); those that never change are there already.
     """
     num_products, num_sums = (code[1], code[3]) if has_slopes else (code[2], code[4])
     values[0] = 1.0

@@ -92,7 +92,12 @@ class CompliantLaw(_Law):
         return self.stiffness * depths * np.maximum(0.0, 1.0 - self.dissipation * speeds) * levers
 
     def find_gaps(self, distances: Floats, rates: Floats) -> tuple[Floats, Floats, Floats]:
-        """Returns distances of surfaces [m], their rates [m/s] and ∂l/∂φ, (…, m), from φ and φ̇."""
+        """Returns distances of surfaces [m], their rates [m/s] and ∂l/∂φ, shape (…, m) each.
+
+        Args:
+            distances: φ, shape (…, m) [m].
+            rates: φ̇, shape (…, m) [m/s].
+        """
         levers = calc_levers(self.reaches, distances)
         if not self.reaches.any():
             return distances, rates, levers
@@ -103,7 +108,9 @@ class CompliantLaw(_Law):
 def calc_levers(reaches: Floats, distances: Floats) -> Floats:
     """Returns R/l = ∂l/∂φ of two spheres that move about each other, else 1, shape (…, m).
 
-    Reaches R are (m,) [m] (`CompliantLaw`), distances φ (…, m) [m].
+    Args:
+        reaches: see `CompliantLaw`, shape (m,) [m].
+        distances: φ, shape (…, m) [m].
     """
     R, levers = reaches, np.ones_like(distances)
     apart = np.sqrt(np.maximum(R**2 + 2 * R * distances, NO_ROOM))

@@ -47,9 +47,11 @@ class Walls(NamedTuple):
 
     @classmethod
     def of(cls, inertia: ConstantInertia, turning: Floats | None = None) -> Walls:
-        """Returns copies, with J̇ v, shape (m,) [m/s²], where J varies.
+        """Returns copies: Numba compiles once more for arrays that are read-only.
 
-        Numba compiles once more for arrays that are read-only.
+        Args:
+            inertia: M and J.
+            turning: J̇ v, shape (m,) [m/s²]; None where J is constant.
         """
         firsts = [*(faces[0] for faces in inertia.solids), len(inertia.offset)]
         parts = inertia.jacobian, inertia.offset, inertia.lifts

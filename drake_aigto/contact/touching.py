@@ -96,11 +96,20 @@ def push(
     table: TouchTable, poses: Floats, S: Floats, v: Floats,
     eps: float, pace: float, has_slopes: bool, room: TouchRoom, force: Floats, slopes: Floats,
 ) -> None:  # fmt: skip
-    """Adds Jᵀ f of all pairs to a force (n,), and its derivatives (n, 2n) by (q, v) if asked.
+    """Adds Jᵀ f of all pairs to a generalized force, and its derivatives by (q, v) if asked.
 
-    Poses of bodies are R by rows and p, (L, 12); S (n, 6) is the motion of each velocity, turn and
-    then the material at the origin, in the world's frame; pace is 1/T [1/s]. The room's `found` is
-    a result, too.
+    Args:
+        table: the pairs.
+        poses: of bodies in the world, R by rows and p, shape (L, 12).
+        S: motion of each velocity, turn and then the material at the origin, in the world's frame,
+            shape (n, 6).
+        v: velocities, shape (n,).
+        eps: ε [m].
+        pace: 1/T [1/s].
+        has_slopes: whether derivatives are asked for.
+        room: memory; `found` is a result, too.
+        force: Jᵀ f is added, shape (n,).
+        slopes: ∂(Jᵀ f)/∂(q, v) is added, in the tangent space, shape (n, 2n).
     """
     asked = ALL_SLOPES if has_slopes else NO_SLOPES
     place_shapes(table.shapes, poses, room.rotations, room.places)

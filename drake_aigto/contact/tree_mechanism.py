@@ -223,10 +223,13 @@ class TreeMechanism:
     def fit(
         self, step: float, duration: float, speed: float, load: Load | None = None
     ) -> TreeMechanics:
-        """Returns the tables for Runge-Kutta steps of a length and a task of a duration [s].
+        """Returns the tables for Runge-Kutta steps of a length [s], see `fit_to_steps`.
 
-        See `fit_to_steps`. Speeds of contacts and a load are not needed: weights limit what pushes
-        from afar.
+        Args:
+            step: of time [s].
+            duration: of the whole task, T [s].
+            speed: of contacts [m/s], which those of a tree do not need.
+            load: not needed either, as weights limit what pushes from afar.
         """
         tree = self.tree
         masses = tree.calc_mass_matrix(self.tree.unturned)

@@ -205,9 +205,11 @@ class EquationsOfMotion(Coordinates):
     def blend(self: _Self, *shares: tuple[_Self, float]) -> _Self:
         """Returns the world of f = f₀ + Σ s_k (f_k − f₀) for f in M, h, φ and dry friction.
 
-        Here f₀ is its own, and so are the diagram and all else; the others are worlds that were
-        made of this one (`changed`), and s_k of each. Nothing is compiled for it that was for all
-        of them.
+        Here f₀ is its own, and so are the diagram and all else. Nothing is compiled for it that was
+        for all of them.
+
+        Args:
+            shares: worlds that were made of this one (`changed`), and s_k of each.
         """
         mixed = Blend.of(self, shares)
         distances = mixed.mix(lambda world: world._distances)
@@ -301,7 +303,12 @@ class EquationsOfMotion(Coordinates):
         return ConstantInertia(self.calc_mass_matrix(q), self.actuation, J, offset, self.solids)
 
     def move_onto(self, q: Floats, contacts: Sequence[int]) -> Floats:
-        """Returns positions nearest to q (nq,) [m] where some φ_i = 0, exact for an affine φ."""
+        """Returns the nearest positions where φ_i = 0, exact for an affine φ, shape (nq,) [m].
+
+        Args:
+            q: the positions, shape (nq,) [m].
+            contacts: i, at least one.
+        """
         J = self.calc_contact_jacobian(q)[contacts]
         # For one row, a singular value decomposition takes ten times as long as its norm.
         inverse = J.T / np.sum(J**2) if len(contacts) == 1 else np.linalg.pinv(J)

@@ -325,7 +325,14 @@ def add_frame_costs(
 ) -> float:
     """Returns what frames cost at q, and adds derivatives along q ⊕ δ, as v is ordered, if asked.
 
-    These are the gradient l1, shape (nv, …), and the Gauss-Newton Hessian l2, shape (nv, nv, …).
+    Args:
+        tree: the joints.
+        frames: on its links.
+        q: positions, shape (nq, …).
+        has_slopes: whether derivatives are asked for.
+        l1: the gradient, shape (nv, …).
+        l2: the Gauss-Newton Hessian, shape (nv, nv, …).
+        memory: room.
     """
     cost = 0.0
     for i in range(tree.parents.size if frames.links.size else 0):

@@ -49,9 +49,13 @@ def evaluate_sums(
 
 @kernel
 def divide_by_masses(masses: Floats, momenta: Floats) -> Floats:
-    """Returns M⁻¹ y, shape (K, n), of pairs M (K, n n) and y (K, n), by Cholesky's factors.
+    """Returns M⁻¹ y of each of K pairs by Cholesky's factors, shape (K, n).
 
     NumPy's solver takes ten times as long for the few coordinates that mechanisms have.
+
+    Args:
+        masses: M, positive definite, shape (K, n n).
+        momenta: y, shape (K, n).
     """
     n = momenta.shape[1]
     L, found = np.empty((n, n)), momenta.copy()

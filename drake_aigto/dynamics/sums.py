@@ -46,7 +46,13 @@ def tidy(expressions: NDArray[Any]) -> NDArray[Any]:
 
 
 def calc_turning(rows: Iterable[NDArray[Any]], q: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
-    """Returns J̇ v of m rows J(q), (nv,) each: rates of change of velocities J v at constant v."""
+    """Returns J̇ v of each row J(q), (nv,): rates of change of velocities J v at constant v.
+
+    Args:
+        rows: m of them.
+        q: the variables of positions, shape (nq,).
+        v: the variables of velocities, shape (nv,), v = q̇.
+    """
     turns = [_dot(_dot(row, v).Jacobian(q), v) for row in rows]
     return tidy(np.array(turns, dtype=object))
 
@@ -62,7 +68,12 @@ def is_constant(expressions: Any) -> bool:
 
 
 def evaluate(expressions: NDArray[Any], at: dict[Any, float] | None = None) -> Floats:
-    """Returns the values of expressions at those of their variables, of the same shape."""
+    """Returns the values of expressions, of the same shape.
+
+    Args:
+        expressions: any shape.
+        at: the value of each of their variables.
+    """
     values = [expression.Evaluate(at or {}) for expression in expressions.flat]
     return np.array(values, dtype=float).reshape(expressions.shape)
 

@@ -71,11 +71,16 @@ class Regulator(NamedTuple):
 
     @classmethod
     def of(cls, world: World, scenario: Scenario, end: Floats, period: float) -> Regulator | None:
-        """Returns the regulator about a goal, for periods h [s]; None where it cannot be held so.
+        """Returns the regulator about a scenario's goal; None where the goal cannot be held so.
 
         That is: the goal moves, is at a wall, is no equilibrium within the bounds of the control,
-        or cannot be stabilized, or joints have dry friction. Coordinates that the scenario does not
-        weigh at T stay where the plan ends, q and v, shape (2n,).
+        or cannot be stabilized, or joints have dry friction.
+
+        Args:
+            world: the mechanism.
+            scenario: the task. Coordinates that it does not weigh at T stay where they end.
+            end: q and v at the end of the plan, shape (2n,).
+            period: h [s].
         """
         cost, (q, _) = TaskCost.of(world, scenario), world.split(end)
         q = world.add(q, -np.where(cost.is_asked, cost.goal_errors(q), 0.0))

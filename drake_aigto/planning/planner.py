@@ -308,7 +308,10 @@ def _check_friction(world: World, scenario: Scenario) -> None:
 def run_search(search: Search, scenario: Scenario, progress: Progress | None = None) -> Plan:
     """Returns the plan that a search ends with: the first candidate that all replays confirm.
 
-    Progress is called with a line of text before each candidate.
+    Args:
+        search: that has not begun.
+        scenario: of the plan.
+        progress: called with a line of text before each candidate.
 
     Raises:
         PlanningError: no candidate meets the transcription's rows, or none that does holds in

@@ -193,8 +193,10 @@ class ProgramTask(ABC):
     ) -> AigoResult:
         """Returns AIGO's result from the rung's first box under its weights.
 
-        Boxes shrink by an algorithm, or the problem's own (`make_algorithm`); the callback gets
-        every iterate, the first box included.
+        Args:
+            rung: the start.
+            algorithm: how to shrink boxes; the problem's own (`make_algorithm`) if None.
+            callback: called with every iterate, the first box included.
         """
         algorithm = algorithm or self.make_algorithm(rung)
         start = self.start(rung.start)
@@ -265,9 +267,12 @@ class ProgramTask(ABC):
     def solve_nlp(
         self, nlp: PolynomialNlp, guess: Floats, max_iterations: int | None = None
     ) -> Floats:
-        """Returns the local optimum of a compiled program near a guess of all its variables.
+        """Returns the local optimum of a compiled program near a guess.
 
-        With `max_iterations`, our local solver only runs once.
+        Args:
+            nlp: the program.
+            guess: all its decision variables.
+            max_iterations: of our local solver, which then only runs once.
         """
         if self.options.local_solver != "newton":
             return solve_with_drake(as_program(nlp), guess, self.options.local_solver)
@@ -289,7 +294,13 @@ class ProgramTask(ABC):
         return self.transcription.cost_scale()
 
     def judge(self, origin: Origin, start: Floats, found: Solution) -> Candidate:
-        """Returns the candidate of a motion from a start, replayed between rigid walls."""
+        """Returns the candidate of a motion, replayed between rigid walls.
+
+        Args:
+            origin: where it came from.
+            start: decision variables of this problem's transcription.
+            found: the motion.
+        """
         world, scenario, trajectory = self.world, self.transcription.scenario, found.trajectory
         replay = replay_event_driven(world, scenario, trajectory.times, trajectory.controls)
         return self._describe(

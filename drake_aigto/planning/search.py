@@ -10,14 +10,15 @@ import time
 from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from itertools import chain
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
-from drake_aigto.kernels import tell_compilation, uncollected
+from drake_aigto.kernels import tell_compilation
 from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Origin, Replays
+from drake_aigto.planning.options import SearchOptions
 from drake_aigto.planning.plans import Plan, PlanningError, PlanStats
+from drake_aigto.planning.threads import start_threads, wait_for
 from drake_aigto.simulation import HARD_GOAL
 from drake_aigto.transcription import scaled_defects
 
@@ -27,11 +28,7 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
-# Python answers a Ctrl-C that comes just before a wait begins only when the wait ends [s].
-_PATIENCE = 0.1
-
 Progress = Callable[[str], None]
-Task: TypeAlias = Any  # A `ProgramTask` or a `MechanismTask`, whose modules import this one.
 
 _Self = TypeVar("_Self", bound="Search")
 
@@ -55,6 +52,40 @@ class Stopwatch:
             yield
         finally:
             self.seconds[part] += time.perf_counter() - start
+
+
+class Task(Protocol):
+    """A scenario in a world, to be searched for plans."""
+
+    @property
+    def transcription_name(self) -> str:
+        """Its name in plan files."""
+
+    @property
+    def world(self) -> World:
+        """The world of the task."""
+
+    @property
+    def scenario(self) -> Scenario:
+        """The task's question."""
+
+    @property
+    def options(self) -> SearchOptions:
+        """Numerics."""
+
+    @property
+    def sources(self) -> str:
+        """The sources of candidates, in words."""
+
+    @property
+    def remedy(self) -> str:
+        """Advice to the user if no candidate meets the rows."""
+
+    def idle_candidate(self) -> Candidate:
+        """Returns the uncontrolled motion."""
+
+    def confirm(self, candidate: Candidate) -> Replays:
+        """Returns the candidate's replays: its own, and Drake's if the options confirm."""
 
 
 def name_active(world: World, scenario: Scenario, candidates: Iterable[Candidate]) -> str:
@@ -84,23 +115,6 @@ def name_obstacles(world: World, scenario: Scenario, candidates: Sequence[Candid
             if name == HARD_GOAL:
                 told += "Weigh the goal (hard_goal: false) to come as near as it can. "
     return told + name_active(world, scenario, candidates)
-
-
-@contextmanager
-def start_threads(count: int) -> Iterator[ThreadPoolExecutor]:
-    """Yields threads; until they end, Python's collector of garbage rests.
-
-    It runs in any thread, and Drake ends the process where another one than the main thread frees
-    a Meshcat. Diagrams hold one that draws them, and are cycles, which nothing else frees.
-    """
-    with uncollected(), ThreadPoolExecutor(count) as pool:
-        yield pool
-
-
-def wait_for(runs: Sequence[Future[Any]]) -> None:
-    """Waits for all runs; a Ctrl-C, whenever it comes, is answered within `_PATIENCE`."""
-    while wait(runs, _PATIENCE).not_done:
-        pass
 
 
 class Proposal(NamedTuple):

@@ -19,7 +19,8 @@ from drake_aigto.arrays import Floats
 from drake_aigto.planning.candidate import Candidate, Origin
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.program_task import ContactSequence, ProgramTask
-from drake_aigto.planning.search import Proposal, Search, Stopwatch, start_threads, wait_for
+from drake_aigto.planning.search import Proposal, Search, Stopwatch
+from drake_aigto.planning.threads import start_threads, wait_for
 from drake_aigto.simulation import find_contacts
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence, Transcription
@@ -61,13 +62,16 @@ class _Pushes(NamedTuple):
 
 
 def read_sequences(transcription: Transcription, x: Floats) -> list[TouchSequence]:
-    """Returns the contact sequences of a box center x, shape (n,), the most literal first.
+    """Returns the contact sequences of a box center, the most literal first.
 
-    A contact is a cluster of one wall's impulses; rows need not hold. Boxes may split one contact
-    into several, and do not distinguish bounces from sustained contacts. So these are returned:
-    each cluster as a bounce; all clusters of a wall as one bounce, at the mean time of their
-    impulses; and if a wall pushes at successive knots, one sustained contact instead of that wall's
-    bounces.
+    A contact is a cluster of one wall's impulses. Boxes may split one contact into several,
+    and do not distinguish bounces from sustained contacts. So these are returned: each cluster as a
+    bounce; all clusters of a wall as one bounce, at the mean time of their impulses; and if a wall
+    pushes at successive knots, one sustained contact instead of that wall's bounces.
+
+    Args:
+        transcription: of these decision variables.
+        x: the box center, shape (n,); the rows need not hold.
     """
     world, q0 = transcription.world, transcription.scenario.initial_position
     motion, pushes = transcription.trajectory(x), list[_Pushes]()
@@ -98,10 +102,14 @@ def read_touches_of(world: World, trajectory: Trajectory) -> TouchSequence:
 
 
 def neighbors(sequence: TouchSequence, grazes: Iterable[Touch]) -> list[TouchSequence]:
-    """Returns the sequences that boxes may have mistaken for this one, as polished.
+    """Returns the sequences that boxes may have mistaken for this one.
 
     They lack the last touch of a wall, for each wall, as boxes are widest at the end, where they do
     not distinguish n bounces from n + 1; or they have one more bounce where a wall is grazed.
+
+    Args:
+        sequence: as polished.
+        grazes: bounces to try.
     """
     last = {touch.contact: place for place, touch in enumerate(sequence)}
     found = [
@@ -113,11 +121,15 @@ def neighbors(sequence: TouchSequence, grazes: Iterable[Touch]) -> list[TouchSeq
 
 
 def swapped(sequence: TouchSequence, near: float) -> list[TouchSequence]:
-    """Returns the sequences with bounces off two walls that are as near [s] in the other order.
+    """Returns the sequences with simultaneous bounces off two walls in the other order.
 
     The polish can't change their order, and stops where they meet if the other one is better. In a
     corner of two walls, where a motion bounces off them in turn, a run of such bounces may begin
     with the other wall as well.
+
+    Args:
+        sequence: as polished.
+        near: bounces no farther apart are simultaneous [s].
     """
     found = []
     for first in range(len(sequence)):

@@ -142,7 +142,11 @@ def _read_modes(world: World, friction: Floats, trajectory: Trajectory) -> Ints:
 def is_at_rest_on(world: World, q: Floats, v: Floats, speed: float | None = None) -> Bools:
     """Returns which contacts are closed and approach by less than a speed [m/s], shape (m,).
 
-    Without a speed: next to none, and none away from the wall.
+    Args:
+        world: the mechanism.
+        q: positions, shape (n,).
+        v: velocities, shape (n,).
+        speed: of approach; None: next to none, and none away from the wall.
     """
     at = world.calc_signed_distance(q) <= _NONE * (1 + np.max(np.abs(q)))
     rates, still = world.calc_contact_rate(q, v), _NONE * (1 + np.max(np.abs(v)))

@@ -68,7 +68,10 @@ class AddedTerms:
     ) -> AddedTerms:
         """Returns the functions of a world's state and control from additions to its task.
 
-        Pairs (P,) of shapes in space are kept apart.
+        Args:
+            world: the mechanism.
+            additions: to the task.
+            pairs: of shapes in space that are kept apart, shape (P,).
 
         Raises:
             ProgramError: one reads variables of several knots, or angles that no sum moves along.
@@ -99,7 +102,9 @@ class AddedTerms:
     def measure_units(self, scales: Floats, length: float) -> Floats:
         """Returns Σ_i |∂f/∂x_i| s_i of each function, the largest about 0 and ±s; 1 where it is 0.
 
-        Scales s are of (δ, v, u); the unit of distances is a length [m].
+        Args:
+            scales: s, of (δ, v, u).
+            length: unit of distances [m].
         """
         count, tape, coordinates = len(self.rows), self.tape, self.coordinates
         units, n = np.zeros(count), coordinates.num_velocities
@@ -136,8 +141,11 @@ class AddedTerms:
     ) -> tuple[Added, Floats]:
         """Returns the tables of costs for kernels, and bounds at knots, shape (2, K + 1, R).
 
-        Stages are as in `Program`; without times of knots [s], phases have free durations. Least
-        distances are of all pairs of shapes [m].
+        Args:
+            kinds: of the K stages, see `Program`.
+            shares: their lengths, see `Program`.
+            times: of the knots [s]; None: phases have free durations.
+            least_distances: of all pairs of shapes [m].
 
         Raises:
             ProgramError: a function is bound to a time, and knots are free to move.

@@ -33,9 +33,15 @@ class FeedbackLaws:
         substeps: int,
         order: int,
     ) -> None:
-        """Takes laws of gains (N, nu, 2n) each about states (N + 1, nq + n) and controls (N, nu).
+        """Takes the laws of a problem without phases.
 
-        The problem has no phases; steps are as in `ShootingProblem.simulate`.
+        Args:
+            problem: its times, cost and bounds.
+            states: x_k, shape (N + 1, nq + n).
+            controls: u_k, shape (N, nu).
+            gains: K_k of each law, shape (N, nu, 2n).
+            substeps: see `ShootingProblem.simulate`.
+            order: see `ShootingOptions`.
         """
         options = ShootingOptions((Smoothing(0.0, 1, 1.0),), substeps, order)
         self._problem, self._program = problem, problem.make_program(options)

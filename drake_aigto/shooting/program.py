@@ -39,7 +39,17 @@ def is_implicit(order: int) -> bool:
 def make_program(
     problem: OptimalControlProblem, substeps: int, order: int, other: Program | None = None
 ) -> Program:
-    """Returns the tables of a problem, multipliers zero; others, in other steps, share all else."""
+    """Returns the tables of a problem, its multipliers zero.
+
+    Args:
+        problem: the task.
+        substeps: Runge-Kutta steps of a stage.
+        order: of their error, 4 or 2; `IMPLICIT` or `TWO_STAGES`.
+        other: of the same problem in other steps, which shares all that does not depend on them.
+
+    Raises:
+        OptionsError: implicit steps of what is no tree of joints.
+    """
     if is_implicit(order) and not isinstance(problem.mechanism, TreeMechanism):
         raise OptionsError("order", "implicit steps in the plane", "an order of 2 or 4")
     mechanics, method = problem.fit_mechanism(substeps, is_implicit(order)), _METHODS[order]

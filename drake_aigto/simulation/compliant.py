@@ -70,7 +70,14 @@ class Compliant:
     def follow(
         self, x: Floats, control: Floats, span: tuple[float, float], step: float, tolerance: float
     ) -> tuple[Rows, float]:
-        """Returns the motion from x, which becomes its end, over a span [s], and the next step.
+        """Returns the motion from a state (q, v) under a control, and the step that comes next.
+
+        Args:
+            x: shape (nx,), which becomes the state at the end.
+            control: shape (nu,).
+            span: when it begins and ends [s].
+            step: that is tried first [s].
+            tolerance: of a step.
 
         Raises:
             TrajectoryError: it runs away to infinity, or goes so fast that it would take minutes.
@@ -241,7 +248,15 @@ def measure_steps(world: World, states: Floats) -> tuple[Floats, Floats]:
 def read_touches(
     world: World, times: Floats, states: Floats, controls: Floats, distances: Floats
 ) -> tuple[list[Impact], list[tuple[float, Floats]]]:
-    """Returns touches, and states as each begins and ends, of steps that end with rows of these."""
+    """Returns touches from outside of a motion in steps, and times and states as each begins, ends.
+
+    Args:
+        world: the mechanism.
+        times: of the ends of steps, shape (K,) [s].
+        states: (q, v) there, shape (K, nx).
+        controls: just after, shape (K, nu).
+        distances: of contacts there, shape (K, m) [m].
+    """
     outside, found, beside = distances > 0, list[Impact](), list[tuple[float, Floats]]()
 
     def calc_rate(contact: int, q: Floats, v: Floats) -> float:

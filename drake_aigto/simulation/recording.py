@@ -221,7 +221,14 @@ def find_impacts(times: Floats, velocities: Floats, count: int) -> Ints:
 def sample_steps(
     world: World, times: Floats, states: Floats, controls: Floats
 ) -> tuple[MotionSamples, Floats]:
-    """Returns samples between states (K, nx) at ends of steps, and the control of each."""
+    """Returns samples between the ends of steps, and the control at each.
+
+    Args:
+        world: of the motion.
+        times: of the ends, shape (K,) [s].
+        states: (q, v) there, shape (K, nx).
+        controls: that led there, shape (K, nu) [N, N m].
+    """
     if world.num_positions == world.num_velocities:
         held = controls[1:][np.diff(times) > 0]
         return sample_cubics(times, states), np.repeat(held, len(_NODES), axis=0)
@@ -234,7 +241,14 @@ def sample_steps(
 def sample_rates(
     times: Floats, states: Floats, rates: Floats, controls: Floats
 ) -> tuple[MotionSamples, Floats]:
-    """Returns samples along cubics of K states, and the control from each to the next."""
+    """Returns samples along cubics of states, and the control at each.
+
+    Args:
+        times: of K states [s].
+        states: (q, v), shape (K, nx).
+        rates: of the same, shape (K, nx).
+        controls: from each to the next, shape (K − 1, nu).
+    """
     samples = sample_cubics(times, np.hstack([states, rates]))
     held = np.repeat(controls[np.diff(times) > 0], len(_NODES), axis=0)
     return samples._replace(states=samples.states[:, : states.shape[1]]), held

@@ -238,7 +238,12 @@ def hold(world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike
 
 
 def has_knots(scenario: Scenario, times: Floats) -> bool:
-    """Returns whether there are knots where a reference has its own, so that costs have kinks."""
+    """Returns whether there is a knot wherever a reference has its own, so that costs have kinks.
+
+    Args:
+        scenario: the task.
+        times: of the knots, shape (N+1,) [s].
+    """
     return bool(np.isin(_find_kinks(scenario, times), times).all())
 
 

@@ -68,7 +68,14 @@ class RigidMotion(HybridMotion):
     def __init__(
         self, world: World, law: RigidLaw, state: tuple[Floats, Floats], span: tuple[float, float]
     ) -> None:
-        """Starts at rest on nothing, from q and v, over a span [s]."""
+        """Starts at rest on nothing, with nothing known of contacts.
+
+        Args:
+            world: its dynamics and its contacts.
+            law: of these contacts.
+            state: the start, (q, v).
+            span: from when to when will be simulated [s].
+        """
         super().__init__(world, state, span[0])
         self._rules, self._friction = Rules(law.restitution, span[1] - span[0]), law.friction
         m = world.num_contacts

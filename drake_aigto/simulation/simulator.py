@@ -119,7 +119,12 @@ def make_simulator(world: World, scenario: Scenario) -> Simulator:
 def start_plant(
     world: World, scenario: Scenario, span: tuple[float, float]
 ) -> tuple[Simulator, ContactMonitor | None]:
-    """Returns the Simulator of `make_simulator`, over a span [s], and a monitor of stiff walls.
+    """Returns the Simulator of `make_simulator`, and the monitor that it needs if walls are stiff.
+
+    Args:
+        world: of the diagram.
+        scenario: has to fit the world.
+        span: from when to when it will simulate [s].
 
     Raises:
         ModelError: a shape has no stiffness.
@@ -158,7 +163,13 @@ class ContactMonitor:
     def __init__(
         self, world: World, simulator: Simulator, restitutions: Floats, duration: float
     ) -> None:
-        """Looks at nothing yet. Restitutions are (m,); it will simulate about so long [s].
+        """Looks at nothing yet.
+
+        Args:
+            world: whose diagram is simulated.
+            simulator: what is to call this.
+            restitutions: e of each contact, in [0, 1], shape (m,).
+            duration: about how long it will simulate [s].
 
         Raises:
             ModelError: a shape has no stiffness.

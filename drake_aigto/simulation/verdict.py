@@ -104,11 +104,13 @@ class Growth(LockedArrays, ArrayRecord):
 
 
 def calc_growth(transitions: Floats, scales: Floats) -> Growth:
-    """Returns how much errors of a motion grow in units of scales (2n,) (`state_scales`).
+    """Returns how much errors of a motion grow in units of scales.
 
         max over s ≤ t of σ_max(S⁻¹ Φ(t, s) S),    Φ(t, s) = F_{t−1} ⋯ F_s,    S = diag(scales)
 
-    Transitions are F_k, shape (K, 2n, 2n).
+    Args:
+        transitions: F_k, shape (K, 2n, 2n).
+        scales: of q and v, shape (2n,) (`state_scales`).
     """
     size, K = len(scales), len(transitions)
     growth, most, worst = 1.0, 0.0, np.eye(size)[0]
