@@ -187,7 +187,7 @@ class Reaches:
     def find_stroke(
         self, start: Floats, count: int, share: float, rng: np.random.Generator, last: _Pairs = ()
     ) -> Stroke:
-        """Returns a stroke from q at the start (nq,), within so many even steps of time.
+        """Returns a stroke from q at the start (nq,), within a count of even steps of time.
 
         It takes the part of them that it has of the way, or less, and hands reach in a share of it.
         Objects that are carried by the last contacts are held on.
