@@ -10,9 +10,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Iterator
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import replace
-from multiprocessing import active_children
+from multiprocessing import active_children, connection
 from pathlib import Path
 
 import dask
@@ -46,6 +47,17 @@ def die_at_first(path: Path) -> int:
     return os.getpid()
 
 
+def die_answering() -> bytes:
+    """Is killed when half of the answer is written."""
+
+    def send_half(own: connection.Connection, data: bytes) -> None:
+        os.write(own.fileno(), data[: len(data) // 2])
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    connection.Connection._send = send_half  # type: ignore[attr-defined]
+    return bytes(100)
+
+
 def fail() -> None:
     raise ValueError("a job's own failure")
 
@@ -77,6 +89,14 @@ def test_a_killed_worker_is_replaced_and_only_a_job_that_kills_again_fails(tmp_p
     assert os.getpid() not in (ended["once"].result(), ended["well"].result())
     with pytest.raises(ProcessDiedError, match=r"^always: got two processes that died of it"):
         ended["always"].result()
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_as_it_answers_is_not_waited_for() -> None:
+    with open_workers(1) as executor:
+        dead = executor.submit(die_answering)
+        assert isinstance(dead.exception(timeout=60.0), BrokenProcessPool)
+        assert executor.submit(abs, -1).result(timeout=60.0) == 1
 
 
 @pytest.mark.slow

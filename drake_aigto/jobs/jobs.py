@@ -139,6 +139,10 @@ class Processes(Executor):
                 expected="processes that wait for jobs",
                 remedy='Each imports the script: start them below `if __name__ == "__main__":`.',
             ) from error
+        # While this end of its pipe is open, a process that is killed as it writes an answer is
+        # waited for without end. The executor has no public way to close it.
+        queue: Any = process._result_queue
+        queue._writer.close()
         self._numbers[process] = number
         if self._is_closed:
             _kill(number)
