@@ -306,7 +306,7 @@ def find_horizon(is_receding: bool = False) -> Horizon:
 
 
 def push(now: float, x: Floats, control: Floats, friction: float) -> Floats:
-    """Returns the state a time step later, of a block that rubs otherwise."""
+    """Returns the state a time step later, of a block with other friction."""
     true = dataclasses.replace(BLOCK, friction=friction)
     held, (q, v) = HeldControl(np.array([now, now + STEP]), control[np.newaxis]), np.split(x, 2)
     recording = EVENT_DRIVEN.simulate(find_world(), true, held, (q, v))

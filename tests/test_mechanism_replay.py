@@ -313,7 +313,7 @@ def roll_out(
 
 
 def follows_chatter(recording: Recording) -> bool:
-    """Whether impacts are so many or so slow that rounding decides how many there are."""
+    """Whether rounding decides how many impacts there are: many follow, or they are slow."""
     slow = any(impact.speed < 1e-3 for impact in recording.impacts)
     return slow or len(recording.impacts) > 12
 

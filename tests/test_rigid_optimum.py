@@ -521,7 +521,7 @@ def axis_legs(scenario: Scenario, optimum: ContactOptimum, axis: int) -> list[Le
 
 
 def passes_corner(scenario: Scenario, optimum: ContactOptimum) -> bool:
-    """Returns whether the optimum is dearer than its touches alone make it."""
+    """Returns whether the optimum costs more than its touches alone make it."""
     cost = 0.0
     for axis in range(len(scenario.initial_position)):
         line, legs = axis_line(scenario, axis), axis_legs(scenario, optimum, axis)

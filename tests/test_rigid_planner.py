@@ -435,7 +435,7 @@ def test_a_literal_plan_that_beats_doing_nothing_tells_what_that_costs() -> None
 
 
 def contradict(number: int) -> Any:
-    """Returns Drake's replay of a plan, but for the first so many, which miss by a metre."""
+    """Returns replays by Drake of a plan, of which the first, to a number, miss by a meter."""
     calls = []
 
     def replay(world: World, scenario: Scenario, *control: Any) -> Replay:

@@ -53,7 +53,11 @@ def _evaluate(
     gradient: Floats,
     band: Floats,
 ) -> tuple[float, float]:
-    """Fills boxes (n,), gradient (size,), Hessian (size, diagonals) at y; returns value and f̄."""
+    """Fills center and half width (n,), gradient (size,) and Hessian (size, diagonals) at y.
+
+    Returns:
+        The objective, and the mean f̄.
+    """
     places, free_places, mu = problem.places, problem.free_places, problem.temperature
     with_z = y.size > center.size
     for i in range(center.size):

@@ -76,7 +76,11 @@ NO_SYSTEM = System(
 
 @borrowing
 def _choose(lanes: Records, weights: Floats, at: int, last: int, chosen: Ints) -> tuple[int, int]:
-    """Fills chosen with lanes from `at` to `last` that are not off; returns number and next."""
+    """Fills chosen with the lanes from `at` on, up to `last`, that are not off.
+
+    Returns:
+        How many they are, and the lane to go on from.
+    """
     count = 0
     while count < chosen.size and at < last:
         if weights[lanes[at].copy] != 0.0:

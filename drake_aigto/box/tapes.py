@@ -89,7 +89,13 @@ class MeanTape:
 def make_tape(
     factors: tuple[Function, ...], members: tuple[tuple[int, ...], ...], order: Order
 ) -> MeanTape:
-    """Returns the tape of a sum of its different factors, the members of each term among them."""
+    """Returns the tape of a sum.
+
+    Args:
+        factors: Its different factors.
+        members: The factors of each term.
+        order: Which derivatives it computes.
+    """
     make = _make_and_keep if len(members) <= _LONGEST_KEPT else _make_and_keep.__wrapped__
     return make(factors, members, order)
 

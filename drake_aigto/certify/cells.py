@@ -249,7 +249,10 @@ class CellSearch(BoundSearch):
         cells.cuts[alone] = np.where((low[own] < places) & (places < high[own]), own[1], -1)
 
     def _expand(self, cells: OpenCells) -> None:
-        """Raises bounds by expansions about a near best point, else the middle; ∞: no minimizer."""
+        """Raises bounds by expansions about the best point where that is near, else the middle.
+
+        Cells that hold no minimizer have the bound ∞.
+        """
         low, high, bounds, *_ = cells
         (count, size), formulas = low.shape, np.zeros(len(low), dtype=np.int64)
         over = enclose_all(self._tape, formulas, low, high, HESSIAN)

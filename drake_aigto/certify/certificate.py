@@ -289,7 +289,10 @@ class Certifier:
         return is_open
 
     def _price_rows(self, order: Sequence[tuple[int, ...]]) -> None:
-        """Searches by cliques too: rows at the best point's prices, and without any, as a start."""
+        """Searches by cliques, too: the cost with rows at prices that the best point says.
+
+        And the cost without rows, as prices may be those of another valley.
+        """
         priced = with_prices(self._formulas, self._best)
         programs = [priced]
         if self._priced_cost == math.inf:

@@ -286,7 +286,10 @@ class CliqueSearch(BoundSearch):
         return self._points[self._starts[:-1] + chosen]
 
     def _best_points(self, formula: int) -> Iterator[Floats]:
-        """Yields, for each of a formula's m variables, points (·, m) of bins' best neighbors."""
+        """Yields for each variable of a formula the points of its bins' best neighbors.
+
+        All variables of the formula (·, m); values in the variable's own column do not matter.
+        """
         variables, home = self._variables[formula], self._home[formula]
         clique, sums = self._order[home], self._sums[home]
         for i in variables:

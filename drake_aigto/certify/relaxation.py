@@ -54,7 +54,10 @@ def read_structure(formulas: Formulas) -> kernels.Structure:
 
 
 def _read_sums(joint: JointTape) -> dict[int, _Sum]:
-    """Returns w − Σ c w' and its bounds, exactly, of every sum w that is no part of another."""
+    """Returns w − Σ c w' and what it is, of every sum w that is no part of another one.
+
+    Coefficients are exact: a part is taken in as it is, once.
+    """
     operations, first, last, numbers, _ = joint.tape
     uses = np.bincount(joint.roots, minlength=operations.size) * 2
     for k, operation in enumerate(operations.tolist()):

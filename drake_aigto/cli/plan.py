@@ -78,7 +78,11 @@ def add_replay(commands: Any) -> None:
 
 
 def _read_options(options: argparse.Namespace) -> PlanOptions | LiteralOptions:
-    """Returns the numerics that were given; refuses those of the other kind of plan."""
+    """Returns the numerics that were given.
+
+    Raises:
+        OptionsError: some are of the other kind of plan, or there is no such transcription.
+    """
     if options.transcription not in (None, "literal"):
         raise OptionsError(
             "--transcription",
@@ -190,7 +194,12 @@ def _plan_many(options: argparse.Namespace) -> int:
 
 
 def _read_questions(names: list[str]) -> dict[str, Scenario]:
-    """Returns scenarios by name, those of files by the files'; refuses the same name twice."""
+    """Returns scenarios by name; those of files by the files' names.
+
+    Raises:
+        OptionsError: the same name twice.
+        ScenarioError: one can't be read.
+    """
     questions: dict[str, Scenario] = {}
     for name in names:
         short = Path(name).stem if flags.is_file(name) else name

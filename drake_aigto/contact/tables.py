@@ -192,7 +192,10 @@ class FrictionTerm(NamedTuple):
 
 
 def list_friction(world: World, law: ContactLaw, brakes: bool = True) -> list[FrictionTerm]:
-    """Returns friction of joints and walls, of rigid ones for impacts; brakes for steps, or 0."""
+    """Returns the friction of a world's joints and walls; that of rigid walls is for impacts.
+
+    Where nothing asks how it brakes, as a law that no steps soften, decelerations are 0.
+    """
     n, speed, q = world.num_velocities, world.stiction_speed, world.plant.GetDefaultPositions()
     frictions = list[FrictionTerm]()
     if (dry := world.dry_friction) is not None:
@@ -219,7 +222,10 @@ def list_friction(world: World, law: ContactLaw, brakes: bool = True) -> list[Fr
 
 
 def fit_to_steps(frictions: Floats, step: float, duration: float, speed: float) -> Floats:
-    """Returns numbers of frictions, (R, 6 + n), for Runge-Kutta steps [s] and a speed."""
+    """Returns the numbers of frictions, shape (R, 6 + n), for Runge-Kutta steps of a length [s].
+
+    Contacts are approached at about the speed [m/s].
+    """
     fitted, is_dry = frictions.copy(), frictions[:, SOURCE] < 0
     brakes = frictions[:, BRAKE] * np.where(is_dry, 1.0, speed)
     fitted[:, STICTION] = np.maximum(frictions[:, STICTION], brakes * step)

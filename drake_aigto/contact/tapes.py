@@ -180,7 +180,10 @@ def _mix(blend: Blend, is_rigid: bool, frictions: Sequence[FrictionTerm]) -> Sum
 
 
 def _compile(world: EquationsOfMotion, is_rigid: bool, rows: Sequence[Row]) -> SumTape:
-    """Returns the tape of M, h, φ, J, rows T and derivatives; for `hold_contacts` if rigid."""
+    """Returns the tape of M, h, φ, J, T and their derivatives; those for `hold_contacts` if rigid.
+
+    Rows T are expressions, shape (n,) each.
+    """
     n = world.num_positions
     builder = TapeBuilder([*world.positions, *world.velocities])
     upper = np.triu_indices(n)

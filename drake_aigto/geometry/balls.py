@@ -151,7 +151,11 @@ def reach_hull(c: Floats, radius: float, faces: Floats, R: Floats, p: Floats, ou
 
 @borrowing
 def _reach_triangle(x: Floats, face: Floats, height: float, out: Floats) -> tuple[float, int]:
-    """Finds a triangle's nearest point; returns distance², and edge (3: corner, −1: none)."""
+    """Computes the point of a triangle nearest to x, which is in front of it by a height [m].
+
+    Returns:
+        The square of its distance, and on which edge it is; 3: a corner, −1: none.
+    """
     n, least, side, is_over = face[3], np.inf, -1, True
     for e in range(3):
         a, b = face[e], face[(e + 1) % 3]

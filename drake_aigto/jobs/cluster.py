@@ -31,7 +31,11 @@ class _Dask(ClientExecutor):
 
 @contextlib.contextmanager
 def connect(address: str) -> Iterator[Executor]:
-    """Yields the workers of a scheduler after checking them; StudyError if one is not fit."""
+    """Yields the workers of a scheduler after checking them.
+
+    Raises:
+        StudyError: it does not answer, or has no workers, or one that is not fit.
+    """
     name = f"Dask scheduler {address}"
     try:
         # A client would wait for ever for one that takes the call and says nothing. In a thread, as

@@ -185,7 +185,11 @@ class _InteriorPointRun:
     def _advance(
         self, step: newton.NewtonStep | None, optimality: _Optimality
     ) -> tuple[LocalStatus | None, float]:
-        """Takes a step or restores feasibility; returns a status if neither works, and a length."""
+        """Takes a step, or restores feasibility.
+
+        Returns:
+            The status if neither works, and the step length.
+        """
         if step is None:
             return (LocalStatus.CONVERGED if self._is_solution else LocalStatus.STALLED), 0.0
         fraction = max(_TAU_MIN, 1.0 - self._mu)

@@ -216,7 +216,15 @@ class KktStructure:
         is_free: Bools,
         order: Ints | None,
     ) -> None:
-        """Orders the unknowns; terms are the costs and, behind them, the rows."""
+        """Orders the unknowns.
+
+        Args:
+            terms: The costs and, behind them, the rows.
+            copy_weights: Weight of each copy.
+            num_costs: Number of copies that are costs.
+            is_free: Which variables are not held (n,).
+            order: The problem's elimination order (n,), if it has one.
+        """
         self._terms, self._lanes = terms, make_lanes(terms, Order.CENTERS)
         self._copy_weights, self._num_costs, self._order = copy_weights, num_costs, order
         self.free = np.flatnonzero(is_free)
@@ -246,7 +254,12 @@ class KktStructure:
         return self.storage.bandwidth
 
     def _reads(self, position: Ints) -> tuple[Ints, Ints, Ints]:
-        """Returns rows, a free variable that each reads, and pairs of these in a term (2, P)."""
+        """Returns the free variables that copies read.
+
+        Returns:
+            A row, and a free variable that it reads, for each such pair; and pairs of free
+            variables within one term (2, P).
+        """
         copies, pairs = self._terms.couplings()
         found = position[pairs].T
         is_free = np.all(found >= 0, axis=0)

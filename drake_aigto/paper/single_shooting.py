@@ -189,7 +189,11 @@ def _count(polynomial: Polynomial) -> int:
 def _substitute(
     label: str, expression: Expression, values: dict[Variable, Polynomial], max_terms: int
 ) -> Polynomial:
-    """Returns an expression of polynomials, multiplied out; refuses more than the most terms."""
+    """Returns an expression with polynomials in place of its variables, multiplied out.
+
+    Raises:
+        UnsupportedTermError: that might have more terms than `max_terms`.
+    """
     outer = Polynomial(expression, Variables(np.array(list(values))))
     # A variable as a key is only found by itself, not by an equal one.
     counts = {name.get_id(): _count(value) for name, value in values.items()}

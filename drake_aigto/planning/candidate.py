@@ -365,7 +365,10 @@ def _after(world: World, motion: Trajectory) -> Floats:
 
 
 def _calc_unexplained(world: World, motion: Trajectory) -> Floats:
-    """Returns changes of velocity without impulses and forces, as rows have it, (N, nv)."""
+    """Returns changes of velocity without those by impulses and forces, (N, nv) [m/s].
+
+    These follow the midpoint rule, like the rows "dynamics".
+    """
     q, v, h = motion.positions, _after(world, motion)[:-1], np.diff(motion.times)[:, np.newaxis]
     middle, mean = (q[:-1] + q[1:]) / 2, (v + motion.velocities[1:]) / 2
     free = world.calc_acceleration(middle, mean, motion.controls)

@@ -357,7 +357,10 @@ def _check_version(path: str | os.PathLike[str], data: Any) -> None:
 
 
 def _read(data: dict[str, Any]) -> Plan:
-    """Returns the plan of a file; options of another version are left out, with a warning."""
+    """Returns the plan of a file; its options are those of its transcription.
+
+    Other versions may have others: these are left out, with a warning, as the plan stays the same.
+    """
     if "options" not in data:
         raise DamagedDataError("plan.options", got="nothing", expected="a value")
     options = data.pop("options")

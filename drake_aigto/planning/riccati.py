@@ -218,7 +218,10 @@ class Sweep:
         return calc_saltation(D, rates, later, normal, _SLOWLY)
 
     def _hit(self, contact: int, after: Stretch, x: Floats) -> Floats:
-        """Returns the state after an impact, after which held contacts return nothing."""
+        """Returns the state after an impact, with friction, shape (2n,).
+
+        What is held from then on returns nothing, and what others then hold is theirs.
+        """
         world, (q, v) = self._world, np.split(x, 2)
         e = float(world.restitutions(self._scenario)[contact])
         e = 0.0 if contact in after.closed.contacts else e

@@ -30,7 +30,10 @@ _OFF = 1e-3
 def make_feedback(
     world: World, scenario: Scenario, trajectory: Trajectory, **known: Any
 ) -> Feedback | None:
-    """Returns the `Feedback` about a motion, None if none is known for its contacts."""
+    """Returns the feedback about a motion, None if none is known for its contacts.
+
+    Arguments are those of `Feedback`.
+    """
     try:
         return Feedback(world, scenario, trajectory, **known)
     except (TrajectoryError, ProgramError):

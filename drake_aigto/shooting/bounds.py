@@ -257,7 +257,10 @@ def _measure_apart(
 def add_costs(
     program: Program, k: int, z: Floats, u: Floats, has_slopes: bool, memory: Memory
 ) -> float:
-    """Returns costs of users at knot k, infinite if they overflow, and adds derivatives."""
+    """Returns the costs of users at knot k; adds their derivatives if asked, Hessians ≥ 0.
+
+    The Hessian has its negative eigenvalues set to 0. If it overflows, the cost is infinite.
+    """
     added, sums = program.added, memory.added.sums
     gradient, A = memory.added.gradient, memory.added.hessian
     R, nx, cost = added.is_running.size, memory.flow.points.shape[1], 0.0

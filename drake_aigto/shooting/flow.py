@@ -213,7 +213,10 @@ def _add_part(
     l1: Floats,
     l2: Floats,
 ) -> float:
-    """Returns length·Σ w e² at y, adds derivatives if asked; lag is ∂time/∂τ, unit ∂length/∂τ."""
+    """Returns length·Σ w e² at y, and adds its derivatives if asked.
+
+    In phases, `lag` is ∂time/∂τ, and `unit` is ∂length/∂τ.
+    """
     y, weights = room.points[1], program.task.running
     rate = _measure(program, time, z, y, room)
     if has_slopes:

@@ -32,7 +32,10 @@ _RIDGE = 1e-12
 def _clasp(
     closed: Bools, leans: Floats, n: int, mechanics: Mechanics, memory: MechanicsMemory
 ) -> None:
-    """Computes M⁻¹ D_kᵀ of closed rows in `support`, and factors C M⁻¹ Dᵀ in `grip`."""
+    """Computes M⁻¹ D_kᵀ of rows that are closed, and factors C M⁻¹ Dᵀ.
+
+    They are rows of `support` and of `grip`: zeros and rows of the identity if not closed.
+    """
     sums, support, grip = memory.sums, memory.support, memory.grip
     m, w = leans.size, closed.size
     for k in range(w):
@@ -57,7 +60,10 @@ def _clasp(
 def _turn(
     closed: Bools, leans: Floats, n: int, mechanics: Mechanics, memory: MechanicsMemory
 ) -> None:
-    """Computes ∂(M⁻¹ Dᵀ λ)/∂q at the λ of `grip`, transposed, in the last rows of `support`."""
+    """Computes the derivative of M⁻¹ Dᵀ λ by q at constant λ, transposed, after `_clasp`.
+
+    λ is the last row of `grip`, the derivative fills the last n rows of `support`.
+    """
     sums, support, grip = memory.sums, memory.support, memory.grip
     m, w = leans.size, closed.size
     mass, total = find_row(n, m, w), support[w]

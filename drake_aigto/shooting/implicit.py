@@ -121,7 +121,10 @@ def _chain(h: float, unit: float, nz: int, room: FlowMemory) -> None:
 def _find_velocities(
     mechanics: Any, z: Floats, u: Floats, eps: float, h: float, has_slopes: bool, room: FlowMemory
 ) -> None:
-    """Computes velocities of y that obey w = v + h a, and derivatives of a if asked."""
+    """Computes velocities of y that obey w = v + h a, and derivatives of a if asked.
+
+    These are derivatives at the last velocities but one, as near as counts.
+    """
     x, y, off, n = room.points[0], room.points[1], room.off, room.off.shape[0] // 2
     acceleration, best, length = room.mechanics.acceleration, np.inf, 1.0
     if not has_slopes:

@@ -123,7 +123,10 @@ class StageLayout:
     def of(
         cls, times: Floats, phases: Phases | None, num_contacts: int, num_choices: int = 0
     ) -> StageLayout:
-        """Returns the stages of knots at times (N + 1,), after those that choose the start."""
+        """Returns the stages of knots at these times, shape (N + 1,).
+
+        With phases, as many as `num_choices` before these choose the start.
+        """
         steps = np.diff(times)
         if phases is None:
             never = np.zeros((len(steps), num_contacts), dtype=np.bool_)

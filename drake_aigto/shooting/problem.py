@@ -244,7 +244,10 @@ class ShootingProblem(OptimalControlProblem):
         return error if np.isfinite(error) else np.inf
 
     def _expand_twice(self, result: ShootingResult) -> tuple[MotionExpansion, ...] | None:
-        """Returns a result's problem in half its steps, and its own; None: they overflow."""
+        """Returns the problem about a result in half its steps (`_refine`), and in its own.
+
+        None: its squares exceed all numbers.
+        """
         u, x, steps = result.controls, result.states, (result.substeps, result.order)
         try:
             return tuple(

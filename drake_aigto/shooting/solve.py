@@ -217,7 +217,10 @@ class ShootingRun:
             self._penalty, own[...] = float(known[0]), known[1:].reshape(own.shape)
 
     def _lay_out_controls(self, controls: Floats) -> Floats:
-        """Returns controls of stages, (K, nu), within bounds, durations where phases start."""
+        """Returns the controls of stages, shape (K, nu): durations where phases start.
+
+        Controls are moved into their bounds, then towards 0 until their norm is within its own.
+        """
         problem, layout, bounds = self._problem, self._layout, self._program.bounds
         nu, low, high = problem.mechanism.num_controls, bounds.lower_control, bounds.upper_control
         chosen, flights = np.zeros((len(layout.kinds), nu)), layout.flights

@@ -191,7 +191,10 @@ def compare_tree(
     off: Floats,
     memory: TreeMechanicsMemory,
 ) -> None:
-    """Computes how far y about z is off a state between two; turns by chords, ∂/∂δ in `errors`."""
+    """Computes how far y about z is off a state between two, as velocities are ordered.
+
+    Turns are off by chords, whose derivatives by δ are kept in `errors`.
+    """
     tree, n, first = mechanics.tree, mechanics.tree.up.size, mechanics.num_positions
     about, q = memory.reference, memory.position
     add_tangent(tree, z, y, q)

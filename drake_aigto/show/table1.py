@@ -239,7 +239,10 @@ def frame(axes: Axes, unit: str, values: Sequence[Floats], simulated: Sequence[F
 
 
 def _make_motions(table: Table1, row: int, world: World) -> list[Motion]:
-    """Returns the rigid plan, and a gradient solver's from zero, each with its rigid simulation."""
+    """Returns plans, each with the rigid simulation of its control, as far as they were run.
+
+    They are the rigid plan, and a gradient solver's from zero.
+    """
     rigid = [method.best for cell in table.rigid if cell.row == row for method in cell.methods]
     literal = [cell.methods[0].best for cell in table.literal if cell.row == row]
     motions = []

@@ -236,7 +236,10 @@ def simulate_compliant(
 
 
 def measure_steps(world: World, states: Floats) -> tuple[Floats, Floats]:
-    """Returns φ and φ̇ of states (K, nx), (K, m) each; rates only in and next to contact."""
+    """Returns φ [m] and φ̇ [m/s] of states (K, nx), shape (K, m) each.
+
+    Rates are those of states in contact and next to these, and 0 elsewhere.
+    """
     q, v = world.split(states)
     distances = world.calc_signed_distance(q)
     inside = np.pad(np.any(distances <= 0, axis=1), 1)
@@ -283,7 +286,10 @@ def read_touches(
 
 
 def find_depth(times: Floats, distances: Floats, rates: Floats) -> float:
-    """Returns the deepest −φ ≥ 0 [m] of rows φ and φ̇ (K, m), parabolas where φ̇ turns positive."""
+    """Returns the deepest −φ, at least 0 [m], of rows φ and φ̇ at times (K,), shape (K, m) each.
+
+    Between rows where φ̇ turns positive φ is taken for a parabola.
+    """
     turns = (rates[:-1] < 0) & (rates[1:] > 0)
     parts = np.where(turns, rates[:-1] / np.where(turns, rates[:-1] - rates[1:], 1.0), 0.0)
     lowest = distances[:-1] + rates[:-1] * parts * np.diff(times)[:, np.newaxis] / 2

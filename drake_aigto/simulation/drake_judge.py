@@ -71,8 +71,11 @@ def _simulate(world: World, scenario: Scenario, controller: Controller) -> tuple
 
     Each contact with a stiff wall gets, just before an impact, the dissipation that makes its
     restitution at the speed that is coming (`ContactMonitor`). The plant and its scene graph stay
-    as they are. States are those whenever the controller is asked, at the end, and where each
-    contact with a stiff wall begins, is deepest, and ends.
+    as they are.
+
+    Returns:
+        The states whenever the controller is asked, at the end, and where each contact with a stiff
+        wall begins, is deepest, and ends.
     """
     plant = world.plant
     simulator, contacts = start_plant(world, scenario, (controller.start, controller.end))

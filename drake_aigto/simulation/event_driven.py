@@ -192,8 +192,11 @@ def roll_out(
     """Write the motion from a phase, under the acceleration of each interval (N, nv).
 
     States become (q, v) at each knot, shape (N+1, 2, nq), and `impacts_until` how many impacts
-    there were by then, shape (N+1,), of all that are returned. Other arguments are those of
-    `flights.run`; a log that is too short has the first impacts.
+    there were by then, shape (N+1,). Other arguments are those of `flights.run`; a log that is too
+    short has the first impacts.
+
+    Returns:
+        How many impacts there were.
     """
     q, v, resting, _ = phase
     curves = np.empty((resting.size, 3))

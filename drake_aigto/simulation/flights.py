@@ -203,7 +203,13 @@ def _find_event(
 def _find_entry(
     curves: Floats, first: int, last: int, still: float, horizon: float
 ) -> tuple[float, int]:
-    """Find when a solid is entered [s], and by which face, the nearest if at it; −1: never."""
+    """Find when a solid is entered: as one of its faces is passed, the others behind.
+
+    One that the ball is at, inside but for rounding, is entered at the face that is nearest.
+
+    Returns:
+        How long until then [s], and the face; −1 if never within the horizon.
+    """
     if not _may_enter(curves, first, last, horizon):
         return math.inf, -1
     wait, passed = 0.0, -1
@@ -278,7 +284,11 @@ def _hit(
     log: Floats,
     logged: int,
 ) -> int:
-    """Apply an impact (1), or bring the contact to rest (0), given v̇ with others at rest."""
+    """Apply an impact, or bring the contact to rest, given v̇ with the other contacts at rest.
+
+    Returns:
+        1 for an impact, 0 for a touch.
+    """
     q, v, resting, counts = phase
     jacobian, lifts, n = walls.jacobian, walls.lifts, v.size
     push = dot(jacobian, contact, others)

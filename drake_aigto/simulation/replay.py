@@ -226,7 +226,13 @@ def confirms(
 
 
 def hold(world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike) -> HeldControl:
-    """Returns a held control with knots where a reference, and so the cost, has kinks."""
+    """Returns a held control that fits the world, with knots where a reference has its own.
+
+    Costs have kinks there. Arguments are those of `replay_event_driven`.
+
+    Raises:
+        TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
+    """
     t, u = check_control(times, controls)
     if u.shape[1] != world.num_actuators:
         expected = f"{world.num_actuators} columns, one for each actuator"

@@ -197,14 +197,21 @@ class HybridMotion(ABC):
 
     @abstractmethod
     def _advance(self, control: Floats, until: float, feels_contact: bool) -> None:
-        """Moves on under a control (nu,) [N] until a time [s], or the end of a felt contact."""
+        """Moves on under a control, shape (nu,) [N], until a time [s].
+
+        If the controller feels contact, only until one has ended.
+        """
 
     @abstractmethod
     def _find_depth(self) -> float:
         """Returns the deepest −φ, at least 0 [m]."""
 
     def _follow(self, rates: Rates, watched: Watched, control: Floats, until: float) -> int:
-        """Moves on smoothly until a watched value falls to zero, and returns which; −1: none."""
+        """Moves on smoothly until a watched value falls to zero.
+
+        Returns:
+            Which did; −1 if none.
+        """
         seen = self.recording
         most = _MOST_PIECES_IN_ALL + _MOST_EACH * len(seen.times) - len(seen.samples)
         course = follow(rates, watched, self.time, until, self.x, self._step, most)

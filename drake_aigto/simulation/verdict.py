@@ -282,7 +282,10 @@ def calc_compliance_error(world: World, restitutions: Floats, recording: Recordi
 
 
 def _calc_offsets(impact: Impact, e: float, delay: float) -> Floats:
-    """Returns (δφ, δφ̇) of an impact late by τ_i [s], known and at most otherwise, (2, 2)."""
+    """Returns (δφ, δφ̇) of an impact of restitution e that is late by τ_i [s], shape (2, 2).
+
+    First what is known, then the most of what is known less well (`calc_compliance_error`).
+    """
     speed, push = impact.speed, impact.push
     missed = (max(0.0, LEAST_RESTITUTION - e) + _INTEGRATION) * speed + (1 - e) * abs(push) * delay
     return np.array(

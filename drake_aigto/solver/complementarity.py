@@ -207,7 +207,12 @@ class TightenedProgram:
     """
 
     def __init__(self, nlp: PolynomialNlp, found: Sequence[Complementarity]) -> None:
-        """Adds variables to costs and all other rows, over y (n,)."""
+        """Adds variables.
+
+        Args:
+            nlp: costs and all other rows, over y (n,).
+            found: the complementarities (k,).
+        """
         self._size, count = nlp.num_variables, len(found)
         self._allowed = np.array([each.allowed for each in found])
         rows = [

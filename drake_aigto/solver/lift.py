@@ -161,7 +161,12 @@ class _Lift:
         return True
 
     def _lift(self, e: Expression, sign: int = 0) -> Expression:
-        """Returns an equal with a mean; less of it is better if the sign is 1, more if it is −1."""
+        """Returns an expression that has a mean.
+
+        Args:
+            e: the expression that it stands for.
+            sign: 1 where less of it is better whatever else there is, −1 where more is; else 0.
+        """
         if self._has_mean(e):
             return e
         kind = e.get_kind()
@@ -210,7 +215,13 @@ class _Lift:
     def _variable(
         self, e: Expression, rows: Callable[[Expression], list[Expression]], is_bound: bool = False
     ) -> Expression:
-        """Returns the variable z of e, with rows(z) = 0 that say so; ≥ 0, if they only bound it."""
+        """Returns the variable that stands for an expression, with rows that say so.
+
+        Args:
+            e: the expression.
+            rows: formulas of the variable that are 0.
+            is_bound: whether they are only at or above 0, and hold it no more than above e.
+        """
         name = f"bound of {e}" if is_bound else str(e)
         if name not in self._known:
             z = Variable(terms.shown(e))

@@ -70,7 +70,11 @@ class ParsedProgram:
         return parsed
 
     def scale_rows(self, lower: Floats, upper: Floats) -> bool:
-        """Divides rows by their largest term within bounds of x (n,); returns whether one was."""
+        """Divides rows by their largest term within bounds of x (n,) that hold for feasible points.
+
+        Returns:
+            Whether a row was divided.
+        """
 
         def measure(row: terms.ParsedRow) -> float:
             copies, own = row.block.variables, row.block.terms

@@ -106,7 +106,13 @@ def _clamped(ends: Range) -> Range:
 
 
 def sum_range(terms: Sequence[Term], low: Floats, high: Floats) -> Range:
-    """Returns bounds of a sum over low ≤ x ≤ high (L,), term by term; at most 1e15 in size."""
+    """Returns bounds of a sum over low ≤ x ≤ high, term by term; at most 1e15 in size.
+
+    Args:
+        terms: products of powers, sines, cosines and exponentials.
+        low: lower end of each local variable (L,).
+        high: upper end (L,).
+    """
     ranges = [_term_range(term, low, high, True) for term in terms]
     return _clamped((sum(a for a, _ in ranges), sum(b for _, b in ranges)))
 
@@ -148,7 +154,10 @@ def _sweep_rows(nlp: PolynomialNlp) -> Bounds | None:
 
 @kernel
 def _sweep(stacked: StackedTerms, lower: Floats, upper: Floats) -> float:
-    """Tightens bounds by each row, in place; returns the largest part cut off, < 0: no point."""
+    """Tightens the bounds by each row once, in place.
+
+    Returns the largest part that was cut off a range; below 0 if a row leaves no point.
+    """
     copies, copy_variables, sums, factors, terms, members = stacked
     low, high = np.empty(terms.size), np.empty(terms.size)
     behind_low, behind_high = np.empty(terms.size), np.empty(terms.size)

@@ -74,7 +74,10 @@ class Solve:
             self._begin_boxes()
 
     def _make_certifier(self, prog: MathematicalProgram) -> Certifier | None:
-        """Returns bounds of formulas as given, not presolved; None: hopeless, or there are none."""
+        """Returns bounds of formulas as they were given, not as presolve made them.
+
+        None where they are not asked for, and hopeless, or a formula has none.
+        """
         options = self._options
         is_hopeless = self._staged.is_beyond_boxes or prog.num_vars() > _PROVABLE
         if not options.certify and (is_hopeless or not self._cells or options.polish == "none"):

@@ -154,7 +154,12 @@ def _check_count(count: int) -> None:
 
 
 def _expand(e: Expression, index: LocalIndex) -> products.Sum:
-    """Returns the terms of an expression, if it is a sum of products and these are not too many."""
+    """Returns the terms of an expression.
+
+    Raises:
+        NoClosedFormError: Something in it is no sum of products of factors.
+        TooManyTermsError: There are more than MAX_TERMS.
+    """
     kind = e.get_kind()
     if e.is_polynomial():
         _check_count(_count_monomials(e)[0])

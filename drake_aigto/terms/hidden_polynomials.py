@@ -131,7 +131,12 @@ class _Reader:
         return degree
 
     def _find_monomials(self, variable: int, known: Ints) -> Ints:
-        """Returns powers (t, n) of monomials with a variable and those before, whose are known."""
+        """Returns powers (t, n) of monomials with a variable and those before it.
+
+        Args:
+            variable: its number.
+            known: powers of all monomials of those before, variables from this one on held.
+        """
         others = known[:, : variable + 1] > 0
         known = known[~np.any(others & ~self._neighbors[variable, : variable + 1], axis=1)]
         degree = self._degree(variable)

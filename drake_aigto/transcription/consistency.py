@@ -14,7 +14,11 @@ from drake_aigto.transcription.additions import SLACK, Additions
 
 
 def check_bounds_of(additions: Additions) -> None:
-    """Refuses constraints that no number satisfies: bounds that cross, or are NaN."""
+    """Refuses constraints that no number satisfies.
+
+    Raises:
+        ProgramError: a lower bound above its upper one, or one that is NaN.
+    """
     for each in additions.constraints:
         bounds = each.evaluator.lower_bound(), each.evaluator.upper_bound()
         for lower, upper in zip(*bounds, strict=True):
@@ -27,7 +31,11 @@ def check_bounds_of(additions: Additions) -> None:
 
 
 def check_start(additions: Additions, q: Floats, v: Floats) -> None:
-    """Refuses constraints on the initial state alone, (nq,) and (nv,), that it does not meet."""
+    """Refuses constraints on the initial state alone, shapes (nq,), (nv,), that it does not meet.
+
+    Raises:
+        ProgramError: there is one.
+    """
     for each in additions.constraints:
         if each.is_of_start and (missed := additions.miss_at_start(each, q, v)):
             raise ProgramError(

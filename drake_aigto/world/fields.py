@@ -50,7 +50,14 @@ def as_number(
 
 
 def as_vector(name: str, value: Any, **bounds: Any) -> Floats:
-    """Returns a read-only array (n,) of finite floats, n ≥ 1, each within bounds (`as_number`)."""
+    """Returns a read-only array (n,) of finite floats, n ≥ 1, from a scalar or a sequence.
+
+    Bounds of each are those of `as_number`.
+
+    Raises:
+        ScenarioError: not numbers, NaN or infinity among them, empty, of two dimensions, or one
+            out of bounds.
+    """
     is_array = isinstance(value, np.ndarray) and value.dtype == np.float64 and value.ndim == 1
     # An array of finite numbers already, as that of another scenario is.
     if not (is_array and np.size(value) and np.isfinite(value).all()):
@@ -69,13 +76,21 @@ def as_vector(name: str, value: Any, **bounds: Any) -> Floats:
 
 
 def as_weight(name: str, value: object, **bounds: float) -> float | Floats:
-    """Returns a weight on a vector's square: a number for all coordinates, or (n,)."""
+    """Returns a weight on a vector's square: a number for all coordinates, or one for each, (n,).
+
+    Raises:
+        ScenarioError: as `as_vector` does.
+    """
     weights = as_vector(name, value, **bounds)
     return float(weights[0]) if weights.size == 1 else weights
 
 
 def as_weight_matrix(name: str, value: object) -> float | Floats:
-    """Returns such a weight, or a symmetric positive semidefinite matrix, (n, n)."""
+    """Returns such a weight, not below zero, or a symmetric positive semidefinite matrix, (n, n).
+
+    Raises:
+        ScenarioError: neither of these.
+    """
     if not (_is_sequence(value) and any(map(_is_sequence, value))):
         return as_weight(name, value, at_least=0.0)
     matrix = as_table(name, value)
@@ -228,7 +243,13 @@ def check_size(name: str, values: Floats, size: int) -> None:
 
 
 def check_bounds(quantity: str, least: Any, most: Any) -> None:
-    """Refuses bounds that are crossed or leave nothing; those by names are not looked at."""
+    """Refuses a lower bound above the upper one, and bounds that leave nothing.
+
+    Each is a number, an array, None, or by names, which are checked once they are an array.
+
+    Raises:
+        ScenarioError: they are crossed, or of different sizes.
+    """
     if isinstance(least, Mapping) or isinstance(most, Mapping):
         return
     name, other = f"{quantity}_lower", f"{quantity}_upper"

@@ -105,7 +105,11 @@ def find_frame(plant: MultibodyPlant, name: str) -> Frame:
 def reach_frames(
     plant: MultibodyPlant, goals: Mapping[str, FrameGoal], q: Floats, is_free: Floats
 ) -> Floats:
-    """Returns positions (nq,) near q at which frames are near goals, by free velocities."""
+    """Returns positions near q at which frames are nearest to their goals, shape (nq,).
+
+    By damped Gauss-Newton steps within joint limits, along velocities that are free, (nv,): where
+    a search begins.
+    """
     context, world = plant.CreateDefaultContext(), plant.world_frame()
     lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
     frames = [(find_frame(plant, name), _as_transform(g), g.weight) for name, g in goals.items()]

@@ -83,7 +83,11 @@ def combine_springs(
 
 
 def read_stiffness(scene_graph: SceneGraph, reachable: Sequence[ReachableFace]) -> Floats:
-    """Returns k₁ k₂ / (k₁ + k₂) of contacts, shape (m,) [N/m]; refuses shapes that have none."""
+    """Returns k₁ k₂ / (k₁ + k₂) of contacts, shape (m,) [N/m].
+
+    Raises:
+        ModelError: a shape has none.
+    """
     pairs = [
         [read_given(scene_graph, shape, STIFFNESS) for shape in each.face.shapes]
         for each in reachable
@@ -204,7 +208,15 @@ def impose_friction(
     shapes: Iterable[GeometryId],
     friction: float | None,
 ) -> None:
-    """Gives shapes one μ for sticking and sliding in a root context; None: their dynamic ones."""
+    """Gives shapes one coefficient for sticking and sliding, in this context only.
+
+    Args:
+        scene_graph: of the shapes.
+        source: of the shapes, the plant's.
+        root: of the whole diagram.
+        shapes: that slide.
+        friction: μ; None: static coefficients become the dynamic ones.
+    """
     for shape in dict.fromkeys(shapes):
         properties = read_material(scene_graph, root, shape)
         own = properties.GetProperty(*FRICTION)  # It lives no longer than the properties.

@@ -113,7 +113,16 @@ def as_frame_goal(name: str, value: Any) -> FrameGoal:
 
 
 def check_repeats(goal: Any, speed_weight: Any, weight: Any) -> None:
-    """Refuses goals of a motion that repeats beside its start, and weights that are about them."""
+    """Refuses goals of a motion that repeats beside the start, to which it returns.
+
+    Args:
+        goal: of the position, as it is given.
+        speed_weight: of the final velocity.
+        weight: of positions that have no reference but the goal.
+
+    Raises:
+        ScenarioError: there is one.
+    """
     if isinstance(goal, Named) and goal:
         raise ScenarioError(
             "goal_position",
@@ -135,7 +144,12 @@ def check_repeats(goal: Any, speed_weight: Any, weight: Any) -> None:
 def by_name(
     check: Callable[[str, Any], _Checked], check_part: Callable[[str, Any], Any]
 ) -> Callable[[str, Any], _Checked]:
-    """Returns the check of numbers, or of parts by names of joints and bodies (`RESTS`)."""
+    """Returns the check of numbers that may be by names of joints and bodies, as `RESTS` has them.
+
+    Args:
+        check: of an array, or of a number for all.
+        check_part: of a joint's numbers, and of those along a body's axes, or about them.
+    """
 
     def as_named(name: str, value: Any) -> Any:
         if not isinstance(value, Mapping):

@@ -128,7 +128,16 @@ class PlantReader:
         return self._plant.CalcInverseDynamics(self._context, np.zeros(len(v)), forces)
 
     def read(self, function: Callable[[Any, Any], Floats], degree: int, what: str) -> NDArray[Any]:
-        """Returns a named function of plant and context as expressions of q (`interpolate`)."""
+        """Returns a function of q as expressions (`interpolate`).
+
+        Args:
+            function: takes the plant and a context at q, returns numbers of any shape.
+            degree: see `interpolate`.
+            what: the function's name in an error.
+
+        Raises:
+            ModelError: it depends on too many joints.
+        """
 
         def calc(q: Floats) -> Floats:
             self._plant.SetPositions(self._context, q)

@@ -271,7 +271,17 @@ _MOST_SUMMED = 5
 
 
 def read_world(kind: type[Any], scenario: Scenario, start: Floats | None) -> Any:
-    """Reads a scenario's model as a `World` or `SpaceWorld`, at a start if any, not its task."""
+    """Reads a scenario's model and nothing of its task.
+
+    Args:
+        kind: the class `World`, in a plane if that can be, or `SpaceWorld`, in space at once.
+        scenario: the model, and how it is read.
+        start: its positions; None: default positions.
+
+    Raises:
+        ModelError: the model can't be found, parsed, or planned for.
+        ScenarioError: a field of the scenario does not fit the model.
+    """
     may_leave_plane = not kind.in_space and scenario.contact == "compliant"
     try:
         world = _read(kind, scenario, start)

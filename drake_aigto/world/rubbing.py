@@ -41,7 +41,13 @@ class Rubbing:
     def __init__(
         self, motion: EquationsOfMotion, diagram: Diagram, faces: tuple[SphereAndFace, ...]
     ) -> None:
-        """Reads nothing yet. Faces of contacts come before those that spheres are stuck in."""
+        """Reads nothing yet.
+
+        Args:
+            motion: the contacts, and the variables of positions and velocities.
+            diagram: of the plant and its scene graph.
+            faces: those of the contacts, then those that spheres are stuck in, m + s.
+        """
         self._q, self._v = motion.positions, motion.velocities
         self._num_contacts = motion.num_contacts
         self._diagram, self._faces = diagram, faces
@@ -63,7 +69,14 @@ class Rubbing:
         return [shape for face in self._faces for shape in face.shapes]
 
     def calc_coefficients(self, friction: float | None) -> Floats:
-        """Returns μ of each contact, (m,): as given, or the model's; 0 where nothing can slide."""
+        """Returns μ of each contact, shape (m,); where nothing can slide it is 0.
+
+        Args:
+            friction: μ of all that slides; None: the model's.
+
+        Raises:
+            ModelError: a sphere can slide in two directions along a face where μ is not 0.
+        """
         if friction is None and not self.frictions:  # Simulations ask this again and again.
             return self._none
         coefficients = self._calc_all(friction)[: self._num_contacts]
@@ -120,7 +133,12 @@ class Rubbing:
         return SumMap(calc_turning(self.tangents, self._q, self._v), self._q, self._v)
 
     def impose(self, root: Context, friction: float | None) -> None:
-        """Gives all that slides one μ in a root context; None: the model's dynamic ones."""
+        """Gives all that slides one coefficient of friction, in this context only.
+
+        Args:
+            root: of the whole diagram.
+            friction: μ; None: static coefficients become the dynamic ones.
+        """
         source = self._plant.get_source_id()
         impose_friction(self._scene_graph, source, root, self.shapes, friction)
 

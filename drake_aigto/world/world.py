@@ -260,7 +260,10 @@ class World(PlantWorld):
     def _with_half_space_moved(
         self, diagram: Diagram, contact: int, translation: Floats, distance: float
     ) -> Self:
-        """Returns the world where a half space moved, for which no plant is read again."""
+        """Returns the world of a diagram where a half space moved that one sphere can touch.
+
+        All else is as it is here: the plant need not be read again, which takes far longer.
+        """
         plant, scene_graph = find_plant(diagram)
 
         def find(face: SphereAndFace) -> SphereAndFace:

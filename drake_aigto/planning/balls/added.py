@@ -48,7 +48,14 @@ class AddedSums:
         steps: Ints,
         at: Mapping[int, int],
     ) -> None:
-        """Adds costs and rows of q and v at joints, u of arcs, and their steps (J,)."""
+        """Adds costs and rows.
+
+        Args:
+            additions: of users.
+            unknowns: q and v at each joint, u of each arc from one to the next.
+            steps: the arcs' durations, shape (J,).
+            at: the joint at the time of each knot that additions are about.
+        """
 
         def read(addition: Addition) -> Ints:
             knots = addition.knots(len(steps))

@@ -156,7 +156,14 @@ class ArcProgram:
         additions: Additions = NO_ADDITIONS,
         joints: Mapping[int, int] | None = None,
     ) -> None:
-        """Builds the problem; knots that additions read are at `joints`."""
+        """Builds the problem.
+
+        Args:
+            world: has M, J and h; arcs are of one step each if h varies.
+            shape: of the arcs.
+            additions: of users; arcs are of one step each if some are about every knot.
+            joints: the joint at the time of each knot that additions read.
+        """
         self._world, self._inertia = world, world.constant_inertia
         self._shape, self.phases = shape, shape.phases
         self._builder = NlpBuilder()
@@ -231,7 +238,10 @@ class ArcProgram:
             self._builder.add_row(DYNAMICS, dynamics, copies)
 
     def _express_drifts(self, H: int) -> list[Sequence[Summand]]:
-        """Returns −H times accelerations without control, over an arc's q, w, q′, v′ and H."""
+        """Returns −H times the acceleration without control, of each coordinate.
+
+        It is over an arc's q, w, q′ and v′, the first unknowns of its motion, and H.
+        """
         if isinstance(self._inertia, ConstantDynamics):
             return [[(-drift, (H,))] for drift in self._inertia.drift.tolist()]
         names, n = MakeVectorVariable(H + 1, "x"), len(self._inertia.mass_matrix)

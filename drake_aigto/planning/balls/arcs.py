@@ -88,7 +88,13 @@ class Arcs:
     def __init__(
         self, phases: PhaseProblem, cuts: Collection[int] = (), programs: ArcPrograms | None = None
     ) -> None:
-        """Takes arcs from joint to joint of the phases and these knots; all without long arcs."""
+        """Takes arcs from joint to joint of the phases and these knots.
+
+        Args:
+            phases: the problem.
+            cuts: more joints; all knots if the phases have no long arcs.
+            programs: those of the same world that were built so far.
+        """
         self._phases, line = phases, phases.timeline
         cuts = cuts if phases.has_long_arcs else range(phases.num_steps)
         self._knots = np.array(sorted({0, *(phase.last for phase in line.phases), *cuts}))

@@ -337,7 +337,10 @@ def unfolds(world: World, scenario: Scenario) -> bool:
 
 
 def _mirrors_keep_costs(dynamics: ConstantDynamics) -> bool:
-    """Returns whether G Gᵀ is its own image in each wall's mirror, as of an elastic impact."""
+    """Returns whether G Gᵀ, of G = M⁻¹ B, is its own image in each wall's mirror.
+
+    The mirror changes velocities as an elastic impact does.
+    """
     worth = dynamics.gain @ dynamics.gain.T
     for J, kick in zip(dynamics.jacobian, dynamics.kicks, strict=True):
         mirror = np.eye(J.size) - 2 * np.outer(kick, J) / (J @ kick)

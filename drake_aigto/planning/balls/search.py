@@ -58,7 +58,13 @@ class BallSearch(BranchingSearch):
     def __init__(
         self, task: BallTask, clock: Stopwatch | None = None, is_again: bool = False
     ) -> None:
-        """Starts with no candidate; again if a planner plans again, with other ends."""
+        """Starts with no candidate.
+
+        Args:
+            task: to be planned for.
+            clock: of its parts.
+            is_again: whether a planner plans again, with other ends.
+        """
         super().__init__(task, clock)
         self._is_again = is_again
         self._num_steps = task.num_steps
@@ -227,7 +233,10 @@ class BallSearch(BranchingSearch):
                 return
 
     def _propose_uncontrolled(self) -> Iterator[Sequence[Proposal]]:
-        """Yields contacts of the uncontrolled motion, also past blocks, or of a flight."""
+        """Yields the contacts of the uncontrolled motion, if they may lead to another plan.
+
+        Plans may also pass a block that it bounces off. Without boxes, they may be free flights.
+        """
         coast, world = self.task.coast, self.task.transcription.world
         bounces = zip(coast.bounce_times, coast.bounce_contacts, strict=True)
         all_of_it = tuple(starmap(Touch.bounce, bounces))

@@ -18,15 +18,21 @@ _LEAST, _MOST = 1e-4, 10.0
 
 
 def draw_shots(world: World, scenario: Scenario, known: float, num_steps: int) -> Iterator[Replay]:
-    """Yields motions in `num_steps` between rigid walls, first what promises to cost least.
+    """Yields motions between rigid walls, first what promises to cost least.
 
-    Flights are parabolas. It costs dᵀ C⁻¹ d to change the end of a flight by d (`calc_compliance`),
-    and so it does where walls mirror flights. A shot that misses the goal by s promises
+    It costs dᵀ C⁻¹ d to change the end of a flight by d (`calc_compliance`), and so it does where
+    walls mirror flights. A shot that misses the goal by s promises
 
         (√(dᵀ C⁻¹ d) + √(sᵀ C⁻¹ s))²
 
-    Of each d that is drawn, by what a plan is known to cost, there are two: the velocity d/T is
-    added at the start, or the control is what changes a flight by d. They bounce elsewhere.
+    Of each d that is drawn there are two: the velocity d/T is added at the start, or the control
+    is what changes a flight by d. They bounce elsewhere.
+
+    Args:
+        world: flights in it are parabolas.
+        scenario: the task.
+        known: what a plan costs.
+        num_steps: of motions.
     """
     T, goal, nv = scenario.duration, scenario.goal_position, world.num_velocities
     worth = np.linalg.inv(calc_compliance(world, scenario))

@@ -147,7 +147,11 @@ class BallTask(ProgramTask):
         return other
 
     def in_world(self, world: World) -> BallTask:
-        """Returns the same problem, without additions, in a world `with_walls_nearer`."""
+        """Returns the same problem, without additions, with walls elsewhere.
+
+        Args:
+            world: see `EquationsOfMotion.with_walls_nearer`.
+        """
         return self._with(self.transcription.in_world(world), self.asked_steps)
 
     def make_algorithm(self, rung: Rung) -> Algorithm:
@@ -319,7 +323,10 @@ class BallTask(ProgramTask):
         return None if motion is None else PhaseMotion(phases, motion, is_of_arcs=True)
 
     def _settle(self, nlp: PolynomialNlp, guess: Floats, max_iterations: int) -> LocalResult | None:
-        """Returns the result of plain Newton steps, or else of one run of our local solver."""
+        """Returns the result of plain Newton steps, or else of one run of our local solver.
+
+        For most sequences no bound is active in the optimum: phases have some length.
+        """
         quick = NewtonLagrange(cost_unit=self._cost_scale)
         found = quick.solve(nlp, guess)
         if found is None and max_iterations:

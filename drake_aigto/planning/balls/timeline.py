@@ -220,7 +220,14 @@ def make_guess(
 def _jump(
     phase: Phase, pull: Floats, motion: tuple[Floats, Floats, Floats, Floats], gain: Floats
 ) -> None:
-    """Writes a flight from the speed of the phase before, `make_guess`, into t, q, v and u."""
+    """Writes a flight that begins at the speed of the end of the phase before.
+
+    Args:
+        phase: the flight.
+        pull: a, shape (nv,) [m/s²].
+        motion: t, q, v and u at all knots.
+        gain: G, shape (nv, nu) [1/kg].
+    """
     t, q, v, u = motion
     first, inside = phase.first, slice(phase.first, phase.last + 1)
     s, w = (t[inside] - t[first])[:, np.newaxis], v[first]
@@ -233,7 +240,13 @@ def _jump(
 
 
 def bend(path: tuple[Floats, Floats], times: Floats, stops: Floats) -> tuple[Floats, Floats]:
-    """Returns a path moved to stops (K, nq) at times (K,), and between them in proportion."""
+    """Returns a path moved to stops at some times, and between them in proportion.
+
+    Args:
+        path: times and positions.
+        times: from the path's first to its last, shape (K,) [s].
+        stops: shape (K, nq) [m].
+    """
     grid = np.unique([*path[0], *times])
     at = interpolate(grid, *path)
     return grid, at + interpolate(grid, times, stops - interpolate(times, grid, at))

@@ -72,7 +72,14 @@ class Dip(NamedTuple):
 def read_touches(
     world: World, law: RigidLaw, motion: ShootingResult, lasting: Floats
 ) -> TouchSequence:
-    """Returns touches between compliant walls by time, sustained if as long as given, (m,) [s]."""
+    """Returns the touches of a motion between compliant walls, by time.
+
+    Args:
+        world: the mechanism.
+        law: of the rigid walls that the compliant ones replace.
+        motion: its motion.
+        lasting: the shortest sustained touch of each contact, shape (m,) [s].
+    """
     q = motion.states[:, : world.num_positions]
     touches = (
         touch

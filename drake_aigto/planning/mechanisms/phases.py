@@ -135,7 +135,10 @@ def _find_joints(touches: TouchSequence, duration: float) -> Iterator[_Joint]:
 
 
 def find_slopes(world: World, motion: ShootingResult) -> tuple[Floats, Floats]:
-    """Returns velocities at the start and the end of steps, (N, n), of parabolas at bounces."""
+    """Returns the velocities at the start and the end of each step, shape (N, n) each.
+
+    Before a bounce, that is the slope of a parabola.
+    """
     n, h = world.num_positions, np.diff(motion.times)[:, np.newaxis]
     q, v = motion.states[:, :n], motion.states[:, n:]
     end = v[1:].copy()
@@ -181,7 +184,16 @@ def read_hold(
     ends: tuple[float, float],
     knots: Ints,
 ) -> Iterator[Touch]:
-    """Yields a sustained contact's touches between ends [s], by its modes at the knots between."""
+    """Yields the touches of a sustained contact, one for each mode of a motion.
+
+    Args:
+        world: the mechanism.
+        law: of the walls.
+        motion: between rigid or compliant walls.
+        contact: its index.
+        ends: from when to when [s].
+        knots: those between.
+    """
     if not law.friction[contact]:
         yield Touch(*ends, contact)
         return
@@ -193,7 +205,13 @@ def read_hold(
 
 
 def split_hold(touch: Touch, times: Floats, modes: Ints) -> list[Touch]:
-    """Returns a sustained touch as one per mode from times (K,) on; short ones join the last."""
+    """Returns a sustained touch as one per mode; short ones are joined to the one before.
+
+    Args:
+        touch: in any mode.
+        times: of knots in it, shape (K,) [s].
+        modes: from these on, shape (K,).
+    """
     begins = np.flatnonzero(np.diff(modes, prepend=np.iinfo(np.int64).max))
     ends = np.append(times[begins], touch.end)
     ends[0] = touch.start

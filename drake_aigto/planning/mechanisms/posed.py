@@ -78,7 +78,11 @@ class Compiled:
     def of(
         cls, world: World, scenario: Scenario, law: ContactLaw, additions: Additions
     ) -> Compiled:
-        """Compiles a world with its contact law, and additions of users (`AddedTerms.of`)."""
+        """Compiles a world with its contact law, and costs and constraints of users.
+
+        Raises:
+            ProgramError, UnsupportedTermError: see `AddedTerms.of`.
+        """
         apart = np.flatnonzero(np.isfinite(world.least_distances(scenario)))
         if not isinstance(world, SpaceWorld):
             apart = apart[:0]  # There, distances of all contacts have bounds.
@@ -171,7 +175,13 @@ class PosedMechanism:
         )
 
     def judge(self, origin: Origin, start: ShootingResult, found: ShootingResult) -> Candidate:
-        """Returns the candidate of a motion in whole time steps: its controls, simulated."""
+        """Returns the candidate of a motion: the simulation of its controls.
+
+        Args:
+            origin: where it came from.
+            start: the first motion.
+            found: the result of shooting from it, in the scenario's time steps.
+        """
         scenario, (end, _) = self.ask(found), self.world.split(found.states[-1])
         replay, trajectory, judged = self._simulate(found)
         (cost, error), added = self.pose_again(found).refine_cost(found), dict[str, float]()

@@ -272,7 +272,10 @@ class Reaches:
     def _reach(
         self, start: Floats, size: float, rng: np.random.Generator
     ) -> tuple[list[Floats], _Pairs]:
-        """Returns positions of touches that push the object far to its goal, and contacts."""
+        """Returns positions of touches that push the object far to its goal, part by part.
+
+        Also returns their contacts. The object's way is this long, at least.
+        """
         best = -np.inf, list[Floats](), _Pairs()
         grasps = sorted(self._draw_grasps(start, size, rng), key=lambda each: -each.most)
         for most, q, contacts, is_straight in grasps:
@@ -318,7 +321,10 @@ class Reaches:
         return self.world.add(q, moved * np.any(self._hands[list(contacts)], axis=0))
 
     def _follow(self, q: Floats, part: float, contacts: _Pairs, is_straight: bool) -> list[Floats]:
-        """Returns positions while hands push an object to its goal, straight or as they can."""
+        """Returns positions from some on while hands stick to an object that goes to its goal.
+
+        It goes straight, but round what is no hand, or as near to that as these contacts can push.
+        """
         pushed, world, among = [q], self.world, self._supports
         least = np.minimum(world.calc_signed_distance(q)[among], 0.0)
         while len(pushed) <= 2 * _PARTS:

@@ -84,7 +84,12 @@ class RigidMechanismTask(PhasedTask):
         return _HOPELESS if self.rigid_law.has_friction else self.polish_ratio
 
     def close(self, guess: Guess, aim: Aim) -> ShootingResult:
-        """Returns the motion on rigid walls near a guess, closed on springs or not (`bounce`)."""
+        """Returns the motion on rigid walls near a guess, closed on springs or as it is.
+
+        Args:
+            guess: the guess.
+            aim: of its `most` see `bounce`.
+        """
         soft = self._close_on_springs(guess, begin_at(COARSE, guess.width))
         touches = read_touches(self.world, self.rigid_law, soft, self.lasting)
         found = [self.bounce(touches, soft, aim.most)]
@@ -134,7 +139,10 @@ class RigidMechanismTask(PhasedTask):
         return self._switch(min(map(self._lift, ends), key=self.rank))
 
     def _lift(self, motion: ShootingResult) -> ShootingResult:
-        """Returns a motion, led off walls if dips into them, or beside these, cost more than it."""
+        """Returns a motion, led off walls if dips into them are priced higher than it.
+
+        Led off where it dips, it may dip beside that.
+        """
         margin, lifted = _MARGIN * self.measures.length, motion
         clearances = np.zeros((len(motion.times), self.world.num_contacts))
         for _ in range(_MOST_LIFTS if self._has_corners else 1):

@@ -342,20 +342,20 @@ class MechanismSearch(Search):
     @property
     def _holding(self) -> list[float]:
         """Costs of the candidates that passed all their simulations."""
-        return [
-            each.replay.cost
-            for each in self._candidates
-            if each.is_feasible
-            and each.is_confirmed
-            and each.holds(self._replays.get(id(each), each.own_replays))
-        ]
+        kept = [each for each in self._candidates if each.is_feasible and each.is_confirmed]
+        kept = [each for each in kept if each.holds(self._replays.get(id(each), each.own_replays))]
+        return [each.replay.cost for each in kept]
 
     def _scale_best(self, times: float) -> float:
         """Returns a multiple of the best cost that holds, infinite while there is none."""
         return scaled(times, min(self._holding, default=np.inf))
 
     def _polish(self, motion: KeptMotion) -> ShootingResult:
-        """Adds a motion's candidate, in narrower bounds if replays ask; returns it polished."""
+        """Adds the candidate of a motion, and returns the polished motion.
+
+        It is polished again within narrower bounds if only simulations exceed them, from starts
+        that are off as well.
+        """
         start = motion.result
         self.tell(f"polishing a motion that costs {start.cost:.6g}")
         polished, problem = start, self.task

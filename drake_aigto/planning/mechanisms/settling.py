@@ -74,7 +74,10 @@ def best_of(motions: Sequence[KeptMotion]) -> list[KeptMotion]:
 
 
 def find_limit(motions: Sequence[KeptMotion], count: int) -> float:
-    """Returns the highest cost of a count of motions that hold bounds; infinite if fewer."""
+    """Returns the highest cost of a count of the best motions; infinite while fewer are kept.
+
+    Motions that violate bounds or a hard goal by much do not count.
+    """
     costs = [motion.cost for motion in motions if not motion.rank[0]][:count]
     return costs[-1] if costs and len(motions) >= count else np.inf
 
@@ -114,7 +117,13 @@ def is_better(motion: KeptMotion, known: KeptMotion) -> bool:
 
 
 def are_same(one: KeptMotion, other: KeptMotion, scales: Floats) -> bool:
-    """Returns whether two motions lead to one optimum, by cost or by path in scales (nq,)."""
+    """Returns whether two motions lead to one optimum, by cost or by path.
+
+    Args:
+        one: a motion.
+        other: another one.
+        scales: of positions, shape (nq,).
+    """
     if abs(one.cost - other.cost) <= _SAME * abs(one.cost):
         return True
     (mine, yours), n = (one.result, other.result), len(scales)

@@ -349,7 +349,11 @@ def soften(world: World, law: RigidLaw, time_step: float, speed: float) -> Compl
 
 
 def _calc_mobility(world: World) -> Floats:
-    """Returns J M⁻¹ Jᵀ of contacts at default positions, elsewhere if zero there, (m,) [1/kg]."""
+    """Returns J M⁻¹ Jᵀ of each contact at the plant's default position, shape (m,) [1/kg].
+
+    If an arm is stretched out there along the wall's normal, with zero mobility, it is that at
+    another position.
+    """
     mobilities = []
     for q in (world.plant.GetDefaultPositions(), find_anywhere(world.plant)):
         J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)

@@ -36,7 +36,15 @@ NEAR = 0.05
 def find_neighbors(
     world: World, law: RigidLaw, motion: ShootingResult, lasting: Floats, near: float
 ) -> Iterator[tuple[ChangeName, TouchSequence]]:
-    """Yields sequences with a touch fewer, two near ones [s] swapped, one more, or one changed."""
+    """Yields sequences with one touch fewer, two swapped, one more, and in another mode.
+
+    Args:
+        world: the mechanism.
+        law: of its rigid walls.
+        motion: in phases.
+        lasting: the shortest sustained touch of each contact, shape (m,) [s].
+        near: touches closer than this may be swapped [s].
+    """
     touches = motion.touches
     for place in range(len(touches)):
         yield "dropped", drop(touches, place)
@@ -49,7 +57,14 @@ def find_neighbors(
 
 
 def read_replay(world: World, law: RigidLaw, replay: Replay, lasting: Floats) -> TouchSequence:
-    """Returns a replay's touches; sustained ones, (m,) [s], without friction last on."""
+    """Returns a replay's touches; sustained ones without friction last until the next.
+
+    Args:
+        world: the mechanism.
+        law: of its rigid walls.
+        replay: a simulation between them.
+        lasting: the shortest sustained touch of each contact, shape (m,) [s].
+    """
     contacts, starts = np.array(replay.bounce_contacts, dtype=np.int64), replay.bounce_times
     rows = find_impacts(replay.times, replay.velocities, len(starts))
     ends = [*starts, float(replay.times[-1])][1:]
