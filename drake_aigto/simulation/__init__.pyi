@@ -13,7 +13,6 @@ from .recording import Held as Held
 from .recording import HeldControl as HeldControl
 from .recording import Impact as Impact
 from .recording import Recording as Recording
-from .recording import Rest as Rest
 from .recording import find_impacts as find_impacts
 from .replay import DRAKE as DRAKE
 from .replay import EVENT_DRIVEN as EVENT_DRIVEN
@@ -40,7 +39,6 @@ from .verdict import HARD_GOAL as HARD_GOAL
 from .verdict import MOST_GROWTH as MOST_GROWTH
 from .verdict import NOTHING as NOTHING
 from .verdict import Growth as Growth
-from .verdict import calc_compliance_error as calc_compliance_error
 from .verdict import calc_edge_overlap as calc_edge_overlap
 from .verdict import calc_excess as calc_excess
 from .verdict import calc_growth as calc_growth

@@ -21,9 +21,9 @@ from drake_aigto.contact import (
 )
 from drake_aigto.geometry import BALL, BOX, CAPSULE, HULL
 from drake_aigto.simulation.compliant import find_depth, measure_steps, read_touches
-from drake_aigto.simulation.recording import Controller, Held, Impact, Recording, Rest, sample_steps
+from drake_aigto.simulation.recording import Controller, Held, Impact, Recording, sample_steps
 from drake_aigto.simulation.simulator import SETTLED, calc_acceleration, start_plant
-from drake_aigto.simulation.verdict import calc_compliance_error, calc_lateness
+from drake_aigto.simulation.verdict import calc_lateness
 from drake_aigto.world import Scenario, SpaceWorld, World
 
 # Forces that jump from step to step, as where Drake iterates for the depth of two capsules, bring
@@ -55,13 +55,7 @@ class DrakeJudge:
         """
         recording, is_stiff = _simulate(world, scenario, controller)
         if is_stiff:
-            friction = world.friction_coefficients(scenario)
-            if world.has_constant_inertia and not friction.any():
-                restitutions = world.restitutions(scenario)
-                recording.error = calc_compliance_error(world, restitutions, recording)
-            else:
-                lateness = calc_lateness(world, scenario, controller)
-                recording.error, recording.cost_error = lateness
+            recording.error, recording.cost_error = calc_lateness(world, scenario, controller)
         recording.simulator = "drake"
         return recording
 
@@ -166,7 +160,6 @@ class StepTrace:
         rows += self._read_contacts(recording)
         # Of several at one time, the first of the world's comes first.
         recording.impacts.sort(key=lambda impact: (impact.time, impact.contact))
-        recording.rests.sort(key=lambda rest: rest.time)
         for time, x in sorted(rows, key=lambda row: row[0]):
             recording.add(time, *np.split(x, [self._world.num_positions]))
         return recording
@@ -252,8 +245,6 @@ class ContactTrace(StepTrace):
                 impact = self._calc_impact(self._face(solid, first), touch, release)
                 if impact is not None:
                     recording.impacts.append(impact)
-                elif touch.push < 0:
-                    recording.rests.append(Rest(touch.time, self._face(solid, first)))
         return rows
 
     def _face(self, solid: int, index: int) -> int:

@@ -57,6 +57,22 @@ class Controller(ABC):
             bounces: the contact of each bounce so far.
         """
 
+    def since(self, time: float, bounces: Sequence[int]) -> Controller:
+        """Returns the rest of it from a time on [s], before which such contacts have bounced."""
+        return _Later(self, time, bounces)
+
+
+class _Later(Controller):
+    """A controller from some time on."""
+
+    def __init__(self, controller: Controller, start: float, bounces: Sequence[int]) -> None:
+        self._controller, self._bounces = controller, [*bounces]
+        self.start, self.end = start, controller.end
+        self.longest_hold, self.feels_contact = controller.longest_hold, controller.feels_contact
+
+    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
+        return self._controller.sample(time, x, [*self._bounces, *bounces])
+
 
 class HeldControl(Controller):
     """A control that was decided before: open loop.
@@ -80,6 +96,13 @@ class HeldControl(Controller):
         k = int(np.searchsorted(self.times, time, side="right"))
         return Held(self.controls[k - 1], float(self.times[k]))
 
+    def since(self, time: float, bounces: Sequence[int]) -> Controller:
+        """Returns the rest of it from a time on [s]."""
+        if not self.is_open_loop:
+            return super().since(time, bounces)
+        k = int(np.searchsorted(self.times, time, side="right"))
+        return HeldControl(np.append(time, self.times[k:]), self.controls[k - 1 :])
+
 
 class MotionSamples(NamedTuple):
     """A motion at nodes of a quadrature, ∫ f dt ≈ Σ_k weights_k f(times_k, states_k)."""
@@ -98,13 +121,6 @@ class Impact(NamedTuple):
     push: float  # φ̈ without contact; negative is into the wall [m/s²]
     energy_before: float  # kinetic, ½ vᵀ M v, when the wall was touched [J]
     energy_after: float  # kinetic, when it was left [J]
-
-
-class Rest(NamedTuple):
-    """A contact that is pressed together so slowly that it stays, or nearly."""
-
-    time: float  # when it began [s]
-    contact: int  # which of the world's contacts
 
 
 @dataclass(frozen=True)
@@ -132,7 +148,6 @@ class Recording:
         positions: q for each time, shape (nq,) [m].
         velocities: v for each time, shape (nv,) [m/s].
         impacts: in order of time.
-        rests: in order of time, on compliant walls.
         max_penetration: the deepest −φ, at least 0 [m].
         matched_speeds: for which dissipation was set, on compliant walls [m/s].
         creep: how far contacts with friction that stick would move q, if they slipped at
@@ -151,7 +166,6 @@ class Recording:
     positions: Rows = field(default_factory=list)
     velocities: Rows = field(default_factory=list)
     impacts: list[Impact] = field(default_factory=list)
-    rests: list[Rest] = field(default_factory=list)
     max_penetration: float = 0.0
     matched_speeds: list[float] = field(default_factory=list)
     creep: float = 0.0

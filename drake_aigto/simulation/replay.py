@@ -44,8 +44,7 @@ class Replay(ArrayRecord):
         compliance_error: "drake" and rigid contact only: how far the end should be, at most, from
             where rigid walls lead [m]. A contact lasts τ = π √(m/k), which delays what follows and
             loses what the control adds meanwhile: of one elastic impact, τ times the last speed.
-            All of it is in `calc_compliance_error`; where M or J depends on q, or walls have
-            friction, in `calc_lateness`, with what contacts creep that should stick.
+            All of it is in `calc_lateness`, with what contacts creep that should stick.
         compliance_cost: what of the cost this explains at most.
         matched_speeds: "drake" only, restitution < 1 only: the speeds, in the order of time, for
             which the dissipation was set to give each impact its restitution [m/s]. Impacts below a

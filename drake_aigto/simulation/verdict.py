@@ -11,14 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import ArrayRecord, Floats, LockedArrays
-from drake_aigto.contact import LEAST_RESTITUTION, ContactMotion, calc_delays, contact_delays
+from drake_aigto.contact import LEAST_RESTITUTION, ContactMotion, calc_delays
 from drake_aigto.simulation.event_driven import EventDriven
 from drake_aigto.simulation.recording import (
     Controller,
-    Held,
     Impact,
     Recording,
-    Rest,
     find_impacts,
     sample_cubics,
 )
@@ -219,72 +217,10 @@ _MOST = 0.03
 _INTEGRATION = 4e-5
 
 
-def calc_compliance_error(world: World, restitutions: Floats, recording: Recording) -> float:
-    """Returns how far the end should be at most from where rigid walls lead [m].
-
-    A contact lasts τ_i = π √(m_i/k_i). Meanwhile a rigid wall would have thrown the ball e v τ_i
-    farther, and the push φ̈ would have added to its speed. So impact k displaces the ball across
-    the wall, by l_i = M⁻¹ J_iᵀ (J_i M⁻¹ J_iᵀ)⁻¹ times
-
-        δφ = −e v τ_i,    δφ̇ = −φ̈ τ_i
-
-    and every later impact carries that on as a touch that comes later, to first order:
-
-        flight for t    δq ← δq + t δv
-        impact          δq ← P δq,  δv ← P δv − (1 + e) l_i (φ̈/v) J_i δq,    P = I − (1 + e) l_i J_i
-        rest            δq ← (I − l_i J_i) δq,  δv ← (I − l_i J_i) δv
-
-    What it is at the end is added up in size over all impacts. Elastic, that is the last speed
-    times the delays: lateness stays lateness. To it comes the same of what is known less well, each
-    on its own: with dissipation contacts last a little longer and the push shares in it, none
-    brings restitution below 1e-3, and integration misses it by up to 4e-5,
-
-        |δφ| ≤ 0.07 (1 − e) v τ_i,    |δφ̇| ≤ (1 − e) |φ̈| τ_i + ((1e-3 − e)₊ + 4e-5) v
-
-    No more than three hundredths of the path is explained this way, where a touch is almost a graze
-    and first order says nothing; and beside it what the speed that is kept of an impact that should
-    return less than 1e-3, from 100 m/s as much as 0.1 m/s, leads to by itself until the end.
-
-    Args:
-        world: its stiffness and its contacts.
-        restitutions: e of each contact, shape (m,).
-        recording: its impacts and rests, its end, and how long its path is.
-    """
-    inertia, delays = world.constant_inertia, contact_delays(world)
-    n = world.num_velocities
-    end = later = recording.times[-1]
-    total = kept = 0.0
-    # Of the last position to (δq, δv) at `later`.
-    sensitivity = np.eye(n, 2 * n)
-    events: list[Impact | Rest] = [*recording.impacts, *recording.rests]
-    for event in sorted(events, key=lambda event: event.time, reverse=True):
-        lift, J = inertia.lifts[event.contact], inertia.jacobian[event.contact]
-        sensitivity[:, n:] += (later - event.time) * sensitivity[:, :n]
-        to_position, to_velocity = sensitivity[:, :n], sensitivity[:, n:]
-        later = event.time
-        if isinstance(event, Impact):
-            e = float(restitutions[event.contact])
-            known, most = _calc_offsets(event, e, delays[event.contact])
-            moves = np.array([to_position @ lift, to_velocity @ lift])
-            total += float(np.linalg.norm(known @ moves))
-            total += float(most @ np.linalg.norm(moves, axis=1))
-            way = (end - event.time) * event.speed * float(np.linalg.norm(lift))
-            kept += max(0.0, LEAST_RESTITUTION - e) * way
-            turn = (1 + e) * np.outer(lift, J)
-            to_position = to_position - event.push / event.speed * to_velocity @ turn
-            before = to_position - sensitivity[:, :n] @ turn, to_velocity - to_velocity @ turn
-        else:
-            stop = np.outer(lift, J)
-            before = to_position - to_position @ stop, to_velocity - to_velocity @ stop
-        sensitivity = np.hstack(before)
-    path = np.sum(np.linalg.norm(np.diff(recording.positions, axis=0), axis=1))
-    return min(total, _MOST * float(path) + kept)
-
-
 def _calc_offsets(impact: Impact, e: float, delay: float) -> Floats:
     """Returns (δφ, δφ̇) of an impact of restitution e that is late by τ_i [s], shape (2, 2).
 
-    First what is known, then the most of what is known less well (`calc_compliance_error`).
+    First what is known, then the most of what is known less well (`calc_lateness`).
     """
     speed, push = impact.speed, impact.push
     missed = (max(0.0, LEAST_RESTITUTION - e) + _INTEGRATION) * speed + (1 - e) * abs(push) * delay
@@ -300,27 +236,26 @@ class Lateness(NamedTuple):
     cost: float
 
 
-class _Later(Controller):
-    """A controller from some time on."""
-
-    def __init__(self, controller: Controller, start: float, bounces: Sequence[int]) -> None:
-        self._controller, self._bounces = controller, [*bounces]
-        self.start, self.end = start, controller.end
-        self.longest_hold, self.feels_contact = controller.longest_hold, controller.feels_contact
-
-    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
-        return self._controller.sample(time, x, [*self._bounces, *bounces])
-
-
 def calc_lateness(world: World, scenario: Scenario, controller: Controller) -> Lateness:
     """Returns how far the end should be at most from where rigid walls lead, and its cost.
 
-    `calc_compliance_error` says by how much φ and φ̇ are off after a contact which lasts τ. Where M
-    or J depends on q, nothing in closed form carries that on to the end. So the rest of the motion
-    on rigid walls is simulated again from there, once with what is known of the delay and once with
-    what is known less well, both away from the wall: to first order the sign does not matter. By
-    how much the end and the cost differ is added up in size over all impacts. No more than three
-    hundredths of the path is explained this way.
+    A contact lasts τ_i = π √(m_i/k_i). Meanwhile a rigid wall would have thrown the bodies e v τ_i
+    farther, and the push φ̈ would have added to their speed. So an impact displaces them across the
+    wall, along l_i = M⁻¹ J_iᵀ (J_i M⁻¹ J_iᵀ)⁻¹, by
+
+        δφ = e v τ_i,    δφ̇ = φ̈ τ_i
+
+    To it comes what is known less well: with dissipation contacts last a little longer and the push
+    shares in it, none brings restitution below 1e-3, and integration misses it by up to 4e-5,
+
+        |δφ| ≤ 0.07 (1 − e) v τ_i,    |δφ̇| ≤ (1 − e) |φ̈| τ_i + ((1e-3 − e)₊ + 4e-5) v
+
+    The rest of the motion on rigid walls is simulated again from there, once with each, both away
+    from the wall: to first order the sign does not matter. By how much the end and the cost differ
+    is added up in size over all impacts. No more than three hundredths of the path is explained
+    this way, where a touch is almost a graze and first order says nothing; and beside it what the
+    speed that is kept of an impact that should return less than 1e-3, from 100 m/s as much as
+    0.1 m/s, leads to by itself until the end.
 
     Where walls have friction, so it is for the slip velocity, which a contact changes in τ and not
     at once, to no less than the stiction speed v_s at which the plant's friction is whole. To that
@@ -329,7 +264,7 @@ def calc_lateness(world: World, scenario: Scenario, controller: Controller) -> L
 
     def run(state: Floats, start: float, bounces: Sequence[int]) -> tuple[Recording, float]:
         """Returns what the rest of the control does from (q, v), and what that costs."""
-        later = _Later(controller, start, bounces)
+        later = controller.since(start, bounces)
         recording = EventDriven().simulate(world, scenario, later, (state[0], state[1]))
         held = np.append(recording.control_times, later.end), np.array(recording.controls)
         return recording, calc_cost(world, scenario, *held, recording)[0]
@@ -338,12 +273,14 @@ def calc_lateness(world: World, scenario: Scenario, controller: Controller) -> L
     recording, _ = run(start, controller.start, [])
     rows = np.array(recording.times), np.array(recording.velocities)
     after = 1 + find_impacts(*rows, len(recording.impacts))
-    error, cost, is_asked = 0.0, 0.0, TaskCost.of(world, scenario).is_asked
+    error = cost = kept = 0.0
+    is_asked = TaskCost.of(world, scenario).is_asked
     for count, (row, impact) in enumerate(zip(after, recording.impacts, strict=True), 1):
         if impact.time < controller.end:
             state = np.array([recording.positions[row], recording.velocities[row]])
             change = state[1] - recording.velocities[row - 1]
-            others = _displace(world, scenario, impact, state, change)
+            others, speed = _displace(world, scenario, impact, state, change)
+            kept += speed * (controller.end - impact.time)
             bounces = recording.bounces[:count]
             (rigid, price), *runs = (run(each, impact.time, bounces) for each in [state, *others])
             for other, paid in runs:
@@ -354,16 +291,16 @@ def calc_lateness(world: World, scenario: Scenario, controller: Controller) -> L
     path = np.sum(np.linalg.norm(steps, axis=1))
     creep = world.stiction_speed * recording.creep
     cost += explain_cost(world, scenario, recording.positions[-1], creep) if creep else 0.0
-    return Lateness(min(error, _MOST * float(path)) + creep, cost)
+    return Lateness(min(error, _MOST * float(path) + kept) + creep, cost)
 
 
 def _displace(
     world: World, scenario: Scenario, impact: Impact, state: Floats, change: Floats
-) -> list[Floats]:
+) -> tuple[list[Floats], float]:
     """Returns states after an impact, each off by what a compliant wall may do, shape (2, nv).
 
     The last one, with friction, is off by what that may do as it drags on. The impact changed v by
-    `change`, shape (nv,).
+    `change`, shape (nv,). To these comes the speed that no dissipation takes [m/s].
     """
     i, e = impact.contact, float(world.restitutions(scenario)[impact.contact])
     motion = ContactMotion.at(world, state.ravel())
@@ -373,4 +310,5 @@ def _displace(
         slip = abs(float(world.rubbing.calc_tangent_jacobian(state[0])[i] @ change))
         slide = calc_slide(world, state[0], i)
         others.append(state + np.outer((slip * delay, world.stiction_speed), slide))
-    return others
+    kept = max(0.0, LEAST_RESTITUTION - e) * impact.speed * float(np.linalg.norm(lift))
+    return others, kept
