@@ -201,6 +201,7 @@ def test_table1_prints_every_method_with_its_replays(
         (["plan", "table1/9"], "unknown scenario 'table1/9': expected one of acrobot/"),
         (["plan", "table1/11"], "Did you mean 'table1/1'? unknown scenario 'table1/11'"),
         (["plan", "nowhere.yaml"], "scenario file nowhere.yaml can't be read"),
+        (["look", "PLAN"], "expected that of a scenario (.yaml) or, to look at, of a model (.sdf,"),
         (["plan", "table1/1", "--initial-position", "-1"], "initial_position is inside or behind"),
         (["plan", "table1/1", "--goal-position", "-0.1"], "goal_position is inside or behind"),
         (["plan", "table1/1", "--initial-position", "nan"], "initial_position: got nan, expected"),

@@ -22,6 +22,7 @@ from typing import Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 import yaml
 
 from drake_aigto import world  # Loaded when first used: the first line waits for no Drake.
+from drake_aigto.errors import OptionsError
 
 # Exit statuses.
 FINE, NOTHING_HOLDS, BAD_INPUT, INTERRUPTED, UNREAD = 0, 1, 2, 130, 141
@@ -169,7 +170,12 @@ def is_file(name: str) -> bool:
 
 def read_scenario(name: str) -> world.Scenario:
     """Returns the scenario of a YAML file, or a shipped one."""
-    return world.Scenario.load(name) if is_file(name) else world.Scenario.named(name)
+    if is_file(name):
+        return world.Scenario.load(name)
+    if Path(name).exists() and name not in world.scenario_names():
+        expected = "that of a scenario (.yaml) or, to look at, of a model (.sdf, .urdf, .xml)"
+        raise OptionsError("SCENARIO", got=f"the path {name}", expected=expected)
+    return world.Scenario.named(name)
 
 
 def add_fields(group: Any, kind: type[Any], *skipped: str, note: str = "") -> None:
