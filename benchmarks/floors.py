@@ -2,19 +2,16 @@
 
     python -m benchmarks.floors --count 200 --seed 0 --workers 2
 
-Random starts, goals, durations, masses and gravities, e in turn from 1 to 0. A plan succeeds if its
-event-driven replay costs no more than 1.01 J* + 1e-7, where J* is the best that a search knows
-which is no part of the package (`floor_optimum`), and doing nothing. What costs less than J* is
-reported: then J* is not what it is said to be.
+Starts, goals, durations, masses and gravities are drawn by chance, and e is in turn from 1 to 0. A
+plan succeeds if its event-driven replay costs no more than 1.01 J* + 1e-7, where J* is the best of
+doing nothing and of what `floor_optimum` finds. What costs less than J* is reported: then J* is not
+what it is said to be. Exits with 1 if fewer than 95 % succeed.
 
-Exits with 1 if fewer than 95 % succeed.
-
-The least cost of a point mass on a floor under gravity, where it may also settle, rest and jump.
-
-Globally, on a grid of times and impact speeds: dynamic programming over touches, from the last one
+`floor_optimum` is no part of the package, and knows no knots, no boxes and no planner. It searches
+globally on a grid of times and impact speeds: dynamic programming over touches, from the last one
 back, by the number of those to come. Then exactly: Newton's method on times and speeds
 (`LineSequence`), from the best motion of the grid for each number of touches and each local optimum
-of the first one's time. It knows no knots, no boxes, and no planner.
+of the first one's time.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""The gradient peer where walls are compliant and have friction: CasADi and IPOPT from many starts.
+"""What others find where walls have friction: IPOPT from many starts, and SCIP with binaries.
 
-Knots k = 0, …, N at k Δt and one beyond; accelerations (q_{k+1} − 2 q_k + q_{k−1})/Δt², velocities
-(q_{k+1} − q_{k−1})/2Δt and the equations of any world, in CasADi's symbols, at knots, with q_{−1} =
-q_1 − 2 Δt q̇_0; costs by the trapezoid rule: second order throughout. What is relaxed is contact,
+*IPOPT* (`FrictionProgram`, through CasADi) is for compliant walls. Knots are k = 0, …, N at k Δt
+and one beyond. The equations of any world, in CasADi's symbols, hold at knots, with accelerations
+(q_{k+1} − 2 q_k + q_{k−1})/Δt², velocities (q_{k+1} − q_{k−1})/2Δt and q_{−1} = q_1 − 2 Δt q̇_0;
+costs are by the trapezoid rule: second order throughout. What is relaxed is contact,
 
     max(0, y) as (y + √(y² + ε²))/2    of depths and of 1 − d φ̇,    friction σ(s / w) with w ≥ v_s
 
@@ -10,10 +11,9 @@ and tightened, each program from the optimum of the one before, in one of two la
 Starts are random paths about the line from start to goal, without forces. The best motion of all,
 which its own steps follow only nearly, is polished as ours are, and simulated.
 
-Stick and slip as binaries, for SCIP, where all else is linear: what lies on floors and slides.
-
-A world of constant M, h, B, J and T whose contacts stay closed, in N steps of a held control each,
-which are exact as long as modes change at knots:
+*SCIP* (`solve_modes`) is for rigid walls whose contacts stay closed, with constant M, h, B, J and
+T, where only stick and slip are not linear. Controls are held in N steps, which are exact as long
+as modes change at knots:
 
     M (v_{k+1} − v_k) = Δt (B u_k − h + Jᵀ λ_k + Tᵀ f_k),    q_{k+1} − q_k = Δt (v_k + v_{k+1})/2
     J v_k = 0,    λ_k ≥ 0,    |f_k| ≤ μ λ_k,    minimize  Δt Σ u_kᵀ R u_k
@@ -22,7 +22,7 @@ Each contact in each step has two binaries, z₊ + z₋ ≤ 1, for slip forward 
 
     −S z₋ ≤ s_k, s_{k+1} ≤ S z₊,    f ≤ −μ λ + F (1 − z₊),    f ≥ μ λ − F (1 − z₋)
 
-SCIP's branch and bound proves how far its answer is from the best, of convex costs globally.
+Branch and bound proves how far its answer is from the best, of convex costs globally.
 """
 
 from __future__ import annotations

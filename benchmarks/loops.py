@@ -3,17 +3,16 @@
     python -m benchmarks.loops [--families wells roots ripples springs] [--size 15] [--count 3]
         [--first-seed 100] [--seconds 10] [--workers 1]
 
-The annealing moves one node at a time and adds up only what that node appears in (Numba). Steps
-follow the acceptance, a tenth of the moves draw anew, and it cools by powers from moves' usual
-change of f to a hundredth. It runs three times in the given seconds, and L-BFGS-B ends each run.
-Gap: (f − best) / |best|, of the best that both know.
-
-Functions whose variables are coupled in loops: grids and braced rings of springs.
+Functions are of variables that are coupled in loops: grids and braced rings of springs.
 
     f(x) = Σ_i single(x_i; a_i) + Σ_(i,j) pair(x_i, x_j; b_ij)
 
 over nodes i of one or two coordinates each, all within ±reach. Their minima are not known: dynamic
-programming takes too long for these loops.
+programming takes too long for these loops. Gap: (f − best) / |best|, of the best that both know.
+
+The annealing moves one node at a time and adds up only what that node appears in (Numba). Steps
+follow the acceptance, a tenth of the moves draw anew, and it cools by powers from moves' usual
+change of f to a hundredth. It runs three times in the given seconds, and L-BFGS-B ends each run.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Does `AigoSolver` ever crash or lie? Random small programs.
+"""Does `AigoSolver` ever crash or lie? Random small programs of every kind that it takes.
 
     python -m benchmarks.random_programs [--count 10000] [--seed 0] [--again 10] [--workers 16]
         [--minutes 9]
@@ -6,8 +6,6 @@
 A success has to be finite and to meet its constraints to 1e-6, but for what rounding of the answer
 changes them by: at 4e4, no number meets 1e-3 x⁴ = y to 1e-6. Of every so many programs one is
 solved again, which has to give the same bits. Exits with 1 otherwise, or if not all were tried.
-
-Random small programs of every kind that `AigoSolver` takes, to break it with.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""What scripts that measure share: flags, and jobs that are run side by side and kept.
-
-What measurements share: turns, spreads, figures that are asked for, CSV files, the command.
-"""
+"""What scripts that measure share: flags, jobs side by side, clocks, spreads, and CSV files."""
 
 from __future__ import annotations
 

@@ -4,13 +4,13 @@
     python -m benchmarks.worlds floor --peer coasting
     python -m benchmarks.worlds two_masses --mass-ratio 3 0.2 --restitution 1 0.8
 
-Starts, goals and velocities by chance, e ∈ {1, 0.8}, but for two masses e = 1,
-unless others are asked for, in turn; so are ratios of two masses, the second to the first. A plan
-succeeds if its event-driven replay costs no more than 1.01 J* + 1e-7, where J* is the optimum of
-the study, which the planner does not know (with a block in the room, and for unequal masses: the
-best known).
-Shown apart: how often a sequence that AIGO's boxes propose, before any polish, has the optimum's
-contacts, in an order that makes no difference.
+Scenarios are those of a shipped world with other starts, goals and velocities, by chance. In turn,
+e is 1 and 0.8 (1 alone for two masses), or what is asked for, and so is the ratio of the second of
+two masses to the first. A plan succeeds if its event-driven replay costs no more than 1.01 J* +
+1e-7. J* is the optimum, from `benchmarks.optima`, which the planner does not know; with a block in
+the room, and for unequal masses, it is the best known. What costs less is reported: then J* is not
+what it is said to be. Shown apart: how often a sequence that AIGO's boxes propose, before any
+polish, has the optimum's contacts, in an order that makes no difference.
 
 Peers are given to the same polish and replay, without boxes: "listed", the baseline "enumeration",
 every sequence of 0 to 6 bounces, the shorter ones first; "coasting", the bounces of a motion
@@ -18,9 +18,7 @@ without control, and the first of them. A peer starts no polish after `--factor`
 seconds.
 
 Exits with 1 if fewer succeed than is asked: a share, or with a block and for two masses, as many as
-with any peer. What costs less than J* is reported: then J* is not what it is said to be.
-
-Random scenarios of the shipped worlds, each with the best that is known of it.
+with any peer.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 """Controls as points of a small space, and their cost on the rigid wall: what samplers search.
 
-Sampling over controls with the rigid wall as simulator.
-
 Settings here, and those of the other baselines, were chosen on random scenarios of the study's
 ranges (starts and goals 0.2 to 1.5 m, −3 to 0.5 m/s, e of 1, 0.8 or 0.5), with NumPy's seeds 1000
 to 1019 and no others.
