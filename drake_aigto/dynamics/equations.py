@@ -189,7 +189,7 @@ class EquationsOfMotion(Coordinates):
         return moved
 
     def changed(self: _Self, **fields: Any) -> _Self:
-        """Returns the same with other fields: M, h, φ, dry friction, or the diagram.
+        """Returns the same with other fields: M, h, φ or dry friction.
 
         What is compiled here, and does not depend on these, is kept.
         """

@@ -133,11 +133,11 @@ class BackgroundPlanner:
     def _stand(self, is_brief: bool) -> World:
         """Returns the world with its walls as they stand.
 
-        Where M and J are constant, one for a brief search has no diagram of its own: Drake's copy
-        takes as long as a plan.
+        One for a brief search has no diagram of its own: to copy and read that takes as long as a
+        plan.
         """
         world = self._model.world
-        if is_brief and world.has_constant_inertia:
+        if is_brief:
             moved = {
                 world.shapes[c][1]: d for c, d in zip(self._contacts, self._walls, strict=True)
             }

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.geometry import GeometryId
-from pydrake.math import RigidTransform
 from pydrake.symbolic import Expression, MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
@@ -249,43 +248,7 @@ class World(PlantWorld):
             got = f"a shape on link {wall.name()!r}, which moves"
             raise ModelError(f"the wall of {face.pair}", got, "one that stands still")
         translation = distance * face.X_BF.rotation().col(2)
-        diagram = move_shape(self.diagram, face.shapes[1], translation)
-        pairs = choose_pairs(self.plant, self.scene_graph, self.ignored_shapes, order_pair)
-        if not face.is_unbounded or [each for each in pairs if face.shapes[1] in each] != [
-            face.shapes
-        ]:
-            return self.of_diagram(diagram)
-        return self._with_half_space_moved(diagram, contact, translation, distance)
-
-    def _with_half_space_moved(
-        self, diagram: Diagram, contact: int, translation: Floats, distance: float
-    ) -> Self:
-        """Returns the world of a diagram where a half space moved that one sphere can touch.
-
-        All else is as it is here: the plant need not be read again, which takes far longer.
-        """
-        plant, scene_graph = find_plant(diagram)
-
-        def find(face: SphereAndFace) -> SphereAndFace:
-            bodies = (plant.get_body(body.index()) for body in (face.sphere_body, face.face_body))
-            sphere_body, face_body = bodies
-            return dataclasses.replace(face, sphere_body=sphere_body, face_body=face_body)
-
-        reachable = [each._replace(face=find(each.face)) for each in self._reachable]
-        face, known = reachable[contact].face, reachable[contact].contact
-        reachable[contact] = reachable[contact]._replace(
-            face=dataclasses.replace(face, X_BF=RigidTransform(translation) @ face.X_BF),
-            contact=dataclasses.replace(known, signed_distance=known.signed_distance - distance),
-        )
-        return self.changed(
-            model=None,
-            diagram=diagram,
-            plant=plant,
-            scene_graph=scene_graph,
-            contacts=tuple(each.contact for each in reachable),
-            _reachable=tuple(reachable),
-            _stuck=tuple(map(find, self._stuck)),
-        )
+        return self.of_diagram(move_shape(self.diagram, face.shapes[1], translation))
 
     def with_double_masses(self) -> Self:
         """Returns this world where links that move have twice their masses, in numbers alone."""
