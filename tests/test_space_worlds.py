@@ -355,6 +355,19 @@ def test_errors_grow_as_simulations_say_where_stiff_friction_holds_a_body(tmp_pa
     assert np.max(np.linalg.norm(apart, axis=1)) / 1e-5 == pytest.approx(growth.factor, rel=0.01)
 
 
+def test_errors_do_not_grow_by_springs_that_are_stiff_for_a_plans_steps(tmp_path: Path) -> None:
+    # Together, springs of four corners turn a box at rest by 2.3 rad in an eighth of a step.
+    text = ball_and_finger(collision("box", BOX))
+    start = {"thing": {"xyz": [0.3, 0, 0.0493]}, "z": 0.5}
+    changes: dict[str, Any] = {"initial_position": start, "duration": 0.4, "time_step": 0.1}
+    world, scenario = build(make_scenario(tmp_path, text, **changes))
+    times, m = np.linspace(0, 0.4, 5), world.num_contacts
+    u = np.tile(world.calc_bias(scenario.initial_position, np.zeros(9))[6:], (4, 1))
+    q, v = replay_event_driven(world, scenario, times, u).states_at(times)
+    plan = Trajectory(times, q, v, u, np.zeros((5, m)), np.zeros((4, m)))
+    assert Feedback(world, scenario, plan).growth.factor < 30  # In eight steps it was 1e12.
+
+
 def test_what_is_not_planned_for_in_space_is_refused_by_name(tmp_path: Path) -> None:
     wrist = '<joint name="wrist" type="ball"><parent>finger</parent><child>paw</child></joint>'
     text = ball_and_finger(more=link("paw", 0.1, "") + wrist)

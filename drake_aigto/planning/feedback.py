@@ -283,7 +283,8 @@ class Feedback(Controller):
                 whole = max(whole, least)
             times, states, u = _refine(world, trajectory, parts)
             problem = ShootingProblem.of(world, scenario, mechanism, times)
-            is_exact, fewest = period is not None and mechanism.has_friction, -(-whole // parts)
+            fewest = -(-whole // parts)
+            is_exact = is_stiff or (period is not None and mechanism.has_friction)
             exact, steps = problem.resolve(u, fewest, states, order, is_exact)
             self._transitions = exact.transitions
             on_plants = _ON_PLANTS if in_loop and mechanism.is_smoothed else ((_SMOOTHING, 1.0),)

@@ -149,23 +149,24 @@ class ShootingProblem(OptimalControlProblem):
         Bodies that stick have stiff friction: in explicit steps that are too long errors grow by
         powers of ten where those of the motion fade. So these are halved until their transitions
         agree. In the plane friction follows the steps, which are halved only where it has to be
-        exact. Implicit steps are stable in any length, and have two stages here: half way through a
-        plan of quadruped/leap_up, 8 of these are as exact as 128 of one stage.
+        exact. In implicit steps of any length friction is stable, but springs of contacts are not:
+        these steps have two stages here, and are halved only where they have to be exact, too.
 
         Args:
             controls: see `linearize`, as for states and order.
             substeps: Runge-Kutta steps between knots, at least.
             states: of the motion.
             order: of steps.
-            is_exact: whether steps are halved in the plane, too.
+            is_exact: whether steps in the plane and implicit ones are halved, too.
 
         Raises:
             ProgramError: from `linearize`.
         """
         known: Floats | float = np.nan
-        if is_implicit(order):
-            return self.linearize(controls, substeps, 0.0, states, TWO_STAGES), substeps
-        is_exact = is_exact or isinstance(self.mechanism, TreeMechanism)
+        is_exact = is_exact or (
+            isinstance(self.mechanism, TreeMechanism) and not is_implicit(order)
+        )
+        order = TWO_STAGES if is_implicit(order) else order
         while True:
             is_last = substeps >= _MOST_SUBSTEPS or not is_exact
             try:
