@@ -28,8 +28,9 @@ from world_models import make_scenario
 from drake_aigto import Planner, Scenario, World
 from drake_aigto.contact import CompliantLaw, Mechanism, RigidLaw, calc_pushes, contact_law
 from drake_aigto.dynamics import calc_friction_share
-from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.errors import ModelError, ProgramError, ScenarioError
 from drake_aigto.planning import MechanismTask, PlanOptions, steady
+from drake_aigto.shooting import ShootingProblem
 from drake_aigto.show import Motion, plot_friction
 from drake_aigto.simulation import replay_drake, replay_event_driven
 
@@ -310,6 +311,23 @@ def test_a_replay_on_the_way_is_that_of_the_controls_that_were_held() -> None:
         position_weight=[1.0, 1.0, 0.0],
     )
     assert steady(read(), kinked, problem.shooting(6), found).replay is None
+
+
+def test_controls_whose_gains_exceed_all_numbers_are_replayed_as_they_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scenario = dataclasses.replace(ask(), duration=0.3, time_step=0.05)
+    problem = MechanismTask(read(), scenario, PlanOptions()).shooting(6)
+    found = problem.simulate(np.tile([1.0, 0.05], (6, 1)), 4)
+
+    def overflow(*_: object) -> None:
+        raise ProgramError("controls", got="nan")
+
+    monkeypatch.setattr(ShootingProblem, "linearize", overflow)
+    kept = steady(read(), scenario, problem, found)
+    np.testing.assert_array_equal(kept.controls, found.controls)
+    again = replay_event_driven(read(), scenario, found.times, found.controls)
+    assert kept.exact_cost == again.cost
 
 
 def test_spheres_that_move_about_each_other_rub_as_in_drakes_plant() -> None:

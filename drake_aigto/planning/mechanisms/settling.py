@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
+from drake_aigto.errors import ProgramError
 from drake_aigto.planning.candidate import HARDLY, Origin
 from drake_aigto.planning.mechanisms.closing import (
     EXACT,
@@ -177,8 +178,11 @@ def steady(
     returned, with its cost, so that plans promise what was integrated; else the controls of it.
     """
     steps, x, order = motion.substeps, motion.states, motion.order
-    about, _ = problem.resolve(motion.controls, steps, x, order)
-    controller = _Correcting(world, motion, about.gains, problem.control_bounds)
+    try:
+        gains = problem.resolve(motion.controls, steps, x, order)[0].gains
+    except ProgramError:  # Its squares exceed all numbers: nothing corrects it.
+        gains = np.zeros((*motion.controls.shape, len(problem.scales)))
+    controller = _Correcting(world, motion, gains, problem.control_bounds)
     scenario, found = scenario.starting_at(motion.states[0]), None
     if scenario.contact == "compliant":
         found = replay_with(EVENT_DRIVEN, world, scenario, controller)
