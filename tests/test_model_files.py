@@ -345,8 +345,13 @@ def test_look_tells_what_is_understood(tmp_path: Path, capsys: pytest.CaptureFix
     text = capsys.readouterr().out
     assert "_rail from -20 (model) to 5 (scenario) N" in text
     assert "pole against left_wall   2e+09 | 200" in text
-    assert main(["look", "finger_and_box/push"]) == 0
-    floating = [line.split() for line in capsys.readouterr().out.splitlines() if "floating" in line]
+    bounded = tmp_path / "bounded.yaml"
+    by_name: dict[str, Any] = {"position_upper": {"finger_x": 0.3}}
+    dataclasses.replace(Scenario.named("finger_and_box/push"), **by_name).save(bounded)
+    assert main(["look", str(bounded)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("10 coordinates, 0.75 kg that move")  # Of two models.
+    floating = [line.split() for line in lines if "floating" in line]
     assert [line[2:5] for line in floating] == 3 * [["rad", "-inf", "inf"]] + 3 * [
         ["m", "-inf", "inf"]
     ]

@@ -12,6 +12,7 @@ import matplotlib.image
 import numpy as np
 from pydrake import geometry
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.sensors import CameraInfo
 
 from drake_aigto import world as worlds
@@ -98,6 +99,7 @@ def _look(options: argparse.Namespace) -> int:
     else:
         scenario, notes = load_scenario(options), []
         world = worlds.World.from_model(scenario, scenario.initial_position)
+        scenario = world.place(scenario)
     print("\n".join(_tell(world, scenario, notes)))
     if options.png:
         drawn = _draw(world, options.png)
@@ -129,8 +131,9 @@ def _read_model(
 def _tell(world: worlds.World, scenario: worlds.Scenario, notes: Sequence[str]) -> Iterator[str]:
     """Yields lines about a world."""
     plant = world.plant
-    masses = sum(plant.get_body(i).default_mass() for i in plant.GetBodyIndices(_own(world)))
-    yield f"{scenario.model}: {plant.num_positions()} coordinates, {masses:.4g} kg"
+    bodies = map(plant.get_body, map(BodyIndex, range(plant.num_bodies())))
+    masses = sum(body.default_mass() for body in bodies if not plant.IsAnchored(body))
+    yield f"{scenario.model}: {plant.num_positions()} coordinates, {masses:.4g} kg that move"
     yield from _table(
         ("joint", "kind", "unit", "from", "to", "damping", "friction"), _joints(world)
     )
@@ -148,12 +151,6 @@ def _tell(world: worlds.World, scenario: worlds.Scenario, notes: Sequence[str]) 
     for title, lines in (("left out", world.ignored), ("notes", [*notes, *world.notes])):
         if lines:
             yield from ("", title, *(f"  {line}" for line in lines))
-
-
-def _own(world: worlds.World) -> Any:
-    """Returns the model instance of the plant's last link: that of its model."""
-    joints = world.plant.GetJointIndices()
-    return world.plant.get_joint(joints[0]).child_body().model_instance()
 
 
 def _joints(world: worlds.World) -> Iterator[tuple[str, ...]]:
@@ -195,16 +192,24 @@ def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterator
 
 
 def _draw(world: worlds.World, path: str) -> bool:
-    """Writes a picture of a world at its default positions, seen along y; returns whether."""
-    scene_graph, (width, height) = world.scene_graph, _PIXELS
+    """Writes a picture of a world at its default positions, seen along y; returns whether.
+
+    Links without a shape to show are drawn by those that may touch.
+    """
+    plant, scene_graph, (width, height) = world.plant, world.scene_graph, _PIXELS
+    model = scene_graph.model_inspector()
+    for body in map(plant.get_body, map(BodyIndex, range(plant.num_bodies()))):
+        frame = plant.GetBodyFrameIdOrThrow(body.index())
+        if not model.NumGeometriesForFrameWithRole(frame, geometry.Role.kPerception):
+            for each in model.GetGeometries(frame, geometry.Role.kProximity):
+                scene_graph.AssignRole(plant.get_source_id(), each, geometry.PerceptionProperties())
     scene_graph.AddRenderer("look", geometry.MakeRenderEngineVtk(geometry.RenderEngineVtkParams()))
     context = scene_graph.GetMyContextFromRoot(world.create_context())
     query: Any = scene_graph.get_query_output_port().Eval(context)
     inspector = query.inspector()
     shapes = [
         each
-        for role in (geometry.Role.kPerception, geometry.Role.kProximity)
-        for each in inspector.GetAllGeometryIds(role)
+        for each in inspector.GetAllGeometryIds(geometry.Role.kPerception)
         if not isinstance(inspector.GetShape(each), geometry.HalfSpace)
     ]
     if not shapes:
