@@ -18,7 +18,6 @@ from drake_aigto.geometry import BALL, CAPSULE, HALF_SPACE
 from drake_aigto.simulation.embedded import MOST_STEPS, integrate
 from drake_aigto.simulation.recording import (
     Controller,
-    HeldControl,
     Impact,
     Recording,
     refuse_course,
@@ -31,6 +30,8 @@ from drake_aigto.world import SpaceWorld, World
 _OF_SUMS, _OF_TREES, _COARSE, FINE = 1e-13, 1e-10, 1e-8, 1e-11
 # Rows that are read at once.
 _BLOCK = 256
+# Steps in each hold of a control, at least: no touch is over within one.
+_FEWEST = 8
 # Step of the difference that gives φ̈, as a part of 1 s.
 _DIFFERENCE = 1e-6
 
@@ -82,8 +83,8 @@ class Compliant:
         Raises:
             TrajectoryError: it runs away to infinity, or goes so fast that it would take minutes.
         """
-        blocks, held = list[Floats](), (control[np.newaxis], np.array(span))
-        for time, rows, tried in self._move(x, *held, step, tolerance):
+        blocks = list[Floats]()
+        for time, rows, tried in self._move(x, control, span, step, tolerance):
             blocks.append(rows.copy())
             blocks[-1][:, 0] += time
             step = tried
@@ -91,18 +92,20 @@ class Compliant:
         return Rows(all_rows[:, 0], all_rows[:, 1:ends], all_rows[:, ends:]), step
 
     def _move(
-        self, x: Floats, controls: Floats, knots: Floats, step: float, tolerance: float
+        self, x: Floats, control: Floats, span: tuple[float, float], step: float, tolerance: float
     ) -> Iterator[tuple[float, Floats, float]]:
-        """Yields times, rows of one hold from then on, and next steps, under held controls."""
-        now, hold, end, passed = float(knots[0]), 0, float(knots[-1]), 0
-        kept = tolerance, self._memory, self._room
+        """Yields times, rows from then on, and next steps; see `follow`."""
+        (now, end), passed = span, 0
+        most = (end - now) / _FEWEST
         while now < end:
-            time = now
-            came = integrate(self._tables, x, controls, knots, hold, time, step, *kept)
-            hold, now, step, count = came
+            left = end - now
+            done, step, count = integrate(
+                self._tables, x, control, left, most, step, tolerance, self._memory, self._room
+            )
             if not (step > 0 and np.isfinite(x).all() and passed < MOST_STEPS):
-                raise refuse_course(time, self._list_edges())
-            yield time, self._room[:count], step
+                raise refuse_course(now, self._list_edges())
+            yield now, self._room[:count], step
+            now = now + done if done < left else end
             passed += _BLOCK
 
     def lead(self, x: Floats, controller: Controller, flies: bool = False) -> Floats | None:
@@ -119,20 +122,16 @@ class Compliant:
         """
         x, time, step = np.array(x, dtype=float), controller.start, np.inf
         while time < controller.end:
-            if isinstance(controller, HeldControl) and controller.is_open_loop and not flies:
-                controls, knots = controller.controls, controller.times
-            else:
-                held = controller.sample(time, x.copy(), ())
-                controls, knots = held.control[np.newaxis], np.array([time, held.until])
-            asked = np.array(controls, dtype=float), np.array(knots, dtype=float)
-            for _, rows, tried in self._move(x, *asked, step, self.tolerance):
+            held = controller.sample(time, x.copy(), ())
+            control, span = np.array(held.control, dtype=float), (time, held.until)
+            for _, rows, tried in self._move(x, control, span, step, self.tolerance):
                 step = tried
                 if flies:
                     clear = self.world.calc_clearance(rows[:, 1 : 1 + self.world.num_positions])
                     moved = np.max(np.abs(np.diff(clear, axis=0)), axis=0)
                     if np.any(np.min(clear, axis=0) <= moved):
                         return None
-            time = float(knots[-1])
+            time = held.until
         return x
 
     def _list_edges(self) -> list[str]:

@@ -17,12 +17,10 @@ from drake_aigto.contact import (
     of_tree,
 )
 from drake_aigto.dynamics import turn_positions
-from drake_aigto.kernels import borrow, borrowing, inner, kernel
+from drake_aigto.kernels import borrow, borrowing, kernel
 
 # More steps are no motion any more, but numbers that run away.
 MOST_STEPS = 1_000_000
-# Steps in each hold of a control, at least: no touch is over within one.
-_FEWEST = 8
 
 # Dormand & Prince (1980), "A family of embedded Runge-Kutta formulae": the rule of order 5, and its
 # difference to that of order 4.
@@ -66,48 +64,21 @@ def _find_rates(
 def integrate(
     tables: Any,
     x: Floats,
-    controls: Floats,
-    knots: Floats,
-    hold: int,
-    time: float,
-    step: float,
-    tolerance: float,
-    memory: Any,
-    rows: Floats,
-) -> tuple[int, float, float, int]:
-    """Moves x on to the last knot, or until rows of a hold are full: times from now on, x and ẋ.
-
-    Controls (N, nu) are held between knots (N+1,). Returns the hold and the time that it comes to,
-    the next step, 0 if steps vanish, and the number of rows.
-    """
-    tables, memory, count = borrow(tables), borrow(memory), 0
-    while hold < controls.shape[0]:
-        u, end = controls[hold], knots[hold + 1]
-        most, length = (end - knots[hold]) / _FEWEST, end - time
-        if length > 0:
-            done, step, count = _pass_hold(
-                tables, x, u, length, min(step, most), most, tolerance, memory, rows
-            )
-            if step <= 0 or done < length:
-                return hold, time + done, step, count
-        hold, time = hold + 1, end
-    return hold, time, step, count
-
-
-@inner
-def _pass_hold(
-    tables: Any,
-    x: Floats,
     u: Floats,
     length: float,
-    step: float,
     most: float,
+    step: float,
     tolerance: float,
     memory: Any,
     rows: Floats,
 ) -> tuple[float, float, int]:
-    """Moves x on for a time [s] under one control; returns how long, the next step, and rows."""
-    nx, done, h, count, tries = x.size, 0.0, min(step, length), 0, 0
+    """Moves x on for a time [s] under one control, or until rows are full: times, x and ẋ.
+
+    No step is longer than the most. Returns how long it moved, the next step, 0 if steps vanish,
+    and the number of rows.
+    """
+    tables, memory = borrow(tables), borrow(memory)
+    nx, done, h, count, tries = x.size, 0.0, min(step, most, length), 0, 0
     y, K = np.empty(nx), np.empty((7, nx))
     _find_rates(tables, x, u, K[0], memory)
     while tries < MOST_STEPS:
