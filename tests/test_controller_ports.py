@@ -343,7 +343,8 @@ def make_pole_planner() -> Planner:
 
 
 def make_pole_controller() -> ModelPredictiveController:
-    return ModelPredictiveController(make_pole_planner(), period=0.02, horizon="shrinking")
+    given: Any = {"period": 0.02, "horizon": "shrinking", "search_ticks": None}
+    return ModelPredictiveController(make_pole_planner(), **given)
 
 
 @cache

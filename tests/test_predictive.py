@@ -98,7 +98,9 @@ def test_a_pole_stands_up_between_walls_and_again_after_a_kick() -> None:
     assert np.abs(run.advance(3.2)[1] - np.pi) > 0.1
     np.testing.assert_allclose(run.advance(6.0), [0.0, np.pi, 0.0, 0.0], atol=0.05)
     after = [status for status in run.statuses if status.time > 2.99]
-    assert after[0].reason.startswith(("warm; a search", "switched"))
+    # The search that the kick began is done a quarter of the duration later.
+    searched = [each.time for each in after if each.reason.startswith(("warm; a", "switched"))]
+    assert searched[0] == pytest.approx(3.0 + SCENARIO.duration / 4, abs=0.03)
 
 
 def test_a_horizon_that_shrinks_costs_what_the_first_plan_promised() -> None:
@@ -116,7 +118,7 @@ def test_a_horizon_that_shrinks_costs_what_the_first_plan_promised() -> None:
 
 @pytest.mark.slow
 def test_searches_are_when_they_are_due_and_switch_for_the_better() -> None:
-    run = Run(search_every=4, margin=0.0)
+    run = Run(search_every=4, margin=0.0, search_ticks=None)
     run.advance(0.17)
     searched = [status for status in run.statuses if status.reason != "warm"]
     assert [round(status.time, 9) for status in searched] == [0.0, 0.08, 0.16]
@@ -193,6 +195,8 @@ def test_a_state_beyond_its_limits_is_planned_from() -> None:
     ("options", "message"),
     [
         ({"period": 0.0}, "^period: got 0.0, expected seconds above zero"),
+        ({"period": "soon"}, "^period: got soon, expected seconds above zero"),
+        ({"delay": "none"}, "^delay: got none, expected seconds of at least zero"),
         ({"iterations": 0}, "^iterations: got 0, expected a count"),
         ({"search_every": 2.5}, "^search_every: got 2.5"),
         ({"search_ticks": 0}, "^search_ticks: got 0, expected a count of at least 1, or 'auto'"),
@@ -210,9 +214,16 @@ def test_arguments_out_of_range_are_refused(options: dict[str, Any], message: st
         ModelPredictiveController(make_planner(), **{"period": 0.1, **options})
 
 
-def test_ticks_that_are_rarer_than_time_steps_have_feedback_between() -> None:
-    for period, often in ((0.02, None), (0.1, SCENARIO.time_step / 5)):
-        assert ModelPredictiveController(make_planner(), period).feedback_period == often
+def test_ticks_that_answer_later_than_a_time_step_have_feedback_between() -> None:
+    step = SCENARIO.time_step
+    for period, delay, often in (
+        (0.4 * step, 0.0, None),
+        (2 * step, 0.0, step / 5),
+        (0.4 * step, 0.8 * step, step / 5),
+        (0.1 * step, step, 0.1 * step),
+    ):
+        controller = ModelPredictiveController(make_planner(), period, delay=delay)
+        assert controller.feedback_period == often
     assert ModelPredictiveController(Planner(BALL, QUICK), 0.1).feedback_period is None
 
 
@@ -280,7 +291,7 @@ def test_a_ball_is_brought_to_its_goal_off_a_rigid_wall(off: float, e: float) ->
 
 @pytest.mark.slow
 def test_a_kick_from_which_another_sequence_is_cheaper_is_searched_for() -> None:
-    end, ticks = fly(0.0, kick=-4.0, horizon="shrinking")
+    end, ticks = fly(0.0, kick=-4.0, horizon="shrinking", search_ticks=None)
     (switch,) = [tick for tick in ticks if tick.reason.startswith("switched")]
     assert switch.time == pytest.approx(0.7)
     assert switch.touches == (0,)

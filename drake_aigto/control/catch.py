@@ -30,7 +30,7 @@ SOON = 0.02
 # A search is taken after this part of the scenario's duration: on two cores beside other work it
 # took 0.1 to 0.4 s for the acrobot and the cart-pole between soft walls, where this is 0.5 and
 # 0.38 s. Twice as much later, nothing is where it was thought to be.
-_PART = 0.25
+PART = 0.25
 # To brake, actuators take speed away as if it fell by a factor e in this part of the duration.
 _BRAKE = 0.2
 # Motions that are remembered: the last one, which may be asked for anew, and the next.
@@ -147,7 +147,7 @@ class Catch:
         self.nothing, self._period = np.tile(self._none, 2), period
         self._answers = dict[bytes, Future[Caught | None]]()
         self.soon = max(period, SOON)
-        self._waits = self.soon, _PART * scenario.duration, 0.0
+        self._waits = self.soon, PART * scenario.duration, 0.0
         asked = dataclasses.replace(scenario, duration_range=None)
         if scenario.periodic is None and needs_shooting(world, asked):  # A gait goes on.
             planner = Planner(asked, _SEARCHED, world)
@@ -251,10 +251,3 @@ def keep_within(plan: Plan, world: World, scenario: Scenario, period: float) -> 
         return motion
     horizon = make_horizon(Planner(asked, world=world), False, _ITERATIONS, period)
     return horizon.advance(motion, 0.0, asked.initial_state) or motion
-
-
-def find_patience(planner: Planner, period: float) -> int | None:
-    """Returns the number of periods [s] that searches are waited for; None: balls' are not."""
-    if planner.is_of_balls:
-        return None
-    return max(1, int(np.ceil(_PART * planner.scenario.duration / period)))

@@ -13,7 +13,7 @@ from pydrake.systems.framework import Context, EventStatus, State
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.catch import find_patience
+from drake_aigto.control.catch import PART
 from drake_aigto.control.estimation import ModelEstimate
 from drake_aigto.control.family import Unknown
 from drake_aigto.control.ports import (
@@ -93,7 +93,7 @@ class ModelPredictiveController(LoopController):
         search_every: int | None = None,
         margin: float = 0.02,
         surprise: float = 0.5,
-        search_ticks: int | Literal["auto"] | None = None,
+        search_ticks: int | Literal["auto"] | None = "auto",
         learns: bool = True,
         waits: bool = True,
         plan: Plan | None = None,
@@ -119,8 +119,8 @@ class ModelPredictiveController(LoopController):
             surprise: share by which a plan may cost more than the last, without a search.
             search_ticks: after how many ticks a search is done that runs in a thread beside warm
                 ones: begun at tick k, from where the plan is going to be at tick k + search_ticks,
-                it is waited for there. None: searches end in their tick. "auto": None for balls,
-                else as many as take a quarter of the scenario's duration, as a robot needs.
+                it is waited for there. None: searches end in their tick. "auto": as many as take a
+                quarter of the scenario's duration.
             learns: whether what rigid walls return, and where they stand, is learned
                 (`SeenBounces`); the scenario and the model are what is thought of it before.
             waits: whether a search in a thread is waited for, so that a run is the same again; else
@@ -128,7 +128,7 @@ class ModelPredictiveController(LoopController):
             plan: the first plan, in place of a search; its time 0 is the `start_time`.
             feedback_period: between samples that are answered by feedback about the plan, at most a
                 period [s]; None: no feedback. "auto": a fifth of the scenario's time step, between
-                compliant walls where periods are longer than that step.
+                compliant walls where a period and the delay are longer than that step.
             delay: see `LoopController`, as for the other arguments.
             start_time: the context's time at which the task begins [s].
             safety: limits, and the fallback.
@@ -151,18 +151,19 @@ class ModelPredictiveController(LoopController):
                 raise ControlError(name, got=share, expected="a number of at least 0")
         about = planner.world, (asked := planner.scenario)
         if feedback_period == "auto":
-            is_rare = asked.contact == "compliant" and period > asked.time_step
-            feedback_period = asked.time_step / OFTEN if is_rare else None
+            period, delay = check_seconds("period", period, True), check_seconds("delay", delay)
+            is_late = asked.contact == "compliant" and period + delay > asked.time_step
+            feedback_period = min(asked.time_step / OFTEN, period) if is_late else None
         super().__init__(*about, period, delay, start_time, safety, feedback_period)
-        ticks = find_patience(planner, self.period) if search_ticks == "auto" else search_ticks
+        if search_ticks == "auto":
+            search_ticks = max(1, int(np.ceil(PART * asked.duration / self.period)))
         counts = ("iterations", iterations, ""), ("search_every", search_every, "")
-        for name, value, other in (*counts, ("search_ticks", ticks, ", or 'auto'")):
+        for name, value, other in (*counts, ("search_ticks", search_ticks, ", or 'auto'")):
             if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
                 raise ControlError(name, got=value, expected=f"a count of at least 1{other}")
-        self.feedback_period = feedback_period
         if feedback_period is not None:
-            name, most = "feedback_period", self.period
-            self.feedback_period = check_seconds(name, feedback_period, is_positive=True, most=most)
+            feedback_period = check_seconds("feedback_period", feedback_period, True, self.period)
+        self.feedback_period = feedback_period
         if plan is not None:
             plan.find_world(planner.world)  # Refuses another world's.
         self._first = PlannedMotion.of(plan.best) if plan is not None else None
@@ -174,8 +175,7 @@ class ModelPredictiveController(LoopController):
         if known and planner.is_of_balls and "walls" in estimate:
             got, expected = "walls of balls, which learns=True finds", "what is not learned so"
             raise ControlError("estimate", got=got, expected=expected)
-        often = search_every, ticks, waits
-        self._searches = Searches(self.period, margin, surprise, *often)
+        self._searches = Searches(self.period, margin, surprise, search_every, search_ticks, waits)
         nx, own = len(self._units), self._horizon
         never = -np.inf, np.zeros(nx)
         nowhere = TickQuestion(*never, SeenBounces(), own, lambda: own, None, never)
@@ -189,7 +189,7 @@ class ModelPredictiveController(LoopController):
         self._moment = self.DeclareAbstractState(AbstractValue.Make(self._nothing))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._start)
         self.DeclarePeriodicUnrestrictedUpdateEvent(self.period, self.period, self._tick)
-        if between := self.feedback_period:
+        if between := feedback_period:
             self.DeclarePeriodicUnrestrictedUpdateEvent(between, between, self._correct)
         self._declare_outputs({self.abstract_state_ticket(self._moment)})
 
