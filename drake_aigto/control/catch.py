@@ -73,7 +73,6 @@ class Bridge(Controller):
     brakes, which take energy whatever the mechanism is: u = u* − (Bᵀ M⁻¹ B)⁺ Bᵀ v / τ.
     """
 
-    feels_contact = False
     stretches = ()
 
     def __init__(
@@ -87,7 +86,7 @@ class Bridge(Controller):
         """Takes what is to be held, when this begins and ends, a period [s], and q and v then."""
         assert task.regulator
         self.start, self.end = span
-        self.longest_hold, self.regulator, self._last = period, task.regulator, last
+        self._period, self.regulator, self._last = period, task.regulator, last
         self._world, self._bounds = task.world, task.world.bounds(task.scenario).control
         self._brakes, self._pace = (task.is_off(x), _BRAKE * task.scenario.duration)
         acts = "the last motion goes on" if last else "the goal's regulator acts"
@@ -96,7 +95,7 @@ class Bridge(Controller):
 
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
         """Returns the control of a period."""
-        until = time + self.longest_hold
+        until = time + self._period
         u = np.clip(self._answer(time, x, bounces), *self._bounds)
         return Held(u, until if until < self.end else self.end)
 

@@ -258,9 +258,9 @@ class Feedback(Controller):
         check_sizes(world, trajectory)
         self._world, times = world, trajectory.times
         self.start, self.end = float(times[0]), float(times[-1])
-        self.longest_hold = float(np.max(np.diff(times)))
+        self._longest_hold = float(np.max(np.diff(times)))
         last = np.concatenate([trajectory.positions[-1], trajectory.velocities[-1]])
-        self._goal = world, scenario, last, period or self.longest_hold
+        self._goal = world, scenario, last, period or self._longest_hold
         self._bounds = world.bounds(scenario).control
         self._norm = scenario.control_norm or np.inf
         touches = scenario.contact == "rigid" and touches_walls(world, trajectory)
@@ -277,9 +277,9 @@ class Feedback(Controller):
             is_stiff = isinstance(mechanism, TreeMechanism) and mechanism.has_friction
             parts, whole, order = 1, _SOFT_SUBSTEPS, TWO_STAGES if is_stiff else 4
             if in_loop := period is not None and not is_stiff:
-                parts = int(np.ceil(self.longest_hold / self._goal[-1] - _SAME))
+                parts = int(np.ceil(self._longest_hold / self._goal[-1] - _SAME))
             if not is_stiff:
-                least = count_damper_steps(world, trajectory.positions[0], self.longest_hold)
+                least = count_damper_steps(world, trajectory.positions[0], self._longest_hold)
                 whole = max(whole, least)
             times, states, u = _refine(world, trajectory, parts)
             problem = ShootingProblem.of(world, scenario, mechanism, times)
@@ -334,7 +334,7 @@ class Feedback(Controller):
         phase = self.phases[self.find_phase(time, x, bounces)]
         last = len(phase.controls) - 1
         # A sample at a knot is one of that knot, however its time was added up.
-        at = time + _SAME * self.longest_hold
+        at = time + _SAME * self._longest_hold
         k = int(np.clip(np.searchsorted(phase.times, at, side="right") - 1, 0, last))
         error = self._world.calc_error(x, phase.calc_state(time))
         until, planned, gains = float(phase.times[k + 1]), phase.controls[k], phase.gains[k]

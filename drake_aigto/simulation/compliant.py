@@ -18,11 +18,13 @@ from drake_aigto.geometry import BALL, CAPSULE, HALF_SPACE
 from drake_aigto.simulation.embedded import MOST_STEPS, integrate
 from drake_aigto.simulation.recording import (
     Controller,
+    HeldControl,
     Impact,
     Recording,
     refuse_course,
     sample_rates,
 )
+from drake_aigto.simulation.smooth import HybridMotion
 from drake_aigto.world import SpaceWorld, World
 
 # Tolerances of one step, relative to positions and velocities of 1: nearly rounding of sums, which
@@ -149,14 +151,10 @@ class Compliant:
         return np.asarray(samples.weights @ forces) / (rows.times[-1] - rows.times[0])
 
 
-class CompliantMotion:
+class CompliantMotion(HybridMotion):
     """A motion between compliant walls, or one that touches nothing, recorded.
 
     A touch from outside counts as a bounce, until it is over; controllers hear of none meanwhile.
-
-    Attributes:
-        time: now [s].
-        recording: of what happened so far.
     """
 
     def __init__(
@@ -167,40 +165,23 @@ class CompliantMotion:
         tolerance: float | None = None,
     ) -> None:
         """Starts with (q, v) at a time [s]; the tolerance is that of a step."""
-        self.time, self._dynamics = time, dynamics
-        self._tolerance = tolerance or dynamics.tolerance
-        self._x = np.concatenate([np.array(each, dtype=float) for each in state])
-        self._step, self._rows, self._held = np.inf, list[Rows](), list[Floats]()
-        self.recording = Recording(simulator="integrated")
-        self.recording.add(time, *self._split())
+        super().__init__(dynamics.world, state, time)
+        self._dynamics, self._tolerance = dynamics, tolerance or dynamics.tolerance
+        self._rows, self._held = list[Rows](), list[Floats]()
+        self.recording.simulator = "integrated"
 
-    def _split(self) -> tuple[Floats, Floats]:
-        return self._dynamics.world.split(self._x.copy())
+    def _advance(self, control: Floats, until: float, feels_contact: bool) -> None:
+        x, held = self.x.copy(), np.array(control, dtype=float)
+        rows, self._step = self._dynamics.follow(
+            x, held, (self.time, until), self._step, self._tolerance
+        )
+        self._rows.append(rows)
+        self._held.append(np.tile(held, (len(rows.times), 1)))
+        self.time, self.x = until, x
 
-    def run(self, controller: Controller) -> Recording:
-        """Runs a controller to its end.
-
-        Raises:
-            TrajectoryError: see `Compliant.follow`.
-        """
-        recording = self.recording
-        while self.time < controller.end:
-            held = controller.sample(self.time, self._x.copy(), ())
-            recording.hold(self.time, held)
-            span, control = (self.time, held.until), np.array(held.control, dtype=float)
-            rows, self._step = self._dynamics.follow(
-                self._x, control, span, self._step, self._tolerance
-            )
-            self._rows.append(rows)
-            self._held.append(np.tile(control, (len(rows.times), 1)))
-            self.time = held.until
-            recording.add(self.time, *self._split())
-        self._read()
-        return recording
-
-    def _read(self) -> None:
-        """Fills in samples, touches with the states about them, and depth."""
-        recording, world = self.recording, self._dynamics.world
+    def _finish(self) -> None:
+        """Records samples, touches with the states about them, and depth."""
+        recording, world = self.recording, self.world
         times, states, rates = (np.concatenate(part) for part in zip(*self._rows, strict=True))
         controls = np.concatenate(self._held)
         recording.samples.append(sample_rates(times, states, rates, controls[:-1]))
@@ -227,7 +208,7 @@ def simulate_compliant(
     """
     dynamics = Compliant(world, law)
     recording = CompliantMotion(dynamics, state, controller.start).run(controller)
-    if controller.is_open_loop and isinstance(world, SpaceWorld):
+    if isinstance(controller, HeldControl) and isinstance(world, SpaceWorld):
         coarse = CompliantMotion(dynamics, state, controller.start, _COARSE).run(controller)
         off = world.subtract(coarse.positions[-1], recording.positions[-1])
         recording.error = float(np.linalg.norm(off))

@@ -156,7 +156,7 @@ class EventDriven:
         springs = find_springs(world, law)
         if springs is not None:
             recording = simulate_compliant(world, springs, start, controller)
-        elif is_parabola and isinstance(controller, HeldControl) and controller.is_open_loop:
+        elif is_parabola and isinstance(controller, HeldControl):
             flights = Parabolas(world.constant_dynamics, law.restitution, start, controller.times)
             recording = flights.record(controller.controls)
         else:

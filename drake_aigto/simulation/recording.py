@@ -36,16 +36,13 @@ class Controller(ABC):
     Attributes:
         start: of its time [s].
         end: of its time [s].
-        longest_hold: the longest that a control is held [s].
         feels_contact: whether it is asked again as soon as a contact has ended, and not while one
             goes on.
     """
 
     start: float
     end: float
-    longest_hold: float
-    feels_contact: bool
-    is_open_loop = False  # Whether all controls are known before (`HeldControl`).
+    feels_contact: bool = False
 
     @abstractmethod
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
@@ -68,7 +65,7 @@ class _Later(Controller):
     def __init__(self, controller: Controller, start: float, bounces: Sequence[int]) -> None:
         self._controller, self._bounces = controller, [*bounces]
         self.start, self.end = start, controller.end
-        self.longest_hold, self.feels_contact = controller.longest_hold, controller.feels_contact
+        self.feels_contact = controller.feels_contact
 
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
         return self._controller.sample(time, x, [*self._bounces, *bounces])
@@ -82,14 +79,10 @@ class HeldControl(Controller):
         controls: that are held between them, shape (N, nu) [N].
     """
 
-    feels_contact = False
-    is_open_loop = True
-
     def __init__(self, times: Floats, controls: Floats) -> None:
         """Keeps controls (N, nu) [N] that are held between knots (N+1,) [s]."""
         self.times, self.controls = times, controls
         self.start, self.end = float(times[0]), float(times[-1])
-        self.longest_hold = float(np.max(np.diff(times)))
 
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
         """Returns the control of this interval."""
@@ -98,8 +91,6 @@ class HeldControl(Controller):
 
     def since(self, time: float, bounces: Sequence[int]) -> Controller:
         """Returns the rest of it from a time on [s]."""
-        if not self.is_open_loop:
-            return super().since(time, bounces)
         k = int(np.searchsorted(self.times, time, side="right"))
         return HeldControl(np.append(time, self.times[k:]), self.controls[k - 1 :])
 

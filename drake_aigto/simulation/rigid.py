@@ -170,10 +170,10 @@ class RigidMotion(HybridMotion):
         self.x = np.concatenate([phase.q[:n], phase.v[:n]])
         self.time = float(self._log[0, flights.TIME]) if stops and count else until
 
-    def _find_depth(self) -> float:
+    def _finish(self) -> None:
         states = np.concatenate([samples.states for samples, _ in self.recording.samples])
         clearances = self.world.calc_clearance(states[:, : self.world.num_positions])
-        return max(0.0, -float(np.min(clearances, initial=0.0)))
+        self.recording.max_penetration = max(0.0, -float(np.min(clearances, initial=0.0)))
 
 
 class Flights(RigidMotion):
@@ -184,8 +184,9 @@ class Flights(RigidMotion):
         acceleration = dynamics.gain @ control + dynamics.drift
         self._pass(Walls.of(dynamics), acceleration, until, feels_contact)
 
-    def _find_depth(self) -> float:
-        return calc_depth(Walls.of(self.world.constant_dynamics), self.recording.positions)
+    def _finish(self) -> None:
+        walls = Walls.of(self.world.constant_dynamics)
+        self.recording.max_penetration = calc_depth(walls, self.recording.positions)
 
 
 class SlidingMotion(RigidMotion):

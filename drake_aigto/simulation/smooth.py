@@ -192,7 +192,7 @@ class HybridMotion(ABC):
             self.recording.hold(self.time, held)
             self._advance(held.control, held.until, controller.feels_contact)
             self.recording.add(self.time, *self._split())
-        self.recording.max_penetration = self._find_depth()
+        self._finish()
         return self.recording
 
     @abstractmethod
@@ -203,8 +203,8 @@ class HybridMotion(ABC):
         """
 
     @abstractmethod
-    def _find_depth(self) -> float:
-        """Returns the deepest −φ, at least 0 [m]."""
+    def _finish(self) -> None:
+        """Records what is read off the whole motion, as how deep it came into walls."""
 
     def _follow(self, rates: Rates, watched: Watched, control: Floats, until: float) -> int:
         """Moves on smoothly until a watched value falls to zero.
@@ -222,5 +222,4 @@ class HybridMotion(ABC):
 
     def _split(self) -> tuple[Floats, Floats]:
         """Returns q and v."""
-        n = self.world.num_positions
-        return self.x[:n], self.x[n:]
+        return self.world.split(self.x)

@@ -10,7 +10,7 @@ import scipy  # Not scipy.optimize, which takes a tenth of a second and few need
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.contact import CompliantLaw
-from drake_aigto.simulation import Compliant, CompliantMotion, Held, HeldControl
+from drake_aigto.simulation import Compliant, CompliantMotion, Controller, Held
 from drake_aigto.world import SpaceWorld, TaskCost
 
 # Configurations of which the one is taken that pushes the object the best way along; powers of ten
@@ -59,15 +59,13 @@ class _Grasp(NamedTuple):
     is_straight: bool
 
 
-class _Following(HeldControl):
+class _Following(Controller):
     """Drives hands along strokes, by computed torques; `controls` are those that it has held.
 
     Each stroke begins where those before it have led. While hands push, they have the forces at
     their touches, too, that best move the object along as asked. What it needs at rest, its weight,
     they carry where its path leaves the ground, which answers that elsewhere.
     """
-
-    is_open_loop = False
 
     def __init__(
         self,
@@ -77,15 +75,17 @@ class _Following(HeldControl):
         bounds: Floats,
         rng: np.random.Generator,
     ) -> None:
-        super().__init__(times, np.zeros((len(times) - 1, reaches.world.num_actuators)))
-        self._reaches, self._share, self._bounds, self._rng = reaches, share, bounds, rng
+        self.start, self.end = times[[0, -1]].tolist()
+        self.controls = np.zeros((len(times) - 1, reaches.world.num_actuators))
+        self._reaches, self._times, self._share = reaches, times, share
+        self._bounds, self._rng = bounds, rng
         self._begin, self._stroke = 0, Stroke(np.empty(0), [()], 0)
 
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
-        world, row = self._reaches.world, int(np.searchsorted(self.times, time, side="right")) - 1
-        (q, v), h = world.split(x), self.times[row + 1] - self.times[row]
+        world, row = self._reaches.world, int(np.searchsorted(self._times, time, side="right")) - 1
+        (q, v), h = world.split(x), self._times[row + 1] - self._times[row]
         if row >= self._begin + self._stroke.end:
-            left, last = len(self.times) - 1 - row, self._stroke.contacts[self._stroke.end - 1]
+            left, last = len(self._times) - 1 - row, self._stroke.contacts[self._stroke.end - 1]
             self._begin = row
             self._stroke = self._reaches.find_stroke(q, left, self._share, self._rng, last)
         k, (positions, contacts, _) = row - self._begin, self._stroke
@@ -101,7 +101,7 @@ class _Following(HeldControl):
             weight = world.calc_bias(q, 0 * v) * (not is_carried)
             force -= self._reaches.calc_push(q, force - weight, contacts[k])[0]
         self.controls[row] = np.clip(world.inverse_actuation @ force, *self._bounds)
-        return Held(self.controls[row], float(self.times[row + 1]))
+        return Held(self.controls[row], float(self._times[row + 1]))
 
 
 def _find_edges(normal: Floats, friction: float) -> Floats:

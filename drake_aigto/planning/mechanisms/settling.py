@@ -20,7 +20,7 @@ from drake_aigto.planning.mechanisms.closing import (
 )
 from drake_aigto.planning.search import scaled
 from drake_aigto.shooting import IMPLICIT, TWO_STAGES, ShootingProblem, ShootingResult, Smoothing
-from drake_aigto.simulation import EVENT_DRIVEN, Held, HeldControl, has_knots, replay_with
+from drake_aigto.simulation import EVENT_DRIVEN, Controller, Held, has_knots, replay_with
 from drake_aigto.world import Scenario, SpaceWorld, World
 
 # Motions that are kept, at most, no two near each other; and the least difference of their costs.
@@ -146,24 +146,22 @@ _LEFT = 1.2
 _WRECKED = 10.0
 
 
-class _Correcting(HeldControl):
+class _Correcting(Controller):
     """Holds a motion's controls between knots, corrected by its gains at each."""
 
-    is_open_loop = False
-
     def __init__(self, world: World, motion: ShootingResult, gains: Floats, bounds: Floats) -> None:
-        super().__init__(motion.times, motion.controls)
+        self.start, self.end = motion.times[[0, -1]].tolist()
         self._world, self._motion, self._gains, self._bounds = world, motion, gains, bounds
         self.controls = np.array(motion.controls)
 
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
-        held = super().sample(time, x, bounces)
-        k = int(np.searchsorted(self._motion.times, held.until)) - 1
+        times = self._motion.times
+        k = int(np.searchsorted(times, time, side="right")) - 1
         (q, v), (about, speed) = map(self._world.split, (x, self._motion.states[k]))
         off = np.concatenate([self._world.subtract(q, about), v - speed])
         answer = self._gains[k] @ off
         self.controls[k] = np.clip(self._motion.controls[k] + answer, *self._bounds)
-        return Held(self.controls[k], held.until)
+        return Held(self.controls[k], float(times[k + 1]))
 
 
 def steady(
