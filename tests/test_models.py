@@ -31,6 +31,12 @@ def test_a_gear_multiplies_the_range_of_control_of_a_class_of_defaults(arm: Any)
     np.testing.assert_array_equal(arm().limits.control, [[-10.0], [15.0]])
 
 
+def test_defaults_hold_in_classes_below_theirs_that_do_not_say_them(arm: Any) -> None:
+    plant = arm(JOINT='class="strong"').plant
+    joints = [plant.GetJointByName(name) for name in ("shoulder", "elbow")]
+    assert [joint.default_damping() for joint in joints] == [0.5, 0.5]
+
+
 @pytest.mark.parametrize(
     ("actuator", "limits"),
     [

@@ -61,6 +61,9 @@ class MjcfFile:
             childclass = body.get("childclass", outer)
             self.bodies[i] = body, childclass
             self.bodies += [(child, childclass) for child in body.findall("body")]
+            # As Drake has no defaults of a class that says nothing of them, but those above it do.
+            for each in (*body.findall("joint"), *body.findall("geom")):
+                each.attrib.update(self.resolve(each, childclass))
 
     def resolve(self, element: Element, childclass: str) -> dict[str, str]:
         """Returns an element's attributes with those of its class."""
