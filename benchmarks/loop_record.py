@@ -104,7 +104,7 @@ def prepare(name: str) -> Prepared:
     scenario = Scenario.named(name)
     world = World.from_scenario(scenario)
     planner = Planner(scenario, PlanOptions(threads=1), world)
-    options: dict[str, Any] = {"horizon": "shrinking"}
+    options: dict[str, Any] = {"horizon": "shrinking", "search_ticks": "auto"}
     if planner.is_of_balls:
         return Prepared(world, planner.plan(), Planner(scenario, _BALLS, world), 0.01, options)
     if not world.frictions:

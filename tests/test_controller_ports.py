@@ -343,8 +343,7 @@ def make_pole_planner() -> Planner:
 
 
 def make_pole_controller() -> ModelPredictiveController:
-    given: Any = {"period": 0.02, "horizon": "shrinking", "search_ticks": None}
-    return ModelPredictiveController(make_pole_planner(), **given)
+    return ModelPredictiveController(make_pole_planner(), period=0.02, horizon="shrinking")
 
 
 @cache

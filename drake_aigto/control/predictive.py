@@ -93,7 +93,7 @@ class ModelPredictiveController(LoopController):
         search_every: int | None = None,
         margin: float = 0.02,
         surprise: float = 0.5,
-        search_ticks: int | Literal["auto"] | None = "auto",
+        search_ticks: int | Literal["auto"] | None = None,
         learns: bool = True,
         waits: bool = True,
         plan: Plan | None = None,
