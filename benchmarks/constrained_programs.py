@@ -25,7 +25,7 @@ from pydrake.solvers import SnoptSolver
 from benchmarks.collections.constrained_programs import constrained_problems
 from benchmarks.collections.known_optimum import ConstrainedProblem
 from benchmarks.peers import OURS, PEER_FLAGS, Record, collect, make_record, time_solve
-from benchmarks.script import machine, read_flags, run_as
+from benchmarks.script import machine, read_flags, run_as, within
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.solver import AigoOptions
 
@@ -170,14 +170,12 @@ def cost_or(problem: ConstrainedProblem, x: np.ndarray, infeasible: float) -> fl
 
 def run_snopt(problem: ConstrainedProblem, seconds: float) -> Record:
     """Returns the best feasible answer of the starts that end in time, of one at least."""
-    prog, rng = problem.prog(), np.random.default_rng(0)
-    deadline, best = time.process_time() + seconds, np.inf
-    while True:
+    prog, rng, best = problem.prog(), np.random.default_rng(0), np.inf
+    for _ in within(seconds):
         start = rng.uniform(problem.lower, problem.upper)
-        x = SnoptSolver().Solve(prog, start, None).get_x_val()
-        best = min(best, cost_or(problem, x, np.inf))
-        if time.process_time() > deadline:
-            return make_record(problem, 1.0, PEER, 0, seconds, best)
+        found = SnoptSolver().Solve(prog, start, None)
+        best = min(best, cost_or(problem, found.get_x_val(), np.inf))
+    return make_record(problem, 1.0, PEER, 0, seconds, best)
 
 
 if __name__ == "__main__":

@@ -29,10 +29,9 @@ from pydrake.systems.framework import DiagramBuilder
 
 from benchmarks.optima.line_optimum import Line, LineSequence, Wall
 from benchmarks.script import read_flags, run_all, run_as
+from benchmarks.worlds import ABSOLUTE, RELATIVE, plan
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.errors import AigtoError
 from drake_aigto.kernels import kernel
-from drake_aigto.planning import Plan, Planner, PlanOptions
 from drake_aigto.simulation import replay_event_driven
 from drake_aigto.world import Scenario, World, models_directory
 
@@ -246,12 +245,10 @@ def _hop(hops: Floats, touched: Floats) -> tuple[Floats, Ints]:
 
 
 ASKED = 0.95
-RELATIVE, ABSOLUTE = 0.01, 1e-7
 RESTITUTIONS = (1.0, 0.8, 0.5, 0.3, 0.1, 0.0)
 # What others are drawn from, evenly: [m], [m/s], [m], [s], [m/s²], [kg].
 POSITIONS, VELOCITIES, GOALS = (0.1, 1.0), (-2.0, 2.0), (0.0, 1.0)
 DURATIONS, GRAVITIES, MASSES = (0.5, 2.0), (1.6, 20.0), (0.3, 3.0)
-OPTIONS = PlanOptions(confirm=False, threads=1)
 
 
 @dataclass(frozen=True)
@@ -317,19 +314,10 @@ def run(job: Job) -> Outcome:
     if idle.cost < known.cost:
         known = FloorMotion(idle.cost, len(idle.bounce_times))
     start = time.perf_counter()
-    made = plan(world, scenario)
+    made, cost = plan(world, scenario)
     seconds = time.perf_counter() - start
-    cost = made.replay.event_driven.cost if made else np.inf
     told = f"{made.best.origin}: {made.best.describe_contacts()}" if made else "no plan"
     return Outcome(job, known, cost, seconds, told)
-
-
-def plan(world: World, scenario: Scenario) -> Plan | None:
-    """Returns the plan, None if there is none."""
-    try:
-        return Planner(scenario, OPTIONS, world).plan()
-    except AigtoError:
-        return None
 
 
 def report(outcomes: list[Outcome]) -> bool:

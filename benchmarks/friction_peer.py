@@ -29,7 +29,6 @@ from __future__ import annotations
 
 import importlib
 import itertools
-import time
 from functools import cached_property
 from operator import itemgetter
 from typing import Any, NamedTuple, TypeAlias
@@ -37,6 +36,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from benchmarks.local_peers import COLD, WARM, casadi, prepare
+from benchmarks.script import within
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw, RigidLaw, contact_law
 from drake_aigto.dynamics import SumMap
@@ -226,12 +226,9 @@ def solve_from_many(scenario: Scenario, options: PlanOptions, seconds: float) ->
     world = World.from_scenario(scenario)
     program, rng = FrictionProgram(world, scenario), np.random.default_rng(0)
     program.prepare()
-    deadline, found = time.process_time() + seconds, list[Motion]()
-    for ladder in itertools.cycle(_LADDERS):
-        motion = program.solve(program.draw(rng), ladder)
-        found += [] if motion is None else [motion]
-        if time.process_time() > deadline:
-            break
+    ladders = zip(within(seconds), itertools.cycle(_LADDERS), strict=False)
+    motions = (program.solve(program.draw(rng), ladder) for _, ladder in ladders)
+    found = [motion for motion in motions if motion is not None]
     if not found:
         return np.inf
     return finish(MechanismTask(world, scenario, options), min(found, key=itemgetter(0)))

@@ -44,6 +44,14 @@ def clock(work: Callable[[], Any]) -> tuple[Any, Seconds]:
     return result, Seconds(time.perf_counter() - wall, time.process_time() - cpu)
 
 
+def within(seconds: float) -> Iterator[None]:
+    """Yields once, and again until so many seconds of the processor are over."""
+    end = time.process_time() + seconds
+    yield
+    while time.process_time() <= end:
+        yield
+
+
 def take_turns(
     works: Mapping[str, Callable[[], Any]], repeats: int, calls: int = 1
 ) -> dict[str, list[float]]:

@@ -32,9 +32,9 @@ x and y; lifted, 0.05 to 0.1 m high and turned by up to 180° about (0, 1, 1) + 
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable, Sequence
 from functools import cache, partial
+from operator import itemgetter
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -45,7 +45,7 @@ from benchmarks.mujoco_judge import MujocoJudge
 from benchmarks.mujoco_peers import MujocoTask
 from benchmarks.rivals import SAMPLERS, roll_out, sample
 from benchmarks.robots.judge import Control
-from benchmarks.script import clock, machine, read_flags, run_all, run_as
+from benchmarks.script import clock, machine, read_flags, run_all, run_as, within
 from drake_aigto import Planner, PlanOptions, Scenario, World, scenario_names
 from drake_aigto.arrays import Floats
 from drake_aigto.planning import Feedback, make_mechanism_task
@@ -327,10 +327,8 @@ def ask_samplers(planner: Planner, problem: ShootingProblem, seconds: float) -> 
 
     others = []
     for method in SAMPLERS:
-        end, generations = time.process_time() + seconds, sample(problem, calc_cost, method)
-        best = next(generations)
-        while time.process_time() < end:
-            best = min(best, next(generations), key=lambda found: found[0])
+        generations = sample(problem, calc_cost, method)
+        best = min((next(generations) for _ in within(seconds)), key=itemgetter(0))
         replay = replay_event_driven(planner.world, planner.scenario, *best[1])
         others.append(_judge(planner, replay))
     return others

@@ -12,7 +12,6 @@ ours from other seeds among them. Feasible: violated by no more than 1e-6.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -24,7 +23,7 @@ from pydrake.solvers import SnoptSolver
 from benchmarks.collections.staged_programs import StagedProblem, staged_problems
 from benchmarks.local_peers import COLD, WARM, casadi, prepare, sum_blocks
 from benchmarks.peers import time_solve
-from benchmarks.script import machine, read_flags, run_all, run_as
+from benchmarks.script import machine, read_flags, run_all, run_as, within
 from drake_aigto.arrays import Floats
 from drake_aigto.solver import AigoOptions, AigoProgram, AigoSolver, StagedProgram, read_program
 from drake_aigto.terms import Factor, FunctionKind
@@ -121,13 +120,11 @@ def run_ours(problem: StagedProblem, seed: int) -> tuple[float, float]:
 
 def run_snopt(program: AigoProgram, seconds: float) -> float:
     """Returns the best feasible cost of starts that end in time, of one at least."""
-    rng, prog = np.random.default_rng(0), program.source
-    deadline, best = time.process_time() + seconds, np.inf
-    while True:
-        x = SnoptSolver().Solve(prog, random_point(program, rng), None).get_x_val()
-        best = min(best, cost_of(program, x))
-        if time.process_time() > deadline:
-            return best
+    rng, best = np.random.default_rng(0), np.inf
+    for _ in within(seconds):
+        found = SnoptSolver().Solve(program.source, random_point(program, rng), None)
+        best = min(best, cost_of(program, found.get_x_val()))
+    return best
 
 
 def cost_of(program: AigoProgram, x: Floats) -> float:
@@ -149,11 +146,10 @@ def run_ipopt(problem: StagedProblem, program: AigoProgram, seconds: float) -> f
     start: Callable[[np.random.Generator], Floats] = partial(random_point, program)
     if problem.roll_out is not None:
         start = problem.roll_out
-    deadline, best = time.process_time() + seconds, np.inf
-    while True:
+    best = np.inf
+    for _ in within(seconds):
         best = min(best, cost_of(program, peer.solve(start(rng))))
-        if time.process_time() > deadline:
-            return best
+    return best
 
 
 class Ipopt:

@@ -43,7 +43,7 @@ from benchmarks.optima import ContactOptimum, block_optimum, masses_optimum, wal
 from benchmarks.script import read_flags, run_all, run_as
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import AigtoError, OptionsError
-from drake_aigto.planning import BallTask, Planner, PlanOptions, make_ball_task
+from drake_aigto.planning import BallTask, Plan, Planner, PlanOptions, make_ball_task
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import Scenario, World, find_model
 
@@ -214,12 +214,13 @@ def load_unequal(scenario: Scenario, ratio: float) -> World:
     return World.from_diagram(builder.Build())
 
 
-def plan(world: World, scenario: Scenario) -> float:
-    """Returns the cost of a plan's event-driven replay, infinity if there is no plan."""
+def plan(world: World, scenario: Scenario) -> tuple[Plan | None, float]:
+    """Returns a plan and the cost of its event-driven replay; none, and infinity, without one."""
     try:
-        return Planner(scenario, OPTIONS, world).plan().replay.event_driven.cost
+        found = Planner(scenario, OPTIONS, world).plan()
     except AigtoError:
-        return np.inf
+        return None, np.inf
+    return found, found.replay.event_driven.cost
 
 
 def run(job: Job) -> Outcome:
@@ -227,7 +228,7 @@ def run(job: Job) -> Outcome:
     scenario, world = job.scenario, shared_world(job.world, job.ratio)
     optimum = WORLDS[job.world].optimum(world, scenario)
     start = time.perf_counter()
-    cost = plan(world, scenario)
+    _, cost = plan(world, scenario)
     seconds = time.perf_counter() - start
     problem = make_ball_task(world, scenario, OPTIONS)
     read = read_boxes(problem, optimum)

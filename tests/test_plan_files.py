@@ -491,7 +491,8 @@ def replay_of(times: Any, positions: Any, velocities: Any) -> Replay:
         **dict.fromkeys(("bounce_times", "bounce_contacts", "matched_speeds"), ()),
         **dict.fromkeys(("energies_before", "energies_after"), ()),
     }
-    rows = {"times": times, "positions": positions, "velocities": velocities}
+    rows: dict[str, Any] = {"times": np.array(times), "positions": np.array(positions)}
+    rows |= {"velocities": np.array(velocities)}
     return Replay(simulator="event-driven", **rows, **nothing)
 
 

@@ -15,17 +15,9 @@ from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.tables import CHOOSE, FLOW, START
 from drake_aigto.world import TaskCost
 
-_FIELDS = {
-    "contacts": np.int64,
-    "knots": np.int64,
-    "durations": float,
-    "held": np.bool_,
-    "modes": np.int64,
-}
-
 
 @dataclass(frozen=True, eq=False)
-class Phases(ArrayRecord):
+class Phases(LockedArrays, ArrayRecord):
     """Phases with free durations, and the contacts hit between them; P phases, m contacts.
 
         φ_i(q) = 0,   v⁺ = v⁻ − M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹ (1 + e) J v⁻     where contact i is hit
@@ -57,13 +49,12 @@ class Phases(ArrayRecord):
     modes: Ints = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
 
     def __post_init__(self) -> None:
-        """Makes arrays read-only."""
+        """Checks shapes and numbers, and makes arrays read-only."""
         count = len(self.contacts) + 1
-        for name, dtype in _FIELDS.items():
-            array = read_only(getattr(self, name), dtype)
-            if name in ("held", "modes") and not len(array):
-                array = read_only(np.zeros((count, 0)), dtype)
-            object.__setattr__(self, name, array)
+        for name in ("held", "modes"):
+            if not len(given := getattr(self, name)):
+                object.__setattr__(self, name, given.reshape(count, 0))
+        super().__post_init__()
         rows = f"{count} rows"
         checks = (
             ("held", rows, len(self.held) == count and self.held.ndim == 2),

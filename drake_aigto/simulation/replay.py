@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_aigto.arrays import ArrayRecord, Floats, Ints, read_only
+from drake_aigto.arrays import ArrayRecord, Floats, Ints, LockedArrays
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.plain import called
 from drake_aigto.simulation.drake_judge import DrakeJudge
@@ -24,7 +24,7 @@ _AT_KNOT = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Replay(ArrayRecord):
+class Replay(LockedArrays, ArrayRecord):
     """Motion of a world under a control, whatever its plan promised.
 
     Attributes:
@@ -80,19 +80,6 @@ class Replay(ArrayRecord):
     violations: Mapping[str, float] = field(default_factory=dict)
     contact_phases: tuple[ContactPhase, ...] = ()
     feedback: float | None = None
-
-    def __post_init__(self) -> None:
-        """Converts lists to tuples, and makes the arrays read-only."""
-        for name in (
-            *("cost", "goal_error", "max_penetration"),
-            *("compliance_error", "compliance_cost"),
-        ):
-            object.__setattr__(self, name, float(getattr(self, name)))
-        for name in ("bounce_times", "energies_before", "energies_after", "matched_speeds"):
-            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
-        object.__setattr__(self, "bounce_contacts", tuple(map(int, self.bounce_contacts)))
-        for name in ("times", "positions", "velocities"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
     def broken(self) -> tuple[str, ...]:
@@ -273,16 +260,16 @@ def summarize(world: World, scenario: Scenario, recording: Recording, end: float
         cost=cost,
         goal_error=goal_error,
         max_penetration=recording.max_penetration,
-        bounce_times=tuple(impact.time for impact in recording.impacts),
+        bounce_times=tuple(float(impact.time) for impact in recording.impacts),
         bounce_contacts=tuple(impact.contact for impact in recording.impacts),
         energies_before=tuple(impact.energy_before for impact in recording.impacts),
         energies_after=tuple(impact.energy_after for impact in recording.impacts),
         compliance_error=recording.error,
         compliance_cost=compliance_cost,
         matched_speeds=tuple(recording.matched_speeds),
-        times=recording.times,
-        positions=recording.positions,
-        velocities=recording.velocities,
+        times=np.array(recording.times),
+        positions=np.array(recording.positions),
+        velocities=np.array(recording.velocities),
         violations=calc_violations(world, scenario, recording.positions, recording.velocities),
         contact_phases=tuple(recording.phases),
         feedback=recording.feedback,
