@@ -193,6 +193,37 @@ def test_friction_in_files_that_an_sdf_includes_acts(tmp_path: Path) -> None:
         make(str(model), 1, fixed_joints=["j"])
 
 
+def test_directives_add_models_that_are_read_as_on_their_own(tmp_path: Path) -> None:
+    mesh = MESH.replace("NAME", "hook").replace("FILE", "missing.stl")
+    write(tmp_path / "gantry.urdf", GANTRY, COLLISION=mesh)
+    (tmp_path / "inner.dmd.yaml").write_text(
+        "directives: [{add_model: {name: g, file: 'package://own/gantry.urdf', "
+        "default_joint_positions: {y: [0.5]}}}]"
+    )
+    model = tmp_path / "scene.dmd.yaml"
+    arm = write(tmp_path / "arm.xml", ARM)
+    model.write_text(
+        "directives: [{add_directives: {file: 'package://own/inner.dmd.yaml'}}, "
+        f"{{add_model: {{name: a, file: 'file://{arm}'}}}}]"
+    )
+    fields: dict[str, Any] = {"packages": {"own": str(tmp_path)}, "goal_weight": 0}
+    fields |= {"control_weight": [1, 1], "initial_position": {}}
+    with pytest.raises(ModelError, match=r"meshes that can't be read: hook .missing\.stl"):
+        make(str(model), 4, **fields)
+    fields["collisions"] = "none"
+    world = make(str(model), 4, **fields)
+    assert world.plant.GetJointByName("y").default_positions() == [0.5]
+    np.testing.assert_array_equal(world.dry_friction, [0.7, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(world.limits.control, [[-5.0, -10.0], [5.0, 15.0]])
+    assert make(str(model), 3, fixed_joints=["elbow"], **fields).num_positions == 3
+    with pytest.raises(ModelError, match=r"a directive that adds package://own/inner.*packages: {"):
+        make(str(model), 4)
+    for text in ("directives: [", "- add_model", "directives: 3"):
+        model.write_text(text)
+        with pytest.raises(ModelError, match="expected model directives"):
+            make(str(model), 4)
+
+
 def test_friction_of_a_scenario_stands_in_place_of_the_models(gantry: Any) -> None:
     np.testing.assert_array_equal(gantry().dry_friction, [0.7, 0.0])
     world = gantry({"dry_friction": [0.0, 0.2]})

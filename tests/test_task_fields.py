@@ -556,7 +556,11 @@ def test_a_cost_is_pickled_equal_and_read_only() -> None:
     ("fields", "message"),
     [
         ({"goal_weight": 1.0}, "goal_weight: got one number, 1, for sliders and hinges alike, exp"),
-        ({"velocity_weight": 2.0}, "velocity_weight: got one number, 2, for sliders and hinges"),
+        (
+            {"velocity_weight": 2.0},
+            "velocity_weight: got one number, 2, for sliders and hinges alike, expected 2 numbers, "
+            "as their units differ. Or weigh by names: velocity_weight: {a_joint: 1}.",
+        ),
         ({"goal_weight": [1.0] * 3}, "goal_weight: got 3 values, expected 2, one for each coord"),
         ({"goal_weight": np.eye(3)}, "goal_weight: got 3 values a row, expected 2, one for each"),
         ({"control_weight": [1.0, 1.0]}, "control_weight: got 2 values, expected 1, one for each"),

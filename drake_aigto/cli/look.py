@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import matplotlib.image
@@ -21,7 +20,7 @@ from drake_aigto.cli.flags import FINE, add_command, add_scenario, load_scenario
 from drake_aigto.errors import ModelError, OptionsError
 from drake_aigto.plain import check_writable
 
-_MODELS = (".xml", ".urdf", ".sdf")
+_MODELS = (".xml", ".urdf", ".sdf", ".dmd.yaml")
 _EXAMPLES = """\
 drake-aigto look robot.urdf                                   # joints, actuators, contacts
 drake-aigto look robot.xml --collisions none --png robot.png  # and a picture
@@ -92,7 +91,7 @@ def add_look(commands: Any) -> None:
 def _look(options: argparse.Namespace) -> int:
     """Prints tables, and draws the model if that is asked for."""
     check_writable(options.png)
-    if Path(options.scenario).suffix in _MODELS:
+    if options.scenario.endswith(_MODELS):
         ends: dict[str, Any] = {"initial_position": 0, "goal_position": 0}
         given = load_scenario(options, worlds.Scenario(model=options.scenario, **ends))
         world, scenario, notes = _read_model(given, "contact" in options)

@@ -72,6 +72,7 @@ class ModelFacts:
     # Largest effort of joints, where the model has one, driven or not [N, N m].
     joint_efforts: dict[str, float] = field(default_factory=dict)
     apart: list[tuple[str, str]] = field(default_factory=list)  # pairs of shapes that may not touch
+    is_scene: bool = False  # whether several files make the model
     # Normals of those in whose place the text has marks, shape (3,) each.
     planes: list[list[float]] = field(default_factory=list)
     total_mass: float | None = None  # of all links [kg]; None: as they are

@@ -96,7 +96,7 @@ def read_model(
     is_bare: bool = False,
     in_space: bool = False,
 ) -> ReadModel:
-    """Reads a model's file: URDF, SDF, MJCF or whatever else Drake parses.
+    """Reads a model's file: URDF, SDF, MJCF, or model directives that add such files.
 
     Args:
         model: a ``package://`` URI, or a path.
@@ -112,12 +112,12 @@ def read_model(
         ScenarioError: dry friction of another size.
     """
     friction = dry_friction, stiction_speed
-    if not is_bare:
-        return _read_model(model, *friction, fields or ModelFields(), in_space)
-    with TemporaryDirectory() as folder:
-        stub = Path(folder) / "stub.obj"
-        stub.write_text(_TETRAHEDRON, encoding="utf-8")
-        return _read_model(model, *friction, fields or ModelFields(), in_space, stub)
+    with TemporaryDirectory() as name:
+        folder, stub = Path(name), None
+        if is_bare:
+            stub = folder / "stub.obj"
+            stub.write_text(_TETRAHEDRON, encoding="utf-8")
+        return _read_model(model, *friction, fields or ModelFields(), in_space, folder, stub)
 
 
 def _read_model(
@@ -126,17 +126,18 @@ def _read_model(
     stiction_speed: float,
     fields: ModelFields,
     in_space: bool,
-    stub: Path | None = None,
+    folder: Path,
+    stub: Path | None,
 ) -> ReadModel:
     path = find_model(model)
     packages = find_packages(path, fields.packages)
-    text, kind, facts = read_model_text(path, fields, packages, 1.0, stub, in_space)
+    text, kind, facts = read_model_text(path, fields, packages, folder, 1.0, stub, in_space)
     if facts.total_mass is not None:
         plant = MultibodyPlant(time_step=0.0)
         _parse(plant, path, packages, text, kind)
         mass = sum(body.default_mass() for body in _list_bodies(plant)[1:])
         scale = facts.total_mass / mass
-        text, kind, facts = read_model_text(path, fields, packages, scale, stub, in_space)
+        text, kind, facts = read_model_text(path, fields, packages, folder, scale, stub, in_space)
     builder = DiagramBuilder()
     # Continuous, since every discrete contact model loses energy.
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)

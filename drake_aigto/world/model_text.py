@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
+import yaml
 from pydrake.multibody.parsing import PackageMap
 
 from drake_aigto.errors import ModelError
@@ -29,6 +31,8 @@ _LEFT_OUT = (
 _MOST_SHAPES = 12
 _ENDS, _CORNERS = {"capsule": 2}, {"box": 8, "mesh": MOST_CORNERS}
 _MARK_RADIUS = "1e-9"
+# What files of Drake's model directives are called.
+DIRECTIVES = ".dmd.yaml"
 _KINDS = {"mujoco": "xml", "robot": "urdf", "sdf": "sdf"}
 
 
@@ -36,6 +40,7 @@ def read_model_text(
     path: Path,
     fields: ModelFields,
     packages: PackageMap,
+    folder: Path,
     mass_scale: float = 1.0,
     stub: Path | None = None,
     in_space: bool = False,
@@ -44,14 +49,26 @@ def read_model_text(
 
     The text is None where the file is to be read as it is: no XML, or with relative paths in it. A
     stub takes the place of meshes that are not read else (`ModelFacts`); in space, boxes and meshes
-    get shapes at their corners (`add_ends`). Masses of an MJCF are scaled.
+    get shapes at their corners (`add_ends`). Masses of an MJCF are scaled. Files that model
+    directives add are read in the same way, and written to a folder, from where Drake has them.
     """
     facts = ModelFacts(fields, mass_scale, stub)
+    text, kind = _read_text(path, packages, folder, facts, in_space)
+    facts.check(path)
+    return text, kind, facts
+
+
+def _read_text(
+    path: Path, packages: PackageMap, folder: Path, facts: ModelFacts, in_space: bool
+) -> tuple[str | None, str]:
+    """Returns the text of a file and its kind (`read_model_text`), and adds to the facts."""
+    if path.name.endswith(DIRECTIVES):
+        return _read_directives(path, packages, folder, facts, in_space), DIRECTIVES[1:]
     try:
         root = read_xml(path)
     except ModelError:
         if path.suffix not in (".xml", ".urdf", ".sdf"):
-            return None, "", facts
+            return None, ""
         raise
     kind = _KINDS.get(root.tag, "")
     if leftover := next((each.tag for each in root.iter() if each.tag.startswith("xacro:")), None):
@@ -73,12 +90,36 @@ def read_model_text(
         is_changed |= _prune_shapes(root, path, packages, facts)
         is_changed |= _mark_planes(root, path, facts, in_space)
     else:
-        return None, kind, facts
+        return None, kind
     is_changed |= _check_masses(root, path, facts)
-    facts.check(path)
     # Drake takes 30 ms to read an SDF's file, and 1 ms to read its text.
     is_changed |= kind == "sdf" and all("://" in (uri.text or "") for uri in root.iter("uri"))
-    return tostring(root, encoding="unicode") if is_changed else None, kind, facts
+    return tostring(root, encoding="unicode") if is_changed else None, kind
+
+
+def _read_directives(
+    path: Path, packages: PackageMap, folder: Path, facts: ModelFacts, in_space: bool
+) -> str:
+    """Returns model directives that add the files' texts in a folder in place of the files."""
+    try:
+        found = yaml.safe_load(path.read_text(encoding="utf-8"))
+        added: list[dict[str, Any]] = [
+            each[key]
+            for each in found["directives"]
+            for key in ("add_model", "add_directives")
+            if key in each
+        ]
+    except (yaml.YAMLError, TypeError, KeyError) as error:
+        raise ModelError(f"model {path}", got=repr(error), expected="model directives") from error
+    facts.is_scene = True
+    for each in added:
+        file = _find_part(str(each.get("file")), path, packages, "a directive that adds")
+        text, kind = _read_text(file, packages, folder, facts, in_space)
+        if text is not None:
+            file = folder / f"{len(list(folder.iterdir()))}_{file.stem}.{kind}"
+            file.write_text(text, encoding="utf-8")
+        each["file"] = file.resolve().as_uri()
+    return yaml.safe_dump(found, sort_keys=False)
 
 
 def _read_joints(root: Element, path: Path, facts: ModelFacts) -> bool:
@@ -137,16 +178,7 @@ def _find_number(path: Path, joint: Element, name: str, folder: str = "limit") -
 def _read_includes(root: Element, path: Path, packages: PackageMap, facts: ModelFacts) -> None:
     """Reads friction and efforts in files that an SDF includes, which are not rewritten."""
     for text in (each.findtext("uri", "") for each in root.iter("include")):
-        file = _find_file(text, path, packages)
-        if file is None or not file.exists():
-            raise ModelError(
-                f"model {path}",
-                got=f"an <include> of {text}, which is missing",
-                expected="a file that is there",
-                remedy="Paths are relative to the model's file."
-                if file
-                else f"Say where it is by the scenario's packages: {{{_find_package(text)}: ...}}.",
-            )
+        file = _find_part(text, path, packages, "an <include> of")
         if file.is_dir():
             file /= "model.sdf"
         if not file.is_file() or file == path:
@@ -162,6 +194,21 @@ def _read_includes(root: Element, path: Path, packages: PackageMap, facts: Model
         _read_joints(included, file, facts)
         _read_includes(included, file, packages, facts)
         _refuse_forces(included, file, facts)
+
+
+def _find_part(uri: str, path: Path, packages: PackageMap, what: str) -> Path:
+    """Returns a file that a model consists of."""
+    file = _find_file(uri, path, packages)
+    if file is None or not file.exists():
+        raise ModelError(
+            f"model {path}",
+            got=f"{what} {uri}, which is missing",
+            expected="a file that is there",
+            remedy="Paths are relative to the model's file."
+            if file
+            else f"Say where it is by the scenario's packages: {{{_find_package(uri)}: ...}}.",
+        )
+    return file
 
 
 def _refuse_forces(root: Element, path: Path, facts: ModelFacts) -> None:
@@ -222,7 +269,8 @@ def _mark_planes(root: Element, path: Path, facts: ModelFacts, in_space: bool) -
     kinds = [(each.find(f"geometry/{kind}"), n) for each in shapes for kind, n in ends.items()]
     count = len(shapes) + sum(n for found, n in kinds if found is not None)
     uris = (include.findtext("uri", "") for include in root.iter("include"))
-    if count <= _MOST_SHAPES or any("://" not in uri for uri in uris):
+    is_small = count <= _MOST_SHAPES and not facts.is_scene
+    if is_small or any("://" not in uri for uri in uris):
         return False
     marked = [shape for shape in planes if shape.get("name")]
     for shape in marked:

@@ -14,6 +14,7 @@ from drake_aigto.dynamics import EquationsOfMotion
 from drake_aigto.errors import ScenarioError
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.frames import FrameGoals
+from drake_aigto.world.places import RESTS
 from drake_aigto.world.scenario import Scenario
 
 _TURN = 2.0 * np.pi
@@ -189,6 +190,7 @@ def _weigh(scenario: Scenario, name: str, is_angle: Bools) -> Floats:
                 name,
                 got=f"one number, {weight:g}, for sliders and hinges alike",
                 expected=f"{n} numbers, as their units differ",
+                remedy=f"Or weigh by names: {name}: {{a_joint: 1}}." if name in RESTS else None,
             )
         return weight * np.eye(n)
     check_size(name, weight, n)
