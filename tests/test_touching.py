@@ -395,6 +395,7 @@ def test_a_motion_that_ends_early_may_be_due_to_edges_that_touch_at_a_point(tmp_
     place = {"thing": {"xyz": [0, 0, 0.0493]}, "x": -0.3, "z": 0.3}
     scenario = make_scenario(tmp_path, text, initial_position=place)
     world = World.from_scenario(scenario)
+    assert world.notes[-1].startswith("of m::can with ground::floor, only the lowest point touches")
     with pytest.raises(TrajectoryError, match=r"Of m::can with ground::floor, only the lowest"):
         replay_event_driven(world, world.place(scenario), [0.0, 1.0], np.full((1, 3), 1e200))
 

@@ -14,7 +14,6 @@ from drake_aigto.contact import (
     make_mechanics_memory,
     make_mechanism,
 )
-from drake_aigto.geometry import BALL, CAPSULE, HALF_SPACE
 from drake_aigto.simulation.embedded import MOST_STEPS, integrate
 from drake_aigto.simulation.recording import (
     Controller,
@@ -105,7 +104,8 @@ class Compliant:
                 self._tables, x, control, left, most, step, tolerance, self._memory, self._room
             )
             if not (step > 0 and np.isfinite(x).all() and passed < MOST_STEPS):
-                raise refuse_course(now, self._list_edges())
+                edges = self.world.edges if isinstance(self.world, SpaceWorld) else ()
+                raise refuse_course(now, edges)
             yield now, self._room[:count], step
             now = now + done if done < left else end
             passed += _BLOCK
@@ -135,13 +135,6 @@ class Compliant:
                         return None
             time = held.until
         return x
-
-    def _list_edges(self) -> list[str]:
-        """Returns the names of pairs in which an edge touches a half space."""
-        if not isinstance(world := self.world, SpaceWorld):
-            return []
-        found = zip(world.pairs, world.geometry.pair_kinds, strict=True)
-        return [pair.name for pair, (a, b) in found if b == HALF_SPACE and a not in (BALL, CAPSULE)]
 
     def calc_mean_forces(self, rows: Rows) -> Floats:
         """Returns the mean normal force of each contact over a motion, shape (m,) [N]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from operator import attrgetter
@@ -24,7 +25,7 @@ from drake_aigto.dynamics import (
     make_tree_memory,
 )
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.geometry import make_closest
+from drake_aigto.geometry import BALL, CAPSULE, HALF_SPACE, make_closest
 from drake_aigto.world.diagram import (
     create_root,
     find_plant,
@@ -96,6 +97,12 @@ class SpaceWorld(SpaceCoordinates, World):
         n, notes = plant.num_velocities(), []
         if not pairs and (why := explain_no_contact(scene_graph, bool(ignored_shapes))):
             notes.append(why)
+        geometry = read_shapes(plant, scene_graph, tree, pairs)
+        if edges := _list_edges(pairs, geometry):
+            notes.append(
+                f"of {', '.join(edges)}, only the lowest point touches, which jumps where a flat "
+                "face lies on the ground: put spheres at its edge"
+            )
         angles, turns = find_angles(tree)
         nothing = read_only(np.zeros((0, 0)), object)
         contacts = [Contact(p.name, Expression(), np.zeros(n), i) for i, p in enumerate(pairs)]
@@ -115,7 +122,7 @@ class SpaceWorld(SpaceCoordinates, World):
             notes=tuple(notes),
             tree=tree,
             pairs=pairs,
-            geometry=read_shapes(plant, scene_graph, tree, pairs),
+            geometry=geometry,
             angular=turns,
             propeller=propeller,
         )
@@ -170,6 +177,11 @@ class SpaceWorld(SpaceCoordinates, World):
     def rubbing(self) -> Any:
         """Friction of contacts (`SpaceFriction`)."""
         return SpaceFriction(self.plant, self.scene_graph, self.diagram, self.pairs)
+
+    @property
+    def edges(self) -> list[str]:
+        """Names of pairs in which an edge touches a half space, by its lowest point alone."""
+        return _list_edges(self.pairs, self.geometry)
 
     def is_on_face(self, q: Floats) -> Bools:
         """Returns True for each contact, shape (m,): distances are those of whole shapes."""
@@ -345,6 +357,12 @@ class SpaceWorld(SpaceCoordinates, World):
         q, momentum = broadcast_rows(q, momentum)
         found = np.linalg.solve(self.calc_mass_matrix(q), momentum[..., np.newaxis])
         return np.asarray(found[..., 0], dtype=np.float64)
+
+
+def _list_edges(pairs: Sequence[ShapePair], geometry: SpaceShapes) -> list[str]:
+    """Returns the names of pairs in which an edge touches a half space."""
+    found = zip(pairs, geometry.pair_kinds, strict=True)
+    return [pair.name for pair, (a, b) in found if b == HALF_SPACE and a not in (BALL, CAPSULE)]
 
 
 def _choose_pairs(
