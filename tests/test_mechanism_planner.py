@@ -36,7 +36,7 @@ from drake_aigto.planning import (
     lay_out,
     make_mechanism_task,
 )
-from drake_aigto.shooting import ShootingResult
+from drake_aigto.shooting import ShootingProblem, ShootingResult
 from drake_aigto.simulation import replay_event_driven
 from drake_aigto.transcription import Touch
 
@@ -104,6 +104,14 @@ def test_bounds_hold_in_both_simulations(cart_pole: Planner) -> None:
         assert replay.violations["bounds"] < 1e-3
         assert np.min(replay.positions[:, 0]) > -0.202
     assert bounded.additions == ()
+
+
+def test_what_nothing_controls_costs_what_its_simulation_does_whatever_shorter_steps_say(
+    cart_pole: Planner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ShootingProblem, "refine_cost", None)
+    idle = cart_pole.task.idle_candidate()
+    assert (idle.cost, idle.cost_error) == (idle.replay.cost, None)
 
 
 def test_what_passes_its_bounds_between_knots_has_narrower_ones_there(cart_pole: Planner) -> None:

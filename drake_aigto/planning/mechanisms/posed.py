@@ -184,7 +184,8 @@ class PosedMechanism:
         """
         scenario, (end, _) = self.ask(found), self.world.split(found.states[-1])
         replay, trajectory, judged = self._simulate(found)
-        (cost, error), added = self.pose_again(found).refine_cost(found), dict[str, float]()
+        refined = None if found is self.idle_motion else self.pose_again(found).refine_cost(found)
+        (cost, error), added = refined or (found.exact_cost, None), dict[str, float]()
         if self.additions:
             q, v = self.world.split(found.states)
             counted = self.additions.costs(Samples(found.times, q, v, found.controls))
@@ -261,9 +262,7 @@ class PosedMechanism:
         idle = self.idle_motion
         found = self.judge(Origin(NO_CONTROL), idle, idle)
         cost, goal_error = found.replay.cost, found.replay.goal_error
-        return dataclasses.replace(
-            found, start_cost=cost, cost=cost, goal_error=goal_error, cost_error=None
-        )
+        return dataclasses.replace(found, start_cost=cost, cost=cost, goal_error=goal_error)
 
     @cached_property
     def idle_motion(self) -> ShootingResult:
