@@ -1,3 +1,4 @@
+from .direct import add_rows as add_rows
 from .direct import factor_in_place as factor_in_place
 from .direct import factorize_band as factorize_band
 from .direct import factorize_indefinite as factorize_indefinite

@@ -31,6 +31,27 @@ def solve_factored(size: int, L: Floats, y: Floats) -> None:
 
 
 @borrowing
+def add_rows(
+    scale: float, factors: Floats, column: int, rows: Floats, count: int, out: Floats
+) -> None:
+    """Adds scale Σ_k factors[k, column] rows[k], of the first rows, to a vector.
+
+    Sums are those of one row at a time, to the last bit: four of them are read and written as one.
+    """
+    for block in range(count // 4):
+        k = 4 * block
+        a, b = scale * factors[k, column], scale * factors[k + 1, column]
+        c, d = scale * factors[k + 2, column], scale * factors[k + 3, column]
+        w, x, y, z = rows[k], rows[k + 1], rows[k + 2], rows[k + 3]
+        for i in range(out.size):
+            out[i] = out[i] + a * w[i] + b * x[i] + c * y[i] + d * z[i]
+    for k in range(count - count % 4, count):
+        a, w = scale * factors[k, column], rows[k]
+        for i in range(out.size):
+            out[i] += a * w[i]
+
+
+@borrowing
 def factor_in_place(size: int, least: float, A: Floats) -> None:
     """Overwrites the first rows of A by L and R with A = L R, of which L has ones on its diagonal.
 

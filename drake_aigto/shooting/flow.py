@@ -6,6 +6,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.kernels import borrowing
+from drake_aigto.linear import add_rows
 from drake_aigto.shooting.hold import hold_stage, strike_stage
 from drake_aigto.shooting.implicit import step_implicitly
 from drake_aigto.shooting.stages import (
@@ -191,10 +192,7 @@ def _chain(ahead: float, unit: float, nz: int, room: FlowMemory) -> None:
         for c in range(columns):
             K[i, c] = Y[n + i, c]
             K[n + i, c] = 0.0
-        for j in range(nx):
-            slope_ij = slopes[j, i]
-            for c in range(columns):
-                K[n + i, c] += slope_ij * Y[j, c]
+        add_rows(1.0, slopes, i, Y, nx, K[n + i])
         for j in range(nu):
             K[n + i, nz + j] += slopes[nx + j, i]
 

@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact import TreeMechanics, only_of
 from drake_aigto.kernels import borrowing
+from drake_aigto.linear import add_rows
 from drake_aigto.shooting.stages import accelerate_stage, accelerate_step, begin_step, bend
 from drake_aigto.shooting.tables import FlowMemory
 
@@ -105,16 +106,12 @@ def _chain(h: float, unit: float, nz: int, room: FlowMemory) -> None:
     Y, slopes, (nx, columns) = room.slopes[1], room.mechanics.slopes, room.slopes[1].shape
     n, nu = nx // 2, columns - nz
     for i in range(n):
-        for j in range(n):
-            part = h * slopes[j, i]
-            for c in range(columns):
-                Y[n + i, c] += part * Y[j, c]
+        add_rows(h, slopes, i, Y, n, Y[n + i])
         for j in range(nu):
             Y[n + i, nz + j] += h * slopes[nx + j, i]
         if unit != 0.0:
             Y[n + i, nx] += unit * room.mechanics.acceleration[0, i]
-    _set_matrix(h, n, slopes, room.newton)
-    _eliminate(room.newton, n, Y)
+    _solve_rows(room.newton, room.pivots, Y)
 
 
 @borrowing
@@ -123,9 +120,9 @@ def _find_velocities(
 ) -> None:
     """Computes velocities of y that obey w = v + h a, and derivatives of a if asked.
 
-    These are derivatives at the last velocities but one, as near as counts.
+    These are derivatives at the last velocities but one, as near as counts, with the factors there.
     """
-    x, y, off, n = room.points[0], room.points[1], room.off, room.off.shape[0] // 2
+    x, y, off, n = room.points[0], room.points[1], room.off, room.off.size
     acceleration, best, length = room.mechanics.acceleration, np.inf, 1.0
     if not has_slopes:
         begin_step(mechanics, z, y, eps, room.mechanics)
@@ -142,59 +139,82 @@ def _find_velocities(
             total += change * change + x[n + i] * x[n + i]
         is_last = count == _MOST or not np.isfinite(squares)
         is_near = squares <= _TOLERANCE * total
-        if has_slopes and (is_last or is_near) and count > 0:
+        is_better, expands = (
+            squares < best or length < _SHORTEST,
+            has_slopes and (is_last or is_near),
+        )
+        if expands and count > 0:
             accelerate_stage(mechanics, z, y, u, eps, True, room.mechanics)
+        if is_better or expands:
+            _factor(h, room.mechanics.slopes, room.newton, room.pivots)
         if is_last:
             return
-        if squares < best or length < _SHORTEST:
-            best, length = squares, 1.0
+        if is_better:
+            best, length, shift = squares, 1.0, -1.0
             for i in range(n):
-                off[n + i, 0] = y[n + i] - x[n + i] - h * acceleration[0, i]
-            _set_matrix(h, n, room.mechanics.slopes, room.newton)
-            _eliminate(room.newton, n, off)
-            shift = -1.0
+                off[i] = y[n + i] - x[n + i] - h * acceleration[0, i]
+            _solve(room.newton, room.pivots, off)
         else:
             shift = (1.0 - _SHORTER) * length
             length *= _SHORTER
         for i in range(n):
-            y[n + i] += shift * off[n + i, 0]
+            y[n + i] += shift * off[i]
         if is_near:
             return
 
 
 @borrowing
-def _set_matrix(h: float, n: int, slopes: Floats, matrix: Floats) -> None:
-    """Computes 1 − h ∂a/∂v."""
+def _factor(h: float, slopes: Floats, A: Floats, pivots: Ints) -> None:
+    """Computes factors L R of 1 − h ∂a/∂v, its rows exchanged in turn; the diagonal of L is 1."""
+    n = A.shape[0]
     for i in range(n):
         for j in range(n):
-            matrix[i, j] = (1.0 if i == j else 0.0) - h * slopes[n + j, i]
-
-
-@borrowing
-def _eliminate(matrix: Floats, first: int, rows: Floats) -> None:
-    """Replaces rows from one on by the inverse of a matrix times them; the matrix is lost."""
-    n = matrix.shape[0]
+            A[i, j] = (1.0 if i == j else 0.0) - h * slopes[n + j, i]
     for k in range(n):
         pivot = k
         for i in range(k + 1, n):
-            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+            if abs(A[i, k]) > abs(A[pivot, k]):
                 pivot = i
+        pivots[k] = pivot
         for j in range(n if pivot != k else 0):
-            matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
-        for c in range(rows.shape[1] if pivot != k else 0):
-            rows[first + k, c], rows[first + pivot, c] = rows[first + pivot, c], rows[first + k, c]
-        inverse = 1.0 / matrix[k, k]
+            A[k, j], A[pivot, j] = A[pivot, j], A[k, j]
+        inverse = 1.0 / A[k, k]
         for i in range(k + 1, n):
-            factor = matrix[i, k] * inverse
-            if factor != 0.0:
-                for j in range(k + 1, n):
-                    matrix[i, j] -= factor * matrix[k, j]
-                for c in range(rows.shape[1]):
-                    rows[first + i, c] -= factor * rows[first + k, c]
-    for k in range(n - 1, -1, -1):
-        inverse = 1.0 / matrix[k, k]
-        for c in range(rows.shape[1]):
-            rows[first + k, c] *= inverse
-        for i in range(k):
-            for c in range(rows.shape[1]):
-                rows[first + i, c] -= matrix[i, k] * rows[first + k, c]
+            factor = A[i, k] * inverse
+            A[i, k] = factor
+            for j in range(k + 1, n if factor != 0.0 else 0):
+                A[i, j] -= factor * A[k, j]
+
+
+@borrowing
+def _solve(A: Floats, pivots: Ints, x: Floats) -> None:
+    """Replaces a vector by the inverse of a factored matrix times it."""
+    for i in range(x.size):
+        x[i], x[pivots[i]] = x[pivots[i]], x[i]
+        for k in range(i):
+            x[i] -= A[i, k] * x[k]
+    for i in range(x.size - 1, -1, -1):
+        for k in range(x.size - 1, i, -1):
+            x[i] -= A[i, k] * x[k]
+        x[i] *= 1.0 / A[i, i]
+
+
+@borrowing
+def _solve_rows(A: Floats, pivots: Ints, Y: Floats) -> None:
+    """Replaces the lower half of a matrix by the inverse of a factored one times it."""
+    n, columns = A.shape[0], Y.shape[1]
+    for i in range(n):
+        for c in range(columns if pivots[i] != i else 0):
+            Y[n + i, c], Y[n + pivots[i], c] = Y[n + pivots[i], c], Y[n + i, c]
+        for k in range(i):
+            part = A[i, k]
+            for c in range(columns):
+                Y[n + i, c] -= part * Y[n + k, c]
+    for i in range(n - 1, -1, -1):
+        for k in range(n - 1, i, -1):
+            part = A[i, k]
+            for c in range(columns):
+                Y[n + i, c] -= part * Y[n + k, c]
+        inverse = 1.0 / A[i, i]
+        for c in range(columns):
+            Y[n + i, c] *= inverse

@@ -6,7 +6,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.kernels import borrowing
-from drake_aigto.linear import solve_factored
+from drake_aigto.linear import add_rows, solve_factored
 from drake_aigto.shooting.tables import CHOOSE, FLOW, Expansion, Program, SweepMemory
 
 
@@ -98,10 +98,7 @@ def _expand_value(
                 v1[i] += V2[i, j] * gaps[k, j]
         for c in range(nc):
             VF[i, c] = 0.0
-        for j in range(nz):
-            V2_ij = V2[i, j]
-            for c in range(nc):
-                VF[i, c] += V2_ij * F[k, j, c]
+        add_rows(1.0, V2, i, F[k], nz, VF[i, :nc])
     for c in range(nc):
         Q1[c] = l1[k, c]
         for d in range(c, nc):

@@ -97,8 +97,9 @@ class FlowMemory(NamedTuple):
     points: Floats
     by_column: Floats  # the derivative of the cost's rate by (z, u), shape (nc,)
     slopes: Floats  # of the first four points by (z, u), shape (4, nx, nc)
-    newton: Floats  # the matrix of a Newton step for velocities, shape (n, n)
-    off: Floats  # the step, below as many zeros, shape (nx, 1)
+    newton: Floats  # factors of the matrix of a Newton step for velocities, shape (n, n)
+    pivots: Ints  # the rows that its rows are exchanged with, shape (n,)
+    off: Floats  # the step, shape (n,)
     # By how much velocities change in each implicit step of K stages, of the motion and of a trial,
     # from which Newton's method starts the next time; shape (2, K, S, n), S 0 if none is implicit.
     changes: Floats
@@ -204,7 +205,8 @@ def make_memory(program: Program) -> Memory:
             by_column=np.zeros(nc),
             slopes=np.zeros((4, nx, nc)),
             newton=np.zeros((nx // 2, nx // 2)),
-            off=np.zeros((nx, 1)),
+            pivots=np.zeros(nx // 2, dtype=np.int64),
+            off=np.zeros(nx // 2),
             changes=np.zeros((2, K, implicit, nx // 2)),
         ),
         ModeMemory(*map(zeros, ((m, 3), (m, 3, nx + nu), (m, 3), nx))),
