@@ -89,9 +89,9 @@ RECORDS: Mapping[str, str] = {
     "provers_without_rows": "python -m benchmarks.provers --without-rows --workers 1",
     "push_bot_bounds": "python -m benchmarks.push_bot_bounds",
     "loop_record": "python -m benchmarks.loop_record --only table1,corridor,room,floor,soft,block"
-    " --seeds 20 --workers 1 --minutes 3",
+    " --seeds 20 --workers 1 --minutes 60",
     "loop_record_unstable": "python -m benchmarks.loop_record"
-    " --only rigid_06,spinner,acrobot,hopper --seeds 20 --workers 1 --minutes 3",
+    " --only rigid_06,spinner,acrobot,hopper --seeds 20 --workers 1 --minutes 60",
     "estimated": "python -m benchmarks.estimated --workers 1 --minutes 25",
     "held": "python -m benchmarks.held --workers 1 --minutes 70",
     "live_latency": "python -m benchmarks.live_latency",
