@@ -41,7 +41,7 @@ from drake_aigto.control import (
 )
 from drake_aigto.errors import ControlError, ModelError, ResultsFileError
 from drake_aigto.show import figures_of_run, format_run, plot_run
-from drake_aigto.world import STIFFNESS, read_given
+from drake_aigto.world import STIFFNESS, find_model, read_given
 
 BALL = Scenario.named("table1/1")
 POLE = Scenario.named("cart_pole/soft_06")
@@ -552,6 +552,22 @@ def test_a_wall_that_stands_nearer_is_nearer_by_so_much() -> None:
     q = POLE.initial_position
     moved = world.calc_signed_distance(q) - true.calc_signed_distance(q)
     np.testing.assert_allclose(moved, 0.03, atol=1e-12)
+
+
+def test_walls_farther_away_are_all_so_where_one_is_out_of_reach_then(tmp_path: Path) -> None:
+    scenario = Scenario.named("corridor/lossy")
+    text = find_model(scenario.model).read_text(encoding="utf-8")
+    limits = "<limit><lower>-0.02</lower><upper>1.5</upper></limit></axis>"
+    path = tmp_path / "corridor.sdf"
+    path.write_text(text.replace("</axis>", limits), encoding="utf-8")
+    scenario = dataclasses.replace(scenario, model=str(path))
+    world, q = World.from_scenario(scenario), scenario.initial_position
+    assert world.num_contacts == 2
+    true, _ = Disturbance(wall_shift=-0.05).apply(world, scenario)
+    assert [contact.name for contact in true.contacts] == [world.contacts[1].name]
+    np.testing.assert_allclose(
+        true.calc_signed_distance(q), world.calc_signed_distance(q)[1:] + 0.05, atol=1e-12
+    )
 
 
 def test_a_log_reads_back_to_the_same_run(tmp_path: Path) -> None:

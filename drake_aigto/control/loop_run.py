@@ -176,9 +176,7 @@ class Disturbance(ArrayRecord):
                     expected="walls that have one face, and can stand nearer",
                 )
         walls = [pair[1] for pair in world.shapes]
-        for wall in dict.fromkeys(walls):
-            world = world.with_wall_moved(walls.index(wall), self.wall_shift)
-        return world
+        return world.with_walls_moved({walls.index(wall): self.wall_shift for wall in walls})
 
     def draw_noise(self, count: int) -> Floats:
         """Returns the noise of q and v at each of a count of periods, shape (count, 2n)."""

@@ -142,12 +142,8 @@ class BackgroundPlanner:
                 world.shapes[c][1]: d for c, d in zip(self._contacts, self._walls, strict=True)
             }
             return world.with_walls_nearer(np.array([moved.get(w, 0.0) for _, w in world.shapes]))
-        for wall in np.flatnonzero(self._walls).tolist():
-            # One that is out of reach by now is no contact any more, and those after it move up.
-            name = self._model.world.contacts[self._contacts[wall]].name
-            number = [contact.name for contact in world.contacts].index(name)
-            world = world.with_wall_moved(number, self._walls[wall])
-        return world
+        walls = np.flatnonzero(self._walls).tolist()
+        return world.with_walls_moved({self._contacts[i]: self._walls[i] for i in walls})
 
 
 def _hasten(planner: Planner) -> PlanOptions:

@@ -250,6 +250,15 @@ class World(PlantWorld):
         translation = distance * face.X_BF.rotation().col(2)
         return self.of_diagram(move_shape(self.diagram, face.shapes[1], translation))
 
+    def with_walls_moved(self, distances: Mapping[int, float]) -> Self:
+        """Returns the same for several shapes: distances [m] by contacts of this world."""
+        world = self
+        for contact, distance in distances.items():
+            # One that is out of reach by now is no contact any more, and those after it move up.
+            names = [each.name for each in world.contacts]
+            world = world.with_wall_moved(names.index(self.contacts[contact].name), distance)
+        return world
+
     def with_double_masses(self) -> Self:
         """Returns this world where links that move have twice their masses, in numbers alone."""
         other = self.of_diagram(self.diagram, 2.0 * self.mass_factor)
