@@ -197,6 +197,10 @@ def calc_cost(
 
 def explain_cost(world: World, scenario: Scenario, end: Floats, error: float) -> float:
     """Returns what of the cost of an end q(T) is explained if it is off by an error [m] at most."""
+    if scenario.is_plain:  # One weight counts for sliders and hinges alike there.
+        goal_error = float(np.linalg.norm(end - scenario.goal_position))
+        unexplained = max(0.0, goal_error - error)
+        return scenario.goal_weight * (goal_error**2 - unexplained**2)
     task = TaskCost.of(world, scenario)
     missed = task.position_error(end, task.goal)
     size = float(np.sqrt(missed @ task.QT @ missed))
