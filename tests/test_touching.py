@@ -20,6 +20,7 @@ from pydrake.geometry import (
     Sphere,
 )
 from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import (
     BodyIndex,
@@ -334,16 +335,20 @@ def test_a_mesh_touches_what_its_convex_hull_touches(tmp_path: Path) -> None:
 TABLE = "<box><size>1 1 0.1</size></box>"
 
 
-@pytest.mark.parametrize(("is_mesh", "on_table"), [(False, True), (True, False)])
-def test_what_stands_on_a_face_stays_there(tmp_path: Path, is_mesh: bool, on_table: bool) -> None:
+CAN = "<cylinder><radius>0.05</radius><length>0.1</length></cylinder>"
+
+
+@pytest.mark.parametrize(("kind", "on_table"), [("box", True), ("mesh", False), ("can", False)])
+def test_what_stands_on_a_face_stays_there(tmp_path: Path, kind: str, on_table: bool) -> None:
     """Drake's own touch, the lowest corner, is another one all the time: no motion can be found."""
     corners = np.array(list(itertools.product((-0.05, 0.05), repeat=3)))
-    shape = write_mesh(tmp_path / "cube.obj", corners) if is_mesh else BOX
-    text = ball_and_finger(shapes=collision("cube", shape))
+    shapes = {"box": BOX, "mesh": write_mesh(tmp_path / "cube.obj", corners), "can": CAN}
+    text = ball_and_finger(shapes=collision("cube", shapes[kind]))
+    under = 16 if kind == "can" else 4
     if on_table:
         table = collision("floor", TABLE, "0 0 -0.05 0 0 0")
         text = text.replace(collision("floor", GROUND), table)
-    sunk = 0.3 * 9.81 / 4 / 1000  # Four corners, each of two shapes' 2000 N/m.
+    sunk = 0.3 * 9.81 / under / 1000  # Corners, each of two shapes' 2000 N/m.
     pose = {"xyz": [0, 0, 0.05 - sunk], "rpy": [0.0, 0.0, 0.4]}
     scenario = make_scenario(tmp_path, text, initial_position={"thing": pose, "x": -0.3, "z": 0.3})
     world = World.from_scenario(scenario)
@@ -357,11 +362,13 @@ def test_what_stands_on_a_face_stays_there(tmp_path: Path, is_mesh: bool, on_tab
         moved = world.subtract(replay.positions[-1], scenario.initial_position)
         assert np.max(np.abs(moved)) < 1e-4
     assert isinstance(world, SpaceWorld)
-    assert np.sum(world.calc_signed_distance(scenario.initial_position) < 0) == 4
+    assert np.sum(world.calc_signed_distance(scenario.initial_position) < 0) == under
     listed = " ".join(dict(question_facts(scenario, world))["pairs"].split())
     assert "m::cube corners with ground::floor" in listed and listed.count("–") == 1 + on_table
     apart = Scenario(**(scenario.to_plain() | {"clearance": {"m::cube with ground::floor": 0.01}}))
-    assert np.sum(world.least_distances(apart) == 0.01) == (16 if on_table else 8)
+    assert np.sum(world.least_distances(apart) == 0.01) == (16 if on_table else 2 * under)
+    told = "of m::cube, 16 points at each rim touch half spaces"
+    assert [told in note for note in world.notes] == [True] * (kind == "can")
 
 
 def test_edges_that_cross_are_no_touch_and_said_to_be_so(tmp_path: Path) -> None:
@@ -390,11 +397,14 @@ def test_edges_that_cross_are_no_touch_and_said_to_be_so(tmp_path: Path) -> None
 
 
 def test_a_motion_that_ends_early_may_be_due_to_edges_that_touch_at_a_point(tmp_path: Path) -> None:
-    can = "<cylinder><radius>0.05</radius><length>0.1</length></cylinder>"
-    text = ball_and_finger(shapes=collision("can", can))
+    text = ball_and_finger(shapes=collision("can", CAN))
     place = {"thing": {"xyz": [0, 0, 0.0493]}, "x": -0.3, "z": 0.3}
     scenario = make_scenario(tmp_path, text, initial_position=place)
-    world = World.from_scenario(scenario)
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, 0.0)
+    Parser(plant).AddModels(scenario.model)
+    plant.Finalize()
+    world = SpaceWorld.from_diagram(builder.Build())  # Its shapes are left as they are.
     assert world.notes[-1].startswith("of m::can with ground::floor, only the lowest point touches")
     with pytest.raises(TrajectoryError, match=r"Of m::can with ground::floor, only the lowest"):
         replay_event_driven(world, world.place(scenario), [0.0, 1.0], np.full((1, 3), 1e200))

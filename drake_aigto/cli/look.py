@@ -146,7 +146,7 @@ def _tell(world: worlds.World, scenario: worlds.Scenario, notes: Sequence[str]) 
     yield "actuators"
     yield from (f"  {text}" for text in (*bounds, *(f"{name} without limit" for name in names)))
     header = "contact", "stiffness", "dissipation", "friction", "restitution"
-    yield from _table(header, _contacts(world, scenario))
+    yield from _table(header, dict.fromkeys(_contacts(world, scenario)))
     for title, lines in (("left out", world.ignored), ("notes", [*notes, *world.notes])):
         if lines:
             yield from ("", title, *(f"  {line}" for line in lines))
@@ -167,8 +167,8 @@ def _joints(world: worlds.World) -> Iterator[tuple[str, ...]]:
 
 
 def _contacts(world: worlds.World, scenario: worlds.Scenario) -> Iterator[tuple[str, ...]]:
-    """Yields a row for each contact."""
-    restitutions = world.restitutions(scenario)
+    """Yields a row for each contact; those of all corners of a shape are the same."""
+    is_rigid, restitutions = scenario.contact == "rigid", world.restitutions(scenario)
     for i, (contact, shapes) in enumerate(zip(world.contacts, world.shapes, strict=True)):
         given = [
             [worlds.read_property(world.scene_graph, shape, name) for shape in shapes]
@@ -176,7 +176,8 @@ def _contacts(world: worlds.World, scenario: worlds.Scenario) -> Iterator[tuple[
         ]
         texts = ["none" if None in pair else " | ".join(f"{x:.3g}" for x in pair) for pair in given]
         friction = world.rubbing.model_coefficients[i]
-        yield contact.name, *texts, f"{friction:.3g}", f"{restitutions[i]:.3g}"
+        restitution = f"{restitutions[i]:.3g}" if is_rigid else "-"
+        yield worlds.name_alike(contact.name), *texts, f"{friction:.3g}", restitution
 
 
 def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterator[str]:

@@ -11,6 +11,7 @@ from pydrake.geometry import (
     Box,
     Capsule,
     Convex,
+    Cylinder,
     GeometryId,
     HalfSpace,
     Mesh,
@@ -40,7 +41,7 @@ from drake_aigto.world.pair_errors import (
     refuse_pairs,
 )
 from drake_aigto.world.pairs import RESTITUTION, list_pairs, order_pair
-from drake_aigto.world.space_parts import MOST_CORNERS
+from drake_aigto.world.space_parts import MOST_CORNERS, RIM
 
 # Radius of spheres at corners, as a part of the shape's least size.
 _TINY = 1e-6
@@ -188,9 +189,9 @@ def add_ends(
 ) -> dict[GeometryId, list[GeometryId]]:
     """Adds spheres where shapes touch half spaces, whatever their pose; returns them by shape.
 
-    These are a capsule's ends and, in space, corners of boxes and of convex hulls of meshes, where
-    spheres are tiny, which touch boxes and meshes, too. Drake's own touch of such shapes is one
-    corner, the lowest: on a face that rests, that is another one all the time.
+    These are a capsule's ends and, in space, tiny ones at rims of cylinders, and at corners of
+    boxes and of convex hulls of meshes, which touch boxes and meshes, too. Drake's own touch of
+    such shapes is one point, the lowest: on a face that rests, that is another one all the time.
     """
     inspector: Any = scene_graph.model_inspector()
     found = {}
@@ -230,14 +231,25 @@ def _list_ends(inspector: Any) -> dict[GeometryId, _Spheres]:
 
 
 def _list_corners(inspector: Any) -> dict[GeometryId, _Spheres]:
-    """Returns the corners of each box and mesh that may touch a half space, a box or a mesh."""
+    """Returns corners of each box and mesh that may touch a half space, a box or a mesh.
+
+    And those of each cylinder that may touch a half space.
+    """
     shapes = inspector.GetAllGeometryIds(Role.kProximity)
     flat = {s for s in shapes if isinstance(inspector.GetShape(s), Box | Convex | HalfSpace | Mesh)}
-    pairs = map(set, inspector.GetCollisionCandidates())
+    walls = {s for s in flat if isinstance(inspector.GetShape(s), HalfSpace)}
+    pairs = [set(pair) for pair in inspector.GetCollisionCandidates()]
     near = set[GeometryId]().union(*(pair for pair in pairs if pair <= flat))
+    on_walls = set[GeometryId]().union(*(pair for pair in pairs if pair & walls))
     found = {}
     for shape in shapes:
         solid = inspector.GetShape(shape)
+        if isinstance(solid, Cylinder) and shape in on_walls:
+            radius = _TINY * float(min(2 * solid.radius(), solid.length()))
+            angles, height = 2 * np.pi / RIM * np.arange(RIM), solid.length() / 2 - radius
+            ring = (solid.radius() - radius) * np.array([np.cos(angles), np.sin(angles)])
+            rims = [np.vstack([ring, np.full(RIM, z)]).T for z in (-height, height)]
+            found[shape] = np.vstack(rims), radius
         if shape not in near:
             continue
         if isinstance(solid, Box):
@@ -256,12 +268,14 @@ def _list_corners(inspector: Any) -> dict[GeometryId, _Spheres]:
 def choose_ends(scene_graph: SceneGraph, ends: dict[GeometryId, list[GeometryId]]) -> None:
     """Lets the ends of a shape touch what it may touch with them, and the shape all else.
 
-    Ends of capsules touch half spaces; corners boxes and meshes, too, if these have corners.
+    Ends of capsules and rims of cylinders touch half spaces; corners boxes and meshes, too, if
+    these have corners.
     """
     inspector: Any = scene_graph.model_inspector()
     shapes = inspector.GetAllGeometryIds(Role.kProximity)
     walls = {each for each in shapes if isinstance(inspector.GetShape(each), HalfSpace)}
-    solids = {each for each in ends if not isinstance(inspector.GetShape(each), Capsule)}
+    round_ones = Capsule | Cylinder
+    solids = {each for each in ends if not isinstance(inspector.GetShape(each), round_ones)}
     meets = set(map(frozenset, inspector.GetCollisionCandidates()))
     for shape, its_ends in ends.items():
         flat = walls | solids if shape in solids else walls

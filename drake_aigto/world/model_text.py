@@ -16,7 +16,7 @@ from drake_aigto.world.mjcf import read_mjcf
 from drake_aigto.world.model_facts import MESHES, ModelFacts, read_numbers, read_range
 from drake_aigto.world.model_fields import ModelFields
 from drake_aigto.world.pair_errors import MARK
-from drake_aigto.world.space_parts import MOST_CORNERS
+from drake_aigto.world.space_parts import MOST_CORNERS, RIM
 
 _ROUNDING = 1e-12  # Of the largest moment of inertia.
 # What of an SDF's link changes its motion: the element, values that do not, and what is missing.
@@ -29,7 +29,7 @@ _LEFT_OUT = (
 )
 # With this many shapes, Drake's tree of them bears a half space on a link, whose box is infinite.
 _MOST_SHAPES = 12
-_ENDS, _CORNERS = {"capsule": 2}, {"box": 8, "mesh": MOST_CORNERS}
+_ENDS, _CORNERS = {"capsule": 2}, {"box": 8, "cylinder": 2 * RIM, "mesh": MOST_CORNERS}
 _MARK_RADIUS = "1e-9"
 # What files of Drake's model directives are called.
 DIRECTIVES = ".dmd.yaml"

@@ -44,12 +44,14 @@ from drake_aigto.world.places import FrameGoal
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.space_parts import (
     EXPECTED,
+    RIM,
     ShapePair,
     SpaceCoordinates,
     SpaceFriction,
     SpaceShapes,
     find_angles,
     find_whole,
+    list_rims,
     order_shapes,
     read_shapes,
 )
@@ -102,6 +104,11 @@ class SpaceWorld(SpaceCoordinates, World):
             notes.append(
                 f"of {', '.join(edges)}, only the lowest point touches, which jumps where a flat "
                 "face lies on the ground: put spheres at its edge"
+            )
+        if rims := list_rims(scene_graph.model_inspector(), pairs):
+            notes.append(
+                f"of {', '.join(rims)}, {RIM} points at each rim touch half spaces: it stands "
+                f"firmly, and rolls as a prism of {RIM} sides"
             )
         angles, turns = find_angles(tree)
         nothing = read_only(np.zeros((0, 0)), object)

@@ -49,6 +49,8 @@ EXPECTED = (
 )
 # All faces of a hull are looked at: of as many corners, before a ball and the ground, in 3 µs.
 MOST_CORNERS = 64
+# Spheres at each rim of a cylinder: as it rolls on them, it rises and falls by 2 % of its radius.
+RIM = 16
 
 
 class ShapePair(NamedTuple):
@@ -124,6 +126,19 @@ def find_whole(inspector: Any, shape: GeometryId) -> GeometryId:
     frame = inspector.GetFrameId(shape)
     found: GeometryId = inspector.GetGeometryIdByName(frame, Role.kProximity, name)
     return found
+
+
+def list_rims(inspector: Any, pairs: Sequence[ShapePair]) -> list[str]:
+    """Returns the names of cylinders that touch with points at their rims."""
+    shapes = [shape for pair in pairs for shape in pair.shapes]
+    wholes = [(shape, find_whole(inspector, shape)) for shape in shapes]
+    return list(
+        dict.fromkeys(
+            inspector.GetName(whole)
+            for shape, whole in wholes
+            if whole != shape and isinstance(inspector.GetShape(whole), Cylinder)
+        )
+    )
 
 
 def _read_radius(inspector: Any, shape: GeometryId) -> float:
