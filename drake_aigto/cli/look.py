@@ -202,6 +202,8 @@ def _draw(world: worlds.World, path: str) -> bool:
         frame = plant.GetBodyFrameIdOrThrow(body.index())
         if not model.NumGeometriesForFrameWithRole(frame, geometry.Role.kPerception):
             for each in model.GetGeometries(frame, geometry.Role.kProximity):
+                if isinstance(model.GetShape(each), geometry.HalfSpace):
+                    continue  # It would fill the picture.
                 scene_graph.AssignRole(plant.get_source_id(), each, geometry.PerceptionProperties())
     scene_graph.AddRenderer("look", geometry.MakeRenderEngineVtk(geometry.RenderEngineVtkParams()))
     context = scene_graph.GetMyContextFromRoot(world.create_context())

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
+from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 from matplotlib.ticker import LogLocator, MaxNLocator
 from pydrake.geometry import Capsule, Cylinder, Sphere
@@ -45,6 +46,7 @@ _GOAL |= {"linestyle": (0, (3, 2)), "zorder": 4}
 _BEHIND: dict[str, Any] = {"facecolor": "#eceff3", "zorder": -1}
 _NAME: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": "small"}
 _NAME |= {"textcoords": "offset points", "xytext": (0, 4)}
+_MOST_LISTED = 12  # in a legend
 _WIDTH = 0.01  # of bars of impulses, as a part of the motion
 _HATCHED: dict[str, Any] = {"facecolor": "none", "hatch": "//"}
 _COLORMAP = "viridis"
@@ -217,9 +219,15 @@ def plot_friction(axes: Axes, motion: Motion, world: World, scenario: Scenario) 
         drawn[-1].axhline(0.0, color="#888888", linewidth=0.6)
         drawn[-1].set_ylabel("friction [N s]")
     axes.set_xlabel("time t [s]")
-    handles = [handle for each in drawn for handle in each.get_legend_handles_labels()[0]]
-    if handles:
-        axes.legend(handles=handles, ncols=2, **ABOVE)
+    named = dict[str, Any]()
+    for each in drawn:
+        for handle, label in zip(*each.get_legend_handles_labels(), strict=True):
+            named.setdefault(label, handle)
+    listed = [*named.values()]
+    if (more := len(listed) - _MOST_LISTED) > 0:
+        listed[_MOST_LISTED:] = [Line2D([], [], linestyle="none", label=f"{more} more")]
+    if listed:
+        axes.legend(handles=listed, ncols=2, **ABOVE)
 
 
 def _plot_tangents(
