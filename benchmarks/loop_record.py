@@ -424,20 +424,21 @@ def report(name: str, runs: Sequence[tuple[str, dict[str, Outcome]]]) -> str:
     near = np.where(np.isnan(all_costs).all(axis=0), np.nan, shares)
     lines.append(f"{'within 10 %':<18}" + _list_cells(near, "16.0%"))
     ticks = np.array([[found[method][1:] for method in METHODS] for _, found in runs])
-    middles, longest = _find_middles(1e3 * ticks[..., 0]), _find_middles(ticks[..., 1])
-    lines.append(f"{'ms a tick':<18}" + _list_cells(middles, "16.2f"))
-    lines.append(f"{'longest / median':<18}" + _list_cells(longest, "16.1f"))
-    worst = [max(each[np.isfinite(each)], default=np.nan) for each in ticks[..., 1].T]
-    lines.append(f"{'of the worst run':<18}" + _list_cells(worst, "16.1f"))
+    for label, statistic, values, form in (
+        ("ms a tick", np.median, 1e3 * ticks[..., 0], "16.2f"),
+        ("longest / median", np.median, ticks[..., 1], "16.1f"),
+        ("of the worst run", np.max, ticks[..., 1], "16.1f"),
+    ):
+        lines.append(f"{label:<18}" + _list_cells(_sum_up(statistic, values), form))
     ahead = np.mean(all_costs[:, 2] <= _WITHIN * all_costs[:, 1])
     lines.append(f"tracking costs at most 10 % more than TVLQR in {100 * ahead:.0f} %")
     return "\n".join(lines)
 
 
-def _find_middles(values: Floats) -> list[float]:
-    """Returns the median of each column (R, M), without what was not measured."""
+def _sum_up(statistic: Callable[[Floats], Any], values: Floats) -> list[float]:
+    """Returns a statistic of each column (R, M), without what was not measured."""
     return [
-        float(np.median(each)) if len(each) else np.nan
+        float(statistic(each)) if len(each) else np.nan
         for each in (column[np.isfinite(column)] for column in values.T)
     ]
 

@@ -45,7 +45,7 @@ def clock(work: Callable[[], Any]) -> tuple[Any, Seconds]:
 
 
 def within(seconds: float) -> Iterator[None]:
-    """Yields once, and again until so many seconds of the processor are over."""
+    """Yields once, and again until this process has used the given CPU time [s]."""
     end = time.process_time() + seconds
     yield
     while time.process_time() <= end:

@@ -11,7 +11,6 @@ import matplotlib.image
 import numpy as np
 from pydrake import geometry
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.sensors import CameraInfo
 
 from drake_aigto import world as worlds
@@ -20,7 +19,6 @@ from drake_aigto.cli.flags import FINE, add_command, add_scenario, load_scenario
 from drake_aigto.errors import ModelError, OptionsError
 from drake_aigto.plain import check_writable
 
-_MODELS = (".xml", ".urdf", ".sdf", ".dmd.yaml")
 _EXAMPLES = """\
 drake-aigto look robot.urdf                                   # joints, actuators, contacts
 drake-aigto look robot.xml --collisions none --png robot.png  # and a picture
@@ -91,7 +89,7 @@ def add_look(commands: Any) -> None:
 def _look(options: argparse.Namespace) -> int:
     """Prints tables, and draws the model if that is asked for."""
     check_writable(options.png)
-    if options.scenario.endswith(_MODELS):
+    if options.scenario.endswith(worlds.MODELS):
         ends: dict[str, Any] = {"initial_position": 0, "goal_position": 0}
         given = load_scenario(options, worlds.Scenario(model=options.scenario, **ends))
         world, scenario, notes = _read_model(given, "contact" in options)
@@ -130,8 +128,7 @@ def _read_model(
 def _tell(world: worlds.World, scenario: worlds.Scenario, notes: Sequence[str]) -> Iterator[str]:
     """Yields lines about a world."""
     plant = world.plant
-    bodies = map(plant.get_body, map(BodyIndex, range(plant.num_bodies())))
-    masses = sum(body.default_mass() for body in bodies if not plant.IsAnchored(body))
+    masses = sum(body.default_mass() for body in worlds.list_moving(plant))
     yield f"{scenario.model}: {plant.num_positions()} coordinates, {masses:.4g} kg that move"
     yield from _table(
         ("joint", "kind", "unit", "from", "to", "damping", "friction"), _joints(world)
@@ -198,7 +195,7 @@ def _draw(world: worlds.World, path: str) -> bool:
     """
     plant, scene_graph, (width, height) = world.plant, world.scene_graph, _PIXELS
     model = scene_graph.model_inspector()
-    for body in map(plant.get_body, map(BodyIndex, range(plant.num_bodies()))):
+    for body in worlds.list_bodies(plant):
         frame = plant.GetBodyFrameIdOrThrow(body.index())
         if not model.NumGeometriesForFrameWithRole(frame, geometry.Role.kPerception):
             for each in model.GetGeometries(frame, geometry.Role.kProximity):

@@ -23,7 +23,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex, Frame, Joint, PrismaticJoint, RigidBody
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.world import Scenario, TaskCost, World
+from drake_aigto.world import Scenario, TaskCost, World, list_moving
 
 # Meshcat draws no half spaces; this much of one is drawn as a slab [m].
 _SLAB = (2.0, 2.0, 0.05)
@@ -113,12 +113,6 @@ def moving_joints(world: World) -> list[Joint]:
     return sorted((j for j in joints if j.num_positions()), key=lambda j: j.position_start())
 
 
-def moving_bodies(world: World) -> list[RigidBody]:
-    """Returns the bodies that move."""
-    bodies = map(world.plant.get_body, map(BodyIndex, range(world.plant.num_bodies())))
-    return [body for body in bodies if not world.plant.IsAnchored(body)]
-
-
 def outboard_joints(world: World, body: RigidBody) -> list[Joint]:
     """Returns the joints that a body carries."""
     joints = (world.plant.get_joint(index) for index in world.plant.GetJointIndices())
@@ -140,7 +134,7 @@ def _origin_of(frame: Frame) -> Floats:
 
 def _make_sticks(world: World) -> Iterator[Actor]:
     inspector = world.scene_graph.model_inspector()
-    for body in moving_bodies(world):
+    for body in list_moving(world.plant):
         if world.plant.GetVisualGeometriesForBody(body):
             continue
         begin = find_hinge(world, body)

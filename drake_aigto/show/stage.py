@@ -20,13 +20,12 @@ from drake_aigto.show.shapes import (
     box_corners,
     find_hinge,
     moves_straight,
-    moving_bodies,
     moving_joints,
     outboard_joints,
     read_actors,
 )
 from drake_aigto.transcription import Touch
-from drake_aigto.world import SpaceWorld, World
+from drake_aigto.world import SpaceWorld, World, list_moving
 
 # A direction in which points move by less than this part of the largest way is none of motion:
 # of motions in a plane, and along a line. Beyond this cosine with the vertical it is upright.
@@ -213,7 +212,7 @@ class Stage:
             yield index, np.mean(middles, axis=0)
         if shapes:
             return
-        for body in moving_bodies(self._world):
+        for body in list_moving(self._world.plant):
             if outboard_joints(self._world, body):
                 continue
             # The end of the link that is the farthest from its joint.
@@ -237,7 +236,9 @@ class Stage:
             for shape in pair
         }
         drawn = {actor.index for actor in self.actors}
-        bodies = [body for body in moving_bodies(self._world) if body.index() in drawn - touching]
+        bodies = [
+            body for body in list_moving(self._world.plant) if body.index() in drawn - touching
+        ]
         return [body.name().replace("_", " ") for body in bodies]
 
     def trace(self, positions: Floats) -> Floats:

@@ -1,4 +1,6 @@
 from .diagram import find_anywhere as find_anywhere
+from .diagram import list_bodies as list_bodies
+from .diagram import list_moving as list_moving
 from .files import find_model as find_model
 from .files import models_directory as models_directory
 from .files import package_map as package_map
@@ -22,6 +24,7 @@ from .model_fields import Material as Material
 from .model_fields import ModelFields as ModelFields
 from .model_reader import add_dry_friction as add_dry_friction
 from .model_reader import read_model as read_model
+from .model_text import MODELS as MODELS
 from .pair_errors import find_link as find_link
 from .pair_errors import name_alike as name_alike
 from .places import FrameGoal as FrameGoal

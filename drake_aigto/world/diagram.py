@@ -12,7 +12,7 @@ import numpy as np
 from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet, SceneGraph
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant, Propeller, PropellerInfo
-from pydrake.multibody.tree import BodyIndex
+from pydrake.multibody.tree import BodyIndex, RigidBody
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from pydrake.systems.primitives import Demultiplexer
 
@@ -95,12 +95,20 @@ def check_plant(plant: MultibodyPlant, in_space: bool = False, has_thrusters: bo
     _check_actuators(plant, has_thrusters)
 
 
+def list_bodies(plant: MultibodyPlant) -> list[RigidBody]:
+    """Returns all links, the world first."""
+    return [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
+
+
+def list_moving(plant: MultibodyPlant) -> list[RigidBody]:
+    """Returns the links that move."""
+    return [body for body in list_bodies(plant) if not plant.IsAnchored(body)]
+
+
 def scale_masses(plant: MultibodyPlant, context: Context, factor: float) -> None:
     """Multiplies masses and inertias of all links that move, in this context only."""
-    for index in range(plant.num_bodies() if factor != 1 else 0):
-        body = plant.get_body(BodyIndex(index))
-        if not plant.IsAnchored(body):
-            body.SetMass(context, factor * body.get_mass(context))
+    for body in list_moving(plant) if factor != 1 else []:
+        body.SetMass(context, factor * body.get_mass(context))
 
 
 def find_hinges(plant: MultibodyPlant) -> list[bool]:
@@ -261,7 +269,7 @@ def add_actuation(
     if not thrusters:
         builder.ExportInput(joints, "actuation")
         return
-    links = (plant.get_body(BodyIndex(i)) for i in range(1, plant.num_bodies()))
+    links = list_bodies(plant)[1:]
     bodies = {body.name(): body for body in links}
     infos = []
     for i, thruster in enumerate(thrusters):

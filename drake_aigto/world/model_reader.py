@@ -14,13 +14,11 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import (
-    BodyIndex,
     Joint,
     JointActuator,
     ModelInstanceIndex,
     PrismaticSpring,
     RevoluteSpring,
-    RigidBody,
 )
 from pydrake.symbolic import Expression, MakeVectorVariable
 from pydrake.symbolic import max as largest
@@ -31,7 +29,7 @@ from pydrake.systems.primitives import SymbolicVectorSystem
 from drake_aigto.arrays import Floats, read_only
 from drake_aigto.dynamics import STICTION_SPEED, refuse_loop, smooth_sign
 from drake_aigto.errors import ModelError
-from drake_aigto.world.diagram import add_actuation, check_plant, hear_drake
+from drake_aigto.world.diagram import add_actuation, check_plant, hear_drake, list_bodies
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
 from drake_aigto.world.model_facts import MESHES, FixableError, ModelFacts, Spring, fits, pick
@@ -135,7 +133,7 @@ def _read_model(
     if facts.total_mass is not None:
         plant = MultibodyPlant(time_step=0.0)
         _parse(plant, path, packages, text, kind)
-        mass = sum(body.default_mass() for body in _list_bodies(plant)[1:])
+        mass = sum(body.default_mass() for body in list_bodies(plant)[1:])
         scale = facts.total_mass / mass
         text, kind, facts = read_model_text(path, fields, packages, folder, scale, stub, in_space)
     builder = DiagramBuilder()
@@ -240,7 +238,7 @@ def _weld(plant: MultibodyPlant, path: Path, fields: ModelFields) -> None:
     """Welds links to the world that nothing holds."""
     joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
     held = {joint.child_body().name(): joint.name() for joint in joints}
-    names = [body.name() for body in _list_bodies(plant)[1:]]
+    names = [body.name() for body in list_bodies(plant)[1:]]
     for name, pose in fields.weld.items():
         free = [each for each in names if each not in held]
         if name not in names or name in held:
@@ -326,11 +324,6 @@ def _refuse_twins(path: Path, joints: list[Joint], read: set[str]) -> None:
                 expected="one, as friction, efforts and actuators are read by names",
                 remedy="Rename all but one.",
             )
-
-
-def _list_bodies(plant: MultibodyPlant) -> list[RigidBody]:
-    """Returns all links, the world first."""
-    return [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
 
 
 def _find_friction(plant: MultibodyPlant, facts: ModelFacts) -> Floats | None:

@@ -195,7 +195,9 @@ def add_ends(
     """
     inspector: Any = scene_graph.model_inspector()
     found = {}
-    ends = _list_ends(inspector) | (_list_corners(inspector) if in_space else {})
+    ends = _list_ends(inspector)
+    if in_space:
+        ends |= _list_rims(inspector) | _list_corners(inspector)
     for shape, (places, radius) in ends.items():
         # What the inspector returns lives until the next shape is registered.
         X_BG = RigidTransform(inspector.GetPoseInFrame(shape))
@@ -230,26 +232,31 @@ def _list_ends(inspector: Any) -> dict[GeometryId, _Spheres]:
     return found
 
 
-def _list_corners(inspector: Any) -> dict[GeometryId, _Spheres]:
-    """Returns corners of each box and mesh that may touch a half space, a box or a mesh.
+def _list_rims(inspector: Any) -> dict[GeometryId, _Spheres]:
+    """Returns points at the rims of each cylinder that may touch a half space."""
+    found, angles = {}, 2 * np.pi / RIM * np.arange(RIM)
+    ring = np.array([np.cos(angles), np.sin(angles)])
+    for pair in inspector.GetCollisionCandidates():
+        shapes = {type(inspector.GetShape(shape)): shape for shape in pair}
+        if shapes.keys() != {Cylinder, HalfSpace}:
+            continue
+        cylinder = inspector.GetShape(shapes[Cylinder])
+        radius = _TINY * float(min(2 * cylinder.radius(), cylinder.length()))
+        height, around = cylinder.length() / 2 - radius, (cylinder.radius() - radius) * ring
+        rims = [np.vstack([around, np.full(RIM, z)]).T for z in (-height, height)]
+        found[shapes[Cylinder]] = np.vstack(rims), radius
+    return found
 
-    And those of each cylinder that may touch a half space.
-    """
+
+def _list_corners(inspector: Any) -> dict[GeometryId, _Spheres]:
+    """Returns the corners of each box and mesh that may touch a half space, a box or a mesh."""
     shapes = inspector.GetAllGeometryIds(Role.kProximity)
     flat = {s for s in shapes if isinstance(inspector.GetShape(s), Box | Convex | HalfSpace | Mesh)}
-    walls = {s for s in flat if isinstance(inspector.GetShape(s), HalfSpace)}
-    pairs = [set(pair) for pair in inspector.GetCollisionCandidates()]
+    pairs = map(set, inspector.GetCollisionCandidates())
     near = set[GeometryId]().union(*(pair for pair in pairs if pair <= flat))
-    on_walls = set[GeometryId]().union(*(pair for pair in pairs if pair & walls))
     found = {}
     for shape in shapes:
         solid = inspector.GetShape(shape)
-        if isinstance(solid, Cylinder) and shape in on_walls:
-            radius = _TINY * float(min(2 * solid.radius(), solid.length()))
-            angles, height = 2 * np.pi / RIM * np.arange(RIM), solid.length() / 2 - radius
-            ring = (solid.radius() - radius) * np.array([np.cos(angles), np.sin(angles)])
-            rims = [np.vstack([ring, np.full(RIM, z)]).T for z in (-height, height)]
-            found[shape] = np.vstack(rims), radius
         if shape not in near:
             continue
         if isinstance(solid, Box):

@@ -31,8 +31,9 @@ _LEFT_OUT = (
 _MOST_SHAPES = 12
 _ENDS, _CORNERS = {"capsule": 2}, {"box": 8, "cylinder": 2 * RIM, "mesh": MOST_CORNERS}
 _MARK_RADIUS = "1e-9"
-# What files of Drake's model directives are called.
-DIRECTIVES = ".dmd.yaml"
+# What files of Drake's model directives are called, and what those that are read.
+_XML, DIRECTIVES = (".xml", ".urdf", ".sdf"), ".dmd.yaml"
+MODELS = (*_XML, DIRECTIVES)
 _KINDS = {"mujoco": "xml", "robot": "urdf", "sdf": "sdf"}
 
 
@@ -67,7 +68,7 @@ def _read_text(
     try:
         root = read_xml(path)
     except ModelError:
-        if path.suffix not in (".xml", ".urdf", ".sdf"):
+        if path.suffix not in _XML:
             return None, ""
         raise
     kind = _KINDS.get(root.tag, "")
