@@ -218,9 +218,15 @@ def test_directives_add_models_that_are_read_as_on_their_own(tmp_path: Path) -> 
     assert make(str(model), 3, fixed_joints=["elbow"], **fields).num_positions == 3
     with pytest.raises(ModelError, match=r"a directive that adds package://own/inner.*packages: {"):
         make(str(model), 4)
-    for text in ("directives: [", "- add_model", "directives: 3"):
+    for text, got in (
+        ("directives: [", "while parsing a flow node"),
+        ("- add_model", "no list of directives"),
+        ("directives: 3", "no list of directives"),
+        ("directives: [add_model]", "no list of directives"),
+        ("directives: [{add_model: box.sdf}]", "a directive that adds 'box.sdf'"),
+    ):
         model.write_text(text)
-        with pytest.raises(ModelError, match="expected model directives"):
+        with pytest.raises(ModelError, match=f"got {got}.* expected model directives"):
             make(str(model), 4)
 
 

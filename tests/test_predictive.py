@@ -197,6 +197,8 @@ def test_a_state_beyond_its_limits_is_planned_from() -> None:
         ({"period": 0.0}, "^period: got 0.0, expected seconds above zero"),
         ({"period": "soon"}, "^period: got soon, expected seconds above zero"),
         ({"delay": "none"}, "^delay: got none, expected seconds of at least zero"),
+        ({"feedback_period": "often"}, "^feedback_period: got often, expected seconds above zero"),
+        ({"feedback_period": 0.2}, "^feedback_period: got 0.2 s, expected at most a period, 0.1 s"),
         ({"iterations": 0}, "^iterations: got 0, expected a count"),
         ({"search_every": 2.5}, "^search_every: got 2.5"),
         ({"search_ticks": 0}, "^search_ticks: got 0, expected a count of at least 1, or 'auto'"),

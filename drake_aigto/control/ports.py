@@ -199,6 +199,9 @@ class LoopController(LeafSystem):
             self._scenario = replace(scenario, control_lower=least, control_upper=most)
         self._model = Model(world, self._scenario)
         self._estimate = self.DeclareVectorInputPort("estimated_state", len(self._units))
+        if often is not None:
+            often = check_seconds("feedback_period", often, True, self.period, "a period")
+        self.feedback_period = often
         a_period = max(_COMMANDS, int(np.ceil(self.period / (often or self.period))))
         count = 2 + a_period * int(np.ceil(1 + (self.delay + memory) / self.period))
         self._no_commands = np.zeros((count, 1 + world.num_actuators))
@@ -374,9 +377,13 @@ def may_be_unsampled(x: Floats, expected: Floats) -> bool:
 
 
 def check_seconds(
-    name: str, seconds: float, is_positive: bool = False, most: float = np.inf
+    name: str,
+    seconds: float,
+    is_positive: bool = False,
+    most: float = np.inf,
+    limit: str = "the task's duration",
 ) -> float:
-    """Returns seconds of at least 0, or above it, that are at most the task's.
+    """Returns seconds of at least 0, or above it, that are at most those of a limit.
 
     Raises:
         ControlError: they are none.
@@ -386,6 +393,6 @@ def check_seconds(
         expected = "seconds above zero" if is_positive else "seconds of at least zero"
         raise ControlError(name, got=seconds, expected=expected)
     if seconds > most:
-        got, expected = f"{float(seconds):g} s", f"at most the task's duration, {most:g} s"
+        got, expected = f"{float(seconds):g} s", f"at most {limit}, {most:g} s"
         raise ControlError(name, got=got, expected=expected)
     return float(seconds)

@@ -161,9 +161,6 @@ class ModelPredictiveController(LoopController):
         for name, value, other in (*counts, ("search_ticks", search_ticks, ", or 'auto'")):
             if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
                 raise ControlError(name, got=value, expected=f"a count of at least 1{other}")
-        if feedback_period is not None:
-            feedback_period = check_seconds("feedback_period", feedback_period, True, self.period)
-        self.feedback_period = feedback_period
         if plan is not None:
             plan.find_world(planner.world)  # Refuses another world's.
         self._first = PlannedMotion.of(plan.best) if plan is not None else None
@@ -189,7 +186,7 @@ class ModelPredictiveController(LoopController):
         self._moment = self.DeclareAbstractState(AbstractValue.Make(self._nothing))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._start)
         self.DeclarePeriodicUnrestrictedUpdateEvent(self.period, self.period, self._tick)
-        if between := feedback_period:
+        if between := self.feedback_period:
             self.DeclarePeriodicUnrestrictedUpdateEvent(between, between, self._correct)
         self._declare_outputs({self.abstract_state_ticket(self._moment)})
 

@@ -104,14 +104,17 @@ def _read_directives(
     """Returns model directives that add the files' texts in a folder in place of the files."""
     try:
         found = yaml.safe_load(path.read_text(encoding="utf-8"))
-        added: list[dict[str, Any]] = [
-            each[key]
-            for each in found["directives"]
-            for key in ("add_model", "add_directives")
-            if key in each
-        ]
-    except (yaml.YAMLError, TypeError, KeyError) as error:
-        raise ModelError(f"model {path}", got=repr(error), expected="model directives") from error
+    except yaml.YAMLError as error:
+        got = " ".join(str(error).split())
+        raise ModelError(f"model {path}", got, "model directives in YAML") from error
+    listed = found.get("directives") if isinstance(found, dict) else None
+    if not isinstance(listed, list) or not all(isinstance(each, dict) for each in listed):
+        raise ModelError(f"model {path}", "no list of directives", "model directives")
+    kinds = ("add_model", "add_directives")
+    added: list[Any] = [each[kind] for each in listed for kind in kinds if kind in each]
+    if unlike := [each for each in added if not isinstance(each, dict)]:
+        expected = "model directives that add {name: …, file: …}"
+        raise ModelError(f"model {path}", f"a directive that adds {unlike[0]!r}", expected)
     facts.is_scene = True
     for each in added:
         file = _find_part(str(each.get("file")), path, packages, "a directive that adds")
