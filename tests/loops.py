@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,16 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource, ZeroOrderHold
 
-from drake_aigto import ModelPredictiveController, Planner, Scenario, World
+from drake_aigto import ModelPredictiveController, Plan, Planner, Scenario, World, plan
 from drake_aigto.world import find_model, package_map
+
+BALL = Scenario.named("table1/1")
+
+
+@cache
+def make_plan() -> Plan:
+    """Returns the plan of the ball."""
+    return plan(BALL)
 
 
 class Wrapper(LeafSystem):
