@@ -68,8 +68,8 @@ RECORDS: Mapping[str, str] = {
     " --minutes 16",
     "space_controllers": "python -m benchmarks.space --rivals --mujoco --seeds 1 --renewals 0"
     " --workers 1 --minutes 15",
-    "push_tee_poses": "python -m benchmarks.space --poses 24 --renewals 16 --workers 1"
-    " --minutes 22",
+    "push_tee_poses": "python -m benchmarks.space --poses 50 --renewals 16 --workers 1"
+    " --minutes 40",
     "table1": "python -m benchmarks.table1_figures",
     "planner_speed": f"python -m benchmarks.planner_speed {_SPEED}",
     "newton_speed": f"python -m benchmarks.newton_speed {_SPEED}",
