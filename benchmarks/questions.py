@@ -239,20 +239,21 @@ def keep_best(rows: Sequence[Row], is_tuning: bool) -> None:
 def format_results(rows: Sequence[Row]) -> str:
     """Returns a table with a line for each world."""
     head = "questions", "1 %", "10 %", "worst", "no plan", "idle, wrongly", "CPU s"
-    lines = [f"{'world':24}" + "".join(f"{name:>15}" for name in head)]
+    widths = [max(len(name) + 2, 9) for name in head]
+    lines = [f"{'world':24}" + "".join(map(str.rjust, head, widths))]
     for world in dict.fromkeys(row.world for row in rows):
         own = [row for row in rows if row.world == world]
         ratios = [row.cost / row.best if row.best > 0 else 1.0 for row in own]
         values = (
-            len(own),
+            f"{len(own)}",
             f"{100 * np.mean([row.is_within(NEAR) for row in own]):.0f}",
             f"{100 * np.mean([row.is_within(WIDE) for row in own]):.0f}",
             f"{max(ratios):.4g}",
-            sum(math.isinf(row.cost) for row in own),
-            sum(row.is_idle and not row.is_within(NEAR) for row in own),
+            f"{sum(math.isinf(row.cost) for row in own)}",
+            f"{sum(row.is_idle and not row.is_within(NEAR) for row in own)}",
             f"{np.median([row.seconds for row in own]):.2f}",
         )
-        lines.append(f"{world:24}" + "".join(f"{value:>15}" for value in values))
+        lines.append(f"{world:24}" + "".join(map(str.rjust, values, widths)))
     return "\n".join(lines)
 
 

@@ -61,7 +61,7 @@ RECORDS: Mapping[str, str] = {
     " acrobot/beside_a_wall cart_pole/soft_06 cart_pole/soft_10 pendulum/off_the_wall paddle/bat"
     " cart_pole/rigid_06 cart_pole/rigid_10 payload/transport three_carts/apart two_discs/swap"
     " spinner/two_radians billiard/spin_shot room_with_block/around"
-    " --count 20 --times 4 --workers 1 --minutes 38",
+    " --count 20 --times 4 --workers 1 --minutes 150",
     "friction_worlds": "python -m benchmarks.friction_worlds --workers 1",
     "space": "python -m benchmarks.space --seeds 2 --renewals 24",
     "space_rivals": "python -m benchmarks.space --rivals --seeds 1 --renewals 0 --workers 1"

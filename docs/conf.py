@@ -32,6 +32,7 @@ html_theme = "furo"
 html_title = "drake_aigto"
 html_static_path = ["static"]
 html_css_files = ["wide.css"]
+html_show_copyright = False  # LICENSE says whose it is.
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 
