@@ -44,6 +44,7 @@ from drake_aigto.planning import (
     ProgramSolution,
     SearchOptions,
     find_grazes,
+    find_other_sides,
     make_ball_task,
 )
 from drake_aigto.show import format_plan
@@ -160,6 +161,25 @@ def test_a_block_is_passed_where_the_straight_way_goes_through_its_middle() -> N
     found = plan(scenario, QUICK)
     assert not found.best.contacts and not found.best.is_idle
     assert found.cost < 0.0374  # By cross-entropy; 0.107 where no flight had a side to pass on.
+
+
+def test_a_block_is_passed_on_the_side_that_costs_less() -> None:
+    shipped = Scenario.named("room_with_block/around")
+    scenario = dataclasses.replace(
+        shipped, initial_velocity=[0.3, 0.4], goal_position=[0.84, 0.43], restitution=0.86
+    )
+    world = World.from_scenario(scenario)
+    problem = make_ball_task(world, scenario, QUICK)
+    low = problem.polish(problem.box.center, ())
+    (path,) = find_other_sides(low)
+    high = problem.polish_along(path, ())
+    front, back = (
+        {world.contacts[facing.contact].name for facing in motion.facings} for motion in (low, high)
+    )
+    assert front ^ back == {"ball against block, -y face", "ball against block, +y face"}
+    (returned,) = find_other_sides(high)
+    assert problem.polish_along(returned, ()).cost == pytest.approx(low.cost, rel=0.01)
+    assert plan(scenario, QUICK).cost <= 1.01 * high.cost < 0.5 * low.cost
 
 
 def search_of(name: str, **changes: float) -> BallSearch:

@@ -3,6 +3,7 @@ from .balls.arcs import Arcs as Arcs
 from .balls.arcs import solve_in_arcs as solve_in_arcs
 from .balls.branching import find_grazes as find_grazes
 from .balls.branching import find_insertions as find_insertions
+from .balls.branching import find_other_sides as find_other_sides
 from .balls.phases import Path as Path
 from .balls.phases import PhaseMotion as PhaseMotion
 from .balls.phases import PhaseProblem as PhaseProblem

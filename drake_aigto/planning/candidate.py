@@ -30,7 +30,7 @@ from drake_aigto.transcription import (
 )
 from drake_aigto.world import Scales, World
 
-ChangeName = Literal["seen", "dropped", "added", "swapped", "moved", "mode", "left out"]
+ChangeName = Literal["seen", "dropped", "added", "swapped", "moved", "passed", "mode", "left out"]
 
 _WORDS: dict[ChangeName, str] = {
     "seen": "with a bounce seen in its replay",
@@ -38,6 +38,7 @@ _WORDS: dict[ChangeName, str] = {
     "added": "a touch added",
     "swapped": "touches swapped",
     "moved": "contacts moved",
+    "passed": "a block passed on its other side",
     "mode": "a touch in another mode",
     "left out": "left out at first",
 }
@@ -64,8 +65,8 @@ class Change:
 
     # "seen", a bounce added that the replay has and the plan lacks; "dropped" or "added", one touch
     # fewer or more; "swapped", simultaneous bounces in the other order; "moved", contacts at other
-    # knots; "mode", a touch with friction that sticks or slips instead; "left out", a flight that
-    # was not expected to win, tried as no other plan holds.
+    # knots; "passed", a block on its other side; "mode", a touch with friction that sticks or slips
+    # instead; "left out", a flight that was not expected to win, tried as no other plan holds.
     kind: ChangeName
     of: TouchSequence  # the contact sequence that was changed
 

@@ -7,7 +7,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import cached_property
-from itertools import chain
+from itertools import chain, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -73,30 +73,30 @@ class BranchingSearch(SequenceSearch):
     def vary(self) -> Iterator[Sequence[Proposal]]:
         """Yields neighbors (`neighbors`) of good sequences, the best first, once for each."""
         self.tell(f"{len(self.by_sequence)} candidates; looking for others near the best")
-        branched: set[TouchSequence] = set()
+        branched: set[PhaseMotion] = set()
         while len(branched) < self.task.options.branches and (good := self._list_good(branched)):
-            branched.add(good[0])
+            branched.add(self.solved[good[0]])
             yield from self._branch(good[0])
         yield from self.propose_far()
         for _ in range(self.task.options.branches):
             best = self._list_good(set())[:1]
-            if not best or best[0] in branched:
+            if not best or self.solved[best[0]] in branched:
                 return
-            branched.add(best[0])
+            branched.add(self.solved[best[0]])
             yield from self._branch(best[0])
 
     @abstractmethod
     def propose_far(self) -> Iterator[Sequence[Proposal]]:
         """Yields sequences that need not be near the best."""
 
-    def _list_good(self, branched: Collection[TouchSequence]) -> list[TouchSequence]:
+    def _list_good(self, branched: Collection[PhaseMotion]) -> list[TouchSequence]:
         """Returns good sequences that were not branched, the best first."""
         costs = (candidate.replay.cost for candidate in self.by_sequence.values())
         least = min(costs, default=math.inf)
         good = [
             sequence
             for sequence, candidate in self.by_sequence.items()
-            if sequence not in branched
+            if self.solved[sequence] not in branched
             and candidate.is_feasible
             and candidate.replay.cost <= scaled(GOOD, least)
         ]
@@ -107,6 +107,9 @@ class BranchingSearch(SequenceSearch):
         motion, origin = self.solved[sequence], self.by_sequence[sequence].origin
         more = [*find_grazes(motion), *find_insertions(motion)]
         optimum = motion.sequence
+        for path in find_other_sides(motion):
+            change = origin.changed("passed", sequence)
+            yield from self.propose_good(change, self.centers[sequence], optimum, path)
         others = [*find_rests(motion), *retimed(optimum, self._pulling, self._duration)]
         for other in [*others, *neighbors(optimum, more)]:
             # Times of a plan that holds are the best ones, unless something pulls to a wall; those
@@ -130,12 +133,20 @@ class BranchingSearch(SequenceSearch):
             return
         tried = self._try(sequence, path)
         optima = map(self._optimum, self.by_sequence)
-        if tried and not self._is_among(tried.sequence, optima, SAME_END):
+        is_new = tried and not self._is_among(tried.sequence, optima, SAME_END)
+        if tried and (is_new or self._is_better(tried, sequence)):
             # If long arcs sufficed, the trial was the polish.
             solved = tried if tried.is_of_arcs else None
             yield [propose(origin, Shown(center, sequence, path, solved))]
         else:
             self._refused.append(sequence)
+
+    def _is_better(self, motion: PhaseMotion, sequence: TouchSequence) -> bool:
+        """Returns whether the candidate of a sequence passes a block on a side that costs more."""
+        known = self.by_sequence.get(sequence)
+        return known is not None and not (
+            known.is_confirmed and known.cost <= self.task.cost(motion)
+        )
 
     @cached_property
     def _pulling(self) -> frozenset[int]:
@@ -220,6 +231,27 @@ def find_grazes(motion: PhaseMotion) -> list[Touch]:
         runs = np.split(where, np.flatnonzero(np.diff(where) > 1) + 1) if where.size else []
         found += [Touch.bounce(float(np.mean(times[run])), contact) for run in runs]
     return found
+
+
+def find_other_sides(motion: PhaseMotion) -> Iterator[Path]:
+    """Yields paths that pass a block on its other side, one per face that is passed untouched.
+
+    While a face, after and before others, is in force, the path is mirrored about the middle of the
+    block: q + Jᵀ (φ' − φ) / ‖J‖² with J and φ of that face, and φ' of the opposite one.
+    """
+    world, (times, positions), phi = motion.phases.world, motion.path, motion.distances
+    jacobian = world.calc_contact_jacobian(positions[0])
+    for faces in world.solids:
+        passed = [facing for facing in motion.facings if facing.contact in faces]
+        for facing, later in pairwise(passed[1:]):
+            face, start, end = facing.contact, facing.start, later.start
+            if any(t.contact == face and start <= t.end <= end for t in motion.sequence):
+                continue
+            row, beside = jacobian[face], (times >= start) & (times <= end)
+            opposite = min(faces, key=lambda other: float(jacobian[other] @ row))
+            mirrored, off = positions.copy(), (phi[:, opposite] - phi[:, face])[beside]
+            mirrored[beside] += np.outer(off, row / (row @ row))
+            yield times, mirrored
 
 
 def find_pulls(world: World, q: Floats) -> Floats:
