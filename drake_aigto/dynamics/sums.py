@@ -332,6 +332,19 @@ class ConstantDynamics(ConstantInertia):
         """−M⁻¹ h, shape (nv,) [m/s²]: the acceleration without control."""
         return read_only(-self.inverse_mass @ self.bias)
 
+    @cached_property
+    def mirrors_keep_costs(self) -> bool:
+        """Whether G Gᵀ, of G = M⁻¹ B, is its own image in each wall's mirror.
+
+        The mirror changes velocities as an elastic impact does.
+        """
+        worth = self.gain @ self.gain.T
+        for J, kick in zip(self.jacobian, self.kicks, strict=True):
+            mirror = np.eye(J.size) - 2 * np.outer(kick, J) / (J @ kick)
+            if not np.allclose(mirror @ worth @ mirror.T, worth, atol=1e-9 * np.max(worth)):
+                return False
+        return True
+
 
 def read_constant(name: str, expressions: NDArray[Any], remedy: str) -> Floats:
     """Returns the values of expressions of this name, of the same shape, read-only."""

@@ -139,7 +139,7 @@ class Candidate:
 
     Attributes:
         origin: which algorithm and rung of the ladder it came from, and by which changes.
-        start_cost: J of the local solver's guess: AIGO's result, or a baseline's.
+        start_cost: J of the local solver's guess: AIGO's result, or a baseline's; None: of neither.
         start_defects: its largest violation of each kind of row, in that row's unit.
         trajectory: after the polish.
         cost: its J, with costs of users (`Planner.transcription`).
@@ -160,7 +160,7 @@ class Candidate:
     """
 
     origin: Origin
-    start_cost: float
+    start_cost: float | None
     start_defects: Mapping[str, float]
     trajectory: Trajectory
     cost: float

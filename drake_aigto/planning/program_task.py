@@ -293,12 +293,12 @@ class ProgramTask(ABC):
     def _cost_scale(self) -> float:
         return self.transcription.cost_scale()
 
-    def judge(self, origin: Origin, start: Floats, found: Solution) -> Candidate:
+    def judge(self, origin: Origin, start: Floats | None, found: Solution) -> Candidate:
         """Returns the candidate of a motion, replayed between rigid walls.
 
         Args:
             origin: where it came from.
-            start: decision variables of this problem's transcription.
+            start: decision variables of this problem's transcription; None: it began elsewhere.
             found: the motion.
         """
         world, scenario, trajectory = self.world, self.transcription.scenario, found.trajectory
@@ -307,8 +307,8 @@ class ProgramTask(ABC):
             trajectory,
             add_to_replay(replay, self.additions, trajectory),
             origin=origin,
-            start_cost=self.transcription.scenario_cost(start),
-            start_defects=self.transcription.defects(start),
+            start_cost=None if start is None else self.transcription.scenario_cost(start),
+            start_defects={} if start is None else self.transcription.defects(start),
             cost=self.cost(found),
             goal_error=float(np.linalg.norm(trajectory.positions[-1] - scenario.goal_position)),
             defects=self.defects(found),

@@ -330,7 +330,8 @@ class SequenceSearch(Search):
         with self.clock("polish"):
             self.solved[sequence] = polish(center, sequence)
         with self.clock("replay"):
-            candidate = self.task.judge(origin, center, self.solved[sequence])
+            start = center if origin.rung else None
+            candidate = self.task.judge(origin, start, self.solved[sequence])
         self.by_sequence[sequence] = candidate
         _LOG.info(
             "  %s: cost %.3e, replayed %.3e, largest defect %.0e, in %d steps",

@@ -236,7 +236,8 @@ def has_knots(scenario: Scenario, times: Floats) -> bool:
         scenario: the task.
         times: of the knots, shape (N+1,) [s].
     """
-    return bool(np.isin(_find_kinks(scenario, times), times).all())
+    kinks = _find_kinks(scenario, times)
+    return not kinks.size or bool(np.isin(kinks, times).all())
 
 
 def _find_kinks(scenario: Scenario, times: Floats) -> Floats:

@@ -204,8 +204,8 @@ def _place(
     start: Floats | None = None,
 ) -> Floats:
     """Returns positions, the same object if nothing changes."""
-    found = plant.GetDefaultPositions() if default is None else np.array(default)
     if isinstance(value, Named):
+        found = plant.GetDefaultPositions() if default is None else np.array(default)
         for key, place in value.items():
             joint = _find(plant, name, key)
             if isinstance(place, Shift):
@@ -246,7 +246,8 @@ def _fill(name: str, into: Floats, first: int, size: int, numbers: Floats) -> No
 def _normalize(plant: MultibodyPlant, name: str, q: Floats) -> Floats:
     """Returns positions with quaternions of unit length; reports those that are far from it."""
     found = q
-    for joint in _list_joints(plant):
+    has_turns = plant.num_positions() != plant.num_velocities()
+    for joint in _list_joints(plant) if has_turns else ():
         if joint.type_name() != _FLOATING:
             continue
         part = slice(joint.position_start(), joint.position_start() + 4)

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import Floats
-from drake_aigto.dynamics import ConstantDynamics
 from drake_aigto.planning.balls.timeline import (
     Phase,
     check_sequence,
@@ -332,21 +331,8 @@ def unfolds(world: World, scenario: Scenario) -> bool:
         world.num_solids == world.num_contacts
         and np.all(world.restitutions(scenario) > 0)
         and not np.any(dynamics.drift)
-        and _mirrors_keep_costs(dynamics)
+        and dynamics.mirrors_keep_costs
     )
-
-
-def _mirrors_keep_costs(dynamics: ConstantDynamics) -> bool:
-    """Returns whether G Gᵀ, of G = M⁻¹ B, is its own image in each wall's mirror.
-
-    The mirror changes velocities as an elastic impact does.
-    """
-    worth = dynamics.gain @ dynamics.gain.T
-    for J, kick in zip(dynamics.jacobian, dynamics.kicks, strict=True):
-        mirror = np.eye(J.size) - 2 * np.outer(kick, J) / (J @ kick)
-        if not np.allclose(mirror @ worth @ mirror.T, worth, atol=1e-9 * np.max(worth)):
-            return False
-    return True
 
 
 def keep_apart(sequence: TouchSequence, instants: Floats, duration: float) -> TouchSequence:

@@ -367,7 +367,7 @@ class BallTask(ProgramTask):
         """Whether the contacts and their order are expected to determine a plan."""
         return self._is_closed_form and unfolds(self.world, self.transcription.scenario)
 
-    def judge(self, origin: Origin, start: Floats, found: Solution) -> Candidate:
+    def judge(self, origin: Origin, start: Floats | None, found: Solution) -> Candidate:
         """Returns the candidate of a motion; hops that lead to rest are simulated ones.
 
         The multi-phase problem has their times, not their heights.
