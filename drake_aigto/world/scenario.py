@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
@@ -32,6 +33,8 @@ from drake_aigto.world.files import read_scenario, refuse_name, scenario_files
 from drake_aigto.world.model_fields import ModelFields, Named, as_globs
 
 DEFAULT_MODEL = "package://drake_aigto_models/point_mass_and_wall.sdf"
+
+_Made = TypeVar("_Made")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -190,7 +193,7 @@ class Scenario(ModelFields):
                 raise ScenarioError(name, got=repr(value), expected=expected)
         if not isinstance(self.hard_goal, bool | np.bool_):
             raise ScenarioError("hard_goal", got=repr(self.hard_goal), expected="true or false")
-        self.__dict__.update(checked, hard_goal=bool(self.hard_goal))
+        self.__dict__.update(checked, hard_goal=bool(self.hard_goal), _kept={})
         check_steps(self.duration, self.time_step)
         if not self.is_plain:
             self._check_task()
@@ -289,6 +292,16 @@ class Scenario(ModelFields):
                 expected="one number" if name in places.WEIGHTS else f"its default, {default}",
                 remedy=f"{reader} would ignore it.",
             )
+
+    def derive(self, world: Any, make: Callable[[Any, Scenario], _Made]) -> _Made:
+        """Returns what a function makes of a world and this scenario, in steps of any length.
+
+        What it made of the last world is kept, here and in all of `in_steps`.
+        """
+        kept: dict[Any, tuple[Any, _Made]] = self.__dict__["_kept"]
+        if (known := kept.get(make)) is None or known[0] is not world:
+            known = kept[make] = world, make(world, self)
+        return known[1]
 
     def in_steps(self, num_steps: int) -> Scenario:
         """Returns the same with its duration cut into this number of time steps."""

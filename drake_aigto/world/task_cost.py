@@ -236,11 +236,7 @@ class Scales:
     @classmethod
     def of(cls, world: EquationsOfMotion, scenario: Scenario) -> Scales:
         """Returns the scales of a scenario in its world."""
-        # A world keeps those of its last scenario: planning again asks for them many times a tick.
-        if (known := vars(world).get("_scales")) is None or known[0] is not scenario:
-            known = vars(world)["_scales"] = scenario, cls._measure(world, scenario)
-        found: Scales = known[1]
-        return found
+        return scenario.derive(world, cls._measure)
 
     @classmethod
     def _measure(cls, world: EquationsOfMotion, scenario: Scenario) -> Scales:

@@ -146,9 +146,9 @@ class PhaseProblem:
         """Whether the cheapest controls of many steps are affine, so that one arc has them all."""
         return self.world.has_constant_dynamics and not self.additions.are_everywhere
 
-    @cached_property
+    @property
     def _at_once(self) -> TouchSequence:
-        return touches_at_once(self.world, self.scenario)
+        return self.scenario.derive(self.world, touches_at_once)
 
     def least_step(self, phase: Phase) -> float:
         """Returns the lower bound of a phase's steps [s]."""

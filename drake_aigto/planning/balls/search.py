@@ -68,7 +68,6 @@ class BallSearch(BranchingSearch):
         super().__init__(task, clock)
         self._is_again = is_again
         self._num_steps = task.num_steps
-        self._least_flight_cost = task.least_flight_cost
         self._line = task.transcription.straight_line()
         self._left_out: tuple[Origin, Floats] | None = None  # A flight's.
         # Arguments of `add` whose polish failed.
@@ -106,9 +105,9 @@ class BallSearch(BranchingSearch):
         flight is left out if another candidate costs so little that not even the flight's neighbors
         would be tried.
         """
-        is_costly = self._least_flight_cost > GOOD * self.promise
-        if not sequence and is_costly and not self.task.options.exhaustive:
-            _LOG.info("  free flight: left out, costs %.3e at least", self._least_flight_cost)
+        may_leave = not sequence and not self.task.options.exhaustive
+        if may_leave and self.task.least_flight_cost > GOOD * self.promise:
+            _LOG.info("  free flight: left out, costs %.3e at least", self.task.least_flight_cost)
             self._left_out = origin.changed("left out", ()), center
             self._refused.append(())
             return
@@ -139,7 +138,7 @@ class BallSearch(BranchingSearch):
     @property
     def flight_left_out(self) -> float | None:
         """Lower bound of the cost of a free flight, if it was left out because of that."""
-        return None if self._left_out is None else self._least_flight_cost
+        return None if self._left_out is None else self.task.least_flight_cost
 
     def add_left_out(self) -> None:
         """Adds the flight that `add` left out, if any, and improves costly candidates."""
@@ -218,7 +217,7 @@ class BallSearch(BranchingSearch):
         """
         task, seen = self.task, set[tuple[tuple[int, bool], ...]]()
         has_block = task.world.num_solids < task.world.num_contacts
-        if not (has_block and self._least_flight_cost > 0 and 0 < self.promise < np.inf):
+        if not (has_block and self.task.least_flight_cost > 0 and 0 < self.promise < np.inf):
             return
         shots = draw_shots(task.world, task.scenario, self.promise, task.coast_steps)
         for shot in islice(shots, _MOST_SHOTS):

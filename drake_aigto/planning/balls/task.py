@@ -195,9 +195,9 @@ class BallTask(ProgramTask):
             found.append(sequence)
         return found
 
-    @cached_property
+    @property
     def _at_once(self) -> TouchSequence:
-        return touches_at_once(self.transcription.world, self.transcription.scenario)
+        return self.scenario.derive(self.world, touches_at_once)
 
     def _transcribe_around(self, positions: Floats) -> RigidTranscription:
         """Returns the transcription with the faces of boxes that a path goes along."""

@@ -85,7 +85,7 @@ def make_timeline(
             got=f"{len(times) - 1} phases",
             expected=f"at most the {N} steps of the scenario",
         )
-    knots = np.append(0, np.cumsum(_spread(np.diff(times), N))).tolist()
+    knots = [0, *_spread(np.diff(times), N)]
     knot = dict(zip(times.tolist(), knots, strict=True))
     spans = tuple((knot[touch.start], knot[touch.end]) for touch in sequence)
     starts, held = np.zeros((2, N + 1, m), dtype=bool)
@@ -152,13 +152,12 @@ def check_sequence(world: World, sequence: TouchSequence, duration: float) -> No
         )
 
 
-def _spread(durations: Floats, count: int) -> Ints:
-    """Returns the number of steps of each phase: by duration, and an equal share of half."""
+def _spread(durations: Floats, count: int) -> list[int]:
+    """Returns the knot at the end of each phase: steps by duration, and an equal share of half."""
     even = np.full(len(durations), 1 / len(durations))
     shares = np.cumsum(durations / durations.sum() + even) / 2
     spare = count - len(durations)  # Each gets one first.
-    ends = np.round(spare * shares).astype(int)
-    return 1 + np.diff(ends, prepend=0)
+    return [k + int(end) for k, end in enumerate(np.round(spare * shares), 1)]
 
 
 def straight_path(
