@@ -407,3 +407,16 @@ def test_what_starts_at_rest_needs_no_velocity(name: str, tmp_path: Path) -> Non
         np.testing.assert_array_equal(
             world.place(each).initial_velocity, np.zeros(world.num_velocities)
         )
+
+
+def test_what_is_made_of_a_world_is_kept_in_steps_of_any_length_until_another_world_asks() -> None:
+    scenario, worlds = Scenario(**ENDS), [object(), object()]
+
+    def make(world: object, asked: Scenario) -> tuple[object, float]:
+        return world, asked.duration
+
+    first = scenario.derive(worlds[0], make)
+    assert scenario.in_steps(7).derive(worlds[0], make) is first
+    assert scenario.derive(worlds[1], make) == (worlds[1], scenario.duration)
+    longer = dataclasses.replace(scenario, duration=2 * scenario.duration)
+    assert longer.derive(worlds[0], make) == (worlds[0], 2 * scenario.duration)

@@ -204,7 +204,7 @@ class SequenceSearch(Search):
 
     Attributes:
         by_sequence: the candidates so far, in the order that they were found.
-        centers: of the boxes that each sequence was read off.
+        centers: of the box that led to each sequence, if one did.
         solved: the motion of each.
         shown: the rungs so far, each with the contact sequences of its last box, the most literal
             first.
@@ -216,7 +216,7 @@ class SequenceSearch(Search):
         """Starts with no candidate."""
         super().__init__(task, clock)
         self.by_sequence: dict[ContactSequence, Candidate] = {}
-        self.centers: dict[ContactSequence, Floats] = {}
+        self.centers: dict[ContactSequence, Floats | None] = {}
         self.solved: dict[ContactSequence, Any] = {}
         self.shown: list[tuple[Rung, list[ContactSequence]]] = []
         self._is_stopped = threading.Event()  # By Ctrl-C, while boxes run in threads.
@@ -319,19 +319,18 @@ class SequenceSearch(Search):
         if found.status is Status.INTERRUPTED and not self._is_stopped.is_set():
             raise KeyboardInterrupt
 
-    def add(self, origin: Origin, center: Floats, sequence: ContactSequence) -> None:
+    def add(self, origin: Origin, center: Floats | None, sequence: ContactSequence) -> None:
         """Adds the candidate of a sequence read off a box center."""
         self.solve(origin, center, sequence, self.task.polish)
 
     def solve(
-        self, origin: Origin, center: Floats, sequence: ContactSequence, polish: Polish
+        self, origin: Origin, center: Floats | None, sequence: ContactSequence, polish: Polish
     ) -> None:
         """Polishes a sequence to a candidate; it replaces one of equal sequence."""
         with self.clock("polish"):
             self.solved[sequence] = polish(center, sequence)
         with self.clock("replay"):
-            start = center if origin.rung else None
-            candidate = self.task.judge(origin, start, self.solved[sequence])
+            candidate = self.task.judge(origin, center, self.solved[sequence])
         self.by_sequence[sequence] = candidate
         _LOG.info(
             "  %s: cost %.3e, replayed %.3e, largest defect %.0e, in %d steps",

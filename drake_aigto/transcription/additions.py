@@ -168,9 +168,10 @@ class Additions:
     def costs(self, motion: Samples) -> dict[str, float]:
         """Returns each cost of a motion by name: Σ_k h_k g(x_k, u_k), e(x_N), or c(x_j, u_k, …)."""
         found: dict[str, float] = {}
-        steps, last = np.diff(motion.times).tolist(), len(motion.u)
+        last = len(motion.u)
         for each in self.running:
-            values = (h * self._value(each, motion, k)[0] for k, h in enumerate(steps))
+            steps = enumerate(np.diff(motion.times).tolist())
+            values = (h * self._value(each, motion, k)[0] for k, h in steps)
             found[each.name] = found.get(each.name, 0.0) + float(sum(values))
         for each in (*self.final, *filter(lambda each: each.is_cost, self.at_knots)):
             value = float(self._value(each, motion, last)[0])

@@ -48,7 +48,7 @@ _LEAST_REST = 0.02
 class Shown(NamedTuple):
     """A contact sequence that was read off a motion."""
 
-    center: Floats  # of the box that led to it
+    center: Floats | None  # of the box that led to it, if one did
     sequence: TouchSequence  # the contacts
     path: Path | None = None  # along which they are; the box center's if None
     solved: PhaseMotion | None = None  # the closed motion, if known
@@ -124,7 +124,7 @@ class BranchingSearch(SequenceSearch):
                 yield from self.propose_good(change, self.centers[sequence], other, motion.path)
 
     def propose_good(
-        self, origin: Origin, center: Floats, sequence: TouchSequence, path: Path
+        self, origin: Origin, center: Floats | None, sequence: TouchSequence, path: Path
     ) -> Iterator[Sequence[Proposal]]:
         """Yields the proposal of a sequence along a path if its trial is good, and new."""
         # A fast ball bounces often by itself.

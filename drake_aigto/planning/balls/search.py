@@ -68,9 +68,8 @@ class BallSearch(BranchingSearch):
         super().__init__(task, clock)
         self._is_again = is_again
         self._num_steps = task.num_steps
-        self._line = task.transcription.straight_line()
-        self._left_out: tuple[Origin, Floats] | None = None  # A flight's.
-        # Arguments of `add` whose polish failed.
+        # Arguments of `add` of a flight, and those whose polish failed.
+        self._left_out: tuple[Origin, Shown] | None = None
         self._given_up: list[tuple[Origin, Shown]] = []
         self._is_open = False  # Whether candidates that cost too much are improved, too.
 
@@ -94,7 +93,7 @@ class BallSearch(BranchingSearch):
     def add(
         self,
         origin: Origin,
-        center: Floats,
+        center: Floats | None,
         sequence: TouchSequence,
         path: Path | None = None,
         solved: PhaseMotion | None = None,
@@ -105,10 +104,10 @@ class BallSearch(BranchingSearch):
         flight is left out if another candidate costs so little that not even the flight's neighbors
         would be tried.
         """
-        may_leave = not sequence and not self.task.options.exhaustive
+        may_leave = not (sequence or self._is_open or self.task.options.exhaustive)
         if may_leave and self.task.least_flight_cost > GOOD * self.promise:
             _LOG.info("  free flight: left out, costs %.3e at least", self.task.least_flight_cost)
-            self._left_out = origin.changed("left out", ()), center
+            self._left_out = origin.changed("left out", ()), Shown(center, (), path)
             self._refused.append(())
             return
 
@@ -145,8 +144,8 @@ class BallSearch(BranchingSearch):
         self._is_open = True
         super().judge()
         if self._left_out is not None:
-            (origin, center), self._left_out = self._left_out, None
-            self.solve(origin, center, (), self.task.polish)
+            (origin, shown), self._left_out = self._left_out, None
+            self.add(origin, *shown)
 
     def _chatters(self, sequence: TouchSequence) -> bool:
         """Returns whether a wall is touched again at once: more touches make it no better."""
@@ -188,7 +187,7 @@ class BallSearch(BranchingSearch):
             touches = read_touches_of(self.task.transcription.world, self.guess)
             path = self.guess.times, self.guess.positions
             if self.task.fits(touches):
-                yield [propose(Origin(GIVEN), Shown(self._line, touches, path))]
+                yield [propose(Origin(GIVEN), Shown(None, touches, path))]
         # Boxes tell bounces apart that are `GAP` of the duration apart: of a fast ball, few.
         is_fast = len(self.task.coast.bounce_times) * GAP >= 1
         if is_fast or self._grows_first:
@@ -227,7 +226,7 @@ class BallSearch(BranchingSearch):
                 seen.add(key)
                 if not self.is_known(sequence):
                     path = shot.times, shot.positions
-                    yield from self.propose_good(Origin(SHOT), self._line, sequence, path)
+                    yield from self.propose_good(Origin(SHOT), None, sequence, path)
             if len(seen) >= _MOST_TRIED:
                 return
 
@@ -246,7 +245,7 @@ class BallSearch(BranchingSearch):
             sequence = put_apart(touches, self._duration)
             if self.task.fits(sequence) and not self.is_known(sequence):
                 path = coast.times, coast.positions
-                yield [propose(Origin(COASTING), Shown(self._line, sequence, path))]
+                yield [propose(Origin(COASTING), Shown(None, sequence, path))]
 
     def improve(self, sequence: TouchSequence) -> None:
         """Replaces a candidate by its polish with the steps that all are judged with."""

@@ -194,7 +194,7 @@ def make_guess(
     """
     N, line, inertia = scenario.num_steps, timeline, world.constant_inertia
     knots = [0, *(phase.last for phase in line.phases)]
-    t = np.interp(range(N + 1), knots, line.times)
+    t = np.interp(np.arange(N + 1), knots, line.times)
     q = interpolate(t, times, stops)
     v = np.vstack([scenario.initial_velocity, np.diff(q, axis=0) / np.diff(t)[:, np.newaxis]])
     u, forces = np.zeros((N, world.num_actuators)), np.zeros((N, world.num_contacts))
