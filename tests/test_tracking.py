@@ -446,6 +446,19 @@ def test_errors_grow_as_the_exact_flow_says_from_any_time_to_any_other(count: in
     assert parts.factor == pytest.approx(found.factor, rel=0.3)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_whether_errors_grow_by_more_takes_singular_values_of_the_few_that_may(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng, scales = np.random.default_rng(seed), np.array([1.0, 3.0])
+    transitions = np.eye(2) + 0.1 * rng.normal(size=(100, 2, 2))
+    factor = calc_growth(transitions, scales).factor
+    assert calc_growth(transitions, scales, 0.99 * factor).factor > 0.99 * factor
+    assert not calc_growth(transitions, scales, 1.01 * factor).factor > 1.01 * factor
+    monkeypatch.setattr(np.linalg, "svd", None)
+    assert calc_growth(transitions, scales, 2 * factor).factor == 2 * factor
+
+
 def test_errors_of_a_motion_that_runs_away_grow_beyond_all_numbers() -> None:
     assert calc_growth(np.full((400, 2, 2), 1e10), np.ones(2)).factor == np.inf
 

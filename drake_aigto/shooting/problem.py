@@ -196,7 +196,7 @@ class ShootingProblem(OptimalControlProblem):
             found, _ = self.resolve(*motion)
         except ProgramError:  # Its squares exceed all numbers.
             return False
-        return calc_growth(found.transitions, self.scales).factor > MOST_GROWTH
+        return calc_growth(found.transitions, self.scales, MOST_GROWTH).factor > MOST_GROWTH
 
     def estimate_error(self, result: ShootingResult) -> float:
         """Returns the error of a result's steps, against twice as many of order 4, or implicit.

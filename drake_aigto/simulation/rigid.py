@@ -123,6 +123,8 @@ class RigidMotion(HybridMotion):
 
     def _watch(self, closed: Closed, control: Floats) -> OfStates:
         """Returns what is above zero while contacts go on as they do, of states (…, 2 nv)."""
+        if not len(closed.contacts):
+            return lambda x: np.empty((*x.shape[:-1], 0))
         push = closed.calc_push(self.x, control)
         pull = self._calc_pull(closed, push.acceleration)
         # Of contacts that hold each other up without need, some may pull all the while.

@@ -101,7 +101,7 @@ class Growth(LockedArrays, ArrayRecord):
     worst: Floats
 
 
-def calc_growth(transitions: Floats, scales: Floats) -> Growth:
+def calc_growth(transitions: Floats, scales: Floats, least: float = 1.0) -> Growth:
     """Returns how much errors of a motion grow in units of scales.
 
         max over s ≤ t of σ_max(S⁻¹ Φ(t, s) S),    Φ(t, s) = F_{t−1} ⋯ F_s,    S = diag(scales)
@@ -109,9 +109,11 @@ def calc_growth(transitions: Floats, scales: Floats) -> Growth:
     Args:
         transitions: F_k, shape (K, 2n, 2n).
         scales: of q and v, shape (2n,) (`state_scales`).
+        least: if it is more than 1, only whether errors grow by more is found: the factor is this
+            one then, or some larger one.
     """
     size, K = len(scales), len(transitions)
-    growth, most, worst = 1.0, 0.0, np.eye(size)[0]
+    growth, most, worst = least, least if least > 1 else 0.0, np.eye(size)[0]
     products = np.empty((0, size, size))  # From the starts of all parts so far to now.
     with np.errstate(all="ignore"):
         scaled = transitions * scales / scales[:, np.newaxis]
@@ -129,6 +131,8 @@ def calc_growth(transitions: Floats, scales: Floats) -> Growth:
             growth = max(growth, float(sizes[:, 0].max()))
             if rows[0] == 0 and sizes[0, 0] > most:
                 most, worst = float(sizes[0, 0]), axes[0, 0]
+            if growth > least > 1:
+                break
     return Growth(growth, worst * scales)
 
 
