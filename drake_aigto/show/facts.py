@@ -242,9 +242,9 @@ def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
     if replay.simulator == "drake" and isinstance(world, SpaceWorld):
         off = find_touch_error(world, replay.positions)
         if off > _NEAR * candidate.scales.length:
-            shapes = "capsules or meshes"
             return (
-                f"{text}, where Drake finds touches of {shapes} up to {words.length_text(off)} off"
+                f"{text}, where Drake finds touches of capsules or meshes up to "
+                f"{words.length_text(off)} off (--no-confirm leaves Drake out)"
             )
     planned, simulated = veto.first_difference
     if planned == simulated:
