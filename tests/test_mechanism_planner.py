@@ -388,6 +388,18 @@ def test_the_chance_of_a_better_motion_falls_with_every_time_that_the_best_is_fo
         assert search.chance == pytest.approx((1.5 if count == 1 else 0.5) / (count * (count + 1)))
 
 
+def test_how_often_a_motion_is_found_tells_nothing_while_it_saves_less_than_half() -> None:
+    scenario = Scenario.named("spinner/two_radians")
+    search = MechanismSearch(MechanismTask(World.from_scenario(scenario), scenario, QUICK))
+    first, *_ = next(search.propose())
+    for _ in range(8):
+        search.close([first])
+    best, idle = search.motions[0], search.task.coast.cost
+    for part, chance in ((0.45, 0.5 / (8 * 9)), (0.55, 1.0)):
+        search.motions = [dataclasses.replace(best, rank=(False, part * idle))]
+        assert search.found == 8 and search.chance == pytest.approx(chance)
+
+
 @pytest.mark.slow
 def test_a_motion_without_control_that_misses_a_hard_goal_is_no_better_one() -> None:
     scenario = Scenario.named("sliding_block/to_rest")

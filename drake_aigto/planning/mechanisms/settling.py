@@ -10,7 +10,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.errors import ProgramError
-from drake_aigto.planning.candidate import HARDLY, Origin
+from drake_aigto.planning.candidate import Origin
 from drake_aigto.planning.mechanisms.closing import (
     EXACT,
     HOPELESS,
@@ -30,8 +30,8 @@ MOST_RENEWED = 4
 # Motions whose positions differ by no more than this, relative to their scales, have one optimum.
 _NEAR = 0.05
 # Motions that cost at most this times the best are near it, as far as a chance of better ones goes,
-# unless they are hardly better than no control.
-_NEARLY = 1.1
+# if they save this part of what no control costs.
+_NEARLY, _SAVED = 1.1, 0.5
 # Motions that cost more than this times the best are refined only if none of the others holds: in
 # space, where costs fall most, refining takes off up to 72 %, and a polish up to a half.
 _FAR = 10.0
@@ -95,11 +95,12 @@ def calc_chance(motions: Sequence[KeptMotion], searches: int, idle: tuple[bool, 
 
     Of n searches, N came near the best, and s of these found what no other did. So the next comes
     near it with N / n, finds something new there with (s + ½) / N (Good and Turing), and any of
-    those N + 1 is as likely to be the best: (s + ½) / (n (N + 1)). While the best is hardly better
-    than no control, of the rank `idle`, how often that was found tells nothing, and it is 1.
+    those N + 1 is as likely to be the best: (s + ½) / (n (N + 1)). While the best saves less than
+    half of what no control costs, of the rank `idle`, how often that was found tells nothing, and
+    it is 1: what starts have in common may keep them all from what matters.
     """
     misses, cost = motions[0].rank
-    limit = min((misses, scaled(_NEARLY, cost)), (idle[0], idle[1] - HARDLY * abs(idle[1])))
+    limit = min((misses, scaled(_NEARLY, cost)), (idle[0], idle[1] - _SAVED * abs(idle[1])))
     near = [motion.found for motion in motions if motion.rank <= limit]
     return (near.count(1) + 0.5) / (searches * (sum(near) + 1)) if near else 1.0
 
