@@ -46,12 +46,15 @@ _Key = TypeVar("_Key", bound=Hashable)
 
 
 class Order(enum.Enum):
-    """Derivatives of a mean that a tape computes, as parts of the factors' means."""
+    """Derivatives of a mean that a tape computes, as parts of the factors' means, after its value.
 
-    MEAN = ()
-    GRADIENT = (D_C, D_Z)
-    CENTERS = (D_C, D_CC)  # Gradient and Hessian in c alone.
-    BOXES = (D_C, D_Z, D_CC, D_CZ, D_ZZ)
+    Without the value, `MEAN` would be (), which Debian's Python 3.11.2 makes an `object` in enums.
+    """
+
+    MEAN = (VALUE,)
+    GRADIENT = (VALUE, D_C, D_Z)
+    CENTERS = (VALUE, D_C, D_CC)  # Gradient and Hessian in c alone.
+    BOXES = (VALUE, D_C, D_Z, D_CC, D_CZ, D_ZZ)
 
     @property
     def num_unknowns(self) -> int:
@@ -174,7 +177,7 @@ class _Writer:
 
     def _parts(self, factor: Function) -> dict[int, _Scaled]:
         """Returns the value and derivatives of a factor, those left out being 0 or not needed."""
-        needed = VALUE, *self._order.value
+        needed: tuple[int, ...] = self._order.value
         if not _is_power(factor):
             first = self._functions[_evaluated(factor)]
             first += 6 if factor[1] == FunctionKind.SINE else 0
