@@ -63,6 +63,12 @@ def test_a_rigid_block_has_the_exact_optimum_and_how_far_above_it_all_is(plan: P
     assert "Rigid transcription: 1 of 1 plans hold there." in text
 
 
+def test_what_began_at_no_guess_of_the_solver_has_a_dash_before_its_cost(plan: Plan) -> None:
+    best = dataclasses.replace(plan.best, start_cost=None, start_defects={})
+    text = format_table1(Table1((), (rigid_cell(with_best(plan, best), optimum=1e-4),)))
+    assert re.search(r"\n  AIGTO, rigid +- +1\.0e-04 ", text)
+
+
 def test_what_has_no_optimum_or_no_drake_is_not_compared(plan: Plan) -> None:
     text = format_table1(Table1((), (rigid_cell(plan, optimum=1e-30),)))
     assert "exact optimum 0, bounce" in text

@@ -108,7 +108,9 @@ def _method_lines(methods: Iterable[TableMethod]) -> Iterator[str]:
     for method in methods:
         for entry in method.entries:
             run, seconds = entry.candidate, f"{method.seconds:.1f}" if entry is method.best else ""
-            start = f"{run.start_cost:.0e}/{max(run.start_defects.values()):.0e}"
+            start = "-"  # A motion that began elsewhere than at a guess of the solver.
+            if run.start_cost is not None:
+                start = f"{run.start_cost:.0e}/{max(run.start_defects.values()):.0e}"
             cost, defect, *others = _numbers(entry, 1)
             defect += "" if run.is_feasible else "*"
             yield _join((f"  {entry.label}", start, cost, defect, *others, seconds))
