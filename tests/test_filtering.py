@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loops import BALL
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
@@ -26,8 +27,7 @@ from drake_aigto.show import format_run
 from drake_aigto.simulation import EVENT_DRIVEN, HeldControl, tangent_scales
 from drake_aigto.world import Scales
 
-BALL, POLE = Scenario.named("table1/1"), Scenario.named("cart_pole/soft_06")
-BLOCK = Scenario.named("pushed_block/slide")
+POLE, BLOCK = Scenario.named("cart_pole/soft_06"), Scenario.named("pushed_block/slide")
 PERIOD = 0.02
 
 

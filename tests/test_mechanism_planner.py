@@ -378,22 +378,24 @@ def test_a_search_ends_once_its_patience_would_find_less_than_one_better_motion(
     assert chances[-1] < 1 / options.patience <= min(chances[:-1])
 
 
-def test_the_chance_of_a_better_motion_falls_with_every_time_that_the_best_is_found() -> None:
-    scenario = Scenario.named("cart_pole/soft_06")
+def find_again(name: str, count: int) -> Iterator[MechanismSearch]:
+    """Yields a search after each time that it closed its first proposal."""
+    scenario = Scenario.named(name)
     search = MechanismSearch(MechanismTask(World.from_scenario(scenario), scenario, QUICK))
     first, *_ = next(search.propose())
-    for count in range(1, 5):
+    for _ in range(count):
         search.close([first])
+        yield search
+
+
+def test_the_chance_of_a_better_motion_falls_with_every_time_that_the_best_is_found() -> None:
+    for count, search in enumerate(find_again("cart_pole/soft_06", 4), 1):
         assert search.found == search.searches == count
         assert search.chance == pytest.approx((1.5 if count == 1 else 0.5) / (count * (count + 1)))
 
 
 def test_how_often_a_motion_is_found_tells_nothing_while_it_saves_less_than_half() -> None:
-    scenario = Scenario.named("spinner/two_radians")
-    search = MechanismSearch(MechanismTask(World.from_scenario(scenario), scenario, QUICK))
-    first, *_ = next(search.propose())
-    for _ in range(8):
-        search.close([first])
+    *_, search = find_again("spinner/two_radians", 8)
     best, idle = search.motions[0], search.task.coast.cost
     for part, chance in ((0.45, 0.5 / (8 * 9)), (0.55, 1.0)):
         search.motions = [dataclasses.replace(best, rank=(False, part * idle))]
@@ -413,11 +415,7 @@ def test_a_motion_without_control_that_misses_a_hard_goal_is_no_better_one() -> 
 
 @pytest.mark.slow
 def test_a_search_that_found_nothing_but_the_motion_without_control_goes_on() -> None:
-    scenario = Scenario.named("push_circle/round_it")
-    search = MechanismSearch(MechanismTask(World.from_scenario(scenario), scenario, QUICK))
-    first, *_ = next(search.propose())
-    for _ in range(8):
-        search.close([first])
+    *_, search = find_again("push_circle/round_it", 8)
     assert search.found == 8 and search.promise >= 0.99 * search.task.coast.cost
     assert search.chance == 1.0
 

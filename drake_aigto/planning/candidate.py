@@ -48,8 +48,6 @@ NO_CONTROL, COASTING = "no control", "contacts of the motion without control"
 GIVEN, SHOT = "the given guess", "contacts of a shot"
 # A candidate whose rows are off by more than this part of the task's scales is no solution.
 LARGEST_DEFECT = 1e-6
-# What saves at most this part of what the uncontrolled motion costs is hardly better than that.
-HARDLY = 1e-2
 # Changes of velocity below this part of the largest velocity are rounding.
 _ROUNDING = 1e-9
 # Touches closer than this part of the duration count as the same.

@@ -14,7 +14,7 @@ from typing import Any
 from drake_aigto.certify import PlanBound
 from drake_aigto.errors import AigtoError, DamagedDataError, ModelError, PlanFileError
 from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain, write_text
-from drake_aigto.planning.candidate import HARDLY, Candidate, Replays, Veto
+from drake_aigto.planning.candidate import Candidate, Replays, Veto
 from drake_aigto.planning.feedback import Feedback
 from drake_aigto.planning.options import SearchOptions
 from drake_aigto.planning.tracked import confirm_in_drake, perturb, replay_own
@@ -31,6 +31,8 @@ FORMAT_VERSION = 4
 # A plan is not idle where the uncontrolled motion costs at most this part of the task's scale: what
 # its replay adds by rounding.
 _NOTHING = 1e-6
+# What saves at most this part of what the uncontrolled motion costs is hardly better than that.
+_HARDLY = 1e-2
 
 
 @dataclass(frozen=True)
@@ -226,7 +228,7 @@ class Plan:
         if self.best.is_idle:
             return "does nothing"
         saved = self.idle.replay.cost - self.replay.event_driven.cost
-        is_little = saved <= HARDLY * abs(self.idle.replay.cost)
+        is_little = saved <= _HARDLY * abs(self.idle.replay.cost)
         return "hardly better than doing nothing" if is_little and self.holds else ""
 
     @property
