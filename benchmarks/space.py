@@ -66,6 +66,7 @@ WORLDS = (
     "puck/spin",
     "push_tee/to_pose",
     "quadruped/leap_up",
+    "space_hopper/hop",
     "three_fingers/flip",
     "three_fingers/lift",
     "three_fingers/turn",

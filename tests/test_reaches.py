@@ -268,6 +268,22 @@ def test_servos_that_follow_a_line_bring_a_quadruped_to_its_feet_in_drake_too() 
     assert task.idle_candidate().replay.goal_error > 1.0
 
 
+@pytest.mark.slow  # 15 CPU s each, compiled.
+@pytest.mark.parametrize("way", [(0.3, 0.2), (-0.1, 0.3), (0.15, -0.4)])
+def test_a_hopper_hops_to_all_sides_and_stands_upright_in_drake_too(
+    way: tuple[float, float],
+) -> None:
+    plain = Scenario.named("space_hopper/hop").to_plain()
+    asked = Scenario.from_plain({**plain, "goal_position": {"body": {"by": [*way, 0.0]}}})
+    planner = Planner(asked, PlanOptions(starts=4, renewals=0, finalists=1))
+    plan = planner.plan()
+    assert plan.holds and plan.reached
+    for motion in (plan.trajectory, *plan.replay):
+        off = planner.world.subtract(motion.positions[-1], planner.scenario.goal_position)
+        assert np.max(np.abs(off)) < 0.02  # [m, rad]
+    assert max(planner.world.calc_signed_distance(plan.trajectory.positions)[:, 0]) > 0.02  # [m]
+
+
 @pytest.mark.slow
 def test_what_costs_far_more_than_kept_motions_after_wide_passes_is_left_there() -> None:
     task = Planner(Scenario.named("puck/spin")).task
