@@ -97,7 +97,10 @@ def test_dynamics_limits_and_efforts_are_mujocos(name: str) -> None:
     assert compare(found[0], path) < 1e-9
 
 
-WHEELS = ["dm_cheetah/leap", "gymnasium_hopper/hop", "half_cheetah/leap", "walker2d/step"]
+WHEELS = [
+    *("dm_cheetah/leap", "dm_walker/step", "gymnasium_hopper/hop", "half_cheetah/leap"),
+    "walker2d/step",
+]
 
 
 def read_scenario(name: str) -> tuple[SpaceWorld, Scenario, Any]:
