@@ -205,7 +205,8 @@ class Guesses:
         is_still = bool(np.all(moved <= _STILL * self._measures.position))
         others = [each for each in STARTS if each not in {*same, *(["coast"] * is_still)}]
         if self._reaches and len(self._reaches.contacts):
-            return tuple(name for each in others for name in (_PUSH, each))
+            pushes = [_PUSH] * (3 if self.must_carry else 1)  # Nothing else lifts objects.
+            return tuple(name for each in others for name in (*pushes, each))
         return tuple(others)
 
     @property
@@ -348,6 +349,7 @@ class Guesses:
         """Returns the controls of a hand that reaches for an object from a state, and pushes it."""
         assert self._reaches is not None
         width, share = 10 ** rng.uniform(*_NARROW), rng.uniform(*_REACHES)
+        width *= not self.must_carry  # Contact from afar makes hands lose what they carry.
         bounds = np.array(self._problem.control_bounds)
         try:
             controls = self._reaches.push(times, state, share, bounds, rng)

@@ -3,47 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.contact import CompliantLaw
-from drake_aigto.simulation import Compliant, CompliantMotion, Controller, Held
+from drake_aigto.planning.mechanisms.following import Following, Pairs, Stroke
+from drake_aigto.simulation import Compliant, CompliantMotion
 from drake_aigto.world import SpaceWorld, TaskCost
 
-# Configurations of which the one is taken that pushes the object the best way along; powers of ten
-# of their distances from the nearest touch, in units.
-_SAMPLES, _SPREAD = 20, (-1.5, 0.3)
+# Configurations of which the one is taken that pushes the object the best way along, or carries it;
+# powers of ten of their distances from the nearest touch, in units.
+_SAMPLES, _SPREAD = (20, 60), (-1.5, 0.3)
 # Parts of the way to a touch at which it is looked at; prices of collisions there, in units, and of
 # its distance.
 _LOOKS, _COLLISION, _DISTANCE = np.linspace(0.2, 1.0, 5), 3.0, 0.1
 # Parts of an object's way, how much of each a hand may slip, and the part of what is left that a
 # part may be in the direction of it, at least; parts of the way to a touch.
 _PARTS, _SLIP, _LEAST, _ROUND = 16, 0.5, 0.3, np.linspace(0.0, 1.0, 9)
-# A stroke's part of the time that is left, in its part of the way that is.
-_HURRY = 0.5, 1.0
+# A stroke's part of the time that is left, in its part of the way that is; what is carried is held
+# at its goal for the rest.
+_HURRY = (0.5, 1.0), (0.35, 0.8)
 # Newton steps to a touch, the longest in units, how near to its shape they end in theirs, and how
 # near touches are.
 _NEWTON, _LONGEST, _TOUCHES, _NEAR = 12, 0.5, 1e-6, 1e-3
 # Singular values below this part of the largest one are none.
 _SINGULAR = 1e-3
-# Hands that push at once, at most, and that carry; the part of friction that they use.
-_MOST_HANDS, _INSIDE = (2, 3), 0.7
+# Of hands that push, and that carry: how many do at once, at most; the part of friction they use.
+_MOST_HANDS, _INSIDE = (2, 3), (0.7, 0.6)
+# Grasps that carry are chosen by what part of the weight they drop with this part of friction, in
+# some places on the way, at a price; they are tried a few times.
+_SAFE, _PLACES, _FALL, _TRIES = 0.4, 5, 3.0, 4
+# In units: how far off hands keep on their way to them, how high they lift objects, and from how
+# far they have lost them. Forces count by this part of the norm of all their effects.
+_CLEAR, _LIFT, _LOST, _EVEN = 0.1, 0.2, 0.05, 1e-2
 _NOTHING = 1e-300  # No size is below.
-# Hands follow their paths at this frequency, in steps [rad]; the tolerance of their simulation.
-_TRACKING, _TOLERANCE = 0.5, 1e-6
-
-_Pairs: TypeAlias = tuple[int, ...]  # Contacts, by their numbers.
-
-
-class Stroke(NamedTuple):
-    """Positions of hands at knots, (N + 1, nq), which contacts push then, and where it ends."""
-
-    positions: Floats
-    contacts: list[_Pairs]
-    end: int
+_TOLERANCE = 1e-6  # Of the simulation of hands.
 
 
 class _Grasp(NamedTuple):
@@ -55,53 +52,8 @@ class _Grasp(NamedTuple):
 
     most: float
     positions: Floats
-    contacts: _Pairs
+    contacts: Pairs
     is_straight: bool
-
-
-class _Following(Controller):
-    """Drives hands along strokes, by computed torques; `controls` are those that it has held.
-
-    Each stroke begins where those before it have led. While hands push, they have the forces at
-    their touches, too, that best move the object along as asked. What it needs at rest, its weight,
-    they carry where its path leaves the ground, which answers that elsewhere.
-    """
-
-    def __init__(
-        self,
-        reaches: Reaches,
-        times: Floats,
-        share: float,
-        bounds: Floats,
-        rng: np.random.Generator,
-    ) -> None:
-        self.start, self.end = times[[0, -1]].tolist()
-        self.controls = np.zeros((len(times) - 1, reaches.world.num_actuators))
-        self._reaches, self._times, self._share = reaches, times, share
-        self._bounds, self._rng = bounds, rng
-        self._begin, self._stroke = 0, Stroke(np.empty(0), [()], 0)
-
-    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
-        world, row = self._reaches.world, int(np.searchsorted(self._times, time, side="right")) - 1
-        (q, v), h = world.split(x), self._times[row + 1] - self._times[row]
-        if row >= self._begin + self._stroke.end:
-            left, last = len(self._times) - 1 - row, self._stroke.contacts[self._stroke.end - 1]
-            self._begin = row
-            self._stroke = self._reaches.find_stroke(q, left, self._share, self._rng, last)
-        k, (positions, contacts, _) = row - self._begin, self._stroke
-        pace = _TRACKING / h
-        speed = world.subtract(positions[k + 1], positions[k]) / h
-        asked = pace**2 * world.subtract(positions[k], q) + 2 * pace * (speed - v)
-        # Springs and dampers of servos, stiffer than steps resolve, are those at the step's end.
-        then = v + h * asked
-        bias = world.calc_bias(world.add(q, h * then), then)
-        force = world.calc_mass_matrix(q) @ asked + bias
-        if contacts[k]:
-            is_carried = self._reaches.must_carry and self._reaches.is_carried(positions[k + 1])
-            weight = world.calc_bias(q, 0 * v) * (not is_carried)
-            force -= self._reaches.calc_push(q, force - weight, contacts[k])[0]
-        self.controls[row] = np.clip(world.inverse_actuation @ force, *self._bounds)
-        return Held(self.controls[row], float(self._times[row + 1]))
 
 
 def _find_edges(normal: Floats, friction: float) -> Floats:
@@ -109,7 +61,7 @@ def _find_edges(normal: Floats, friction: float) -> Floats:
     if friction == 0:
         return normal[np.newaxis]
     across = np.linalg.svd(normal[np.newaxis])[2][1:]
-    return normal + _INSIDE * friction * np.vstack([across, -across])
+    return normal + friction * np.vstack([across, -across])
 
 
 class Reaches:
@@ -128,10 +80,14 @@ class Reaches:
     so that what hands do to the object is what contact does, and the next one begins where this
     led to: at touches sought anew, or of an object that would fall if they let go at the same ones.
 
+    What hands must carry they lift at once, and take straight to its goal. Touches roll on what
+    turns: those are best that carry its weight all of its way, with a small part of friction.
+
     Attributes:
         world: has hands and objects.
         contacts: of hands with objects that have a goal.
         must_carry: whether hands alone hold objects at their goal.
+        hand_unit: units of hands' positions, 0 of others, shape (nv,).
     """
 
     def __init__(
@@ -147,6 +103,7 @@ class Reaches:
         self._limits, self._duration = limits, duration
         self.world, self._law, self._cost, self._unit = world, law, cost, unit
         self._driven = np.any(world.actuation != 0, axis=1)
+        self.hand_unit = unit * self._driven
         self._length = float(np.max(unit[~world.turns], initial=0.0)) or float(np.max(unit))
         weights = cost.QT.diagonal() if cost.QT.any() else np.ones(len(unit))
         self._root = np.where(self._driven, 0.0, np.sqrt(weights))
@@ -174,18 +131,21 @@ class Reaches:
         """Returns controls (N, nu) of a hand that from q and v reaches for an object, and pushes.
 
         Hands reach in a share of the time to the last knot, of (N + 1,) [s], and push in the rest.
-        Bounds of controls are (2, nu).
+        Bounds of controls are (2, nu). If hands lose what they carry, they try anew, a few times.
 
         Raises:
             TrajectoryError: the motion runs away.
         """
-        follows = _Following(self, times, share, bounds, rng)
-        dynamics = Compliant(self.world, self._law)
-        CompliantMotion(dynamics, state, float(times[0]), _TOLERANCE).run(follows)
-        return follows.controls
+        dynamics, tried = Compliant(self.world, self._law), list[Following]()
+        for _ in range(_TRIES if self.must_carry else 1):
+            tried.append(Following(self, times, share, bounds, rng))
+            CompliantMotion(dynamics, state, float(times[0]), _TOLERANCE).run(tried[-1])
+            if tried[-1].is_done:
+                break
+        return max(tried, key=lambda each: each.end).controls
 
     def find_stroke(
-        self, start: Floats, count: int, share: float, rng: np.random.Generator, last: _Pairs = ()
+        self, start: Floats, count: int, share: float, rng: np.random.Generator, last: Pairs = ()
     ) -> Stroke:
         """Returns a stroke from q at the start (nq,), within a count of even steps of time.
 
@@ -202,12 +162,18 @@ class Reaches:
             pushed, by = self._reach(start, size, rng)
         if len(pushed) < 2 or count < 2:
             return Stroke(path, contacts, count)
-        end = count * rng.uniform(*_HURRY) * (1 - self._measure(self._find_way(pushed[-1])) / size)
+        end = (
+            count
+            * rng.uniform(*_HURRY[self.must_carry])
+            * (1 - self._measure(self._find_way(pushed[-1])) / size)
+        )
         then = int(np.clip(np.ceil(end), 2, count))
         middle = 1 if held else int(np.clip(share * then, 1, then - 1))
         reached = self.world.add(start, np.outer(_ROUND, self.world.subtract(pushed[0], start)))
+        clear = np.outer(_ROUND * (1 - _ROUND), np.ones(len(self._moved)))
+        clear *= 4 * _CLEAR * self._length * self.must_carry
         for row in range(1, len(reached) - 1):  # Out of what hands would run into.
-            reached[row] = self._move_out(reached[row], self._moved, np.zeros(1), self._driven)
+            reached[row] = self._move_out(reached[row], self._moved, clear[row], self._driven)
         for rows, first, after in ((reached, 0, middle), (np.array(pushed), middle, then)):
             s = np.clip(np.arange(count + 1 - first) / (after - first), 0.0, 1.0)
             at = s * s * (3 - 2 * s) * (len(rows) - 1)
@@ -216,6 +182,11 @@ class Reaches:
             path[first:] = self.world.add(rows[k], part)
         contacts[middle:then] = [by] * (then - middle)
         return Stroke(path, contacts, then)
+
+    def is_lost(self, q: Floats, contacts: Pairs) -> bool:
+        """Returns whether some contacts that should touch are far from it."""
+        distances = self.world.calc_signed_distance(q)[list(contacts)]
+        return bool(np.any(distances > _LOST * self._length))
 
     def is_carried(self, q: Floats) -> bool:
         """Returns whether objects have weight, and hands alone may touch them."""
@@ -241,27 +212,49 @@ class Reaches:
             over = self.world.calc_signed_distance(q)[among] - least
             if np.min(over, initial=0.0) > -_NEAR * self._length:
                 break
-            q = self._touch(q, (int(among[np.argmin(over)]),), driven)
+            nearest = int(np.argmin(over))
+            q = self._touch(q, (int(among[nearest]),), driven, float(least[nearest]))
         return q
 
-    def calc_push(self, q: Floats, wanted: Floats, contacts: _Pairs) -> tuple[Floats, float]:
+    def calc_push(
+        self, q: Floats, wanted: Floats, contacts: Pairs, is_safe: bool = False
+    ) -> tuple[Floats, float]:
         """Returns Jᵀ f of contacts that comes nearest to a generalized force on objects.
 
         It is nearest in accelerations by the roots of their weights, with forces f within cones of
-        friction, of four edges each. The second result is how far off it is there.
+        a part of friction, of four edges each. What carries is nearest in M⁻¹, as it can not turn
+        objects at any price, and has small forces, which do not jump as hands move. The second
+        result is how far off it is there.
         """
         _, normals, jacobians = self.world.relate(q)
-        edges = np.vstack(
-            [_find_edges(normals[i], self._law.friction[i]) @ jacobians[i] for i in contacts]
-        )
-        by_force = self._root[:, np.newaxis] * np.linalg.inv(self._calc_inertia(q))
-        by_force *= ~self._driven
-        shares, off = scipy.optimize.nnls(by_force @ edges.T, by_force @ wanted)
+        part = _SAFE if is_safe else _INSIDE[self.must_carry]
+        cones = (_find_edges(normals[i], part * self._law.friction[i]) for i in contacts)
+        edges = np.vstack([each @ jacobians[i] for each, i in zip(cones, contacts, strict=True)])
+        by_force = np.linalg.inv(self._calc_inertia(q))
+        if self.must_carry:
+            by_force = np.linalg.cholesky(by_force).T * (self._root > 0)
+        else:
+            by_force *= self._root[:, np.newaxis] * ~self._driven
+        rows, wanted = by_force @ edges.T, by_force @ wanted
+        if self.must_carry:
+            rows = np.vstack([rows, _EVEN * np.linalg.norm(rows) * np.eye(len(edges))])
+            wanted = np.append(wanted, np.zeros(len(edges)))
+        shares, off = scipy.optimize.nnls(rows, wanted)
         return edges.T @ shares, float(off)
 
-    def _draw_contacts(self, rng: np.random.Generator) -> _Pairs:
+    def _calc_fall(self, pushed: Sequence[Floats], contacts: Pairs) -> float:
+        """Returns the part of objects' weight that contacts drop, the mean of places on a way."""
+        parts, still = list[float](), np.zeros(len(self._unit))
+        for q in (pushed[k] for k in np.linspace(0, len(pushed) - 1, _PLACES).astype(int)):
+            weight = self.world.calc_bias(q, still) * ~self._driven
+            whole = np.sqrt(weight @ np.linalg.solve(self._calc_inertia(q), weight))
+            parts.append(self.calc_push(q, weight, contacts, True)[1] / max(whole, _NOTHING))
+        return float(np.mean(parts))
+
+    def _draw_contacts(self, rng: np.random.Generator) -> Pairs:
         """Returns contacts of one hand, or of several that move independently."""
-        drawn, most = list[int](), int(rng.integers(1, 1 + _MOST_HANDS[self.must_carry]))
+        drawn, most = list[int](), _MOST_HANDS[self.must_carry]
+        most = int(rng.integers(1 + self.must_carry, 1 + most))
         moved = np.zeros(len(self._unit), dtype=bool)
         for contact in rng.permutation(self.contacts):
             if len(drawn) < most and not np.any(moved & self._hands[contact]):
@@ -271,12 +264,12 @@ class Reaches:
 
     def _reach(
         self, start: Floats, size: float, rng: np.random.Generator
-    ) -> tuple[list[Floats], _Pairs]:
+    ) -> tuple[list[Floats], Pairs]:
         """Returns positions of touches that push the object far to its goal, part by part.
 
         Also returns their contacts. The object's way is this long, at least.
         """
-        best = -np.inf, list[Floats](), _Pairs()
+        best = -np.inf, list[Floats](), Pairs()
         grasps = sorted(self._draw_grasps(start, size, rng), key=lambda each: -each.most)
         for most, q, contacts, is_straight in grasps:
             if most <= best[0]:
@@ -289,15 +282,23 @@ class Reaches:
     def _draw_grasps(
         self, start: Floats, size: float, rng: np.random.Generator
     ) -> Iterator[_Grasp]:
-        """Yields random ones; the object's way is this long, at least."""
+        """Yields random ones; the object's way is this long, at least.
+
+        Most of those that carry are near the best one so far.
+        """
         world, way = self.world, self._find_way(start)
         nearest = np.minimum(world.calc_signed_distance(start), 0.0)
-        found: dict[_Pairs, Floats] = {}
-        for _ in range(_SAMPLES):
+        found: dict[Pairs, Floats] = {}
+        best: tuple[float, Floats, Pairs] | None = None
+        for _ in range(_SAMPLES[self.must_carry]):
             contacts, is_straight = self._draw_contacts(rng), bool(rng.integers(2))
+            is_straight |= self.must_carry
             if contacts not in found:
                 found[contacts] = self._touch(start, contacts, self._driven)
-            q = self._draw_pose(found[contacts], contacts, rng)
+            near = found[contacts]
+            if self.must_carry and best and rng.integers(4):
+                _, near, contacts = best
+            q = self._draw_pose(near, contacts, rng)
             q = self._touch(q, contacts, self._driven)
             there = world.subtract(q, start)
             distances = world.calc_signed_distance(world.add(start, np.outer(_LOOKS, there)))
@@ -306,11 +307,17 @@ class Reaches:
                 inside = float(np.sum(np.minimum(distances - nearest, 0.0)))
                 most = 1 + _COLLISION * inside / self._length
                 most -= _DISTANCE * float(np.linalg.norm(there / self._unit))
-                if is_straight:
+                if self.must_carry:
+                    pushed = self._follow(q, size / _PLACES, contacts, True)
+                    most -= _FALL * self._calc_fall(pushed, contacts)
+                    rank = most - self._measure(self._find_way(pushed[-1])) / size
+                    if best is None or rank > best[0]:
+                        best = rank, q, contacts
+                elif is_straight:
                     most -= self.calc_push(q, self._calc_inertia(q) @ way, contacts)[1] / size
                 yield _Grasp(most, q, contacts, is_straight)
 
-    def _draw_pose(self, q: Floats, contacts: _Pairs, rng: np.random.Generator) -> Floats:
+    def _draw_pose(self, q: Floats, contacts: Pairs, rng: np.random.Generator) -> Floats:
         """Returns random positions of contacts' hands: near some, or within limits of joints."""
         size = 10 ** rng.uniform(*_SPREAD) * self._unit
         moved = size * rng.normal(size=len(size))
@@ -320,13 +327,14 @@ class Reaches:
             moved[is_limited] = rng.uniform(*self._limits[:, is_limited]) - at[is_limited]
         return self.world.add(q, moved * np.any(self._hands[list(contacts)], axis=0))
 
-    def _follow(self, q: Floats, part: float, contacts: _Pairs, is_straight: bool) -> list[Floats]:
+    def _follow(self, q: Floats, part: float, contacts: Pairs, is_straight: bool) -> list[Floats]:
         """Returns positions from some on while hands stick to an object that goes to its goal.
 
         It goes straight, but round what is no hand, or as near to that as these contacts can push.
         """
         pushed, world, among = [q], self.world, self._supports
         least = np.minimum(world.calc_signed_distance(q)[among], 0.0)
+        whole = max(self._measure(self._find_way(q)), _NOTHING)
         while len(pushed) <= 2 * _PARTS:
             way = self._find_way(pushed[-1])
             left = self._measure(way)
@@ -340,7 +348,10 @@ class Reaches:
                 break
             way = way * min(1.0, part / size)
             if is_straight and self.must_carry:
-                there = self._move_out(world.add(pushed[-1], way), among, least, ~self._driven)
+                # It is lifted at once, and set down in the end.
+                above = _LIFT * self._length * np.sin(np.pi * min(1.0, 1.1 - left / whole))
+                there = world.add(pushed[-1], way)
+                there = self._move_out(there, among, least + above, ~self._driven)
                 way = world.subtract(there, pushed[-1])
             then = self._stick(pushed[-1], way, contacts)
             if then is None:
@@ -348,11 +359,11 @@ class Reaches:
             pushed.append(then)
         return pushed
 
-    def _touch(self, q: Floats, contacts: _Pairs, driven: Bools) -> Floats:
-        """Returns positions in which contacts touch, by Newton steps from others, one by one."""
+    def _touch(self, q: Floats, contacts: Pairs, driven: Bools, distance: float = 0.0) -> Floats:
+        """Returns positions in which contacts are at a distance, by Newton steps, one by one."""
         for contact in contacts:
             for _ in range(_NEWTON):
-                off = float(self.world.calc_signed_distance(q)[contact])
+                off = float(self.world.calc_signed_distance(q)[contact]) - distance
                 if abs(off) < _TOUCHES * self._length:
                     break
                 J = self.world.calc_contact_jacobian(q)[contact] * driven
@@ -363,13 +374,19 @@ class Reaches:
                 q = self.world.add(q, -self._find_excess(q))
         return q
 
-    def _stick(self, q: Floats, way: Floats, contacts: _Pairs) -> Floats | None:
-        """Returns positions in which the object has moved, and hands with it; None: they can't."""
+    def _stick(self, q: Floats, way: Floats, contacts: Pairs) -> Floats | None:
+        """Returns positions in which the object has moved, and hands with it; None: they can't.
+
+        What is carried may turn far: slopes are those of the middle of the way, then.
+        """
         rows, (distances, normals, jacobians) = list(contacts), self.world.relate(q)
         gaps = normals[rows] * distances[rows, np.newaxis]
-        J = jacobians[rows].reshape(-1, len(way))
-        off, by_hand = J @ way + gaps.ravel(), J * (self._unit * self._driven)
-        moved = np.linalg.lstsq(by_hand, -off, rcond=_SINGULAR)[0]
+        for is_last in (False, True)[not self.must_carry :]:
+            J = jacobians[rows].reshape(-1, len(way))
+            off, by_hand = J @ way + gaps.ravel(), J * self.hand_unit
+            moved = np.linalg.lstsq(by_hand, -off, rcond=_SINGULAR)[0]
+            if not is_last:
+                jacobians = self.world.relate(self.world.add(q, (way + self._unit * moved) / 2))[2]
         slip = np.linalg.norm(by_hand @ moved + off)
         q = self.world.add(q, way + self._unit * moved)
         is_far = np.max(np.abs(moved)) > _LONGEST or slip > _SLIP * np.linalg.norm(off)
