@@ -61,9 +61,10 @@ def main() -> int:
 
 def build_wheel(folder: str) -> Path:
     """Returns a wheel with machine code of all scenarios, in a folder."""
-    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder]
+    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation"]
     environment = {**os.environ, "DRAKE_AIGTO_MACHINE_CODE": "all"}
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env=environment)
+    command += ["--quiet", "--wheel-dir", folder, "."]
+    subprocess.run(command, check=True, env=environment)
     (wheel,) = Path(folder).glob("*.whl")
     return wheel
 
