@@ -283,6 +283,24 @@ def test_a_trace_in_steps_that_are_too_long_runs_away_without_an_error() -> None
     assert not np.all(np.isfinite(end))
 
 
+def test_what_has_left_a_wall_is_not_held_in_the_air() -> None:
+    """Within an interval, a push may lead off a wall and back to it: no force acts meanwhile."""
+    world, law, h = build("pendulum"), RigidLaw(np.ones(1)), 0.01
+    q = np.array([-np.pi / 6])
+    assert world.calc_signed_distance(q)[0] == pytest.approx(0.0, abs=1e-12)
+    J = world.calc_contact_jacobian(q)[0]
+    u = np.array([-10.0 * np.sign(J)])  # Into the wall.
+    rests, away = np.concatenate([q, [0.0]]), np.concatenate([q + 0.1 * np.sign(J), [0.0]])
+    rates = find_rates(world, law, rests[np.newaxis], u, np.full((1, 1), Mode.OPEN))
+    held, pushed = integrate_rates(rates, rests[np.newaxis], np.array([h]), 4)
+    np.testing.assert_allclose(held[0], rests, atol=1e-9)
+    assert pushed[0, 0] > 0
+    flown, pushed = integrate_rates(rates, away[np.newaxis], np.array([h]), 4)
+    acceleration = world.calc_acceleration(away[:1], away[1:], u[0])
+    np.testing.assert_allclose(flown[0, 1], h * acceleration[0], rtol=1e-2)
+    assert pushed[0, 0] == 0
+
+
 Array = npt.NDArray[np.float64]
 
 WORLDS = ["point mass", "floor", "corridor", "room", "room_with_block", "two_masses"]

@@ -255,3 +255,10 @@ def test_motions_in_a_longer_horizon_rest_at_the_goal_or_wait_first(
     search = MechanismSearch(task)
     search.explore()
     assert search.motions[0].cost < most
+
+
+def test_discs_push_each_other_as_far_as_it_takes_and_the_plan_holds() -> None:
+    options = PlanOptions(confirm=False, finalists=1)
+    plan = Planner(Scenario.named("two_discs/swap"), options).plan()
+    assert plan.holds
+    assert plan.cost < 114  # The best bounce costs 119.07.

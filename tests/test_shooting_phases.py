@@ -25,7 +25,7 @@ from drake_aigto.contact import (
     make_mechanics_memory,
 )
 from drake_aigto.errors import ProgramError
-from drake_aigto.planning import PlanOptions, add_impulses, replay_at_knots, trace
+from drake_aigto.planning import PlanOptions, add_impulses, keep_off, replay_at_knots, trace
 from drake_aigto.shooting import Phases, ShootingOptions, ShootingProblem, ShootingResult, Smoothing
 from drake_aigto.show import format_plan
 from drake_aigto.simulation import confirms, replay_drake, replay_event_driven, set_stiffness
@@ -126,6 +126,23 @@ def test_a_pendulum_meets_its_wall_at_a_knot_and_stays_in_front_of_it() -> None:
     assert result.phases.durations.sum() == pytest.approx(TOTAL, abs=1e-3)
     again = problem.starting_from(result).simulate(result.controls, 1)
     np.testing.assert_array_equal(again.states, result.states)
+
+    exact = problem.restore(result)
+    assert exact.violation < 1e-11 < result.violation  # For what that takes, and hardly more.
+    size = np.linalg.norm(result.controls)
+    assert np.linalg.norm(exact.controls - result.controls) < 100 * result.violation * size
+    assert exact.cost == pytest.approx(result.cost, rel=100 * result.violation)
+
+
+def test_what_dips_into_a_wall_just_before_it_bounces_is_lifted_off_it() -> None:
+    hit, never = np.zeros(1, dtype=np.int64), np.zeros((2, 1), dtype=np.bool_)
+    phases = Phases(hit, np.array([2]), np.ones(2), (TOTAL, TOTAL), never)
+    problem = pose(ball(), [1.0], [1.0], phases, 4)
+    motion = problem.simulate(np.array([[-8.0], [16.0], [0.0], [0.0]]), 1)  # At the wall twice.
+    kept = keep_off(ball(), problem, motion, 0.01)
+    assert kept is not None
+    assert kept.clearances is not None
+    np.testing.assert_allclose(kept.clearances[:3, 0], [0.0, 0.51, 0.0], atol=1e-12)
 
 
 def test_a_face_of_a_box_is_touched_where_it_is_and_not_beyond_its_edge() -> None:
@@ -415,6 +432,10 @@ def test_what_slides_along_a_wall_without_a_push_keeps_its_energy() -> None:
         )
     np.testing.assert_allclose(energies, energies[0], rtol=1e-7)
     np.testing.assert_allclose(world.calc_signed_distance(states[:, :n])[:, 0], 0.0, atol=1e-7)
+    back = replace(problem, start=np.concatenate([q, -v]))
+    coarse = back.simulate(np.zeros((20, 1)), substeps=1)
+    assert world.calc_signed_distance(coarse.states[-1, :n])[0] < -1e-10
+    assert coarse.violation == 0.0  # It drifts by the error of steps, which no control can change.
 
 
 def test_phases_that_hold_what_is_not_there_are_refused() -> None:

@@ -26,6 +26,9 @@ from drake_aigto.world import Limits, Scales, Scenario, TaskCost, World
 
 # Transitions that differ by this part are those of the motion; with more steps none is sought.
 _AGREE, _MOST_SUBSTEPS = 0.1, 512
+# Bounds alone are met with this penalty: with 1e4 times as much, some motions went far off for what
+# they can hardly change; with 1e-4 of it, bounds were met to 1e-8 only. Steps end at 1e-12.
+_MET = ShootingOptions((Smoothing(0.0, 12, 1e-26),), penalty=1e-4, multiplier_updates=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +111,26 @@ class ShootingProblem(OptimalControlProblem):
         """
         options = ShootingOptions((Smoothing(smoothing, 1, 1.0),), substeps, order)
         return self._start(controls, None, options).finish()
+
+    def restore(self, motion: ShootingResult) -> ShootingResult:
+        """Returns a motion that meets bounds at knots to rounding, as near a given one as it takes.
+
+        Gauss-Newton steps for the violations alone, damped in units of controls' scales, converge
+        quadratically. Multipliers do only as far as expansions have all curvature, and motions that
+        nearly meet their bounds cost nearly as much wherever they are changed to meet them.
+        """
+        options = replace(_MET, substeps=motion.substeps, order=motion.order)
+        question = self.starting_from(motion)
+        program = question.make_program(options)
+        weights, factors = ("control", "running", "final"), 0 * program.added.factors
+        task = program.task._replace(**{each: 0 * getattr(program.task, each) for each in weights})
+        added = program.added._replace(factors=factors)
+        program = program._replace(task=task, added=added)
+        met = ShootingRun(question, program, motion.controls, None, options).run()
+        steps, order = motion.substeps, motion.order
+        found = question.starting_from(met).simulate(met.controls, steps, order=order)
+        count, prices = motion.iterations + met.iterations, motion.prices
+        return replace(found, iterations=count, prices=prices, is_converged=motion.is_converged)
 
     def linearize(
         self,

@@ -194,11 +194,20 @@ def _bound_distances(problem: OptimalControlProblem, layout: StageLayout) -> Flo
         most = np.min(edges, axis=1, initial=np.inf)
         beside = np.isfinite(most) & ~touching
         bounds[0, :-1][layout.held] = -np.inf
+        bounds[0][_find_ends(layout)] = -np.inf  # Held contacts drift by the error of steps.
         bounds[0][beside], bounds[1][beside] = -np.inf, most[beside]
         bounds[:, hit, layout.kinds[hit]] = 0.0
     if problem.least_distances is not None and m:
         bounds[0] = np.maximum(bounds[0], problem.least_distances)
     return bounds
+
+
+def _find_ends(layout: StageLayout) -> Bools:
+    """Returns which contacts were held until a knot, shape (K + 1, m)."""
+    ends = np.zeros((len(layout.kinds) + 1, layout.held.shape[1]), dtype=np.bool_)
+    for k, kind in enumerate(layout.kinds):
+        ends[k + 1] = layout.held[k] if kind == FLOW else ends[k]
+    return ends
 
 
 def _bound_controls(problem: OptimalControlProblem, layout: StageLayout) -> Floats:

@@ -33,6 +33,8 @@ from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import RESTITUTION, Touch, TouchSequence
 from drake_aigto.world import World
 
+# Next to a bounce, what is inside by less than 10 % of the margin may be the error of cubics.
+_INSIDE = 1.1
 # Times between two knots at which distances of walls are checked, as parts of a step.
 _LOOKS = np.linspace(0.0, 1.0, 9)[1:-1]
 
@@ -112,8 +114,8 @@ def find_grazes(world: World, motion: ShootingResult, speed: float) -> list[int]
 def find_lacks(world: World, motion: ShootingResult, margin: float) -> Floats:
     """Returns by how much φ should be larger at knots, (N + 1, m), to keep a margin between them.
 
-    It is at least 0, the same for all faces of a solid, and 0 next to a bounce on it, and from the
-    start to where a motion first leaves it by the margin.
+    It is at least 0, the same for all faces of a solid, and 0 from the start to where a motion
+    first leaves it by the margin, and next to a bounce on it, where that is not inside.
     """
     _, positions = _look_between(world, motion)
     distances = world.calc_signed_distance(positions)
@@ -133,7 +135,8 @@ def find_lacks(world: World, motion: ShootingResult, margin: float) -> Floats:
         ends = [0, *motion.phases.knots.tolist(), N]
         for phase in along.tolist():
             is_touched[ends[phase] : ends[phase + 1] + 1, faces] = True
-    lacks[is_touched[1:] | is_touched[:-1]] = 0.0
+    count = is_touched[1:].astype(int) + is_touched[:-1]
+    lacks[(count == 2) | ((count == 1) & (lacks < _INSIDE * margin))] = 0.0
     found = np.zeros((N + 1, m))
     found[:-1] = lacks
     found[1:] = np.maximum(found[1:], lacks)
@@ -218,8 +221,10 @@ _EXACT, _MOST_SUBSTEPS = 1e-4, 16
 # The best impact with friction is often at the edge of its mode. Steps toward it pass the edge, and
 # with a high penalty none of them would be accepted.
 _GENTLE = 1e2
-# Multipliers soon meet walls to rounding; until they do, more steps a pass creep along them.
-_SETTLED = ShootingOptions((Smoothing(0.0, 10, 1e-9),), multiplier_updates=24, feasibility=1e-11)
+# Before walls are met to rounding, the optimum is found more exactly, in two passes.
+_SETTLED = dataclasses.replace(
+    FINE, rungs=(Smoothing(0.0, 20, 1e-9),), multiplier_updates=1, feasibility=1e-8
+)
 # Walls are met to rounding in Runge-Kutta steps whose error is at most this part of the scales.
 _TRUE = 1e-7
 # A motion is steady if other steps move its end by less than this part of its scales.
@@ -332,10 +337,14 @@ class PhasedTask(MechanismTask):
         options = dataclasses.replace(_SETTLED, substeps=substeps, most_promised=most)
         is_other = substeps != motion.substeps
         states = motion.states if is_other and problem.is_unstable(motion) else None
-        settled = problem.solve(motion.controls, states, options, motion.prices)
+        prices = np.append(options.penalty * problem.cost_scale, motion.prices[1:])
+        settled = problem.solve(motion.controls, states, options, prices)
+        if settled.is_left:
+            return settled
+        settled = problem.restore(settled)
         costs_as_much = self.price(settled) <= scaled(FAR, self.price(motion))
         is_better = settled.violation < motion.violation and costs_as_much
-        return settled if settled.is_left or is_better else motion
+        return settled if is_better else motion
 
     def pose_phases(
         self, times: Floats, phases: Phases, clearances: Floats | None = None

@@ -13,7 +13,6 @@ from drake_aigto.planning.candidate import ChangeName
 from drake_aigto.planning.mechanisms.closing import COARSE, Aim, begin_at
 from drake_aigto.planning.mechanisms.guesses import Guess
 from drake_aigto.planning.mechanisms.phased_task import (
-    FAR,
     FINE,
     SLOW,
     Dip,
@@ -54,6 +53,8 @@ _UNPOLISHED = 1.2  # A polish may lower costs by up to this factor.
 # A polish that raised the cost by more than this factor ended at another optimum; while walls are
 # cleared, and met to rounding, it falls by up to the second.
 _OTHER, _UNSETTLED = 1.01, 1.01
+# Bounces at the lowest speed that phases allow, to rounding, would rather be slower: they graze.
+_GRAZING = 1.001
 _COARSE = ShootingOptions(rungs=(Smoothing(0.0, 40, 1e-3),), multiplier_updates=4)
 _FIRST = dataclasses.replace(_COARSE, multiplier_updates=0)
 # With friction, motions that cost more than this times the best are left unfinished. Of 185
@@ -224,22 +225,30 @@ class RigidMechanismTask(PhasedTask):
         """
         num_steps = self.scenario.num_steps
         motion = dataclasses.replace(motion, is_left=False)  # The search left it, not the polish.
-        grazes = find_grazes(self.world, motion, SLOW * self.measures.speed)
-        touches = tuple(each for i, each in enumerate(motion.touches) if i not in grazes)
-        is_as_is = not grazes and len(motion.controls) == num_steps
+        touches = self._drop_grazes(motion)
+        is_as_is = len(touches) == len(motion.touches) and len(motion.controls) == num_steps
         limit = scaled(_UNSETTLED, most)
         first = motion if is_as_is else self.shoot_phases(touches, motion, num_steps, FINE, limit)
         found = self.with_depth(self.refine_phases(first, most=limit))
         clearances = self._no_clearances(found)
         if self._has_corners and not found.is_left:  # It may only have cut one.
             found, clearances = self._clear(found, clearances)
-        if scaled(_OTHER, self.price(motion)) < self.price(found) and self.price(motion) < most:
+        if len(left := self._drop_grazes(found)) < len(found.touches):
+            passing = self.shoot_phases(left, found, num_steps, FINE, limit)
+            passing = self.with_depth(self.refine_phases(passing, most=limit))
+            passing, lifts = self._clear(passing, self._no_clearances(passing))
+            if self.price(passing) <= scaled(_OTHER, self.price(found)):
+                found, clearances = passing, lifts
+        promised = self.price(motion)
+        if scaled(_OTHER, promised) < self.price(found) and promised < most:
             # That is another optimum, because of other steps or of a graze left out.
-            wary = self.shoot_phases(touches, motion, num_steps, FINE.wary, limit)
-            others = [self.refine_phases(wary, is_wary=True, most=limit)]
+            tried = [found]
             if not is_as_is:
-                others.append(self.refine_phases(motion, most=limit))
-            tried = found, *map(self.with_depth, others)
+                tried.append(self.with_depth(self.refine_phases(motion, most=limit)))
+            if scaled(_OTHER, promised) < self.price(tried[-1]):
+                wary = self.shoot_phases(touches, motion, num_steps, FINE.wary, limit)
+                wary = self.refine_phases(wary, is_wary=True, most=limit)
+                tried.append(self.with_depth(wary))
             best = min(tried, key=lambda each: (each.is_left, self.rank(each)))
             if best is not found:
                 found, clearances = best, self._no_clearances(best)
@@ -247,6 +256,11 @@ class RigidMechanismTask(PhasedTask):
             return found
         found, clearances = self._clear(found, clearances)
         return self.with_depth(self.settle_phases(found, clearances, most))
+
+    def _drop_grazes(self, motion: ShootingResult) -> TouchSequence:
+        """Returns the touches of a motion without its grazes."""
+        grazes = find_grazes(self.world, motion, _GRAZING * SLOW * self.measures.speed)
+        return tuple(each for i, each in enumerate(motion.touches) if i not in grazes)
 
     def _no_clearances(self, motion: ShootingResult) -> Floats:
         return np.zeros((len(motion.times), self.world.num_contacts))
@@ -259,7 +273,7 @@ class RigidMechanismTask(PhasedTask):
             if not np.isfinite(found.cost) or np.max(lacks) < margin / 2:
                 break
             lifted = self.with_depth(self.refine_phases(found, clearances + lacks))
-            if self.price(lifted) > scaled(FAR, self.price(found)):
+            if self.price(lifted) > scaled(_OTHER, self.price(found)):
                 break
             found, clearances = lifted, clearances + lacks
         return found, clearances

@@ -32,12 +32,15 @@ _STEPS, _MOST_STEPS, _EXACT = 32, 512, 1e-8
 _PARTS, _MOST_PARTS, _CLOSE = 8, 64, 1e-7
 # Distances and speeds below this part of the largest coordinate, or 1, count as zero.
 _STILL = 1e-10
+# What rests is off by less than this part of them at starts of steps: farther off, it has left.
+_LEFT = 1e-8
 
 # Largest speed of a bounce as rest begins, as a part of the largest coordinate, or 1.
 _SLOW = 1e-3
 
-# States (K, 2n) → their rates of change, and the forces of contacts, shape (K, m) [N].
-Rates: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
+# States (K, 2n) → their rates of change, and the forces of contacts, shape (K, m) [N]. Within a
+# step, with the forces at its start: contacts without any are open.
+Rates: TypeAlias = Callable[[Floats, Floats | None], tuple[Floats, Floats]]
 
 
 def trace(
@@ -131,12 +134,18 @@ def find_rates(world: World, law: RigidLaw, x: Floats, controls: Floats, modes: 
     is_smooth = law.friction == 0
     slides = is_closed(world, x[:, :n], x[:, n:], _STILL) & is_smooth
     modes = np.where(is_smooth, np.where(slides, Mode.FORWARD, Mode.OPEN), modes)
-    kinds = np.unique(modes, axis=0)
 
-    def rigid(x: Floats) -> tuple[Floats, Floats]:
+    def rigid(x: Floats, before: Floats | None) -> tuple[Floats, Floats]:
         rates, forces = free(x)
+        some, now = np.flatnonzero((modes != Mode.OPEN).any(axis=1)), modes.copy()
+        if before is None:
+            is_left = ~is_closed(world, x[some, :n], x[some, n:], _LEFT)
+        else:
+            is_left = before[some] == 0
+        now[some] = np.where(is_smooth & is_left, Mode.OPEN, now[some])
+        kinds = np.unique(now, axis=0)
         for kind in kinds[(kinds != Mode.OPEN).any(axis=1)]:
-            rows = np.flatnonzero((modes == kind).all(axis=1) & np.isfinite(x).all(axis=1))
+            rows = np.flatnonzero((now == kind).all(axis=1) & np.isfinite(x).all(axis=1))
             _hold(world, law.friction, kind, x, controls, rows, rates, forces)
         return rates, forces
 
@@ -196,10 +205,10 @@ def integrate_rates(
     total: Floats | float = 0.0
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(steps):
-            first, a = rates(x)
-            second, b = rates(x + h / 2 * first)
-            third, c = rates(x + h / 2 * second)
-            fourth, d = rates(x + h * third)
+            first, a = rates(x, None)
+            second, b = rates(x + h / 2 * first, a)
+            third, c = rates(x + h / 2 * second, a)
+            fourth, d = rates(x + h * third, a)
             x = x + h / 6 * (first + 2 * second + 2 * third + fourth)
             total = total + h / 6 * (a + 2 * b + 2 * c + d)
     return x, np.asarray(total)
