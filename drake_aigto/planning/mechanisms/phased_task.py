@@ -233,7 +233,7 @@ _STEADY = 1.0
 # any error would miss the wall.
 SLOW = 1e-2
 # A polish that raised the cost by more than this factor ended at another optimum, or diverged.
-FAR = 1.05
+_FAR = 1.05
 
 
 class PhasedTask(MechanismTask):
@@ -342,7 +342,7 @@ class PhasedTask(MechanismTask):
         if settled.is_left:
             return settled
         settled = problem.restore(settled)
-        costs_as_much = self.price(settled) <= scaled(FAR, self.price(motion))
+        costs_as_much = self.price(settled) <= scaled(_FAR, self.price(motion))
         is_better = settled.violation < motion.violation and costs_as_much
         return settled if is_better else motion
 

@@ -233,29 +233,48 @@ class RigidMechanismTask(PhasedTask):
         clearances = self._no_clearances(found)
         if self._has_corners and not found.is_left:  # It may only have cut one.
             found, clearances = self._clear(found, clearances)
-        if len(left := self._drop_grazes(found)) < len(found.touches):
-            passing = self.shoot_phases(left, found, num_steps, FINE, limit)
-            passing = self.with_depth(self.refine_phases(passing, most=limit))
-            passing, lifts = self._clear(passing, self._no_clearances(passing))
-            if self.price(passing) <= scaled(_OTHER, self.price(found)):
-                found, clearances = passing, lifts
+        found, clearances = self._pass_grazes(found, clearances, limit)
         promised = self.price(motion)
         if scaled(_OTHER, promised) < self.price(found) and promised < most:
             # That is another optimum, because of other steps or of a graze left out.
-            tried = [found]
-            if not is_as_is:
-                tried.append(self.with_depth(self.refine_phases(motion, most=limit)))
-            if scaled(_OTHER, promised) < self.price(tried[-1]):
-                wary = self.shoot_phases(touches, motion, num_steps, FINE.wary, limit)
-                wary = self.refine_phases(wary, is_wary=True, most=limit)
-                tried.append(self.with_depth(wary))
-            best = min(tried, key=lambda each: (each.is_left, self.rank(each)))
+            others = self._polish_otherwise(motion, touches, is_as_is, limit)
+            best = min((found, *others), key=lambda each: (each.is_left, self.rank(each)))
             if best is not found:
                 found, clearances = best, self._no_clearances(best)
         if found.is_left or found.cost > limit:
             return found
         found, clearances = self._clear(found, clearances)
         return self.with_depth(self.settle_phases(found, clearances, most))
+
+    def _pass_grazes(
+        self, found: ShootingResult, clearances: Floats, limit: float
+    ) -> tuple[ShootingResult, Floats]:
+        """Returns a refined motion without grazes, with its clearances, or as it is."""
+        touches = self._drop_grazes(found)
+        if len(touches) == len(found.touches):
+            return found, clearances
+        passing = self.shoot_phases(touches, found, self.scenario.num_steps, FINE, limit)
+        passing = self.with_depth(self.refine_phases(passing, most=limit))
+        passing, lifts = self._clear(passing, self._no_clearances(passing))
+        is_near = self.price(passing) <= scaled(_OTHER, self.price(found))
+        return (passing, lifts) if is_near else (found, clearances)
+
+    def _polish_otherwise(
+        self, motion: ShootingResult, touches: TouchSequence, is_as_is: bool, limit: float
+    ) -> Iterator[ShootingResult]:
+        """Yields a motion refined as it is, if that is new, and if need be in cautious steps.
+
+        Those are for its touches without grazes, where the first costs more than it promised.
+        """
+        cost = np.inf
+        if not is_as_is:
+            same = self.with_depth(self.refine_phases(motion, most=limit))
+            cost = self.price(same)
+            yield same
+        if scaled(_OTHER, self.price(motion)) < cost:
+            steps = self.scenario.num_steps
+            wary = self.shoot_phases(touches, motion, steps, FINE.wary, limit)
+            yield self.with_depth(self.refine_phases(wary, is_wary=True, most=limit))
 
     def _drop_grazes(self, motion: ShootingResult) -> TouchSequence:
         """Returns the touches of a motion without its grazes."""
