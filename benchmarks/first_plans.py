@@ -2,7 +2,7 @@
 
     python -m benchmarks.first_plans [--wheel dist/NAME.whl] [--scenarios NAME,NAME]
 
-A wheel is built with machine code of all shipped scenarios, which takes some twenty minutes, unless
+A wheel is built with machine code of all shipped scenarios, which takes some 48 CPU minutes, unless
 one is given. It is installed into a folder of its own, without its dependencies. Each scenario is
 planned for twice in a process of its own that finds an empty cache of Numba's: CPU seconds of the
 first plan, with all imports, those of the second, and how many functions Numba compiled. Exits with

@@ -55,7 +55,10 @@ from drake_aigto.simulation import Replay, replay_event_driven, replay_with
 from drake_aigto.world import TaskCost
 
 FROM_WHEELS = (
-    *("dm_cheetah/leap", "dm_walker/step", "gymnasium_hopper/hop", "half_cheetah/leap"),
+    "dm_cheetah/leap",
+    "dm_walker/step",
+    "gymnasium_hopper/hop",
+    "half_cheetah/leap",
     "walker2d/step",
 )
 WORLDS = (

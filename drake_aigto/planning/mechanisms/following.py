@@ -109,6 +109,23 @@ class Following(Controller):
         """
         rows, (distances, normals, jacobians) = list(contacts), self._reaches.world.relate(q)
         gaps = normals[rows] * np.maximum(distances[rows, np.newaxis], 0.0)
-        J, unit = jacobians[rows].reshape(-1, len(v)), self._reaches.hand_unit
-        off = J @ (asked + 2 * pace * v) + pace**2 * gaps.ravel()
-        return asked - unit * np.linalg.lstsq(J * unit, off, rcond=_SINGULAR)[0]
+        unit, way = self._reaches.hand_unit, asked + 2 * pace * v
+        return asked + unit * answer_way(jacobians[rows], way, pace**2 * gaps, unit)[2]
+
+
+def answer_way(
+    slopes: Floats, way: Floats, gaps: Floats, unit: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Returns how far touches are off after a way, slopes of that by hands, and hands' answer.
+
+    Args:
+        slopes: of the touches, (K, 3, nv).
+        way: of objects, (nv,).
+        gaps: of the touches before it, (K, 3).
+        unit: units of hands' positions, (nv,), in which they move the least that takes away what
+            is off.
+    """
+    J = slopes.reshape(-1, len(way))
+    off, by_hand = J @ way + gaps.ravel(), J * unit
+    moved, *_ = np.linalg.lstsq(by_hand, -off, rcond=_SINGULAR)
+    return off, by_hand, np.asarray(moved, dtype=float)

@@ -10,7 +10,7 @@ import scipy  # Not scipy.optimize, which takes a tenth of a second and few need
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.contact import CompliantLaw
-from drake_aigto.planning.mechanisms.following import Following, Pairs, Stroke
+from drake_aigto.planning.mechanisms.following import Following, Pairs, Stroke, answer_way
 from drake_aigto.simulation import Compliant, CompliantMotion
 from drake_aigto.world import SpaceWorld, TaskCost
 
@@ -29,8 +29,6 @@ _HURRY = (0.5, 1.0), (0.35, 0.8)
 # Newton steps to a touch, the longest in units, how near to its shape they end in theirs, and how
 # near touches are.
 _NEWTON, _LONGEST, _TOUCHES, _NEAR = 12, 0.5, 1e-6, 1e-3
-# Singular values below this part of the largest one are none.
-_SINGULAR = 1e-3
 # Of hands that push, and that carry: how many do at once, at most; the part of friction they use.
 _MOST_HANDS, _INSIDE = (2, 3), (0.7, 0.6)
 # Grasps that carry are chosen by what part of the weight they drop with this part of friction, in
@@ -381,12 +379,11 @@ class Reaches:
         """
         rows, (distances, normals, jacobians) = list(contacts), self.world.relate(q)
         gaps = normals[rows] * distances[rows, np.newaxis]
-        for is_last in (False, True)[not self.must_carry :]:
-            J = jacobians[rows].reshape(-1, len(way))
-            off, by_hand = J @ way + gaps.ravel(), J * self.hand_unit
-            moved = np.linalg.lstsq(by_hand, -off, rcond=_SINGULAR)[0]
-            if not is_last:
-                jacobians = self.world.relate(self.world.add(q, (way + self._unit * moved) / 2))[2]
+        off, by_hand, moved = answer_way(jacobians[rows], way, gaps, self.hand_unit)
+        if self.must_carry:
+            middle = self.world.add(q, (way + self._unit * moved) / 2)
+            slopes = self.world.relate(middle)[2][rows]
+            off, by_hand, moved = answer_way(slopes, way, gaps, self.hand_unit)
         slip = np.linalg.norm(by_hand @ moved + off)
         q = self.world.add(q, way + self._unit * moved)
         is_far = np.max(np.abs(moved)) > _LONGEST or slip > _SLIP * np.linalg.norm(off)

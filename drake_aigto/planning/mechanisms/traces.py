@@ -134,18 +134,20 @@ def find_rates(world: World, law: RigidLaw, x: Floats, controls: Floats, modes: 
     is_smooth = law.friction == 0
     slides = is_closed(world, x[:, :n], x[:, n:], _STILL) & is_smooth
     modes = np.where(is_smooth, np.where(slides, Mode.FORWARD, Mode.OPEN), modes)
+    rest = np.flatnonzero((modes != Mode.OPEN).any(axis=1))
 
     def rigid(x: Floats, before: Floats | None) -> tuple[Floats, Floats]:
         rates, forces = free(x)
-        some, now = np.flatnonzero((modes != Mode.OPEN).any(axis=1)), modes.copy()
+        if not len(rest):
+            return rates, forces
         if before is None:
-            is_left = ~is_closed(world, x[some, :n], x[some, n:], _LEFT)
+            is_left = ~is_closed(world, x[rest, :n], x[rest, n:], _LEFT)
         else:
-            is_left = before[some] == 0
-        now[some] = np.where(is_smooth & is_left, Mode.OPEN, now[some])
+            is_left = before[rest] == 0
+        now = np.where(is_smooth & is_left, Mode.OPEN, modes[rest])
         kinds = np.unique(now, axis=0)
         for kind in kinds[(kinds != Mode.OPEN).any(axis=1)]:
-            rows = np.flatnonzero((now == kind).all(axis=1) & np.isfinite(x).all(axis=1))
+            rows = rest[(now == kind).all(axis=1) & np.isfinite(x[rest]).all(axis=1)]
             _hold(world, law.friction, kind, x, controls, rows, rates, forces)
         return rates, forces
 
