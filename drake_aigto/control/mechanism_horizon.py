@@ -385,11 +385,11 @@ class RigidHorizon(_ShootingHorizon):
     ) -> ShootingResult:
         """Returns the best motion near a guess (`ShootingProblem.solve`).
 
-        Where it grazes a wall between its knots it is led off it there: the plant would bounce.
+        Where it grazes a wall between its knots it is restored off it, as the plant would bounce.
         """
         found = problem.solve(controls, states, options, prices)
         apart = keep_off(self.world, problem, found, _AT_WALL * self._task.scales.length)
-        return found if apart is None else apart.solve(found.controls, found.states, options)
+        return found if apart is None else apart.restore(found)
 
     def _read(self, found: ShootingResult, now: float) -> PlannedMotion | None:
         """Returns a result as a motion from now on; None if it leads nowhere, or misses walls."""
