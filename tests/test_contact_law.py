@@ -127,10 +127,13 @@ HYDROELASTIC = """<drake:compliant_hydroelastic/><drake:hydroelastic_modulus>1e6
 RIGID = "<drake:rigid_hydroelastic/>"
 SOFT = stiffness(400.0) + dissipation(0.0)
 REFUSED: dict[str, tuple[str, str]] = {
-    "no stiffness": (MECHANISMS["pendulum"], "shape 'mechanism::tip': got no stiffness, so Dr"),
+    "no stiffness": (
+        MECHANISMS["pendulum"],
+        "shape 'mechanism::tip' of 'mechanism::rod': got no stiffness, so Dr",
+    ),
     "no dissipation": (
         MECHANISMS["pendulum"].replace(MATERIAL, material(stiffness(400.0))),
-        r"'mechanism::tip': got no dissipation, so Drake's default, 50 s/m, .*<drake:hunt_crossley",
+        r"'mechanism::tip' of .*: got no dissipation, so Drake's default, 50 s/m, .*<drake:hunt",
     ),
     "box": (MECHANISMS["paddle"], "of ball against paddle: got a box of which several faces"),
     "hydroelastic": (

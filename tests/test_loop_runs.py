@@ -162,7 +162,7 @@ def test_true_walls_are_as_stiff_as_was_asked_for() -> None:
     world = (planner := make_pole_planner()).world
     true, _ = Disturbance(stiffness_factor=0.5).apply(world, planner.scenario)
     for shape in world.shapes[0]:
-        found, given = (read_given(each.scene_graph, shape, STIFFNESS) for each in (true, world))
+        (found,), (given,) = (read_given(w.scene_graph, shape, STIFFNESS) for w in (true, world))
         assert found == 0.5 * given
 
 

@@ -32,7 +32,7 @@ from pydrake.multibody.tree import (
 from pydrake.systems.framework import Context, DiagramBuilder
 from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
-from space_models import BOX, GROUND, SPHERE, ball_and_finger, collision, make_scenario
+from space_models import BOX, GROUND, SPHERE, ball_and_finger, build, collision, make_scenario
 
 from drake_aigto import Scenario, World, geometry
 from drake_aigto.arrays import Floats
@@ -369,6 +369,22 @@ def test_what_stands_on_a_face_stays_there(tmp_path: Path, kind: str, on_table: 
     assert np.sum(world.least_distances(apart) == 0.01) == (16 if on_table else 2 * under)
     told = "of m::cube, 16 points at each rim touch half spaces"
     assert [told in note for note in world.notes] == [True] * (kind == "can")
+
+
+def test_boxes_that_just_touch_are_zero_apart(tmp_path: Path) -> None:
+    """Drake asserts there that nearest points coincide: pydrake left the process."""
+    cube = collision("cube", "<box><size>0.06 0.06 0.06</size></box>")
+    head, models = ball_and_finger(cube).split('<model name="m">')
+    models, ground = models.split('<model name="ground">')
+    ground, tail = ground.replace(GROUND, "<box><size>4 4 1</size></box>").split("</model>")
+    text = f'{head}<model name="ground">{ground}</model><model name="m">{models}{tail}'
+    text = text.replace('name="floor"><pose>0 0 0 ', 'name="floor"><pose>0 0 -0.5 ')
+    for height in np.linspace(0.0, 1e-13, 5):
+        pose = {"xyz": [0.0, 0.0, 0.03 + height]}
+        asked = make_scenario(tmp_path, text, initial_position={"thing": pose, "z": 0.5})
+        world, asked = build(asked)
+        distances = world.calc_solid_distances(asked.initial_position[np.newaxis])
+        np.testing.assert_allclose(distances, height, atol=1e-14)
 
 
 def test_edges_that_cross_are_no_touch_and_said_to_be_so(tmp_path: Path) -> None:

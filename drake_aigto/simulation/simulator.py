@@ -336,7 +336,7 @@ def set_dissipation(world: World, root: Context, contact: int, dissipation: floa
     it, so that no other contact which is going on is another.
     """
     shapes, source = world.shapes[contact], world.plant.get_source_id()
-    k = [read_given(world.scene_graph, shape, STIFFNESS) for shape in shapes]
+    k = [read_given(world.scene_graph, shape, STIFFNESS)[0] for shape in shapes]
     alone = [_is_alone(world, shape) for shape in shapes]
     values = [dissipation, dissipation]
     if alone[0] != alone[1]:
@@ -356,7 +356,7 @@ def set_stiffness(world: World, root: Context, contact: int, factor: float) -> N
     shapes = [shape for shape in world.shapes[contact] if _is_alone(world, shape)]
     whole, source = world.stiffness[contact], world.plant.get_source_id()
     for shape in shapes:
-        k = read_given(world.scene_graph, shape, STIFFNESS)
+        k = read_given(world.scene_graph, shape, STIFFNESS)[0]
         # 1/k of all is (Σ 1/k_i): what is added to it falls to those that may yield.
         value = 1 / (1 / k + (1 / factor - 1) / whole / len(shapes))
         set_material(world.scene_graph, source, root, shape, STIFFNESS, value)

@@ -24,17 +24,17 @@ STIFFNESS = ("material", "point_contact_stiffness")
 DISSIPATION = ("material", "hunt_crossley_dissipation")
 _COMPLIANCE = ("hydroelastic", "compliance_type")
 
-# Property → what Drake takes where a model gives none, and what to do.
+# Property → what Drake takes where a model gives none, and what to write for it.
 _UNGIVEN = {
     STIFFNESS: (
         "so Drake's default, which hardly rebounds",
-        "Give both shapes theirs, in the model or by the scenario's material: {'*': {stiffness: "
-        "2e9}}: 2e9 N/m for contact: rigid, far less for compliant contact, such as 1e4.",
+        "stiffness: 1e4",
+        "2e9 N/m for contact: rigid, far less for compliant contact, such as 1e4",
     ),
     DISSIPATION: (
         "so Drake's default, 50 s/m",
-        "Give both shapes theirs, in the model or by the scenario's material: {'*': {dissipation: "
-        "0}}: 0 s/m for a wall that returns all energy.",
+        "dissipation: 0",
+        "0 s/m for a wall that returns all energy",
     ),
 }
 
@@ -75,8 +75,7 @@ def combine_springs(
     stiffness, dissipation = [], []
     for name, shapes in pairs:
         _check_points(scene_graph, name, shapes)
-        k1, k2 = (read_given(scene_graph, shape, STIFFNESS) for shape in shapes)
-        d1, d2 = (read_given(scene_graph, shape, DISSIPATION) for shape in shapes)
+        (k1, d1), (k2, d2) = (read_given(scene_graph, shape, *_UNGIVEN) for shape in shapes)
         stiffness.append(1 / (1 / k1 + 1 / k2))
         dissipation.append((k2 * d1 + k1 * d2) / (k1 + k2))
     return SpringMaterial(read_only(stiffness), np.array(dissipation), np.zeros(len(pairs)))
@@ -89,7 +88,7 @@ def read_stiffness(scene_graph: SceneGraph, reachable: Sequence[ReachableFace]) 
         ModelError: a shape has none.
     """
     pairs = [
-        [read_given(scene_graph, shape, STIFFNESS) for shape in each.face.shapes]
+        [read_given(scene_graph, shape, STIFFNESS)[0] for shape in each.face.shapes]
         for each in reachable
     ]
     return read_only([1 / sum(1 / k for k in pair) for pair in pairs])
@@ -112,23 +111,26 @@ def read_materials(
     return tuple(read_property(scene_graph, shape, name) for name in names for shape in shapes)
 
 
-def read_given(scene_graph: SceneGraph, shape: GeometryId, name: tuple[str, str]) -> float:
-    """Returns the same of a shape that has to have it.
+def read_given(scene_graph: SceneGraph, shape: GeometryId, *names: tuple[str, str]) -> list[float]:
+    """Returns properties of a shape that has to have them.
 
     Raises:
-        ModelError: the model gives none.
+        ModelError: the model lacks some; all of them are named.
     """
-    found = read_property(scene_graph, shape, name)
-    if found is None:
-        default, remedy = _UNGIVEN[name]
+    found = {name: read_property(scene_graph, shape, name) for name in names}
+    if lacking := [name for name, value in found.items() if value is None]:
+        defaults, entries, usual = zip(*(_UNGIVEN[name] for name in lacking), strict=True)
         inspector: Any = scene_graph.model_inspector()
+        body = inspector.GetName(inspector.GetFrameId(shape))
+        missing = zip((name[1].split("_")[-1] for name in lacking), defaults, strict=True)
         raise ModelError(
-            f"collision shape {inspector.GetName(shape)!r}",
-            got=f"no {name[1].split('_')[-1]}, {default}",
-            expected=f"<drake:{name[1]}>",
-            remedy=remedy,
+            f"collision shape {inspector.GetName(shape)!r} of {body!r}",
+            got=" and ".join(f"no {each}, {default}" for each, default in missing),
+            expected=" and ".join(f"<drake:{name[1]}>" for name in lacking),
+            remedy="Give both shapes theirs, in the model or by the scenario's material: "
+            f"{{'*': {{{', '.join(entries)}}}}}: {'; '.join(usual)}.",
         )
-    return found
+    return [value for value in found.values() if value is not None]
 
 
 def read_material(scene_graph: SceneGraph, root: Context, shape: GeometryId) -> ProximityProperties:

@@ -196,7 +196,7 @@ class PlantWorld(EquationsOfMotion):
         copy = copy_diagram(self.diagram)
         for shape in dict.fromkeys(itertools.chain(*self.shapes)):
             plant, scene_graph = find_plant(copy)
-            stiffness = factor * read_given(scene_graph, shape, STIFFNESS)
+            stiffness = factor * read_given(scene_graph, shape, STIFFNESS)[0]
             change_material(plant, scene_graph, shape, {STIFFNESS: stiffness})
         return self.of_diagram(copy)
 
