@@ -116,6 +116,32 @@ def test_a_horizon_that_shrinks_costs_what_the_first_plan_promised() -> None:
     assert {each.mode for each in run.statuses[-3:]} == {"holding"}  # By motions to rest.
 
 
+def test_a_plan_goes_on_where_a_descent_ends_far_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The state is as planned, and the task the same: what costs more is another optimum."""
+    planner, factors = make_planner(), iter((1.0, 3.0, 1.0))
+    kind: Any = type(make_horizon(planner, False, 1, 0.02))
+    descend = kind._lead
+
+    def lead(*given: Any) -> Any:
+        motion = descend(*given)
+        return motion and dataclasses.replace(motion, cost=next(factors) * motion.cost)
+
+    controller = ModelPredictiveController(planner, period=0.02, horizon="shrinking")
+    diagram, plant = close_loop(SCENARIO.model, controller)
+    simulator = Simulator(diagram)
+    set_start(plant, simulator.get_mutable_context(), SCENARIO)
+    simulator.AdvanceTo(0.01)
+    monkeypatch.setattr(kind, "_lead", lead)
+    context, found = controller.GetMyContextFromRoot(simulator.get_context()), []
+    for time in (0.03, 0.05, 0.07):
+        simulator.AdvanceTo(time)
+        status = controller.GetOutputPort("status").Eval(context)
+        found.append((status.reason, status.cost))
+    (first, before), (second, after), (third, _) = found
+    assert (first, third) == ("warm", "warm")
+    assert (second, after) == ("a costlier motion was found: the last plan goes on", before)
+
+
 @pytest.mark.slow
 def test_searches_are_when_they_are_due_and_switch_for_the_better() -> None:
     run = Run(search_every=4, margin=0.0)

@@ -18,7 +18,7 @@ from drake_aigto.control.estimation import ModelEstimate
 from drake_aigto.control.horizon import Horizon, check_planner
 from drake_aigto.control.mechanism_horizon import make_horizon
 from drake_aigto.control.ports import Sample, TickStatus
-from drake_aigto.control.touches import PlannedMotion, SeenBounces
+from drake_aigto.control.touches import MARGIN, PlannedMotion, SeenBounces
 from drake_aigto.errors import AigtoError, ControlError
 from drake_aigto.planning import Cut, Planner
 from drake_aigto.world import Scenario
@@ -325,15 +325,22 @@ class Searches:
 
     def _improve(self, before: TickMemory, question: TickQuestion) -> TickChoice:
         """Returns the best motion near the last one, or another that a search has found."""
-        last = before.choice.motion
-        motion = question.horizon.advance(last, question.now, question.x)
+        last, then, horizon = before.choice.motion, before.usable, question.horizon
+        motion = horizon.advance(last, question.now, question.x)
+        is_same = question.seen == then.seen and horizon.scenario is then.horizon.scenario
+        most = (1 + MARGIN) * last.cost + _NOTHING * horizon.cost_scale
+        costs_more = motion and motion.cost > most
+        if costs_more and is_same and question.deviation <= _ON_PLAN:
+            motion = None  # It is far off the last plan, which still holds.
         cost = question.price(motion, last)
         has_searched, found, pending = self._find(before, question, motion)
         if found and found.cost < (1 - self._margin) * cost:
             reason = f"switched: {found.cost:.4g} in place of {cost:.4g}"
             return TickChoice(found, reason, has_switched=True, pending=pending)
         if motion is None:
-            return TickChoice(last, "no motion was found: the last plan goes on", pending=pending)
+            what = "a costlier" if costs_more else "no"
+            reason = f"{what} motion was found: the last plan goes on"
+            return TickChoice(last, reason, pending=pending)
         reason = "warm; a search found nothing better" if has_searched else "warm"
         return TickChoice(motion, reason, pending=pending)
 
