@@ -135,6 +135,9 @@ def draw(name: str, number: int, is_tuning: bool) -> Scenario:
                     continue
         try:
             scenario = dataclasses.replace(shipped, **changes)
+            if scenario.periodic is not None:  # The goal moves with the start.
+                free = dataclasses.replace(scenario, goal_position=None, goal_velocity=None)
+                scenario = world.place(free)
             if changes:
                 World.from_scenario(scenario).check(scenario)
                 return scenario

@@ -314,6 +314,16 @@ def test_questions_are_the_same_again_others_to_tune_on_and_fit_their_world(name
         assert 0.3 <= factor <= 4.0 and 10 <= scenario.num_steps <= 400
 
 
+def test_questions_of_a_motion_that_repeats_move_its_goal_with_its_start() -> None:
+    shipped, advance = Scenario.named("hopper/gait").initial_position, [0.4, 0.0, 0.0, 0.0]
+    asked = [draw("hopper/gait", number, True) for number in range(4)]
+    assert 0 < sum(np.array_equal(each.initial_position, shipped) for each in asked) < 4
+    for scenario in asked:
+        planner = Planner(scenario)  # Which refuses any other goal.
+        way = planner.scenario.goal_position - planner.scenario.initial_position
+        np.testing.assert_allclose(way, advance, atol=1e-12)
+
+
 def test_plans_are_near_the_best_that_anything_has_found() -> None:
     assert ROW.best == 79.0 and not ROW.is_within(NEAR) and ROW.is_within(WIDE)
     assert replace(ROW, known=70.0).best == 70.0
