@@ -223,6 +223,9 @@ def draw_cube(name: str, seed: int) -> Scenario:
     tips = {"left_x": -0.1, "right_x": 0.1, "back_y": 0.1}
     tips |= dict.fromkeys(("left_z", "right_z", "back_z"), 0.03)
     plain |= {"initial_position": {"cube": start, **tips}, "duration": 3.0}
+    # It has to be held there; places count beside turns as in Jin's 500 |p|² + 5 (1 - (q · q*)²).
+    plain["position_weight"] = {"cube": {"xyz": 400.0, "turn": 1.0}}
+    plain["goal_weight"] = {"cube": {"xyz": 4000.0, "turn": 10.0}}
     plain["goal_position"] = {"cube": {"xyz": [*to.tolist(), height], **goal}}
     return Scenario.from_plain(plain)
 

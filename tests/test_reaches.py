@@ -88,9 +88,11 @@ def test_a_hand_reaches_where_it_pushes_the_object_along_and_sticks_to_it(tmp_pa
     assert np.mean(between[pushed, 0]) > 0.95 * 0.1  # behind the ball, whose way is along x.
     np.testing.assert_allclose(world.subtract(path[-1], scenario.goal_position)[6:], 0, atol=1e-9)
     bounds, state = np.array([[-10.0] * 3, [10.0] * 3]), (start, scenario.initial_velocity)
-    controls = reaches.push(times, state, 0.4, bounds, np.random.default_rng(0))
+    controls, known = reaches.push(times, state, 0.4, bounds, np.random.default_rng(0))
     replay = replay_event_driven(world, scenario, times, controls)
     assert replay.positions[-1, ball] > 0.1  # Contact does the rest.
+    assert known is not None  # Nothing is carried that could be lost.
+    np.testing.assert_allclose(known, np.hstack(replay.states_at(times)), atol=1e-3)
 
 
 def test_two_hands_turn_an_object_without_moving_it_and_one_can_not(fingers: Fingers) -> None:
@@ -152,7 +154,8 @@ def test_hands_lift_an_object_that_would_fall_and_hold_it(tmp_path: Path) -> Non
     assert reaches.is_carried(q + 0.01 * np.eye(len(q))[height])
     times, bounds, ends = np.linspace(0.0, 1.0, 51), np.array([[-20.0] * 6, [20.0] * 6]), []
     for seed in range(6):
-        controls = reaches.push(times, (q, np.zeros(12)), 0.3, bounds, np.random.default_rng(seed))
+        state, rng = (q, np.zeros(12)), np.random.default_rng(seed)
+        controls, _ = reaches.push(times, state, 0.3, bounds, rng)
         ends.append(replay_event_driven(world, scenario, times, controls).positions[-1, height])
     assert np.median(ends) > 0.1  # One that is let go lies at 0.05.
 
@@ -205,7 +208,7 @@ def test_an_object_goes_where_one_hand_can_push_it_and_dampers_let_it(tmp_path: 
     ends = []
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        controls = reaches.push(times, (start, 0 * start), 0.3, bounds, rng)
+        controls, _ = reaches.push(times, (start, 0 * start), 0.3, bounds, rng)
         replay = replay_event_driven(planner.world, scenario, times, controls)
         ends.append(task_cost.goal_error(replay.positions[-1]))
     # Half of them come nearer, the best one by far: shooting begins with these.

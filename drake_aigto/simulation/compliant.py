@@ -58,11 +58,13 @@ class Compliant:
         world: the mechanism.
         law: of its contacts.
         tolerance: of steps, the usual one.
+        most_steps: in each hold of a control; more are no motion.
     """
 
     def __init__(self, world: World, law: CompliantLaw) -> None:
         """Reads the tables of compiled code."""
         self.world, self.law = world, law
+        self.most_steps = MOST_STEPS
         self.tolerance = _OF_TREES if isinstance(world, SpaceWorld) else _OF_SUMS
         law_as_it_is = make_mechanism(world, law, brakes=False)
         self._tables = law_as_it_is.fit(0.0, 1.0, 0.0)
@@ -103,7 +105,7 @@ class Compliant:
             done, step, count = integrate(
                 self._tables, x, control, left, most, step, tolerance, self._memory, self._room
             )
-            if not (step > 0 and np.isfinite(x).all() and passed < MOST_STEPS):
+            if not (step > 0 and np.isfinite(x).all() and passed < self.most_steps):
                 edges = self.world.edges if isinstance(self.world, SpaceWorld) else ()
                 raise refuse_course(now, edges)
             yield now, self._room[:count], step

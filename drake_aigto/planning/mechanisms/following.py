@@ -8,13 +8,30 @@ from typing import NamedTuple, Protocol, TypeAlias
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.simulation import Controller, Held
+from drake_aigto.errors import TrajectoryError
+from drake_aigto.simulation import Compliant, Controller, Held
 from drake_aigto.world import SpaceWorld
 
 _TRACKING = 0.5  # Hands follow their paths at this frequency, in steps [rad].
 _SINGULAR = 1e-3  # Singular values below this part of the largest one are none.
+# Strokes that lose objects, or move them by less than this part of what they promise, are tried
+# anew, so many times in all.
+_KEPT, _TRIES = 0.5, 4
 
 Pairs: TypeAlias = tuple[int, ...]  # Contacts, by their numbers.
+
+
+class Grasp(NamedTuple):
+    """Hands at an object that they may push: how good that is at most, q, and which contacts push.
+
+    It is best where hands come by a short way, without collisions, and push it all of its way to
+    its goal: by the straight one, or as they can.
+    """
+
+    most: float
+    positions: Floats
+    contacts: Pairs
+    is_straight: bool
 
 
 class Stroke(NamedTuple):
@@ -30,6 +47,7 @@ class Strokes(Protocol):
 
     world: SpaceWorld
     must_carry: bool
+    hurries: bool
     hand_unit: Floats
 
     def find_stroke(
@@ -39,6 +57,9 @@ class Strokes(Protocol):
 
     def is_lost(self, q: Floats, contacts: Pairs) -> bool:
         """Returns whether some contacts that should touch are far from it."""
+
+    def measure_left(self, q: Floats) -> float:
+        """Returns how far objects are from their goal."""
 
     def calc_push(self, q: Floats, wanted: Floats, contacts: Pairs) -> tuple[Floats, float]:
         """Returns the forces of contacts that come nearest to those on objects."""
@@ -50,7 +71,13 @@ class Following(Controller):
     Each stroke begins where those before it have led. While hands push, they have the forces at
     their touches, too, that best move the object along as asked. What it needs at rest, its weight,
     they carry if it leaves the ground, which answers that elsewhere. Then they go along with the
-    object itself, and what they lose ends the motion.
+    object itself, stroke by stroke, and what they lose ends the motion; else, where each moment
+    counts, one stroke does.
+
+    Attributes:
+        controls: that were held, shape (N, nu).
+        states: q and v at the knots before, shape (N, nq + nv).
+        promised: where the last stroke ends, q (nq,).
     """
 
     def __init__(
@@ -64,6 +91,8 @@ class Following(Controller):
         """Takes knots (N + 1,) [s], the share of strokes to reach in, and bounds (2, nu)."""
         self.start, self.end = times[[0, -1]].tolist()
         self.controls = np.zeros((len(times) - 1, reaches.world.num_actuators))
+        size = reaches.world.num_positions + reaches.world.num_velocities
+        self.states, self.promised = np.zeros((len(times) - 1, size)), np.empty(0)
         self._reaches, self._times, self._share = reaches, times, share
         self._bounds, self._rng = bounds, rng
         self._begin, self._stroke = 0, Stroke(np.empty(0), [()], 0)
@@ -77,10 +106,14 @@ class Following(Controller):
         """Returns the controls that are held until the next knot."""
         world, row = self._reaches.world, int(np.searchsorted(self._times, time, side="right")) - 1
         (q, v), h = world.split(x), self._times[row + 1] - self._times[row]
+        self.states[row] = x
         if row >= self._begin + self._stroke.end:
             left, last = len(self._times) - 1 - row, self._stroke.contacts[self._stroke.end - 1]
             self._begin = row
             self._stroke = self._reaches.find_stroke(q, left, self._share, self._rng, last)
+            self.promised = self._stroke.positions[-1]
+            if self._reaches.hurries:
+                self.end = float(self._times[row + self._stroke.end])
         k, (positions, contacts, _) = row - self._begin, self._stroke
         if self._reaches.must_carry and self._reaches.is_lost(q, contacts[k]):
             self.end, self.controls[row:] = time, self.controls[row - 1]
@@ -111,6 +144,86 @@ class Following(Controller):
         gaps = normals[rows] * np.maximum(distances[rows, np.newaxis], 0.0)
         unit, way = self._reaches.hand_unit, asked + 2 * pace * v
         return asked + unit * answer_way(jacobians[rows], way, pace**2 * gaps, unit)[2]
+
+
+class _Tried(NamedTuple):
+    """A stroke of hands that was simulated."""
+
+    following: Following
+    x: Floats  # where it leads to, shape (nq + nv,)
+    rank: float  # time until hands lose what they carry, negative; or how far objects are then
+
+
+def follow_strokes(
+    reaches: Strokes,
+    dynamics: Compliant,
+    x: Floats,
+    asked: tuple[Floats, float, Floats],
+    rng: np.random.Generator,
+) -> tuple[Floats, Floats | None]:
+    """Returns controls (N, nu) of strokes from a state, and the states at knots, (N + 1, nq + nv).
+
+    These are None if hands lose what they carry.
+
+    Args:
+        reaches: finds strokes.
+        dynamics: that simulate them.
+        x: q and v at the start, shape (nq + nv,).
+        asked: times, the share, and bounds, as `Following` takes them.
+        rng: of strokes.
+
+    Raises:
+        TrajectoryError: all tries of a stroke run away.
+    """
+    (times, share, bounds), row, states = asked, 0, [x]
+    controls = np.zeros((len(times) - 1, reaches.world.num_actuators))
+    while row < len(controls):
+        best = _try(reaches, dynamics, states[-1], (times[row:], share, bounds), rng)
+        if reaches.must_carry and not best.following.is_done:
+            controls[row:] = best.following.controls
+            return controls, None
+        last = int(np.searchsorted(times, best.following.end))
+        controls[row:last] = best.following.controls[: last - row]
+        states[-1:] = [*best.following.states[: last - row], best.x]
+        row = last
+    return controls, np.array(states)
+
+
+def _try(
+    reaches: Strokes,
+    dynamics: Compliant,
+    x: Floats,
+    asked: tuple[Floats, float, Floats],
+    rng: np.random.Generator,
+) -> _Tried:
+    """Returns the best of a few strokes from a state, or the first that does as it should.
+
+    Arguments are those of `follow_strokes`, as for what it raises.
+    """
+    tried, before = list[_Tried](), reaches.measure_left(reaches.world.split(x)[0])
+    for number in range(_TRIES):
+        following = Following(reaches, *asked, rng)
+        try:
+            then = dynamics.lead(x, following)
+        except TrajectoryError:
+            if not reaches.hurries or (number == _TRIES - 1 and not tried):
+                raise
+            continue
+        assert then is not None, "it may touch"
+        left = reaches.measure_left(reaches.world.split(then)[0])
+        tried.append(_Tried(following, then, -following.end if reaches.must_carry else left))
+        promised = before - reaches.measure_left(following.promised)
+        if left < before - _KEPT * promised if reaches.hurries else following.is_done:
+            break
+    return min(tried, key=lambda each: each.rank)
+
+
+def find_edges(normal: Floats, friction: float) -> Floats:
+    """Returns edges of a contact's cone of friction, (4, 3), or its normal, (1, 3)."""
+    if friction == 0:
+        return normal[np.newaxis]
+    across = np.linalg.svd(normal[np.newaxis])[2][1:]
+    return normal + friction * np.vstack([across, -across])
 
 
 def answer_way(

@@ -122,6 +122,7 @@ class Guess:
         width: of contact where closing begins, in the unit of distances.
         touches: of rigid walls, if they are known.
         start: q and v where controls begin, if the start is free, shape (2n,); None: as given.
+        known: states that the controls lead to under the exact law, (N + 1, 2n); None: not known.
     """
 
     times: Floats
@@ -130,6 +131,7 @@ class Guess:
     width: float = 1.0
     touches: TouchSequence | None = None
     start: Floats | None = None
+    known: Floats | None = None
 
     def sample(self, times: Floats) -> tuple[Floats, Floats | None]:
         """Returns controls to hold between times (K + 1,), and states at them."""
@@ -173,6 +175,7 @@ class Guesses:
         measures: units of the task.
         coast: the uncontrolled motion.
         total: the least and the most that a motion may last [s].
+        num_steps: of the scenario, in which hands push.
     """
 
     def __init__(
@@ -183,10 +186,12 @@ class Guesses:
         measures: Measures,
         coast: ShootingResult,
         total: tuple[float, float],
+        num_steps: int,
     ) -> None:
         """Keeps all of these."""
         self._world, self._law, self._problem = world, law, problem
         self._measures, self._coast, self._total = measures, coast, total
+        self._num_steps = num_steps
         cost = problem.cost
         self._start, self._velocity = world.split(problem.start)
         self._turns = cost.is_modulo | cost.is_chordal
@@ -213,6 +218,11 @@ class Guesses:
     def must_carry(self) -> bool:
         """Whether friction of hands alone holds objects where the goal is."""
         return self._reaches is not None and self._reaches.must_carry
+
+    @property
+    def hurries(self) -> bool:
+        """Whether hands push objects on the ground that have to be at their goal soon."""
+        return self._reaches is not None and self._reaches.hurries
 
     @property
     def sharp_starts(self) -> tuple[StartName, ...]:
@@ -247,6 +257,7 @@ class Guesses:
         if start == "controls":
             return Guess(times, self._draw_controls(rng, times, begin, end), None, width)
         if start == _PUSH:
+            times = np.linspace(0.0, duration, self._num_steps + 1)
             return self._push(times, (self._start, self._velocity), rng)
         path = self._find_path(start, times, begin, end)
         # A random sum of waves that vanishes at the start, shape (N + 1, n).
@@ -270,7 +281,8 @@ class Guesses:
             k = int(rng.uniform(0.0, 1.0 - _LAST_PUSH) * len(motion.controls))
             guess = self._push(motion.times[k:], self._world.split(motion.states[k]), rng)
             controls = np.vstack([motion.controls[:k], guess.controls])
-            return replace(guess, times=motion.times, controls=controls, start=motion.states[0])
+            start = motion.states[0]
+            return Guess(motion.times, controls, None, guess.width, start=start)
         guess = replace(self._perturb(motion, rng), start=motion.states[0])
         return replace(guess, states=None, width=10 ** rng.uniform(*_NARROW))
 
@@ -352,10 +364,10 @@ class Guesses:
         width *= not self.must_carry  # Contact from afar makes hands lose what they carry.
         bounds = np.array(self._problem.control_bounds)
         try:
-            controls = self._reaches.push(times, state, share, bounds, rng)
+            controls, known = self._reaches.push(times, state, share, bounds, rng)
         except TrajectoryError:  # It runs away.
-            controls = np.zeros((len(times) - 1, self._world.num_actuators))
-        return Guess(times, controls, None, width)
+            controls, known = np.zeros((len(times) - 1, self._world.num_actuators)), None
+        return Guess(times, controls, None, width, known=known)
 
     def _draw_controls(
         self, rng: np.random.Generator, times: Floats, begin: float, end: float

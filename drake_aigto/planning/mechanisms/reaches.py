@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.contact import CompliantLaw
-from drake_aigto.planning.mechanisms.following import Following, Pairs, Stroke, answer_way
-from drake_aigto.simulation import Compliant, CompliantMotion
+from drake_aigto.planning.mechanisms.following import (
+    Grasp,
+    Pairs,
+    Stroke,
+    answer_way,
+    find_edges,
+    follow_strokes,
+)
+from drake_aigto.simulation import Compliant
 from drake_aigto.world import SpaceWorld, TaskCost
 
 # Configurations of which the one is taken that pushes the object the best way along, or carries it;
@@ -32,34 +38,14 @@ _NEWTON, _LONGEST, _TOUCHES, _NEAR = 12, 0.5, 1e-6, 1e-3
 # Of hands that push, and that carry: how many do at once, at most; the part of friction they use.
 _MOST_HANDS, _INSIDE = (2, 3), (0.7, 0.6)
 # Grasps that carry are chosen by what part of the weight they drop with this part of friction, in
-# some places on the way, at a price; they are tried a few times.
-_SAFE, _PLACES, _FALL, _TRIES = 0.4, 5, 3.0, 4
+# some places on the way, at a price.
+_SAFE, _PLACES, _FALL = 0.4, 5, 3.0
 # In units: how far off hands keep on their way to them, how high they lift objects, and from how
 # far they have lost them. Forces count by this part of the norm of all their effects.
 _CLEAR, _LIFT, _LOST, _EVEN = 0.1, 0.2, 0.05, 1e-2
 _NOTHING = 1e-300  # No size is below.
-_TOLERANCE = 1e-6  # Of the simulation of hands.
-
-
-class _Grasp(NamedTuple):
-    """Hands at an object that they may push: how good that is at most, q, and which contacts push.
-
-    It is best where hands come by a short way, without collisions, and push it all of its way to
-    its goal: by the straight one, or as they can.
-    """
-
-    most: float
-    positions: Floats
-    contacts: Pairs
-    is_straight: bool
-
-
-def _find_edges(normal: Floats, friction: float) -> Floats:
-    """Returns edges of a contact's cone of friction, (4, 3), or its normal, (1, 3)."""
-    if friction == 0:
-        return normal[np.newaxis]
-    across = np.linalg.svd(normal[np.newaxis])[2][1:]
-    return normal + friction * np.vstack([across, -across])
+# Of the simulation of hands; more steps of it between knots are no motion.
+_TOLERANCE, _MOST_STEPS = 1e-6, 5_000
 
 
 class Reaches:
@@ -85,6 +71,8 @@ class Reaches:
         world: has hands and objects.
         contacts: of hands with objects that have a goal.
         must_carry: whether hands alone hold objects at their goal.
+        hurries: whether they do not, and each moment costs that objects are not there; of hands on
+            sliders alone, as for others it was not measured.
         hand_unit: units of hands' positions, 0 of others, shape (nv,).
     """
 
@@ -117,6 +105,9 @@ class Reaches:
         self._supports = np.flatnonzero(~is_moved & are_objects.any(axis=0))
         self.contacts = np.flatnonzero((are_hands & are_objects[::-1]).any(axis=0))
         self.must_carry = len(self.contacts) > 0 and self.is_carried(cost.goal)
+        is_early = len(self.contacts) > 0 and bool(np.any(cost.Q[~self._driven] > 0))
+        is_measured = not np.any(world.turns & self._driven)
+        self.hurries = is_early and is_measured and not self.must_carry
 
     def push(
         self,
@@ -125,22 +116,22 @@ class Reaches:
         share: float,
         bounds: Floats,
         rng: np.random.Generator,
-    ) -> Floats:
-        """Returns controls (N, nu) of a hand that from q and v reaches for an object, and pushes.
+    ) -> tuple[Floats, Floats | None]:
+        """Returns controls (N, nu) of hands that from q and v reach for an object, and push it.
 
-        Hands reach in a share of the time to the last knot, of (N + 1,) [s], and push in the rest.
-        Bounds of controls are (2, nu). If hands lose what they carry, they try anew, a few times.
+        They reach in a share of the time to the last knot, of (N + 1,) [s], and push in the rest.
+        Bounds of controls are (2, nu). The second result is where this leads to: states at knots,
+        (N + 1, nq + nv); None if hands lose what they carry. They try anew then, a few times, and
+        where a stroke moves an object by less than a part of what it should.
 
         Raises:
             TrajectoryError: the motion runs away.
         """
-        dynamics, tried = Compliant(self.world, self._law), list[Following]()
-        for _ in range(_TRIES if self.must_carry else 1):
-            tried.append(Following(self, times, share, bounds, rng))
-            CompliantMotion(dynamics, state, float(times[0]), _TOLERANCE).run(tried[-1])
-            if tried[-1].is_done:
-                break
-        return max(tried, key=lambda each: each.end).controls
+        dynamics = Compliant(self.world, self._law)
+        dynamics.tolerance = _TOLERANCE
+        if self.hurries:
+            dynamics.most_steps = _MOST_STEPS
+        return follow_strokes(self, dynamics, np.concatenate(state), (times, share, bounds), rng)
 
     def find_stroke(
         self, start: Floats, count: int, share: float, rng: np.random.Generator, last: Pairs = ()
@@ -162,7 +153,7 @@ class Reaches:
             return Stroke(path, contacts, count)
         end = (
             count
-            * rng.uniform(*_HURRY[self.must_carry])
+            * rng.uniform(*_HURRY[self.must_carry or self.hurries])
             * (1 - self._measure(self._find_way(pushed[-1])) / size)
         )
         then = int(np.clip(np.ceil(end), 2, count))
@@ -191,6 +182,10 @@ class Reaches:
         weight = self.world.calc_bias(q, np.zeros(len(self._unit)))[~self._driven]
         distances = self.world.calc_signed_distance(q)[self._supports]
         return bool(weight.any() and np.all(distances > _NEAR * self._length))
+
+    def measure_left(self, q: Floats) -> float:
+        """Returns the length of the way that objects have left, by the roots of its weights."""
+        return self._measure(self._find_way(q))
 
     def _measure(self, way: Floats) -> float:
         """Returns the length of an object's way, by the roots of its weights."""
@@ -226,7 +221,7 @@ class Reaches:
         """
         _, normals, jacobians = self.world.relate(q)
         part = _SAFE if is_safe else _INSIDE[self.must_carry]
-        cones = (_find_edges(normals[i], part * self._law.friction[i]) for i in contacts)
+        cones = (find_edges(normals[i], part * self._law.friction[i]) for i in contacts)
         edges = np.vstack([each @ jacobians[i] for each, i in zip(cones, contacts, strict=True)])
         by_force = np.linalg.inv(self._calc_inertia(q))
         if self.must_carry:
@@ -277,9 +272,7 @@ class Reaches:
             best = max(best, (value, pushed, contacts), key=lambda each: each[0])
         return best[1:]
 
-    def _draw_grasps(
-        self, start: Floats, size: float, rng: np.random.Generator
-    ) -> Iterator[_Grasp]:
+    def _draw_grasps(self, start: Floats, size: float, rng: np.random.Generator) -> Iterator[Grasp]:
         """Yields random ones; the object's way is this long, at least.
 
         Most of those that carry are near the best one so far.
@@ -313,7 +306,7 @@ class Reaches:
                         best = rank, q, contacts
                 elif is_straight:
                     most -= self.calc_push(q, self._calc_inertia(q) @ way, contacts)[1] / size
-                yield _Grasp(most, q, contacts, is_straight)
+                yield Grasp(most, q, contacts, is_straight)
 
     def _draw_pose(self, q: Floats, contacts: Pairs, rng: np.random.Generator) -> Floats:
         """Returns random positions of contacts' hands: near some, or within limits of joints."""

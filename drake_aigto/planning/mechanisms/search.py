@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from drake_aigto.planning.mechanisms.guesses import STARTS, Guess, StartName
 from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask
 from drake_aigto.planning.mechanisms.settling import (
     MOST_RENEWED,
+    Found,
     KeptMotion,
     are_same,
     best_of,
@@ -25,6 +26,7 @@ from drake_aigto.planning.mechanisms.settling import (
     is_better,
     keep,
     part_far,
+    put_first,
 )
 from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.mechanisms.touches import NEAR
@@ -64,13 +66,6 @@ _SIMULATED = 1.01
 _MOST_BRANCHED, _PROMISING, _MOST_BRANCHES, _DROPPED = 3, 1.5, 6, 4.0
 # Motions of half the duration that a rest extends; first touches without control, beside all.
 _MOST_EXTENDED, _FIRST = 4, (1, 2, 3)
-
-
-class Found(NamedTuple):
-    """A motion that a search found, and the one that the search began with, if any."""
-
-    result: ShootingResult
-    parent: KeptMotion | None = None
 
 
 class MechanismSearch(Search):
@@ -171,7 +166,8 @@ class MechanismSearch(Search):
     def vary(self) -> Iterator[Sequence[Proposal]]:
         """Yields renewals of the best motions, and new starts in turn."""
         options = self.task.options
-        self._resolve()
+        if options.renewals or not self.task.guesses.hurries:
+            self._resolve()
         for first in range(0, options.renewals if self.motions else 0, _WAVE):
             cost = self.motions[0].cost
             is_free = not self.task.additions and cost <= _NOTHING * self.task.scales.cost
@@ -187,14 +183,16 @@ class MechanismSearch(Search):
             self._aim = self.task.refine(best)
             self.tell(f"shooting in {self._aim.substeps} steps of order {self._aim.order}")
             wave = []
-            for origin, motion in ((each.origin, each.result) for each in self.motions):
+            known = [each for each in self.motions if self.task.is_known(each.result)]
+            others = [each for each in self.motions if each not in known]
+            for origin, motion in ((each.origin, each.result) for each in others):
                 guess = Guess(motion.times, motion.controls, width=0.0, start=motion.states[0])
                 wave.append(Proposal(origin, partial(self.task.close, guess, self._aim)))
-            closed = zip(self.motions, self._close_at_once(wave), strict=True)
+            closed = zip(others, self._close_at_once(wave), strict=True)
             again = [replace(old, result=new, rank=self.task.rank(new)) for old, new in closed]
             if not (finite := [each for each in again if np.isfinite(each.cost)]):
                 return
-            self.motions = best_of(finite)
+            self.motions = best_of([*finite, *known])
 
     @property
     def chance(self) -> float:
@@ -230,7 +228,8 @@ class MechanismSearch(Search):
 
     def _close(self, propose: Callable[[], Guess], parent: KeptMotion | None = None) -> Found:
         """Closes a guess."""
-        return Found(self.task.close(propose(), self._aim), parent)
+        guess = propose()
+        return Found(self.task.close(guess, self._aim), parent, self.task.read(guess))
 
     def _bounce(self, touches: TouchSequence, parent: KeptMotion | None, by: float = 1.0) -> Found:
         """Closes touches; without a parent at any cost, as many of them begin at a high one."""
@@ -289,10 +288,11 @@ class MechanismSearch(Search):
     def keep(self, origin: Origin, found: Found) -> None:
         """Keeps a motion if it is among the best, and no better one is near."""
         self._num_of_use += self.task.is_of_use(found.result)
-        motion = KeptMotion(origin, found.result, self.task.rank(found.result))
         self.searches += 1
-        if np.isfinite(motion.cost):
-            self.motions = keep(self.motions, motion, found.parent, self._scales)
+        for each in filter(None, (found.known, found.result)):
+            motion = KeptMotion(origin, each, self.task.rank(each))
+            if np.isfinite(motion.cost):
+                self.motions = keep(self.motions, motion, found.parent, self._scales)
 
     def judge(self) -> None:
         """Polishes and judges the best motions."""
@@ -317,8 +317,9 @@ class MechanismSearch(Search):
         promise to. Finalists that broke a promise say nothing of the next ones, which have their
         turn, too, also those near them; those that cost far more have it if none holds.
         """
-        for motion in self._tight:
-            enough = self.task.finalists + self._num_broken
+        for motion in put_first(self._tight, self.task.is_known):
+            beside = any(self.task.is_known(each.result) for each in self._polished)
+            enough = self.task.finalists + self._num_broken + beside
             is_full = len(self._holding) + len(self._left_out) >= enough
             is_ended = self.is_interrupted and self._polished
             if is_full or is_ended or motion.cost > self._scale_best(self.task.polish_ratio):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,6 +54,14 @@ class KeptMotion:
         return self.rank[1]
 
 
+class Found(NamedTuple):
+    """A motion that a search found, and the one that the search began with, if any."""
+
+    result: ShootingResult
+    parent: KeptMotion | None = None
+    known: ShootingResult | None = None  # The guess itself, if it is known where it leads to.
+
+
 def keep(
     motions: Sequence[KeptMotion], found: KeptMotion, parent: KeptMotion | None, scales: Floats
 ) -> list[KeptMotion]:
@@ -88,6 +97,14 @@ def part_far(motions: Sequence[KeptMotion]) -> tuple[list[KeptMotion], list[Kept
     most = scaled(_FAR, motions[0].cost) if motions else 0.0
     near = [each for each in motions if each.cost <= most]
     return near, [each for each in motions if each.cost > most]
+
+
+def put_first(
+    motions: Sequence[KeptMotion], is_known: Callable[[ShootingResult], bool]
+) -> list[KeptMotion]:
+    """Returns the motions, the first one first that is known as it is: it is judged for little."""
+    first = next((each for each in motions if is_known(each.result)), None)
+    return sorted(motions, key=lambda each: each is not first)
 
 
 def calc_chance(motions: Sequence[KeptMotion], searches: int, idle: tuple[bool, float]) -> float:
@@ -226,7 +243,7 @@ def settle(
         if is_over or motion.violation > HOPELESS:
             return best or motion
         found = steady(world, scenario, problem, motion)
-        lost = _WRECKED * max(motion.cost, EXACT * problem.cost_scale)
+        lost = find_lost(motion.cost, problem)
         part = 1 - _FALLS if best is None or best.exact_cost <= lost else _RECOVERS
         falls = best is None or _rank_settled(found) < _rank_settled(best, part)
         if best is None or _rank_settled(found) < _rank_settled(best):
@@ -246,6 +263,11 @@ def settle(
             substeps=motion.substeps * (1 if gains_stage else 2),
             most_promised=promised,
         )
+
+
+def find_lost(cost: float, problem: ShootingProblem) -> float:
+    """Returns the cost of a motion from which on it is wrecked."""
+    return _WRECKED * max(cost, EXACT * problem.cost_scale)
 
 
 def _rank_settled(motion: ShootingResult, times: float = 1.0) -> tuple[bool, float]:

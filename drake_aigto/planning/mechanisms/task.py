@@ -10,11 +10,18 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw, RigidLaw, calc_dissipation
+from drake_aigto.errors import ProgramError
 from drake_aigto.planning.feedback import calc_divergence
 from drake_aigto.planning.mechanisms import closing
 from drake_aigto.planning.mechanisms.guesses import Guess, Guesses, sample_cubic
 from drake_aigto.planning.mechanisms.posed import PosedMechanism
-from drake_aigto.planning.mechanisms.settling import MOST_KEPT, MOST_RENEWED, settle, steady
+from drake_aigto.planning.mechanisms.settling import (
+    MOST_KEPT,
+    MOST_RENEWED,
+    find_lost,
+    settle,
+    steady,
+)
 from drake_aigto.planning.search import scaled
 from drake_aigto.shooting import IMPLICIT, ShootingOptions, ShootingResult, is_implicit
 from drake_aigto.world import SpaceWorld, World, find_anywhere
@@ -120,7 +127,8 @@ class MechanismTask(PosedMechanism):
     def guesses(self) -> Guesses:
         """Guesses of motions."""
         problem, measures = self.shooting(self.search_steps), self.measures
-        return Guesses(self.world, self._springs, problem, measures, self.coast, self._total)
+        steps = self.scenario.num_steps
+        return Guesses(self.world, self._springs, problem, measures, self.coast, self._total, steps)
 
     @property
     def _total(self) -> tuple[float, float]:
@@ -142,6 +150,26 @@ class MechanismTask(PosedMechanism):
         half = dataclasses.replace(scenario, duration=step * max(2, scenario.num_steps // 2))
         options = dataclasses.replace(self.options, renewals=self.options.renewals // 2)
         return type(self)(self.world, half, options, self._compiled)
+
+    def read(self, guess: Guess) -> ShootingResult | None:
+        """Returns the motion that a guess leads to as it is; None: it is not known."""
+        problem, hurries = self.shooting(len(guess.controls)), self.guesses.hurries
+        if guess.known is None or problem.phases is not None or not hurries:
+            return None
+        substeps, (q, v) = self._closing.substeps, self.world.split(guess.known)
+        found = problem.simulate(guess.controls, substeps, order=IMPLICIT)
+        try:
+            cost = problem.linearize(found.controls, substeps, 0.0, guess.known, IMPLICIT).cost
+        except ProgramError:
+            return None
+        at = np.hstack([self.world.in_tangent(q, np.zeros(1)), v])
+        off = np.max(np.abs(at - np.clip(at, *problem.state_bounds)) / problem.scales)
+        known = dataclasses.replace(found, states=guess.known, violation=float(off))
+        return dataclasses.replace(known, cost=cost, exact_cost=cost)
+
+    def is_known(self, motion: ShootingResult) -> bool:
+        """Returns whether a motion was read: it is one of the exact law, that feedback follows."""
+        return self._rubs_in_space and motion.smoothing == 0
 
     def close(self, guess: Guess, aim: closing.Aim) -> ShootingResult:
         """Returns the motion after a few steps from a guess, and more if its bounds ask for them.
@@ -184,7 +212,8 @@ class MechanismTask(PosedMechanism):
 
     def is_coarse(self, motion: ShootingResult) -> bool:
         """Returns whether Runge-Kutta steps are too long for a motion's contacts."""
-        if not self._is_sliding or motion.substeps >= closing.MOST_SUBSTEPS:
+        is_known, most = self.is_known(motion), closing.MOST_SUBSTEPS
+        if not self._is_sliding or is_known or motion.substeps >= most:
             return False
         return self.pose_again(motion).add_errors(motion) > _UNRESOLVED
 
@@ -260,6 +289,8 @@ class MechanismTask(PosedMechanism):
         closed. In space, what may still cost more than the least so far after a polish is left
         unfinished.
         """
+        if self.is_known(motion):
+            return motion
         return self._tighten(motion, closing.FINER, np.inf, scaled(self.polish_ratio, least))
 
     def _tighten(
@@ -294,6 +325,9 @@ class MechanismTask(PosedMechanism):
         promises to cost more than the most is left unfinished.
         """
         has_friction, num_steps = self.mechanism.has_friction, self.scenario.num_steps
+        if isinstance(self.world, SpaceWorld) and self.is_known(motion):
+            known = steady(self.world, self.scenario, self.shooting(num_steps), motion)
+            return dataclasses.replace(known, cost=known.exact_cost)
         if self._slides_in_plane:
             motion = self._tighten(motion, closing.FINEST, scaled(_SHARPENED, most))
             if motion.is_left:
@@ -313,6 +347,10 @@ class MechanismTask(PosedMechanism):
             motion = min(motion, cooled, key=self.rank)
         if isinstance(self.world, SpaceWorld) and has_friction:
             problem = problem.starting_from(motion)
+            if self.guesses.hurries and most < np.inf:  # Another one holds.
+                found = steady(self.world, self.scenario, problem, motion)
+                if not found.exact_cost <= find_lost(motion.cost, problem):
+                    return dataclasses.replace(found, is_left=True)
             return settle(self.world, self.scenario, problem, motion, most)
         motion = closing.halve_steps(problem, motion, most)
         is_done = motion.is_left or motion.violation > closing.HOPELESS
