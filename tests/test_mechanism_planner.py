@@ -117,11 +117,11 @@ def test_what_nothing_controls_costs_what_its_simulation_does_whatever_shorter_s
 def test_what_passes_its_bounds_between_knots_has_narrower_ones_there(cart_pole: Planner) -> None:
     scenario = dataclasses.replace(cart_pole.scenario, velocity_upper=[np.inf, 3.5])
     problem = MechanismTask(cart_pole.world, scenario, QUICK)
-    motion = problem.coast
-    replay = replay_event_driven(cart_pole.world, scenario, motion.times, motion.controls)
-    fastest = float(np.max(replay.velocities[:, 1]))
+    motion, candidate = problem.coast, problem.idle_candidate()
+    fastest = float(np.max(candidate.replay.velocities[:, 1]))
     assert fastest > 3.6
-    narrowed = problem.narrowed(motion, [replay])
+    narrowed = problem.narrowed(motion, candidate)
+    assert narrowed is not None
     within = narrowed.bounds.velocity
     np.testing.assert_allclose(within[1], [np.inf, 7.0 - fastest])
     np.testing.assert_array_equal(within[0], [-np.inf, -np.inf])
@@ -150,6 +150,29 @@ def test_what_passes_its_bounds_from_starts_that_are_off_is_polished_within_narr
     scenario = dataclasses.replace(cart_pole.scenario, position_lower=[-0.2, -np.inf])
     assert Planner(scenario, QUICK, cart_pole.world).plan().holds
     assert -0.202 < leftmost[0] < -0.199 and leftmost[1] > -0.192
+
+
+@pytest.mark.slow
+def test_what_ends_beside_a_hard_goal_is_polished_to_end_on_its_other_side(
+    cart_pole: Planner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judge, ends, beside = MechanismTask.judge, list[Any](), np.array([2e-3, -1e-3])
+
+    def miss_at_first(problem: MechanismTask, *motion: Any) -> Candidate:
+        found = judge(problem, *motion)
+        if found.is_idle:
+            return found
+        ends.append(found.trajectory.positions[-1])
+        positions = found.replay.positions + beside
+        off = dataclasses.replace(found.replay, positions=positions, violations={"hard goal": 0.01})
+        return dataclasses.replace(found, replay=off) if len(ends) == 1 else found
+
+    monkeypatch.setattr(MechanismTask, "judge", miss_at_first)
+    goal = np.array([0.05, np.pi])
+    scenario = dataclasses.replace(cart_pole.scenario, hard_goal=True, goal_position=goal)
+    Planner(scenario, QUICK, cart_pole.world).plan()
+    np.testing.assert_allclose(ends[0], goal, atol=1e-4)
+    np.testing.assert_allclose(ends[1], goal - beside, atol=1e-4)
 
 
 @pytest.mark.slow

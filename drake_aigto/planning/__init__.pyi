@@ -26,6 +26,7 @@ from .feedback import calc_divergence as calc_divergence
 from .mechanisms.closing import COARSE as COARSE
 from .mechanisms.closing import Aim as Aim
 from .mechanisms.closing import find_tight as find_tight
+from .mechanisms.closing import soften as soften
 from .mechanisms.guesses import Guess as Guess
 from .mechanisms.guesses import Guesses as Guesses
 from .mechanisms.guesses import Measures as Measures
@@ -42,7 +43,6 @@ from .mechanisms.rigid_task import make_mechanism_task as make_mechanism_task
 from .mechanisms.search import MechanismSearch as MechanismSearch
 from .mechanisms.settling import steady as steady
 from .mechanisms.task import MechanismTask as MechanismTask
-from .mechanisms.task import soften as soften
 from .mechanisms.touches import drop as drop
 from .mechanisms.touches import lead_over_edges as lead_over_edges
 from .mechanisms.touches import list_mode_changes as list_mode_changes

@@ -43,6 +43,7 @@ from .verdict import calc_edge_overlap as calc_edge_overlap
 from .verdict import calc_excess as calc_excess
 from .verdict import calc_growth as calc_growth
 from .verdict import calc_lacks as calc_lacks
+from .verdict import calc_misses as calc_misses
 from .verdict import narrow_bounds as narrow_bounds
 from .verdict import state_scales as state_scales
 from .verdict import tangent_scales as tangent_scales

@@ -159,14 +159,17 @@ def calc_violations(
         lacks = calc_lacks(world, scenario, positions)
         missed[CLEARANCE] = float(np.max(lacks)) / Scales.of(world, scenario).length
     if scenario.hard_goal:
-        task = TaskCost.of(world, scenario)
-        off = [task.goal_errors(positions[-1])]
-        if scenario.goal_velocity is not None:
-            off.append(velocities[-1] - task.goal_velocity)
-        ends, n = np.concatenate(off), world.num_velocities
+        off, n = calc_misses(world, scenario, positions[-1], velocities[-1]), world.num_velocities
         sizes = np.concatenate([units[-n:] * scenario.duration, units[-n:]])
-        missed[HARD_GOAL] = float(np.max(np.abs(ends) / sizes[: len(ends)]))
+        missed[HARD_GOAL] = float(np.max(np.abs(off) / sizes))
     return missed
+
+
+def calc_misses(world: World, scenario: Scenario, q: Floats, v: Floats) -> Floats:
+    """Returns how far an end is beside a hard goal, shape (2n,), 0 of speeds without a goal."""
+    task = TaskCost.of(world, scenario)
+    speeds = 0 * v if scenario.goal_velocity is None else v - task.goal_velocity
+    return np.concatenate([task.goal_errors(q), speeds])
 
 
 def calc_cost(

@@ -1,4 +1,4 @@
-"""Settings for closing guesses by shooting, and corrections after it."""
+"""Settings for closing guesses by shooting, its springs, and corrections after it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import CompliantLaw, ContactLaw, TreeMechanism
+from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, TreeMechanism, calc_dissipation
 from drake_aigto.errors import ModelError
 from drake_aigto.planning.feedback import count_damper_steps
 from drake_aigto.planning.search import scaled
@@ -20,7 +20,7 @@ from drake_aigto.shooting import (
     Smoothing,
     is_implicit,
 )
-from drake_aigto.world import SpaceWorld, World
+from drake_aigto.world import SpaceWorld, World, find_anywhere
 
 # Guesses are closed in a few steps, some from contact that is wide at first (`Guess.width`).
 COARSE = ShootingOptions(
@@ -107,6 +107,8 @@ _STEADY = 0.1
 _HARDLY = 1.05
 # A motion that violates its bounds by more (relative to the scales) won't become a plan.
 HOPELESS = 0.05
+_LEAST_RESTITUTION = 0.2  # of springs that stand in for rigid walls
+_LEAST_MOBILITY = 0.01  # of the one elsewhere: an arm that is not quite stretched out
 
 
 class Aim(NamedTuple):
@@ -294,3 +296,35 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult, most: float) -
         substeps = motion.substeps * 2 ** (1 if has_friction else int(halvings))
         rungs = (WITH_FRICTION if has_friction else POLISH).rungs[-1:]
         options = dataclasses.replace(POLISH, rungs=rungs, substeps=min(substeps, MOST_SUBSTEPS))
+
+
+def soften(world: World, law: RigidLaw, time_step: float, speed: float) -> CompliantLaw:
+    """Returns springs that stand in for rigid walls, as soft as time steps require.
+
+    They reverse a speed in π dt, k = 1/(dt² J M⁻¹ Jᵀ) at the plant's default position, where
+    explicit steps would become unstable at twice the frequency; their restitution is e at a speed.
+
+    Args:
+        world: has M and J.
+        law: has μ, and e; it is at least 0.2, as springs with less would pull.
+        time_step: dt [s].
+        speed: φ̇ of an impact with restitution e [m/s].
+    """
+    mobility = _calc_mobility(world)
+    e = np.maximum(law.restitution, _LEAST_RESTITUTION)
+    dissipation = np.array([calc_dissipation(each, speed) for each in e])
+    return CompliantLaw(1 / (time_step**2 * mobility), dissipation, law.friction)
+
+
+def _calc_mobility(world: World) -> Floats:
+    """Returns J M⁻¹ Jᵀ of each contact at the plant's default position, shape (m,) [1/kg].
+
+    If an arm is stretched out there along the wall's normal, with zero mobility, it is that at
+    another position.
+    """
+    mobilities = []
+    for q in (world.plant.GetDefaultPositions(), find_anywhere(world.plant)):
+        J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)
+        mobilities.append(np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T)))
+    here, elsewhere = mobilities
+    return np.where(here > _LEAST_MOBILITY * elsewhere, here, elsewhere)

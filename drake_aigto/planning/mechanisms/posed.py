@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from functools import cache, cached_property
 from typing import Any, TypeVar
 
@@ -27,7 +26,7 @@ from drake_aigto.planning.candidate import (
     sample,
 )
 from drake_aigto.planning.feedback import Feedback
-from drake_aigto.planning.mechanisms.closing import MOST_SUBSTEPS, POLISH
+from drake_aigto.planning.mechanisms.closing import HOPELESS, MOST_SUBSTEPS, POLISH
 from drake_aigto.planning.mechanisms.guesses import Measures
 from drake_aigto.planning.mechanisms.traces import trace
 from drake_aigto.planning.options import PlanOptions
@@ -49,10 +48,13 @@ from drake_aigto.shooting import (
 )
 from drake_aigto.simulation import (
     BOUNDS,
+    CLEARANCE,
+    HARD_GOAL,
     MOST_GROWTH,
     Replay,
     calc_excess,
     calc_lacks,
+    calc_misses,
     find_contacts,
     max_penetration,
     narrow_bounds,
@@ -101,6 +103,7 @@ class PosedMechanism:
         task: the scenario's cost.
         bounds: of positions, velocities and controls.
         least_distances: φ of contacts at least, by the clearance, shape (m,) [m]; −∞: any.
+        lead: how far beside a hard goal motions end in steps, to be there in exact ones, (2n,).
         law: of its contacts.
         scales: of the task and its verdict, and `state_scales` of q and v, shape (2n,).
         measures: units of the search.
@@ -134,6 +137,7 @@ class PosedMechanism:
         self.world, self.scenario, self.options = world, scenario, options
         self.task, self.bounds = TaskCost.of(world, scenario), world.bounds(scenario)
         self.least_distances = world.least_distances(scenario)
+        self.lead = np.zeros(2 * world.num_velocities)
         self.law = contact_law(world, scenario)
         self.scales, self.state_scales = Scales.of(world, scenario), state_scales(world, scenario)
         self.measures = Measures.of(world, scenario)
@@ -160,10 +164,11 @@ class PosedMechanism:
             off = limits - np.concatenate([world.in_tangent(q, np.zeros(1)), v])
             off[:, :n][:, np.isfinite(world.find_advance(self.scenario))] = 0.0
             free, start = free or (T, T), FreeStart(off, np.zeros(2 * n))
+        added = self._compiled.added
+        problem = ShootingProblem.of(world, self.scenario, self.mechanism, times, added)
         return dataclasses.replace(
-            ShootingProblem.of(
-                self.world, self.scenario, self.mechanism, times, self._compiled.added
-            ),
+            problem,
+            hard_goal=problem.hard_goal + self.lead,
             scales=np.concatenate([measures.position, measures.velocity]),
             length=measures.length,
             # Springs that stand in for rigid walls are as soft as they should be.
@@ -295,16 +300,30 @@ class PosedMechanism:
             own, drake=add_to_replay(drake, self.additions, motion), alone=(*own.alone, *alone)
         )
 
-    def narrowed(self: _Task, motion: ShootingResult, replays: Sequence[Replay]) -> _Task:
-        """Returns the task with bounds and clearances narrowed by the excess of a motion's replays.
+    def narrowed(self: _Task, motion: ShootingResult, candidate: Candidate) -> _Task | None:
+        """Returns the task narrowed by what simulations of a motion miss; None if it is nothing.
 
-        Bounds hold at knots, and speeds may exceed them in between, as right before a touch.
+        Bounds and clearances hold at knots, and may be exceeded in between, as right before a
+        touch. A hard goal that is missed by little is moved by as much.
         """
-        q = np.concatenate([each.positions for each in replays])
-        v = np.concatenate([each.velocities for each in replays])
-        excess, other = calc_excess(self.world, self.scenario, q, v), self.again(self.scenario)
-        other.bounds = narrow_bounds(self.bounds, motion.states[1:], excess)
-        other.least_distances = self.least_distances + calc_lacks(self.world, self.scenario, q)
+        world, scenario, last = self.world, self.scenario, candidate.replay
+        replays = candidate.own_replays.judging
+        broken = [each for each in replays if not {BOUNDS, CLEARANCE}.isdisjoint(each.broken)]
+        is_beside = HARD_GOAL in last.broken and last.violations[HARD_GOAL] < HOPELESS
+        if not broken and not is_beside:
+            return None
+        other = self.again(scenario)
+        other.bounds, other.least_distances = self.bounds, self.least_distances
+        if broken:
+            q = np.concatenate([each.positions for each in broken])
+            v = np.concatenate([each.velocities for each in broken])
+            excess = calc_excess(world, scenario, q, v)
+            other.bounds = narrow_bounds(self.bounds, motion.states[1:], excess)
+            other.least_distances = self.least_distances + calc_lacks(world, scenario, q)
+        if is_beside:
+            asked = scenario.starting_at(motion.states[0])  # With its goal, where it is periodic.
+            end = last.positions[-1], last.velocities[-1]
+            other.lead = self.lead - calc_misses(world, asked, *end)
         return other
 
     def again(self: _Task, scenario: Scenario) -> _Task:

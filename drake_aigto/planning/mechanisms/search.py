@@ -32,7 +32,6 @@ from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.mechanisms.touches import NEAR
 from drake_aigto.planning.search import Proposal, Search, Stopwatch, scaled
 from drake_aigto.shooting import ShootingResult
-from drake_aigto.simulation import BOUNDS, CLEARANCE
 from drake_aigto.transcription import TouchSequence
 
 _LOG = logging.getLogger(__name__)
@@ -53,8 +52,8 @@ _WORDS: dict[StartName, str] = {
 _WAVE, _FEW = 8, 4
 # Costs below this part of the task's scale count as zero.
 _NOTHING = 1e-12
-# What is narrowed where a simulation exceeds it, and how often at most.
-_NARROWED, _MOST_NARROWED = {BOUNDS, CLEARANCE}, 2
+# How often bounds are narrowed where a simulation exceeds them, at most.
+_MOST_NARROWED = 2
 # A polish that costs more than this times the motion before it broke its promise: whirled by a
 # wall, a motion in short steps may cost twice as much, or no more, as in long ones.
 _BROKEN = 1.05
@@ -355,7 +354,7 @@ class MechanismSearch(Search):
         """Adds the candidate of a motion, and returns the polished motion.
 
         It is polished again within narrower bounds if only simulations exceed them, from starts
-        that are off as well.
+        that are off as well, or beside a hard goal that these miss by little.
         """
         start = motion.result
         self.tell(f"polishing a motion that costs {start.cost:.6g}")
@@ -374,11 +373,10 @@ class MechanismSearch(Search):
                     return polished
                 with self.clock("replay"):
                     candidate = self.task.judge(motion.origin, motion.result, polished)
-                replays = candidate.own_replays.judging
-                broken = [each for each in replays if _NARROWED & {*each.broken}]
-                if self.is_interrupted or not broken or rank[0]:
+                narrower = problem.narrowed(polished, candidate)
+                if self.is_interrupted or narrower is None or rank[0]:
                     break
-                problem = problem.narrowed(polished, broken)
+                problem = narrower
         except TrajectoryError as error:
             _LOG.info("  not a candidate: %s", error)
             return polished

@@ -8,8 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
-from drake_aigto.contact import CompliantLaw, RigidLaw, calc_dissipation
+from drake_aigto.contact import CompliantLaw
 from drake_aigto.errors import ProgramError
 from drake_aigto.planning.feedback import calc_divergence
 from drake_aigto.planning.mechanisms import closing
@@ -24,7 +23,7 @@ from drake_aigto.planning.mechanisms.settling import (
 )
 from drake_aigto.planning.search import scaled
 from drake_aigto.shooting import IMPLICIT, ShootingOptions, ShootingResult, is_implicit
-from drake_aigto.world import SpaceWorld, World, find_anywhere
+from drake_aigto.world import SpaceWorld
 
 # Price of violating bounds (relative to the state's scales) in the task's scale. As a violation may
 # save more than that, motions with a larger one than `_MUCH` rank after all others.
@@ -55,8 +54,6 @@ _TELLS, _TELLS_IN_SPACE = (0.1, 40.0), (1.0, 1000.0)
 # resolve. Those of the best motions after 16 renewals add up to 0.3 to 0.8 for the spinner, the
 # block and the disc that a pusher goes round, and to 29 to 220 for the hopper and the planar hand.
 _UNRESOLVED = 5.0
-_LEAST_RESTITUTION = 0.2  # of springs that stand in for rigid walls
-_LEAST_MOBILITY = 0.01  # of the one elsewhere: an arm that is not quite stretched out
 
 
 class MechanismTask(PosedMechanism):
@@ -121,7 +118,7 @@ class MechanismTask(PosedMechanism):
         if isinstance(self.law, CompliantLaw):
             return self.law
         time_step = self.scenario.duration / self.search_steps
-        return soften(self.world, self.law, time_step, self.measures.speed)
+        return closing.soften(self.world, self.law, time_step, self.measures.speed)
 
     @cached_property
     def guesses(self) -> Guesses:
@@ -325,8 +322,11 @@ class MechanismTask(PosedMechanism):
         promises to cost more than the most is left unfinished.
         """
         has_friction, num_steps = self.mechanism.has_friction, self.scenario.num_steps
-        if isinstance(self.world, SpaceWorld) and self.is_known(motion):
-            known = steady(self.world, self.scenario, self.shooting(num_steps), motion)
+        problem, is_beside = self.shooting(num_steps), bool(self.lead.any())
+        if is_beside:  # It is an optimum, but ends beside a hard goal.
+            motion = problem.starting_from(motion).restore(motion)
+        if is_beside or (isinstance(self.world, SpaceWorld) and self.is_known(motion)):
+            known = steady(self.world, self.scenario, problem.starting_from(motion), motion)
             return dataclasses.replace(known, cost=known.exact_cost)
         if self._slides_in_plane:
             motion = self._tighten(motion, closing.FINEST, scaled(_SHARPENED, most))
@@ -338,7 +338,6 @@ class MechanismTask(PosedMechanism):
             or self._is_stiff(motion)
         ):
             motion = self.tighten(motion)
-        problem = self.shooting(num_steps)
         if self.world.dry_friction is not None:
             # While a joint sticks, only far smoother friction has slopes that show what moves it.
             substeps = max(closing.COOLING.substeps, motion.substeps)
@@ -366,35 +365,3 @@ class MechanismTask(PosedMechanism):
     def rank(self, motion: ShootingResult) -> tuple[bool, float]:
         """Orders motions by whether their violation is large, and by their price."""
         return motion.violation > _MUCH, self.price(motion)
-
-
-def soften(world: World, law: RigidLaw, time_step: float, speed: float) -> CompliantLaw:
-    """Returns springs that stand in for rigid walls, as soft as time steps require.
-
-    They reverse a speed in π dt, k = 1/(dt² J M⁻¹ Jᵀ) at the plant's default position, where
-    explicit steps would become unstable at twice the frequency; their restitution is e at a speed.
-
-    Args:
-        world: has M and J.
-        law: has μ, and e; it is at least 0.2, as springs with less would pull.
-        time_step: dt [s].
-        speed: φ̇ of an impact with restitution e [m/s].
-    """
-    mobility = _calc_mobility(world)
-    e = np.maximum(law.restitution, _LEAST_RESTITUTION)
-    dissipation = np.array([calc_dissipation(each, speed) for each in e])
-    return CompliantLaw(1 / (time_step**2 * mobility), dissipation, law.friction)
-
-
-def _calc_mobility(world: World) -> Floats:
-    """Returns J M⁻¹ Jᵀ of each contact at the plant's default position, shape (m,) [1/kg].
-
-    If an arm is stretched out there along the wall's normal, with zero mobility, it is that at
-    another position.
-    """
-    mobilities = []
-    for q in (world.plant.GetDefaultPositions(), find_anywhere(world.plant)):
-        J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)
-        mobilities.append(np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T)))
-    here, elsewhere = mobilities
-    return np.where(here > _LEAST_MOBILITY * elsewhere, here, elsewhere)
