@@ -28,6 +28,13 @@ SECOND = (
     + slider("y2", "along2", "across2", "0 1 0")
     + slider("z2", "across2", "other", "0 0 1")
 )
+# Two fingers that a palm carries, which slides along x, y and z; they slide along x.
+GRIPPER = (
+    link("palm", 0.05, "")
+    + link("other", 0.1, collision("end", SPHERE))
+    + slider("left", "palm", "finger", "1 0 0")
+    + slider("right", "palm", "other", "-1 0 0")
+)
 MOST = 0.07  # that fingers move along y [m]
 
 
@@ -130,31 +137,44 @@ def test_hands_stay_within_limits_and_stick_until_they_reach_anew(fingers: Finge
 
 
 @pytest.mark.slow
-def test_hands_lift_an_object_that_would_fall_and_hold_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "at"),
+    [
+        (ball_and_finger(more=SECOND), {"x": -0.12, "z": 0.0493, "x2": 0.12, "z2": 0.0493}),
+        (
+            ball_and_finger(more=GRIPPER).replace("<child>finger<", "<child>palm<", 1),
+            {"z": 0.0493, "left": -0.12, "right": -0.12},
+        ),
+    ],
+    ids=["two hands", "one gripper"],
+)
+def test_hands_lift_an_object_that_would_fall_and_hold_it(
+    tmp_path: Path, text: str, at: dict[str, float]
+) -> None:
     scenario = make_scenario(
         tmp_path,
-        ball_and_finger(more=SECOND),
-        initial_position={
-            "thing": {"xyz": [0, 0, 0.0493]}, "x": -0.12, "z": 0.0493, "x2": 0.12, "z2": 0.0493,
-        },
-        initial_velocity=[0.0] * 12,
+        text,
+        initial_position={"thing": {"xyz": [0, 0, 0.0493]}} | at,
+        initial_velocity={},
         goal_position={"thing": {"xyz": [0.0, 0.0, 0.11]}},
         stiction_speed=0.01,
         goal_weight={"thing": {"xyz": 10.0}},
-    )  # fmt: skip
+    )
     task = Planner(scenario).task
     assert isinstance(task, MechanismTask) and isinstance(task.law, CompliantLaw)
     world, scenario = task.world, task.scenario
     assert isinstance(world, SpaceWorld)
-    limits, cost = limit_states(world, task.bounds)[:, :12], TaskCost.of(world, scenario)
-    reaches = Reaches(world, task.law, cost, np.full(12, 0.1), limits, 1.0)
+    n, cost = world.num_velocities, TaskCost.of(world, scenario)
+    limits = limit_states(world, task.bounds)[:, :n]
+    reaches = Reaches(world, task.law, cost, np.full(n, 0.1), limits, 1.0)
     q = scenario.initial_position
     (height,) = (world.plant.GetJointByName("thing").position_start() + 6,)
     assert not reaches.is_carried(q)
     assert reaches.is_carried(q + 0.01 * np.eye(len(q))[height])
-    times, bounds, ends = np.linspace(0.0, 1.0, 51), np.array([[-20.0] * 6, [20.0] * 6]), []
+    bounds = np.array([[-20.0] * (n - 6), [20.0] * (n - 6)])
+    times, ends = np.linspace(0.0, 1.0, 51), list[float]()
     for seed in range(6):
-        state, rng = (q, np.zeros(12)), np.random.default_rng(seed)
+        state, rng = (q, np.zeros(n)), np.random.default_rng(seed)
         controls, _ = reaches.push(times, state, 0.3, bounds, rng)
         ends.append(replay_event_driven(world, scenario, times, controls).positions[-1, height])
     assert np.median(ends) > 0.1  # One that is let go lies at 0.05.

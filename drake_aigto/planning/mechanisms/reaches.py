@@ -245,14 +245,14 @@ class Reaches:
         return float(np.mean(parts))
 
     def _draw_contacts(self, rng: np.random.Generator) -> Pairs:
-        """Returns contacts of one hand, or of several that move independently."""
+        """Returns contacts of one hand, or of several, each with a joint that others have not."""
         drawn, most = list[int](), _MOST_HANDS[self.must_carry]
         most = int(rng.integers(1 + self.must_carry, 1 + most))
-        moved = np.zeros(len(self._unit), dtype=bool)
         for contact in rng.permutation(self.contacts):
-            if len(drawn) < most and not np.any(moved & self._hands[contact]):
+            own, others = self._hands[contact], self._hands[drawn]
+            is_apart = np.any(own & ~others, axis=1) & np.any(others & ~own, axis=1)
+            if len(drawn) < most and is_apart.all():
                 drawn.append(int(contact))
-                moved |= self._hands[contact]
         return tuple(drawn)
 
     def _reach(
@@ -351,8 +351,12 @@ class Reaches:
         return pushed
 
     def _touch(self, q: Floats, contacts: Pairs, driven: Bools, distance: float = 0.0) -> Floats:
-        """Returns positions in which contacts are at a distance, by Newton steps, one by one."""
-        for contact in contacts:
+        """Returns positions in which contacts are at a distance, by Newton steps, one by one.
+
+        Joints that move hands of contacts before, too, stay.
+        """
+        for number, contact in enumerate(contacts):
+            driven = driven & ~self._hands[list(contacts[:number])].any(axis=0)
             for _ in range(_NEWTON):
                 off = float(self.world.calc_signed_distance(q)[contact]) - distance
                 if abs(off) < _TOUCHES * self._length:
