@@ -166,7 +166,8 @@ class MechanismTask(PosedMechanism):
 
     def is_known(self, motion: ShootingResult) -> bool:
         """Returns whether a motion was read: it is one of the exact law, that feedback follows."""
-        return self._rubs_in_space and motion.smoothing == 0
+        is_exact = self._rubs_in_space and motion.smoothing == 0
+        return is_exact and motion is not self.coast and self.guesses.hurries
 
     def close(self, guess: Guess, aim: closing.Aim) -> ShootingResult:
         """Returns the motion after a few steps from a guess, and more if its bounds ask for them.
