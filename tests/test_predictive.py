@@ -450,10 +450,13 @@ def test_a_pole_that_is_kicked_bounces_off_a_rigid_wall_as_it_promises_then() ->
     truth = Disturbance(kick=np.array([0.3, 0.5]), kick_time=0.4)
     run = swing(Scenario.named("cart_pole/rigid_06"), truth, renewals=8, feedback_period=0.005)
     assert run.replay.bounce_contacts
-    # Where a later tick misses, the plan that the pole is on goes on: nothing worse is taken.
     kicked = next(tick for tick in run.ticks if tick.time >= truth.kick_time)
     assert "no motion" not in kicked.reason
-    assert sum("no motion" in tick.reason for tick in run.ticks) <= 2
+    # While ticks miss walls, or end far off, the plan that the pole is on goes on: nothing worse is
+    # taken. After a quarter of what is left at the kick, none does.
+    kept = [tick for tick in run.ticks if "goes on" in tick.reason]
+    assert all(tick.cost == kept[0].cost < kicked.cost * 1.02 for tick in kept)
+    assert all(tick.time < truth.kick_time + (1.5 - truth.kick_time) / 4 for tick in kept)
     assert run.cost < 1.05 * (calc_spent(run, truth.kick_time) + kicked.cost)
 
 
