@@ -125,6 +125,9 @@ def test_what_passes_its_bounds_between_knots_has_narrower_ones_there(cart_pole:
     within = narrowed.bounds.velocity
     np.testing.assert_allclose(within[1], [np.inf, 7.0 - fastest])
     np.testing.assert_array_equal(within[0], [-np.inf, -np.inf])
+    problem.lead = np.full(4, 1e-3)  # It stays where bounds alone are narrowed.
+    other = problem.narrowed(motion, candidate)
+    assert other is not None and np.array_equal(other.lead, problem.lead)
     # The cart's bounds are narrower, too, and can't hold at the first knots; they end the updates.
     slow = narrowed.tighten(motion)
     assert np.max(slow.states[1:, 3]) < 7.0 - fastest + 1e-2

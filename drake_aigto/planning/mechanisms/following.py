@@ -14,8 +14,8 @@ from drake_aigto.world import SpaceWorld
 
 _TRACKING = 0.5  # Hands follow their paths at this frequency, in steps [rad].
 _SINGULAR = 1e-3  # Singular values below this part of the largest one are none.
-# Strokes that lose objects, or move them by less than this part of what they promise, are tried
-# anew, so many times in all.
+# Strokes that lose objects, or move them by less than this part of what they promise, are followed
+# by another try; the most tries of a stroke.
 _KEPT, _TRIES = 0.5, 4
 
 Pairs: TypeAlias = tuple[int, ...]  # Contacts, by their numbers.

@@ -314,6 +314,7 @@ class PosedMechanism:
             return None
         other = self.again(scenario)
         other.bounds, other.least_distances = self.bounds, self.least_distances
+        other.lead = self.lead
         if broken:
             q = np.concatenate([each.positions for each in broken])
             v = np.concatenate([each.velocities for each in broken])

@@ -353,10 +353,9 @@ class Reaches:
     def _touch(self, q: Floats, contacts: Pairs, driven: Bools, distance: float = 0.0) -> Floats:
         """Returns positions in which contacts are at a distance, by Newton steps, one by one.
 
-        Joints that move hands of contacts before, too, stay.
+        Joints that move the hand of one contact stay for the next.
         """
-        for number, contact in enumerate(contacts):
-            driven = driven & ~self._hands[list(contacts[:number])].any(axis=0)
+        for contact in contacts:
             for _ in range(_NEWTON):
                 off = float(self.world.calc_signed_distance(q)[contact]) - distance
                 if abs(off) < _TOUCHES * self._length:
@@ -367,6 +366,7 @@ class Reaches:
                 longest = float(np.max(np.abs(step) / self._unit))
                 q = self.world.add(q, step * min(1.0, _LONGEST / max(longest, _NOTHING)))
                 q = self.world.add(q, -self._find_excess(q))
+            driven = driven & ~self._hands[contact]
         return q
 
     def _stick(self, q: Floats, way: Floats, contacts: Pairs) -> Floats | None:

@@ -150,8 +150,10 @@ class MechanismTask(PosedMechanism):
 
     def read(self, guess: Guess) -> ShootingResult | None:
         """Returns the motion that a guess leads to as it is; None: it is not known."""
-        problem, hurries = self.shooting(len(guess.controls)), self.guesses.hurries
-        if guess.known is None or problem.phases is not None or not hurries:
+        if guess.known is None or not self.guesses.hurries:
+            return None
+        problem = self.shooting(len(guess.controls))
+        if problem.phases is not None:
             return None
         substeps, (q, v) = self._closing.substeps, self.world.split(guess.known)
         found = problem.simulate(guess.controls, substeps, order=IMPLICIT)
@@ -325,7 +327,7 @@ class MechanismTask(PosedMechanism):
         has_friction, num_steps = self.mechanism.has_friction, self.scenario.num_steps
         problem, is_beside = self.shooting(num_steps), bool(self.lead.any())
         if is_beside:  # It is an optimum, but ends beside a hard goal.
-            motion = problem.starting_from(motion).restore(motion)
+            motion = problem.restore(motion)
         if is_beside or (isinstance(self.world, SpaceWorld) and self.is_known(motion)):
             known = steady(self.world, self.scenario, problem.starting_from(motion), motion)
             return dataclasses.replace(known, cost=known.exact_cost)
