@@ -125,7 +125,7 @@ def read_given(scene_graph: SceneGraph, shape: GeometryId, *names: tuple[str, st
         missing = zip((name[1].split("_")[-1] for name in lacking), defaults, strict=True)
         raise ModelError(
             f"collision shape {inspector.GetName(shape)!r} of {body!r}",
-            got=" and ".join(f"no {each}, {default}" for each, default in missing),
+            got="; ".join(f"no {each}, {default}" for each, default in missing),
             expected=" and ".join(f"<drake:{name[1]}>" for name in lacking),
             remedy="Give both shapes theirs, in the model or by the scenario's material: "
             f"{{'*': {{{', '.join(entries)}}}}}: {'; '.join(usual)}.",
