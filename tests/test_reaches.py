@@ -35,6 +35,8 @@ GRIPPER = (
     + slider("left", "palm", "finger", "1 0 0")
     + slider("right", "palm", "other", "-1 0 0")
 )
+# A jaw that slides on the finger, which stands still on its palm.
+JAW = link("other", 0.1, collision("end", SPHERE)) + slider("jaw", "finger", "other", "-1 0 0")
 MOST = 0.07  # that fingers move along y [m]
 
 
@@ -145,8 +147,9 @@ def test_hands_stay_within_limits_and_stick_until_they_reach_anew(fingers: Finge
             ball_and_finger(more=GRIPPER).replace("<child>finger<", "<child>palm<", 1),
             {"z": 0.0493, "left": -0.12, "right": -0.12},
         ),
+        (ball_and_finger(more=JAW), {"x": -0.12, "z": 0.0493, "jaw": -0.24}),
     ],
-    ids=["two hands", "one gripper"],
+    ids=["two hands", "one gripper", "one jaw"],
 )
 def test_hands_lift_an_object_that_would_fall_and_hold_it(
     tmp_path: Path, text: str, at: dict[str, float]

@@ -245,15 +245,17 @@ class Reaches:
         return float(np.mean(parts))
 
     def _draw_contacts(self, rng: np.random.Generator) -> Pairs:
-        """Returns contacts of one hand, or of several, each with a joint that others have not."""
+        """Returns contacts of one hand, or of several that other joints move.
+
+        A jaw that stands still on its palm comes before one that has a joint of its own.
+        """
         drawn, most = list[int](), _MOST_HANDS[self.must_carry]
         most = int(rng.integers(1 + self.must_carry, 1 + most))
         for contact in rng.permutation(self.contacts):
-            own, others = self._hands[contact], self._hands[drawn]
-            is_apart = np.any(own & ~others, axis=1) & np.any(others & ~own, axis=1)
-            if len(drawn) < most and is_apart.all():
+            differ = np.any(self._hands[contact] != self._hands[drawn], axis=1)
+            if len(drawn) < most and differ.all():
                 drawn.append(int(contact))
-        return tuple(drawn)
+        return tuple(sorted(drawn, key=lambda each: int(np.sum(self._hands[each]))))
 
     def _reach(
         self, start: Floats, size: float, rng: np.random.Generator
