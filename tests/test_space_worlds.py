@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,20 @@ def test_distances_and_their_slopes_are_those_of_the_manifold(tmp_path: Path) ->
     for j, step in enumerate(h * np.eye(9)):
         ends = [world.calc_signed_distance(world.tree.add(q, s * step)) for s in (1, -1)]
         np.testing.assert_allclose(J[:, j], (ends[0] - ends[1]) / (2 * h), rtol=0, atol=1e-8)
+
+
+def test_distances_with_their_slopes_are_those_of_each_alone_and_last(tmp_path: Path) -> None:
+    world, scenario = build(make_scenario(tmp_path))
+    assert isinstance(world, SpaceWorld)
+    others = world.tree.add(scenario.initial_position, np.random.default_rng(0).normal(size=(8, 9)))
+    with ThreadPoolExecutor(4) as pool:
+        found = [
+            (q, *both)
+            for q, both in zip(others, pool.map(world.measure_contacts, others), strict=True)
+        ]
+    for q, distances, slopes in found:
+        np.testing.assert_array_equal(distances, world.calc_signed_distance(q))
+        np.testing.assert_array_equal(slopes, world.calc_contact_jacobian(q))
 
 
 def test_a_push_leads_to_the_same_end_here_and_in_drake(tmp_path: Path) -> None:

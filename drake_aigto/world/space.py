@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from operator import attrgetter
+from threading import get_ident
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -25,7 +27,7 @@ from drake_aigto.dynamics import (
     make_tree_memory,
 )
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.geometry import BALL, CAPSULE, HALF_SPACE, make_closest
+from drake_aigto.geometry import BALL, CAPSULE, HALF_SPACE, Closest, make_closest
 from drake_aigto.world.diagram import (
     create_root,
     find_plant,
@@ -305,6 +307,11 @@ class SpaceWorld(SpaceCoordinates, World):
         self._measure(q, J.reshape(len(list_rows(q)), *J.shape[-2:]))
         return J
 
+    def measure_contacts(self, q: Floats) -> tuple[Floats, Floats]:
+        """Returns φ (m,) [m], and J of φ̇ = J v, shape (m, nv), at one q of shape (nq,)."""
+        J = np.empty((1, self.num_contacts, self.num_velocities))
+        return self._measure(q, J)[0][0], J[0]
+
     def calc_slides(self, q: Floats, v: Floats) -> Floats:
         """Returns how the first shape of each pair slides along the second, (…, m, 3) [m/s]."""
         found = []
@@ -321,22 +328,25 @@ class SpaceWorld(SpaceCoordinates, World):
         n, C = np.split(self._measure(q)[1][0, contact], 2)
         return C, n
 
-    def _measure(
-        self, q: Floats, J: Floats | None = None, memory: TreeMemory | None = None
-    ) -> tuple[Floats, Floats]:
+    def _measure(self, q: Floats, J: Floats | None = None) -> tuple[Floats, Floats]:
         """Returns φ (K, m), and normals and points (K, m, 6), of rows; J becomes ∂φ/∂q of these."""
         from drake_aigto.world.space_kernels import measure_pairs
 
         J = np.empty((0, self.num_contacts, self.num_velocities)) if J is None else J
-        memory = memory or make_tree_memory(self.tree)
-        shapes, pairs, _ = self.geometry
-        at = self.tree, shapes, pairs, np.array(self.signs), list_rows(q)
-        return measure_pairs(*at, memory, make_closest(), J)
+        (shapes, pairs, _), (memory, closest, signs) = self.geometry, self._rooms[get_ident()]
+        return measure_pairs(self.tree, shapes, pairs, signs, list_rows(q), memory, closest, J)
+
+    @cached_property
+    def _rooms(self) -> defaultdict[int, tuple[TreeMemory, Closest, Floats]]:
+        """Room for `measure_pairs` of each thread, which takes longer to make, and signs."""
+        return defaultdict(
+            lambda: (make_tree_memory(self.tree), make_closest(), np.array(self.signs))
+        )
 
     def relate(self, q: Floats) -> tuple[Floats, Floats, Floats]:
         """Returns φ of one state (m,), normals (m, 3), and ∂(ṗ_A − ṗ_B)/∂v, shape (m, 3, nv)."""
-        memory, tree = make_tree_memory(self.tree), self.tree
-        distances, points = self._measure(q, memory=memory)
+        distances, points = self._measure(q)
+        memory, tree = self._rooms[get_ident()][0], self.tree
         (x, y, z), (a, b, c) = points[0, :, 3:, np.newaxis].swapaxes(0, 1), memory.motions[:, :3].T
         moved = np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=1)
         J = np.empty((self.num_contacts, 3, self.num_velocities))

@@ -359,10 +359,11 @@ class Reaches:
         """
         for contact in contacts:
             for _ in range(_NEWTON):
-                off = float(self.world.calc_signed_distance(q)[contact]) - distance
+                distances, slopes = self.world.measure_contacts(q)
+                off = float(distances[contact]) - distance
                 if abs(off) < _TOUCHES * self._length:
                     break
-                J = self.world.calc_contact_jacobian(q)[contact] * driven
+                J = slopes[contact] * driven
                 towards = self._unit**2 * J
                 step = -off * towards / max(J @ towards, _NOTHING)
                 longest = float(np.max(np.abs(step) / self._unit))
