@@ -37,6 +37,7 @@ from drake_aigto.simulation import tangent_scales
 
 PATH = Path(__file__).with_name("known_questions.json")
 NEAR, WIDE = 0.01, 0.10
+_ROUNDING = 1e-15  # Costs below are as good as zero.
 # Each kind of change is made with this probability, and questions without any are drawn again.
 _SHARE, _MOST_DRAWS = 0.4, 200
 _HORIZON, _MOST_STEPS = (0.3, 4.0), 400
@@ -194,7 +195,8 @@ class Row:
 
     def is_within(self, part: float) -> bool:
         """Returns whether the plan costs at most this part more than the best known."""
-        return self.cost <= self.best + part * abs(self.best) or not math.isfinite(self.best)
+        most = self.best + part * abs(self.best) + _ROUNDING
+        return self.cost <= most or not math.isfinite(self.best)
 
 
 def _key(scenario: Scenario) -> str:
@@ -246,7 +248,7 @@ def format_results(rows: Sequence[Row]) -> str:
     lines = [f"{'world':24}" + "".join(map(str.rjust, head, widths))]
     for world in dict.fromkeys(row.world for row in rows):
         own = [row for row in rows if row.world == world]
-        ratios = [row.cost / row.best if row.best > 0 else 1.0 for row in own]
+        ratios = [row.cost / row.best if row.best > _ROUNDING else 1.0 for row in own]
         values = (
             f"{len(own)}",
             f"{100 * np.mean([row.is_within(NEAR) for row in own]):.0f}",

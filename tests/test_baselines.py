@@ -332,8 +332,9 @@ def test_plans_are_near_the_best_that_anything_has_found() -> None:
     idle = replace(ROW, number=2, cost=168.0, is_idle=True)
     line = format_results([ROW, none, idle]).splitlines()[1].split()
     assert line == ["cart_pole/soft_06", "3", "0", "33", "inf", "1", "1", "1.00"]
-    nothing = replace(ROW, cost=0.0, rival=np.inf)
-    assert nothing.is_within(NEAR)
+    for cost, rival in ((0.0, np.inf), (1e-28, 0.0)):
+        nothing = replace(ROW, cost=cost, rival=rival)
+        assert nothing.is_within(NEAR)
 
 
 def test_a_world_that_is_not_shipped_is_refused() -> None:
