@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -213,6 +213,33 @@ def test_hands_lift_what_they_must_carry_at_once_and_take_it_to_its_goal() -> No
             then = path[(3 * first + end) // 4 : end + 1]
             assert np.all(world.calc_signed_distance(then)[:, corners] > 0.005)
     assert seen > 0
+
+
+def test_hands_that_lost_what_they_carry_try_a_grasp_that_differs_from_the_last() -> None:
+    task = make_far_turn()
+    start, reaches = task.scenario.initial_position, task.guesses._reaches
+    ready: list[tuple[float, list[Floats], tuple[int, ...]]] = []
+    assert reaches is not None
+    rng, unit, grasps = np.random.default_rng(0), task.measures.position, list[Floats]()
+    for _ in range(3):
+        path, contacts, _ = reaches.find_stroke(start, 60, 0.3, rng, (), ready)
+        grasps.append(path[next(k for k, each in enumerate(contacts) if each)])
+        assert len(ready) > 0  # They are drawn once.
+    for one, other in combinations(grasps, 2):
+        assert np.max(np.abs(task.world.subtract(one, other)) / unit) > 0.1
+
+
+@pytest.mark.slow  # Shooting over trees is compiled.
+def test_where_hands_that_carry_were_simulated_to_is_known_and_polished_as_it_is() -> None:
+    task = make_far_turn()
+    guesses = (task.guesses.draw("push", np.random.default_rng(seed)) for seed in range(12))
+    guess = next(each for each in guesses if each.known is not None)
+    known, closed = task.read(guess), task.close(guess, Aim())
+    assert known is not None and task.is_known(known) and not task.is_known(closed)
+    np.testing.assert_array_equal(known.states, guess.known)
+    polished = task.polish(known)
+    assert polished.exact_cost == pytest.approx(known.cost, rel=0.05)
+    np.testing.assert_allclose(polished.states, known.states, atol=0.02)
 
 
 @pytest.mark.slow

@@ -15,10 +15,12 @@ from drake_aigto.world import SpaceWorld
 _TRACKING = 0.5  # Hands follow their paths at this frequency, in steps [rad].
 _SINGULAR = 1e-3  # Singular values below this part of the largest one are none.
 # Strokes that lose objects, or move them by less than this part of what they promise, are followed
-# by another try; the most tries of a stroke.
-_KEPT, _TRIES = 0.5, 4
+# by another try; the most tries of a stroke, and by how much grasps of these differ, in units.
+_KEPT, _TRIES, _APART = 0.5, 4, 0.1
 
 Pairs: TypeAlias = tuple[int, ...]  # Contacts, by their numbers.
+# How good they are, positions while they push, and contacts; the best last.
+Grasps: TypeAlias = list[tuple[float, list[Floats], Pairs]]
 
 
 class Grasp(NamedTuple):
@@ -51,9 +53,15 @@ class Strokes(Protocol):
     hand_unit: Floats
 
     def find_stroke(
-        self, start: Floats, count: int, share: float, rng: np.random.Generator, last: Pairs = ()
+        self,
+        start: Floats,
+        count: int,
+        share: float,
+        rng: np.random.Generator,
+        last: Pairs = (),
+        ready: Grasps | None = None,
     ) -> Stroke:
-        """Returns a stroke from q at the start."""
+        """Returns a stroke from q at the start; takes the best of grasps that are ready there."""
 
     def is_lost(self, q: Floats, contacts: Pairs) -> bool:
         """Returns whether some contacts that should touch are far from it."""
@@ -87,14 +95,18 @@ class Following(Controller):
         share: float,
         bounds: Floats,
         rng: np.random.Generator,
+        ready: Grasps,
     ) -> None:
-        """Takes knots (N + 1,) [s], the share of strokes to reach in, and bounds (2, nu)."""
+        """Takes knots (N + 1,) [s], the share of strokes to reach in, and bounds (2, nu).
+
+        Grasps may be ready for the start, or are left there.
+        """
         self.start, self.end = times[[0, -1]].tolist()
         self.controls = np.zeros((len(times) - 1, reaches.world.num_actuators))
         size = reaches.world.num_positions + reaches.world.num_velocities
         self.states, self.promised = np.zeros((len(times) - 1, size)), np.empty(0)
         self._reaches, self._times, self._share = reaches, times, share
-        self._bounds, self._rng = bounds, rng
+        self._bounds, self._rng, self._ready = bounds, rng, ready
         self._begin, self._stroke = 0, Stroke(np.empty(0), [()], 0)
 
     @property
@@ -110,7 +122,8 @@ class Following(Controller):
         if row >= self._begin + self._stroke.end:
             left, last = len(self._times) - 1 - row, self._stroke.contacts[self._stroke.end - 1]
             self._begin = row
-            self._stroke = self._reaches.find_stroke(q, left, self._share, self._rng, last)
+            others = self._share, self._rng, last, None if row else self._ready
+            self._stroke = self._reaches.find_stroke(q, left, *others)
             self.promised = self._stroke.positions[-1]
             if self._reaches.hurries:
                 self.end = float(self._times[row + self._stroke.end])
@@ -200,9 +213,10 @@ def _try(
 
     Arguments are those of `follow_strokes`, as for what it raises.
     """
-    tried, before = list[_Tried](), reaches.measure_left(reaches.world.split(x)[0])
+    tried, ready = list[_Tried](), Grasps()
+    before = reaches.measure_left(reaches.world.split(x)[0])
     for number in range(_TRIES):
-        following = Following(reaches, *asked, rng)
+        following = Following(reaches, *asked, rng, ready if reaches.must_carry else [])
         try:
             then = dynamics.lead(x, following)
         except TrajectoryError:
@@ -216,6 +230,16 @@ def _try(
         if left < before - _KEPT * promised if reaches.hurries else following.is_done:
             break
     return min(tried, key=lambda each: each.rank)
+
+
+def take_best(ready: Grasps, world: SpaceWorld, unit: Floats) -> tuple[list[Floats], Pairs]:
+    """Returns the best of grasps that are ready, if any; those near it are ready no more."""
+    if not ready:
+        return [], ()
+    _, pushed, contacts = ready.pop()
+    off = [np.abs(world.subtract(path[0], pushed[0]) / unit) for _, path, _ in ready]
+    ready[:] = [each for each, by in zip(ready, off, strict=True) if np.max(by) > _APART]
+    return pushed, contacts
 
 
 def find_edges(normal: Floats, friction: float) -> Floats:

@@ -11,11 +11,13 @@ from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.contact import CompliantLaw
 from drake_aigto.planning.mechanisms.following import (
     Grasp,
+    Grasps,
     Pairs,
     Stroke,
     answer_way,
     find_edges,
     follow_strokes,
+    take_best,
 )
 from drake_aigto.simulation import Compliant
 from drake_aigto.world import SpaceWorld, TaskCost
@@ -38,8 +40,8 @@ _NEWTON, _LONGEST, _TOUCHES, _NEAR = 12, 0.5, 1e-6, 1e-3
 # Of hands that push, and that carry: how many do at once, at most; the part of friction they use.
 _MOST_HANDS, _INSIDE = (2, 3), (0.7, 0.6)
 # Grasps that carry are chosen by what part of the weight they drop with this part of friction, in
-# some places on the way, at a price.
-_SAFE, _PLACES, _FALL = 0.4, 5, 3.0
+# some places on the way, at a price; so many are ready to be tried, at least, of others one.
+_SAFE, _PLACES, _FALL, _NUM_READY = 0.4, 5, 3.0, (1, 12)
 # In units: how far off hands keep on their way to them, how high they lift objects, and from how
 # far they have lost them. Forces count by this part of the norm of all their effects.
 _CLEAR, _LIFT, _LOST, _EVEN = 0.1, 0.2, 0.05, 1e-2
@@ -134,12 +136,18 @@ class Reaches:
         return follow_strokes(self, dynamics, np.concatenate(state), (times, share, bounds), rng)
 
     def find_stroke(
-        self, start: Floats, count: int, share: float, rng: np.random.Generator, last: Pairs = ()
+        self,
+        start: Floats,
+        count: int,
+        share: float,
+        rng: np.random.Generator,
+        last: Pairs = (),
+        ready: Grasps | None = None,
     ) -> Stroke:
         """Returns a stroke from q at the start (nq,), within a count of even steps of time.
 
         It takes the part of them that it has of the way, or less, and hands reach in a share of it.
-        Objects that are carried by the last contacts are held on.
+        Objects that are carried by the last contacts are held on. Grasps may be ready from before.
         """
         near = self.world.calc_signed_distance(start)[list(last)] < _NEAR * self._length
         held = last if self.must_carry and near.all() and self.is_carried(start) else ()
@@ -148,14 +156,11 @@ class Reaches:
         if held:
             pushed, by = self._follow(start, size / _PARTS, held, True), held
         else:
-            pushed, by = self._reach(start, size, rng)
+            pushed, by = self._reach(start, size, rng, [] if ready is None else ready)
         if len(pushed) < 2 or count < 2:
             return Stroke(path, contacts, count)
-        end = (
-            count
-            * rng.uniform(*_HURRY[self.must_carry or self.hurries])
-            * (1 - self._measure(self._find_way(pushed[-1])) / size)
-        )
+        left = self.measure_left(pushed[-1]) / size
+        end = count * rng.uniform(*_HURRY[self.must_carry or self.hurries]) * (1 - left)
         then = int(np.clip(np.ceil(end), 2, count))
         middle = 1 if held else int(np.clip(share * then, 1, then - 1))
         reached = self.world.add(start, np.outer(_ROUND, self.world.subtract(pushed[0], start)))
@@ -258,21 +263,21 @@ class Reaches:
         return tuple(sorted(drawn, key=lambda each: int(np.sum(self._hands[each]))))
 
     def _reach(
-        self, start: Floats, size: float, rng: np.random.Generator
+        self, start: Floats, size: float, rng: np.random.Generator, ready: Grasps
     ) -> tuple[list[Floats], Pairs]:
         """Returns positions of touches that push the object far to its goal, part by part.
 
-        Also returns their contacts. The object's way is this long, at least.
+        Also returns their contacts. They are the best that are ready, and those near them are so no
+        more; if none is, they are drawn. The object's way is this long, at least.
         """
-        best = -np.inf, list[Floats](), Pairs()
-        grasps = sorted(self._draw_grasps(start, size, rng), key=lambda each: -each.most)
+        grasps = [] if ready else sorted(self._draw_grasps(start, size, rng), key=lambda g: -g.most)
         for most, q, contacts, is_straight in grasps:
-            if most <= best[0]:
+            if len(ready) >= _NUM_READY[self.must_carry] and most <= ready[-1][0]:
                 break
             pushed = self._follow(q, size / _PARTS, contacts, is_straight)
-            value = most - self._measure(self._find_way(pushed[-1])) / size
-            best = max(best, (value, pushed, contacts), key=lambda each: each[0])
-        return best[1:]
+            ready.append((most - self.measure_left(pushed[-1]) / size, pushed, contacts))
+            ready.sort(key=lambda each: each[0])
+        return take_best(ready, self.world, self._unit)
 
     def _draw_grasps(self, start: Floats, size: float, rng: np.random.Generator) -> Iterator[Grasp]:
         """Yields random ones; the object's way is this long, at least.

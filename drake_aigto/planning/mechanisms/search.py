@@ -26,7 +26,6 @@ from drake_aigto.planning.mechanisms.settling import (
     is_better,
     keep,
     part_far,
-    put_first,
 )
 from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.mechanisms.touches import NEAR
@@ -89,6 +88,7 @@ class MechanismSearch(Search):
         self._candidates: list[Candidate] = []
         self._tight: list[KeptMotion] = []  # The best motions, in shorter steps.
         self._far: list[KeptMotion] = []  # Those that cost far more, as they were found.
+        self._sure: list[KeptMotion] = []  # The best of those that are known as they are.
         self._polished: list[KeptMotion] = []
         self._known: list[KeptMotion] = []  # Those that kept their promise, before and after.
         self._left_out: list[KeptMotion] = []  # As another one that holds costs less.
@@ -132,12 +132,11 @@ class MechanismSearch(Search):
         """
         guesses, count = self.task.guesses, self.task.options.starts
         self.tell(f"shooting from {self.task.num_starts} starts")
-        plain = len(guesses.starts)
         given = []
         if self.guess is not None:
             follow = partial(guesses.follow, self.guess)
             given.append(Proposal(Origin(GIVEN), partial(self._close, follow)))
-        starts = [self._start(number, number < plain) for number in range(count)]
+        starts = [self._start(number, number < len(guesses.starts)) for number in range(count)]
         sharp = [
             Proposal(
                 Origin(f"shooting {_WORDS[each]}, contact sharp{words}"),
@@ -253,8 +252,7 @@ class MechanismSearch(Search):
         Where half of the motions are better than no control, others are not closed with more care:
         of 3,072 around cart-poles between soft walls 403 were, and two of these were kept.
         """
-        limit = find_limit(self.motions, self.task.num_limiting)
-        most = scaled(self.task.close_ratio, limit)
+        most = scaled(self.task.close_ratio, find_limit(self.motions, self.task.num_limiting))
         is_patient = 2 * self._num_of_use <= self.searches
         self._aim = self._aim._replace(most=most, is_patient=is_patient)
         super().close(wave)
@@ -290,7 +288,10 @@ class MechanismSearch(Search):
         self.searches += 1
         for each in filter(None, (found.known, found.result)):
             motion = KeptMotion(origin, each, self.task.rank(each))
-            if np.isfinite(motion.cost):
+            if each is found.known:
+                self._sure = best_of([*self._sure, motion])[:MOST_RENEWED]
+            is_kept = each is found.result or self.task.guesses.hurries
+            if is_kept and np.isfinite(motion.cost):
                 self.motions = keep(self.motions, motion, found.parent, self._scales)
 
     def judge(self) -> None:
@@ -314,11 +315,13 @@ class MechanismSearch(Search):
 
         It ends once enough finalists hold or cost more than one that does, or those that remain
         promise to. Finalists that broke a promise say nothing of the next ones, which have their
-        turn, too, also those near them; those that cost far more have it if none holds.
+        turn, too, also those near them; those that cost far more have it if none holds. Nor do
+        motions that are known as they are, which are no optima: they come first, until one holds.
         """
-        for motion in put_first(self._tight, self.task.is_known):
-            beside = any(self.task.is_known(each.result) for each in self._polished)
-            enough = self.task.finalists + self._num_broken + beside
+        for motion in (*self._sure, *self._tight):
+            if (is_known := self.task.is_known(motion.result)) and self._holding:
+                continue
+            enough = self.task.finalists + self._num_broken
             is_full = len(self._holding) + len(self._left_out) >= enough
             is_ended = self.is_interrupted and self._polished
             if is_full or is_ended or motion.cost > self._scale_best(self.task.polish_ratio):
@@ -330,7 +333,7 @@ class MechanismSearch(Search):
             count, polished = len(self._candidates), self._polish(motion)
             rank, judged = self.task.rank(polished), self._candidates[count:]
             most = scaled(max(_BROKEN, self.task.polish_ratio), motion.cost)
-            is_broken = rank > (motion.rank[0], scaled(_BROKEN, motion.cost))
+            is_broken = is_known or rank > (motion.rank[0], scaled(_BROKEN, motion.cost))
             is_broken |= any(each.replay.cost > most for each in judged)
             self._num_broken += is_broken
             if not is_broken and all(each.is_confirmed for each in judged):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -97,14 +97,6 @@ def part_far(motions: Sequence[KeptMotion]) -> tuple[list[KeptMotion], list[Kept
     most = scaled(_FAR, motions[0].cost) if motions else 0.0
     near = [each for each in motions if each.cost <= most]
     return near, [each for each in motions if each.cost > most]
-
-
-def put_first(
-    motions: Sequence[KeptMotion], is_known: Callable[[ShootingResult], bool]
-) -> list[KeptMotion]:
-    """Returns the motions, the first one first that is known as it is: it is judged for little."""
-    first = next((each for each in motions if is_known(each.result)), None)
-    return sorted(motions, key=lambda each: each is not first)
 
 
 def calc_chance(motions: Sequence[KeptMotion], searches: int, idle: tuple[bool, float]) -> float:

@@ -150,7 +150,7 @@ class MechanismTask(PosedMechanism):
 
     def read(self, guess: Guess) -> ShootingResult | None:
         """Returns the motion that a guess leads to as it is; None: it is not known."""
-        if guess.known is None or not self.guesses.hurries:
+        if guess.known is None or not self._is_sure:
             return None
         problem = self.shooting(len(guess.controls))
         if problem.phases is not None:
@@ -168,8 +168,13 @@ class MechanismTask(PosedMechanism):
 
     def is_known(self, motion: ShootingResult) -> bool:
         """Returns whether a motion was read: it is one of the exact law, that feedback follows."""
-        is_exact = self._rubs_in_space and motion.smoothing == 0
-        return is_exact and motion is not self.coast and self.guesses.hurries
+        is_as_guessed = motion.iterations == 0 and motion is not self.coast
+        return is_as_guessed and not motion.is_left and self._is_sure
+
+    @property
+    def _is_sure(self) -> bool:
+        """Whether where hands' simulation led is worth to be judged as it is."""
+        return self.guesses.hurries or self.guesses.must_carry
 
     def close(self, guess: Guess, aim: closing.Aim) -> ShootingResult:
         """Returns the motion after a few steps from a guess, and more if its bounds ask for them.
@@ -328,7 +333,7 @@ class MechanismTask(PosedMechanism):
         problem, is_beside = self.shooting(num_steps), bool(self.lead.any())
         if is_beside:  # It is an optimum, but ends beside a hard goal.
             motion = problem.restore(motion)
-        if is_beside or (isinstance(self.world, SpaceWorld) and self.is_known(motion)):
+        if is_beside or self.is_known(motion):
             known = steady(self.world, self.scenario, problem.starting_from(motion), motion)
             return dataclasses.replace(known, cost=known.exact_cost)
         if self._slides_in_plane:
