@@ -34,9 +34,9 @@ _PARTS, _SLIP, _LEAST, _ROUND = 16, 0.5, 0.3, np.linspace(0.0, 1.0, 9)
 # A stroke's part of the time that is left, in its part of the way that is; what is carried is held
 # at its goal for the rest.
 _HURRY = (0.5, 1.0), (0.35, 0.8)
-# Newton steps to a touch, the longest in units, how near to its shape they end in theirs, and how
-# near touches are.
-_NEWTON, _LONGEST, _TOUCHES, _NEAR = 12, 0.5, 1e-6, 1e-3
+# Newton steps to touches, the longest in units, the part of the largest singular value of slopes
+# below which they count as zero, how near to shapes steps end in theirs, and how near touches are.
+_NEWTON, _LONGEST, _SINGULAR, _TOUCHES, _NEAR = 12, 0.5, 1e-6, 1e-6, 1e-3
 # Of hands that push, and that carry: how many do at once, at most; the part of friction they use.
 _MOST_HANDS, _INSIDE = (2, 3), (0.7, 0.6)
 # Grasps that carry are chosen by what part of the weight they drop with this part of friction, in
@@ -250,17 +250,14 @@ class Reaches:
         return float(np.mean(parts))
 
     def _draw_contacts(self, rng: np.random.Generator) -> Pairs:
-        """Returns contacts of one hand, or of several that other joints move.
-
-        A jaw that stands still on its palm comes before one that has a joint of its own.
-        """
+        """Returns contacts of one hand, or of several that other joints move."""
         drawn, most = list[int](), _MOST_HANDS[self.must_carry]
         most = int(rng.integers(1 + self.must_carry, 1 + most))
         for contact in rng.permutation(self.contacts):
             differ = np.any(self._hands[contact] != self._hands[drawn], axis=1)
             if len(drawn) < most and differ.all():
                 drawn.append(int(contact))
-        return tuple(sorted(drawn, key=lambda each: int(np.sum(self._hands[each]))))
+        return tuple(drawn)
 
     def _reach(
         self, start: Floats, size: float, rng: np.random.Generator, ready: Grasps
@@ -358,23 +355,18 @@ class Reaches:
         return pushed
 
     def _touch(self, q: Floats, contacts: Pairs, driven: Bools, distance: float = 0.0) -> Floats:
-        """Returns positions in which contacts are at a distance, by Newton steps, one by one.
-
-        Joints that move the hand of one contact stay for the next.
-        """
-        for contact in contacts:
-            for _ in range(_NEWTON):
-                distances, slopes = self.world.measure_contacts(q)
-                off = float(distances[contact]) - distance
-                if abs(off) < _TOUCHES * self._length:
-                    break
-                J = slopes[contact] * driven
-                towards = self._unit**2 * J
-                step = -off * towards / max(J @ towards, _NOTHING)
-                longest = float(np.max(np.abs(step) / self._unit))
-                q = self.world.add(q, step * min(1.0, _LONGEST / max(longest, _NOTHING)))
-                q = self.world.add(q, -self._find_excess(q))
-            driven = driven & ~self._hands[contact]
+        """Returns positions in which contacts are at a distance, by the shortest Newton steps."""
+        rows = list(contacts)
+        for _ in range(_NEWTON):
+            distances, slopes = self.world.measure_contacts(q)
+            off = distances[rows] - distance
+            if np.max(np.abs(off), initial=0.0) < _TOUCHES * self._length:
+                break
+            by_unit = slopes[rows] * driven * self._unit
+            step = -np.linalg.lstsq(by_unit, off, rcond=_SINGULAR)[0]
+            step *= min(1.0, _LONGEST / max(float(np.max(np.abs(step))), _NOTHING))
+            q = self.world.add(q, self._unit * step)
+            q = self.world.add(q, -self._find_excess(q))
         return q
 
     def _stick(self, q: Floats, way: Floats, contacts: Pairs) -> Floats | None:
