@@ -63,6 +63,7 @@ FROM_WHEELS = (
 )
 WORLDS = (
     "arm_and_box/push",
+    "arm_and_gripper/pick",
     "drone/deliver",
     "drone/perch",
     "finger_and_ball/roll",

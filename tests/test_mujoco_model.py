@@ -20,9 +20,9 @@ from drake_aigto.world import SpaceWorld
 mujoco: Any = pytest.importorskip("mujoco", reason="pip install 'drake_aigto[models]'")
 
 IN_SPACE = (  # Floating bodies, servos, dampers, thrusters, weightless arms, a planar joint.
-    *("arm_and_box/push", "drone/deliver", "finger_and_box/tip", "planar_hand/turn"),
-    *("push_tee/to_pose", "quadruped/leap_up", "space_hopper/hop", "three_fingers/turn"),
-    "throwing_arm/into_the_box",
+    *("arm_and_box/push", "arm_and_gripper/pick", "drone/deliver", "finger_and_box/tip"),
+    *("planar_hand/turn", "push_tee/to_pose", "quadruped/leap_up", "space_hopper/hop"),
+    *("three_fingers/turn", "throwing_arm/into_the_box"),
 )
 
 

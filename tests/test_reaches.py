@@ -300,6 +300,18 @@ def test_fingers_turn_an_object_over_several_touches_and_both_replays_confirm_it
     assert arrival.angle is not None and arrival.angle < 0.2
 
 
+@pytest.mark.slow
+def test_an_arm_picks_a_cube_up_between_a_fixed_jaw_and_one_that_turns() -> None:
+    task = Planner(Scenario.named("arm_and_gripper/pick")).task
+    assert isinstance(task, MechanismTask)
+    off = list[float]()
+    for seed in range(6):
+        known = task.guesses.draw("push", np.random.default_rng(seed)).known
+        end = task.scenario.initial_position if known is None else known[-1, :7]
+        off.append(float(np.max(np.abs(end - task.scenario.goal_position)[4:])))
+    assert sorted(off)[3] < 0.01  # [m, rad]; the cube has to rise by 0.08 m
+
+
 @pytest.mark.slow  # 179 and 94 CPU s, with Drake's replay.
 @pytest.mark.parametrize("name", ["three_fingers/flip", "three_fingers/lift"])
 def test_fingers_take_a_cube_to_a_pose_in_the_air_and_hold_it(name: str) -> None:
