@@ -51,7 +51,7 @@ RECORDS: Mapping[str, str] = {
     "room": f"{_WORLDS} room --count 200 --peer coasting --workers 2",
     "two_masses": f"{_WORLDS} two_masses --count 30 --peer coasting --peer listed --workers 2",
     "unequal_masses": f"{_WORLDS} two_masses --mass-ratio 3 0.2 1.5 5 --restitution 1 0.8"
-    " --count 40 --seed 200 --workers 2",
+    " --count 104 --seed 200 --workers 2",
     "floors": "python -m benchmarks.floors --count 200 --seed 2026 --workers 2",
     "room_with_block": f"{_WORLDS} room_with_block --count 40 --peer coasting --peer listed"
     " --workers 2",
