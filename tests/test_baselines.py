@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -23,6 +23,7 @@ from benchmarks.collections.peer_programs import payload, push_circle
 from benchmarks.friction_peer import FrictionProgram
 from benchmarks.friction_worlds import Run, ask_payload, list_circle, list_payload
 from benchmarks.local_peers import casadi
+from benchmarks.optima import ContactOptimum, block_optimum, masses_optimum, walls_optimum
 from benchmarks.questions import NEAR, WIDE, Row, draw, format_results, main
 from benchmarks.rivals import SAMPLERS, ask_rivals, roll_out, sample
 from benchmarks.shooting_ipopt import ShootingProgram
@@ -364,6 +365,23 @@ def test_ipopt_has_the_optimum_of_our_shooting() -> None:
     )
     assert promised == pytest.approx(ours.cost, rel=1e-4)
     assert control.values == pytest.approx(ours.controls, abs=1e-2 * np.abs(ours.controls).max())
+
+
+@pytest.mark.parametrize(
+    ("name", "optimum"),
+    [
+        ("room/two_walls", walls_optimum),
+        ("two_masses/handed_on", masses_optimum),
+        ("room_with_block/off_the_block", block_optimum),
+    ],
+)
+def test_rivals_of_balls_know_the_optimum(
+    name: str, optimum: Callable[[World, Scenario], ContactOptimum]
+) -> None:
+    scenario = Scenario.named(name)
+    world = World.from_scenario(scenario)
+    least = ask_rivals(world, scenario, 0.01, np.inf)
+    assert least == pytest.approx(optimum(world, scenario).cost)
 
 
 @pytest.mark.slow
