@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from operator import attrgetter
-from threading import get_ident
+from threading import local
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -17,17 +16,9 @@ from pydrake.symbolic import Expression, MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Bools, Floats, read_only
-from drake_aigto.dynamics import (
-    Blend,
-    Contact,
-    Tree,
-    TreeMemory,
-    broadcast_rows,
-    list_rows,
-    make_tree_memory,
-)
+from drake_aigto.dynamics import Blend, Contact, Tree, broadcast_rows, list_rows, make_tree_memory
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.geometry import BALL, CAPSULE, HALF_SPACE, Closest, make_closest
+from drake_aigto.geometry import BALL, CAPSULE, HALF_SPACE, make_closest
 from drake_aigto.world.diagram import (
     create_root,
     find_plant,
@@ -333,20 +324,18 @@ class SpaceWorld(SpaceCoordinates, World):
         from drake_aigto.world.space_kernels import measure_pairs
 
         J = np.empty((0, self.num_contacts, self.num_velocities)) if J is None else J
-        (shapes, pairs, _), (memory, closest, signs) = self.geometry, self._rooms[get_ident()]
-        return measure_pairs(self.tree, shapes, pairs, signs, list_rows(q), memory, closest, J)
+        (shapes, pairs, _), room = self.geometry, self._room
+        at = self.tree, shapes, pairs, room.signs, list_rows(q)
+        return measure_pairs(*at, room.memory, room.closest, J)
 
     @cached_property
-    def _rooms(self) -> defaultdict[int, tuple[TreeMemory, Closest, Floats]]:
-        """Room for `measure_pairs` of each thread, which takes longer to make, and signs."""
-        return defaultdict(
-            lambda: (make_tree_memory(self.tree), make_closest(), np.array(self.signs))
-        )
+    def _room(self) -> _Room:
+        return _Room(self)
 
     def relate(self, q: Floats) -> tuple[Floats, Floats, Floats]:
         """Returns φ of one state (m,), normals (m, 3), and ∂(ṗ_A − ṗ_B)/∂v, shape (m, 3, nv)."""
         distances, points = self._measure(q)
-        memory, tree = self._rooms[get_ident()][0], self.tree
+        memory, tree = self._room.memory, self.tree
         (x, y, z), (a, b, c) = points[0, :, 3:, np.newaxis].swapaxes(0, 1), memory.motions[:, :3].T
         moved = np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=1)
         J = np.empty((self.num_contacts, 3, self.num_velocities))
@@ -371,6 +360,14 @@ class SpaceWorld(SpaceCoordinates, World):
         q, momentum = broadcast_rows(q, momentum)
         found = np.linalg.solve(self.calc_mass_matrix(q), momentum[..., np.newaxis])
         return np.asarray(found[..., 0], dtype=np.float64)
+
+
+class _Room(local):
+    """Room to measure pairs in, each thread's own: making it takes longer than measuring."""
+
+    def __init__(self, world: SpaceWorld) -> None:
+        self.memory, self.closest = make_tree_memory(world.tree), make_closest()
+        self.signs = np.array(world.signs)
 
 
 def _list_edges(pairs: Sequence[ShapePair], geometry: SpaceShapes) -> list[str]:

@@ -99,7 +99,7 @@ class Following(Controller):
     ) -> None:
         """Takes knots (N + 1,) [s], the share of strokes to reach in, and bounds (2, nu).
 
-        Grasps may be ready for the start, or are left there.
+        The first stroke takes the best grasp that is ready, or draws some, and leaves the others.
         """
         self.start, self.end = times[[0, -1]].tolist()
         self.controls = np.zeros((len(times) - 1, reaches.world.num_actuators))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import insort
 from collections.abc import Iterator, Sequence
+from operator import itemgetter
 
 import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
@@ -40,7 +42,8 @@ _NEWTON, _LONGEST, _SINGULAR, _TOUCHES, _NEAR = 12, 0.5, 1e-6, 1e-6, 1e-3
 # Of hands that push, and that carry: how many do at once, at most; the part of friction they use.
 _MOST_HANDS, _INSIDE = (2, 3), (0.7, 0.6)
 # Grasps that carry are chosen by what part of the weight they drop with this part of friction, in
-# some places on the way, at a price; so many are ready to be tried, at least, of others one.
+# some places on the way, at a price. The fewest that are ready to be tried: of those that push, the
+# best one, and of those that carry.
 _SAFE, _PLACES, _FALL, _NUM_READY = 0.4, 5, 3.0, (1, 12)
 # In units: how far off hands keep on their way to them, how high they lift objects, and from how
 # far they have lost them. Forces count by this part of the norm of all their effects.
@@ -147,12 +150,13 @@ class Reaches:
         """Returns a stroke from q at the start (nq,), within a count of even steps of time.
 
         It takes the part of them that it has of the way, or less, and hands reach in a share of it.
-        Objects that are carried by the last contacts are held on. Grasps may be ready from before.
+        Objects that are carried by the last contacts are held on. Hands take the best grasp that is
+        ready; if none is, grasps are drawn, and others than the one taken are added for later.
         """
         near = self.world.calc_signed_distance(start)[list(last)] < _NEAR * self._length
         held = last if self.must_carry and near.all() and self.is_carried(start) else ()
         contacts, path = [held] * count, np.tile(start, (count + 1, 1))
-        size = max(self._measure(self._find_way(start)), _NOTHING)
+        size = max(self.measure_left(start), _NOTHING)
         if held:
             pushed, by = self._follow(start, size / _PARTS, held, True), held
         else:
@@ -264,16 +268,16 @@ class Reaches:
     ) -> tuple[list[Floats], Pairs]:
         """Returns positions of touches that push the object far to its goal, part by part.
 
-        Also returns their contacts. They are the best that are ready, and those near them are so no
-        more; if none is, they are drawn. The object's way is this long, at least.
+        Also returns their contacts. They are the best that are ready (`take_best`); if none is,
+        grasps are drawn and made ready first. The object's way is this long, at least.
         """
         grasps = [] if ready else sorted(self._draw_grasps(start, size, rng), key=lambda g: -g.most)
         for most, q, contacts, is_straight in grasps:
             if len(ready) >= _NUM_READY[self.must_carry] and most <= ready[-1][0]:
                 break
             pushed = self._follow(q, size / _PARTS, contacts, is_straight)
-            ready.append((most - self.measure_left(pushed[-1]) / size, pushed, contacts))
-            ready.sort(key=lambda each: each[0])
+            value = most - self.measure_left(pushed[-1]) / size
+            insort(ready, (value, pushed, contacts), key=itemgetter(0))
         return take_best(ready, self.world, self._unit)
 
     def _draw_grasps(self, start: Floats, size: float, rng: np.random.Generator) -> Iterator[Grasp]:
@@ -305,7 +309,7 @@ class Reaches:
                 if self.must_carry:
                     pushed = self._follow(q, size / _PLACES, contacts, True)
                     most -= _FALL * self._calc_fall(pushed, contacts)
-                    rank = most - self._measure(self._find_way(pushed[-1])) / size
+                    rank = most - self.measure_left(pushed[-1]) / size
                     if best is None or rank > best[0]:
                         best = rank, q, contacts
                 elif is_straight:
@@ -329,7 +333,7 @@ class Reaches:
         """
         pushed, world, among = [q], self.world, self._supports
         least = np.minimum(world.calc_signed_distance(q)[among], 0.0)
-        whole = max(self._measure(self._find_way(q)), _NOTHING)
+        whole = max(self.measure_left(q), _NOTHING)
         while len(pushed) <= 2 * _PARTS:
             way = self._find_way(pushed[-1])
             left = self._measure(way)

@@ -327,7 +327,7 @@ class MechanismSearch(Search):
             if is_full or is_ended or motion.cost > self._scale_best(self.task.polish_ratio):
                 return
             known = (each for each in self._known if are_same(motion, each, self._scales))
-            if motion in self._polished or any(known):
+            if any(each.result is motion.result for each in self._polished) or any(known):
                 continue
             self._polished.append(motion)
             count, polished = len(self._candidates), self._polish(motion)
