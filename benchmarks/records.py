@@ -55,13 +55,12 @@ RECORDS: Mapping[str, str] = {
     "floors": "python -m benchmarks.floors --count 200 --seed 2026 --workers 2",
     "room_with_block": f"{_WORLDS} room_with_block --count 40 --peer coasting --peer listed"
     " --workers 2",
-    "questions": "python -m benchmarks.questions table1/1 table1/2 corridor/lossy"
-    " corridor/six_bounces corridor/three_bounces floor/lossy floor/rebound floor/two_rebounds"
-    " room/bank_shot room/two_walls two_masses/apart two_masses/handed_on acrobot/swing_up"
-    " acrobot/beside_a_wall cart_pole/soft_06 cart_pole/soft_10 pendulum/off_the_wall paddle/bat"
-    " cart_pole/rigid_06 cart_pole/rigid_10 payload/transport three_carts/apart two_discs/swap"
-    " spinner/two_radians billiard/spin_shot room_with_block/around"
-    " --count 20 --times 4 --workers 1 --minutes 150",
+    "questions": "python -m benchmarks.questions acrobot/swing_up acrobot/beside_a_wall"
+    " billiard/spin_shot cart_pole/dry cart_pole/rigid_06 cart_pole/rigid_10 cart_pole/soft_06"
+    " cart_pole/soft_10 hopper/gait hopper/hop paddle/bat payload/transport pendulum/off_the_wall"
+    " push_circle/round_it pushed_block/slide sliding_block/to_rest spinner/two_radians"
+    " spinning_ball/off_the_wall three_carts/apart throwing_ball/bounces two_discs/swap"
+    " --count 20 --times 4 --workers 2 --minutes 140",
     "questions_of_balls": "python -m benchmarks.questions table1/1 table1/2 table1/3 table1/4"
     " corridor/lossy corridor/six_bounces corridor/three_bounces floor/lossy floor/rebound"
     " floor/two_rebounds room/bank_shot room/two_walls room_with_block/around"
