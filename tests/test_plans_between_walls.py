@@ -23,7 +23,7 @@ from benchmarks.study import ScenarioQuestion
 from benchmarks.worlds import WORLDS, load_unequal
 from drake_aigto import PlanOptions, Scenario, World, plan, scenario_names
 from drake_aigto.certify import Line, PlanBound, Wall, bound_line, bound_plans, fold, out_of_reach
-from drake_aigto.errors import OptionsError, ScenarioError
+from drake_aigto.errors import OptionsError, ScenarioError, TrajectoryError
 from drake_aigto.paper import (
     LITERAL_LADDER,
     AlgorithmName,
@@ -56,6 +56,16 @@ from drake_aigto.transcription import OpenProgram, RigidTranscription, Touch
 QUICK = PlanOptions(confirm=False)
 NEW = [name for name in scenario_names() if name.partition("/")[0] in WORLDS]
 FIRST = ("corridor/lossy", "two_masses/apart")
+# Of unequal masses.
+MEETING = Scenario(
+    model="package://drake_aigto_models/two_masses.sdf",
+    initial_position=[0.55107892, 0.69078449],
+    initial_velocity=[0.89713715, 0.45929500],
+    goal_position=[0.18767313, 0.46760809],
+    duration=1.5,
+    time_step=0.03,
+    restitution=0.8,
+)
 
 
 @cache
@@ -140,6 +150,29 @@ def test_masses_that_meet_in_front_of_a_wall_may_hit_it_first() -> None:
     # Wall, mass, wall; mass, wall, mass cost 12 % more, all three at one moment.
     assert [each.index for each in found.best.contacts] == [2, 1, 2]
     assert found.cost == pytest.approx(2.639e-4, rel=1e-3)
+
+
+def test_long_polishes_are_left_out_where_shorter_ones_lead_to_plans() -> None:
+    found = plan(MEETING, QUICK, load_unequal(MEETING, 1.5))
+    # With the long ones, which took seven times as long, its neighbors were never tried: 7.886e-4.
+    assert [each.index for each in found.best.contacts] == [2, 1, 2]
+    assert found.cost == pytest.approx(4.905e-4, rel=1e-3)
+
+
+def test_a_search_without_a_plan_repeats_long_polishes_and_an_exhaustive_one_leaves_none_out() -> (
+    None
+):
+    world = load_unequal(MEETING, 1.5)
+    task = make_ball_task(world, MEETING, QUICK)
+    ends = np.array([0.0, MEETING.duration]), np.array([[0.55, 0.69], [0.19, 0.47]])
+    touches = tuple(Touch.bounce(time, 0) for time in (0.3, 0.6, 0.9))
+    with pytest.raises(TrajectoryError, match="no motion in 60 steps"):
+        task.in_turn().polish_along(ends, touches)
+    patient = task.in_turn().patient
+    assert patient is not None
+    assert patient.polish_along(ends, touches).cost == task.polish_along(ends, touches).cost
+    thorough = make_ball_task(world, MEETING, EXHAUSTIVE)
+    assert thorough.in_turn() is thorough
 
 
 @pytest.mark.slow

@@ -28,13 +28,14 @@ def solve_in_arcs(
     guess: Trajectory,
     solve: Callable[[PolynomialNlp, Floats], LocalResult | None],
     programs: ArcPrograms | None = None,
+    joints: Collection[int] = (),
 ) -> Trajectory | None:
     """Returns a local optimum of a multi-phase problem that `has_long_arcs`, None if none is found.
 
-    Knots inside of walls become ends of arcs, so that they get rows, until there are none. Programs
-    are those of the same world that were built so far.
+    Knots inside of walls become ends of arcs, so that they get rows, until there are none; these
+    joints are from the start. Programs are those of the same world that were built so far.
     """
-    motion, cuts = guess, frozenset[int]()
+    motion, cuts = guess, frozenset(joints)
     for _ in range(_MOST_ROUNDS):
         arcs = Arcs(phases, cuts, programs)
         result = solve(arcs.nlp, arcs.vector(motion))

@@ -65,7 +65,7 @@ class BallSearch(BranchingSearch):
             clock: of its parts.
             is_again: whether a planner plans again, with other ends.
         """
-        super().__init__(task, clock)
+        super().__init__(task.in_turn(), clock)
         self._is_again = is_again
         self._num_steps = task.num_steps
         # Arguments of `add` of a flight, and those whose polish failed.
@@ -274,12 +274,14 @@ class BallSearch(BranchingSearch):
             return known
         self.tell(f"polishing {known.describe_contacts()} with {steps} time steps")
         path = known.trajectory.times, known.trajectory.positions
-        self.solve(
-            known.origin,
-            self.centers[sequence],
-            optimum,
-            lambda _, touches: problem.polish_along(path, touches, steps),
-        )
+
+        def polish(_: Floats, touches: TouchSequence) -> PhaseMotion:
+            return problem.polish_along(path, touches, steps)
+
+        try:
+            self.solve(known.origin, self.centers[sequence], optimum, polish)
+        except TrajectoryError:  # No short run leads to it in these steps.
+            return known
         other = self.by_sequence[optimum]
         if (other.is_feasible, other.is_confirmed) < (known.is_feasible, known.is_confirmed):
             self.by_sequence[sequence] = known

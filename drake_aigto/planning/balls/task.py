@@ -66,6 +66,9 @@ _MOST_GENERAL, _MOST_COARSE = 1000, 300
 # careful ones. Still fewer Newton steps would lose bounces around the straight line.
 _COOLED = 5e-5
 
+# Positions of touches on a path, and the sides on which it passes boxes.
+_Seen = tuple[Floats, tuple[Facing, ...]]
+
 
 def make_ball_task(
     world: World, scenario: Scenario, options: PlanOptions | None = None
@@ -92,7 +95,8 @@ class BallTask(ProgramTask):
     # Gravity and springs may cost far more than the motion.
     _cost_units = (1.0, 1e2, 1e4)
 
-    # Iterations of polishes after plain Newton steps, in turn; (): no limit.
+    # Iterations of a run of the solver in polishes after plain Newton steps, in turn; (): no limit.
+    # Long runs take a third of a search, and no good plan is among what they lead to.
     _brief: tuple[int, ...] = ()
 
     def __init__(
@@ -136,10 +140,14 @@ class BallTask(ProgramTask):
         """
         return self._in(0, most_iterations)
 
+    def in_turn(self) -> BallTask:
+        """Returns the same problem, with long polishes left to searches without a plan."""
+        return self if self._brief or self.options.exhaustive else self._in(_ARC_ITERATIONS)
+
     @property
     def patient(self) -> BallTask | None:
         """The same problem for searches without a plan so far; None: there is no other."""
-        return self._in(*self._brief[1:]) if len(self._brief) > 1 else None
+        return self._in(*self._brief[1:]) if self._brief else None
 
     def _in(self, *brief: int) -> BallTask:
         other = copy.copy(self)
@@ -265,18 +273,19 @@ class BallTask(ProgramTask):
         Long arcs that lead to the optimum have the last polish's steps at once, as their number
         makes no difference. Otherwise there are arcs between all knots, `_MOST_GENERAL` at most.
         """
-        through, facings = self._look_along(path, sequence)
+        through, facings = seen = self._look_along(path, sequence)
         if self._has_arcs:
             allowed = self._brief[0] if self._brief else _ARC_ITERATIONS
             most = min(allowed, max_iterations or _ARC_ITERATIONS)
-            if found := self._solve_in_arcs(through, facings, sequence, most):
+            if found := self._solve_in_arcs(seen, sequence, most):
                 return found
-            if self._brief:
-                raise TrajectoryError(
-                    "touches", f"no motion in {most} iterations", "one that has them"
-                )
             coarse = min(self.transcription.scenario.num_steps, _MOST_COARSE)
             num_steps = min(num_steps or coarse, _MOST_GENERAL)
+            if self._brief:
+                found = self._solve_in_arcs(seen, sequence, most, num_steps) if most else None
+                if found is None:
+                    raise TrajectoryError("touches", f"no motion in {most} steps", "feasible ones")
+                return found
         phases = self._phases(sequence, facings, num_steps)
         arcs = Arcs(phases, range(phases.num_steps))
         x = self.solve_nlp(arcs.nlp, arcs.vector(phases.guess(through)), max_iterations)
@@ -291,12 +300,12 @@ class BallTask(ProgramTask):
         motions are None.
         """
         if self._has_arcs:
-            return self._solve_in_arcs(*self._look_along(path, sequence), sequence, max_iterations)
+            return self._solve_in_arcs(self._look_along(path, sequence), sequence, max_iterations)
         found = self.polish_along(path, sequence, max_iterations=max(max_iterations, 1))
         missed = largest_defect(self.defects(found), self.scales)
         return found if missed <= LARGEST_DEFECT else None
 
-    def _look_along(self, path: Path, sequence: TouchSequence) -> tuple[Floats, tuple[Facing, ...]]:
+    def _look_along(self, path: Path, sequence: TouchSequence) -> _Seen:
         """Returns the positions of touches on a path, and the sides on which it passes boxes."""
         world = self.transcription.world
         through = interpolate(joint_times(sequence), *path)
@@ -310,17 +319,19 @@ class BallTask(ProgramTask):
         return through, find_facings(world, times, bent, sequence, leaning)
 
     def _solve_in_arcs(
-        self, through: Floats, facings: tuple[Facing, ...], sequence: TouchSequence, most: int
+        self, seen: _Seen, sequence: TouchSequence, most: int, num_steps: int | None = None
     ) -> PhaseMotion | None:
-        """Returns the local optimum if long arcs lead to it."""
-        phases = self._phases(sequence, facings, self.num_steps)
+        """Returns the local optimum if long arcs lead to it, or arcs of one step for num_steps."""
+        through, facings = seen
+        phases = self._phases(sequence, facings, num_steps or self.num_steps)
         motion = solve_in_arcs(
             phases,
             phases.guess(through),
             lambda nlp, start: self._settle(nlp, start, most),
             self._arc_programs,
+            range(phases.num_steps) if num_steps else (),
         )
-        return None if motion is None else PhaseMotion(phases, motion, is_of_arcs=True)
+        return None if motion is None else PhaseMotion(phases, motion, is_of_arcs=not num_steps)
 
     def _settle(self, nlp: PolynomialNlp, guess: Floats, max_iterations: int) -> LocalResult | None:
         """Returns the result of plain Newton steps, or else of one run of our local solver.
