@@ -432,8 +432,10 @@ def test_too_many_joints_are_refused_at_once_with_joints_to_fix(tmp_path: Path) 
     start = time.process_time()
     with pytest.raises(ModelError, match=r"coordinates at once.*fixed_joints: .j"):
         make(str(model), size=9)
-    assert time.process_time() - start < 5.0  # One second, on a machine that does nothing else.
+    refused = time.process_time()
     assert make(str(model), size=2, fixed_joints=["j[2-8]"]).num_positions == 2
+    # As many sums of products as nine joints have take minutes.
+    assert refused - start < 20.0 * (time.process_time() - refused)
 
 
 def test_contact_across_too_many_joints_is_refused_at_once_with_shapes_to_leave_out(
@@ -451,10 +453,11 @@ def test_contact_across_too_many_joints_is_refused_at_once_with_shapes_to_leave_
     start = time.process_time()
     with pytest.raises(ModelError, match="joints: a3 with b3, expected") as caught:
         make(str(model), size=8, ignored_shapes=())
-    assert time.process_time() - start < 5.0  # A tenth, on a machine that does nothing else.
+    refused = time.process_time()
     answer = getattr(caught.value, "fields", {})
     assert len(answer["ignored_shapes"]) == 1
     assert not make(str(model), size=8, **answer).contacts
+    assert refused - start < 20.0 * (time.process_time() - refused)
 
 
 def test_joints_of_all_arms_are_fixed_by_one_answer_and_floors_stay(tmp_path: Path) -> None:
