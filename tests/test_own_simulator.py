@@ -177,7 +177,7 @@ def test_what_does_not_fit_is_refused_by_name() -> None:
     with pytest.raises(ScenarioError, match="mass: got 2 kg"):
         make_simulator(make_corridor(), make_task(2.0, mass=2.0))
     world, scenario = World.from_diagram(make_diagram(stiffness=None)), make_task(2.0)
-    lacking = r"collision shape '.*' of '.*': got no stiffness, .* 2e9 N/m"
+    lacking = r"collision shape '.*' of '.*': got no stiffness, .*{stiffness: 2e9}}: 2e9 N/m"
     with pytest.raises(ModelError, match=lacking):
         make_simulator(world, scenario)
     with pytest.raises(ModelError, match=lacking):

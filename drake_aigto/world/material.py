@@ -28,7 +28,7 @@ _COMPLIANCE = ("hydroelastic", "compliance_type")
 _UNGIVEN = {
     STIFFNESS: (
         "so Drake's default, which hardly rebounds",
-        "stiffness: 1e4",
+        "stiffness: {}",
         "2e9 N/m for contact: rigid, far less for compliant contact, such as 1e4",
     ),
     DISSIPATION: (
@@ -122,13 +122,15 @@ def read_given(scene_graph: SceneGraph, shape: GeometryId, *names: tuple[str, st
         defaults, entries, usual = zip(*(_UNGIVEN[name] for name in lacking), strict=True)
         inspector: Any = scene_graph.model_inspector()
         body = inspector.GetName(inspector.GetFrameId(shape))
+        # Only compliant contact asks for dissipation, too.
+        given = ", ".join(entries).format("1e4" if DISSIPATION in names else "2e9")
         missing = zip((name[1].split("_")[-1] for name in lacking), defaults, strict=True)
         raise ModelError(
             f"collision shape {inspector.GetName(shape)!r} of {body!r}",
             got="; ".join(f"no {each}, {default}" for each, default in missing),
             expected=" and ".join(f"<drake:{name[1]}>" for name in lacking),
             remedy="Give both shapes theirs, in the model or by the scenario's material: "
-            f"{{'*': {{{', '.join(entries)}}}}}: {'; '.join(usual)}.",
+            f"{{'*': {{{given}}}}}: {'; '.join(usual)}.",
         )
     return [value for value in found.values() if value is not None]
 
