@@ -32,9 +32,11 @@ from .laws import CompliantLaw as CompliantLaw
 from .laws import ContactLaw as ContactLaw
 from .laws import RigidLaw as RigidLaw
 from .laws import calc_dissipation as calc_dissipation
+from .laws import calc_frequencies as calc_frequencies
 from .laws import calc_levers as calc_levers
 from .laws import calc_pushes as calc_pushes
 from .laws import calc_slips as calc_slips
+from .laws import calc_start_speed as calc_start_speed
 from .laws import calc_tangents as calc_tangents
 from .laws import contact_law as contact_law
 from .mechanism import Mechanism as Mechanism

@@ -214,3 +214,26 @@ def calc_stiffness(stiffness: float, give: float, width: float) -> float:
 def calc_deeper(reach: float, radius: float, gap: float) -> float:
     """Returns δ at a distance ψ of surfaces (`CompliantLaw`) [m]."""
     return _deepen(1.0 / reach if reach > 0.0 else 0.0, radius, gap)
+
+
+def calc_frequencies(world: World, law: CompliantLaw, q: Floats) -> Floats:
+    """Returns √(k J M⁻¹ Jᵀ), at which contacts at q oscillate on their springs, (m,) [rad/s]."""
+    J, distances = world.calc_contact_jacobian(q), world.calc_signed_distance(q)
+    levers = calc_levers(law.reaches, distances) if law.reaches.any() else 1.0
+    mobility = np.einsum("ij,ji->i", J, np.linalg.solve(world.calc_mass_matrix(q), J.T))
+    return np.asarray(levers * np.sqrt(law.stiffness * mobility))
+
+
+def calc_start_speed(world: World, scenario: Scenario) -> float:
+    """Returns the largest speed of contacts with friction that a start has or gets [m/s].
+
+    √(ẋ² + k J M⁻¹ Jᵀ x²),    with x and ẋ of `CompliantLaw`; 0 of rigid contacts
+    """
+    law = contact_law(world, scenario)
+    if not (isinstance(law, CompliantLaw) and law.has_friction):
+        return 0.0
+    q, v = world.split(scenario.initial_state)
+    rates = world.calc_contact_rate(q, v)
+    gaps, speeds, _ = law.find_gaps(world.calc_signed_distance(q), rates)
+    swings = calc_frequencies(world, law, q) * np.minimum(gaps, 0.0)
+    return float(np.max(np.hypot(speeds, swings)))

@@ -184,6 +184,8 @@ class OptimalControlProblem:
         clearances: with phases, least φ at knots, shape (N + 1, m) [m]; None: 0.
         least_distances: φ of contacts at least, at knots after the first, shape (m,) [m]; −∞: any.
         slowest: with phases, least speed of impacts [m/s].
+        fastest: speed of contacts at the start, where that is more than a length per duration
+            (`contact.calc_start_speed`) [m/s].
         duration: of the whole task if the knots are only its end, so that friction stays the same
             [s]; 0: they are all of it.
         softens: whether springs that are smoothed push no harder than the task takes
@@ -209,6 +211,7 @@ class OptimalControlProblem:
     clearances: Floats | None = None
     least_distances: Floats | None = None
     slowest: float = 0.0
+    fastest: float = 0.0
     duration: float = 0.0
     softens: bool = False
     added: AddedTerms = NO_TERMS
@@ -248,6 +251,7 @@ class OptimalControlProblem:
             ("control_norm", "a number above 0", self.control_norm > 0),
             ("length", "a number above 0", self.length > 0),
             ("slowest", "a number of at least 0", 0 <= self.slowest < np.inf),
+            ("fastest", "a number of at least 0", 0 <= self.fastest < np.inf),
             ("duration", "a number of at least 0", 0 <= self.duration < np.inf),
         )
         for name, expected, holds in checks:
@@ -304,7 +308,8 @@ class OptimalControlProblem:
         step = 0.0 if is_implicit else float(np.max(np.diff(self.times))) / substeps
         if self.softens:
             load = self._load
-        return self.mechanism.fit(step, duration, self.length / duration, load)
+        speed = max(self.fastest, self.length / duration)
+        return self.mechanism.fit(step, duration, speed, load)
 
     @property
     def knot_times(self) -> Floats:

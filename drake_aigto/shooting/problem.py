@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import AnyMechanism, TreeMechanism
+from drake_aigto.contact import AnyMechanism, TreeMechanism, calc_start_speed
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.optimal_control import OptimalControlProblem
@@ -70,6 +70,7 @@ class ShootingProblem(OptimalControlProblem):
             hard_goal=np.concatenate([world.in_tangent(goal, turn), speed]),
             control_norm=scenario.control_norm or np.inf,
             length=Scales.of(world, scenario).length,
+            fastest=calc_start_speed(world, scenario),
             added=added,
         )
 

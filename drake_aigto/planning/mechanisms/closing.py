@@ -8,7 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.contact import CompliantLaw, ContactLaw, RigidLaw, TreeMechanism, calc_dissipation
+from drake_aigto.contact import (
+    CompliantLaw,
+    ContactLaw,
+    RigidLaw,
+    TreeMechanism,
+    calc_dissipation,
+    calc_frequencies,
+)
 from drake_aigto.errors import ModelError
 from drake_aigto.planning.feedback import count_damper_steps
 from drake_aigto.planning.search import scaled
@@ -101,6 +108,8 @@ EXACT, MOST_SUBSTEPS = 1e-3, 64
 # 2 rad or more, and be unstable. A puck that an arm strikes in 0.8 s takes 127 CPU seconds through
 # contact of 1e6 N/m, in 84 steps; through 1e7 N/m there was no plan in 260.
 _MOST_RESOLVING = int(2 * MOST_SUBSTEPS / _RESOLVING_STEP)
+# Motions that converged take more: friction under a heavy load is sharp in very short steps only.
+_MOST_HALVED = 4 * MOST_SUBSTEPS
 # A motion that halved steps change by less is steady: its controls reproduce it closely.
 _STEADY = 0.1
 # Times the cost of a motion that another one costs at most, which is as good.
@@ -166,11 +175,7 @@ def find_closing(
     if not isinstance(law, CompliantLaw):
         return options
     # By how much oscillations of contacts at q on their springs turn [rad].
-    J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)
-    distances = world.calc_signed_distance(q)
-    _, _, levers = law.find_gaps(distances, np.zeros_like(distances))
-    mobility = np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T)) * levers**2
-    turns = time_step * np.sqrt(law.stiffness * mobility)
+    turns = time_step * calc_frequencies(world, law, q)
     substeps = max(1, int(np.ceil(np.max(turns, initial=0.0) / _RESOLVING_STEP)))
     if substeps > _MOST_RESOLVING:
         worst = int(np.argmax(turns))
@@ -284,7 +289,8 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult, most: float) -
         options = dataclasses.replace(options, most_promised=limit)
         motion = close_gaps(problem, motion, motion.controls, states, options, motion.prices)
         is_over = motion.is_left or motion.violation > HOPELESS
-        if is_over or motion.substeps >= MOST_SUBSTEPS:
+        most_substeps = _MOST_HALVED if motion.is_converged else MOST_SUBSTEPS
+        if is_over or motion.substeps >= most_substeps:
             return motion
         error = problem.estimate_error(motion)
         is_known = motion.is_converged and error <= _STEADY
@@ -295,7 +301,7 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult, most: float) -
         halvings = np.ceil(np.log2(min(error / EXACT, MOST_SUBSTEPS)) / 2)
         substeps = motion.substeps * 2 ** (1 if has_friction else int(halvings))
         rungs = (WITH_FRICTION if has_friction else POLISH).rungs[-1:]
-        options = dataclasses.replace(POLISH, rungs=rungs, substeps=min(substeps, MOST_SUBSTEPS))
+        options = dataclasses.replace(POLISH, rungs=rungs, substeps=min(substeps, _MOST_HALVED))
 
 
 def soften(world: World, law: RigidLaw, time_step: float, speed: float) -> CompliantLaw:
