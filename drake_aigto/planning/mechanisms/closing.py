@@ -108,8 +108,8 @@ EXACT, MOST_SUBSTEPS = 1e-3, 64
 # 2 rad or more, and be unstable. A puck that an arm strikes in 0.8 s takes 127 CPU seconds through
 # contact of 1e6 N/m, in 84 steps; through 1e7 N/m there was no plan in 260.
 _MOST_RESOLVING = int(2 * MOST_SUBSTEPS / _RESOLVING_STEP)
-# Motions that converged take more: friction under a heavy load is sharp in very short steps only.
-_MOST_HALVED = 4 * MOST_SUBSTEPS
+# Where bodies slide, friction under a heavy load is sharp in very short steps only.
+MOST_OF_SLIDING = 4 * MOST_SUBSTEPS
 # A motion that halved steps change by less is steady: its controls reproduce it closely.
 _STEADY = 0.1
 # Times the cost of a motion that another one costs at most, which is as good.
@@ -267,10 +267,13 @@ def close_gaps(
     return min(tried, key=lambda each: (each.is_left or each.violation > HOPELESS, each.cost))
 
 
-def halve_steps(problem: ShootingProblem, motion: ShootingResult, most: float) -> ShootingResult:
+def halve_steps(
+    problem: ShootingProblem, motion: ShootingResult, most: float, most_substeps: int
+) -> ShootingResult:
     """Returns the local optimum near a motion, its Runge-Kutta steps halved until they agree.
 
-    Its states are kept, and gaps between them closed, where steps or sharper walls change it. What
+    There are 64 between knots at most, or as many as are given where motions converge in these. Its
+    states are kept, and gaps between them closed, where steps or sharper walls change it. What
     promises to cost more than the most is left, if steps change it little, by that at least. A
     motion whose bounds are violated by much is returned as it is found.
     """
@@ -289,8 +292,8 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult, most: float) -
         options = dataclasses.replace(options, most_promised=limit)
         motion = close_gaps(problem, motion, motion.controls, states, options, motion.prices)
         is_over = motion.is_left or motion.violation > HOPELESS
-        most_substeps = _MOST_HALVED if motion.is_converged else MOST_SUBSTEPS
-        if is_over or motion.substeps >= most_substeps:
+        finest = most_substeps if motion.is_converged else MOST_SUBSTEPS
+        if is_over or motion.substeps >= finest:
             return motion
         error = problem.estimate_error(motion)
         is_known = motion.is_converged and error <= _STEADY
@@ -301,7 +304,7 @@ def halve_steps(problem: ShootingProblem, motion: ShootingResult, most: float) -
         halvings = np.ceil(np.log2(min(error / EXACT, MOST_SUBSTEPS)) / 2)
         substeps = motion.substeps * 2 ** (1 if has_friction else int(halvings))
         rungs = (WITH_FRICTION if has_friction else POLISH).rungs[-1:]
-        options = dataclasses.replace(POLISH, rungs=rungs, substeps=min(substeps, _MOST_HALVED))
+        options = dataclasses.replace(POLISH, rungs=rungs, substeps=min(substeps, most_substeps))
 
 
 def soften(world: World, law: RigidLaw, time_step: float, speed: float) -> CompliantLaw:

@@ -359,7 +359,8 @@ class MechanismTask(PosedMechanism):
                 if not found.exact_cost <= find_lost(motion.cost, problem):
                     return dataclasses.replace(found, is_left=True)
             return settle(self.world, self.scenario, problem, motion, most)
-        motion = closing.halve_steps(problem, motion, most)
+        finest = closing.MOST_OF_SLIDING if self._slides_in_plane else closing.MOST_SUBSTEPS
+        motion = closing.halve_steps(problem, motion, most, finest)
         is_done = motion.is_left or motion.violation > closing.HOPELESS
         if is_done or not (has_friction and np.isfinite(motion.exact_cost)):
             return motion
