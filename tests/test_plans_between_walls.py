@@ -56,15 +56,24 @@ from drake_aigto.transcription import OpenProgram, RigidTranscription, Touch
 QUICK = PlanOptions(confirm=False)
 NEW = [name for name in scenario_names() if name.partition("/")[0] in WORLDS]
 FIRST = ("corridor/lossy", "two_masses/apart")
-# Of unequal masses.
-MEETING = Scenario(
-    model="package://drake_aigto_models/two_masses.sdf",
-    initial_position=[0.55107892, 0.69078449],
-    initial_velocity=[0.89713715, 0.45929500],
-    goal_position=[0.18767313, 0.46760809],
-    duration=1.5,
-    time_step=0.03,
-    restitution=0.8,
+
+
+def ask_masses(
+    position: list[float], velocity: list[float], goal: list[float], **fields: Any
+) -> Scenario:
+    return Scenario(
+        model="package://drake_aigto_models/two_masses.sdf",
+        initial_position=position,
+        initial_velocity=velocity,
+        goal_position=goal,
+        duration=1.5,
+        time_step=0.03,
+        **fields,
+    )
+
+
+MEETING = ask_masses(
+    [0.55107892, 0.69078449], [0.89713715, 0.45929500], [0.18767313, 0.46760809], restitution=0.8
 )
 
 
@@ -122,13 +131,8 @@ def test_a_fast_ball_bounces_as_often_as_by_itself() -> None:
 def test_contacts_of_unequal_masses_that_nothing_but_the_motion_without_control_has_are_found() -> (
     None
 ):
-    scenario = Scenario(
-        model="package://drake_aigto_models/two_masses.sdf",
-        initial_position=[0.19434618, 0.55799003],
-        initial_velocity=[0.18030109, -0.89792862],
-        goal_position=[0.62395172, 0.74167857],
-        duration=1.5,
-        time_step=0.03,
+    scenario = ask_masses(
+        [0.19434618, 0.55799003], [0.18030109, -0.89792862], [0.62395172, 0.74167857]
     )
     world = load_unequal(scenario, 5.0)
     found = plan(scenario, QUICK, world)
@@ -138,14 +142,7 @@ def test_contacts_of_unequal_masses_that_nothing_but_the_motion_without_control_
 
 @pytest.mark.slow
 def test_masses_that_meet_in_front_of_a_wall_may_hit_it_first() -> None:
-    scenario = Scenario(
-        model="package://drake_aigto_models/two_masses.sdf",
-        initial_position=[0.13597, 0.788208],
-        initial_velocity=[1.224014, 0.220224],
-        goal_position=[0.262026, 0.80505],
-        duration=1.5,
-        time_step=0.03,
-    )
+    scenario = ask_masses([0.13597, 0.788208], [1.224014, 0.220224], [0.262026, 0.80505])
     found = plan(scenario, QUICK, load_unequal(scenario, 3.0))
     # Wall, mass, wall; mass, wall, mass cost 12 % more, all three at one moment.
     assert [each.index for each in found.best.contacts] == [2, 1, 2]

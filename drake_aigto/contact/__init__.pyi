@@ -34,6 +34,7 @@ from .laws import RigidLaw as RigidLaw
 from .laws import calc_dissipation as calc_dissipation
 from .laws import calc_frequencies as calc_frequencies
 from .laws import calc_levers as calc_levers
+from .laws import calc_mobilities as calc_mobilities
 from .laws import calc_pushes as calc_pushes
 from .laws import calc_slips as calc_slips
 from .laws import calc_start_speed as calc_start_speed

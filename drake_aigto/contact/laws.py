@@ -216,12 +216,17 @@ def calc_deeper(reach: float, radius: float, gap: float) -> float:
     return _deepen(1.0 / reach if reach > 0.0 else 0.0, radius, gap)
 
 
+def calc_mobilities(mass: Floats, rows: Floats) -> Floats:
+    """Returns A M⁻¹ Aᵀ of each row of A, shape (m,) [1/kg]: how easily it is moved."""
+    return np.asarray(np.einsum("ij,ji->i", rows, np.linalg.solve(mass, rows.T)))
+
+
 def calc_frequencies(world: World, law: CompliantLaw, q: Floats) -> Floats:
     """Returns √(k J M⁻¹ Jᵀ), at which contacts at q oscillate on their springs, (m,) [rad/s]."""
-    J, distances = world.calc_contact_jacobian(q), world.calc_signed_distance(q)
-    levers = calc_levers(law.reaches, distances) if law.reaches.any() else 1.0
-    mobility = np.einsum("ij,ji->i", J, np.linalg.solve(world.calc_mass_matrix(q), J.T))
-    return np.asarray(levers * np.sqrt(law.stiffness * mobility))
+    distances = world.calc_signed_distance(q)
+    _, _, levers = law.find_gaps(distances, distances)
+    mobilities = calc_mobilities(world.calc_mass_matrix(q), world.calc_contact_jacobian(q))
+    return np.asarray(levers * np.sqrt(law.stiffness * mobilities))
 
 
 def calc_start_speed(world: World, scenario: Scenario) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact.acceleration import accelerate_once, evaluate_tape
-from drake_aigto.contact.laws import ContactLaw, RigidLaw
+from drake_aigto.contact.laws import ContactLaw, RigidLaw, calc_mobilities
 from drake_aigto.contact.tables import (
     COEFFICIENT,
     GIVE,
@@ -174,7 +174,7 @@ class Mechanism:
         if not self.has_friction:
             return np.zeros(self.num_contacts)
         tangents, (mass, _) = self._read_tangents(q), self.calc_inertia(q)
-        return np.einsum("ij,ji->i", tangents, np.linalg.solve(mass, tangents.T))
+        return calc_mobilities(mass, tangents)
 
     def calc_drag(self, q: Floats) -> Floats:
         """Returns the friction of all rigid contacts where each bears the weight, (n,) [N, N m].

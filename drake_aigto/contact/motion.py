@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.contact.laws import calc_mobilities
 from drake_aigto.dynamics import ConstantInertia
 from drake_aigto.kernels import inner, kernel
 from drake_aigto.world import SpaceWorld, World, find_anywhere
@@ -278,9 +279,9 @@ def contact_delays(world: World, q: Floats | None = None) -> list[float]:
     a link may be stretched out along a wall's normal, with infinite effective mass.
     """
     if isinstance(world, SpaceWorld):
-        J = world.calc_contact_jacobian(world.plant.GetDefaultPositions())
-        M = world.calc_mass_matrix(world.plant.GetDefaultPositions())
-        mobilities = np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T))
+        place = world.plant.GetDefaultPositions()
+        J = world.calc_contact_jacobian(place)
+        mobilities = calc_mobilities(world.calc_mass_matrix(place), J)
         return (np.pi / np.sqrt(np.maximum(mobilities * world.stiffness, _NO_PACE))).tolist()
     reader = ContactMotion.reader(world)
     places = (world.plant.GetDefaultPositions(), find_anywhere(world.plant)) if q is None else (q,)

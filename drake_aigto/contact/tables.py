@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydrake.symbolic import Expression
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.contact.laws import CompliantLaw, ContactLaw, calc_tangents
+from drake_aigto.contact.laws import CompliantLaw, ContactLaw, calc_mobilities, calc_tangents
 from drake_aigto.contact.touch_tables import TouchRoom, TouchTable, make_touch_room
 from drake_aigto.dynamics import Tree, TreeMemory, make_tree_memory
 from drake_aigto.kernels import chosen
@@ -211,7 +211,7 @@ def list_friction(world: World, law: ContactLaw, brakes: bool = True) -> list[Fr
         if brakes:  # Per speed of approach.
             M = world.calc_mass_matrix(q)
             rows = calc_tangents(world, law, q)[0], world.calc_contact_jacobian(q)
-            along, across = (np.einsum("ij,ji->i", A, np.linalg.solve(M, A.T)) for A in rows)
+            along, across = (calc_mobilities(M, A) for A in rows)
             rates = law.friction * np.sqrt(law.stiffness) * along
             rates /= np.sqrt(np.maximum(across, along))
     for i in np.flatnonzero(law.friction).tolist():

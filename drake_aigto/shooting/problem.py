@@ -58,6 +58,7 @@ class ShootingProblem(OptimalControlProblem):
         """
         bounds, cost = world.bounds(scenario), TaskCost.of(world, scenario)
         goal, speed = np.split(cost.hard_goal(scenario), [world.num_positions])
+        in_space = isinstance(mechanism, TreeMechanism)
         turn = np.array([0.0 if scenario.hard_goal else np.nan])
         return cls(
             mechanism=mechanism,
@@ -70,7 +71,8 @@ class ShootingProblem(OptimalControlProblem):
             hard_goal=np.concatenate([world.in_tangent(goal, turn), speed]),
             control_norm=scenario.control_norm or np.inf,
             length=Scales.of(world, scenario).length,
-            fastest=calc_start_speed(world, scenario),
+            # Steps of trees need none.
+            fastest=0.0 if in_space else calc_start_speed(world, scenario),
             added=added,
         )
 

@@ -15,6 +15,7 @@ from drake_aigto.contact import (
     TreeMechanism,
     calc_dissipation,
     calc_frequencies,
+    calc_mobilities,
 )
 from drake_aigto.errors import ModelError
 from drake_aigto.planning.feedback import count_damper_steps
@@ -333,7 +334,7 @@ def _calc_mobility(world: World) -> Floats:
     """
     mobilities = []
     for q in (world.plant.GetDefaultPositions(), find_anywhere(world.plant)):
-        J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)
-        mobilities.append(np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T)))
+        mass, J = world.calc_mass_matrix(q), world.calc_contact_jacobian(q)
+        mobilities.append(calc_mobilities(mass, J))
     here, elsewhere = mobilities
     return np.where(here > _LEAST_MOBILITY * elsewhere, here, elsewhere)
