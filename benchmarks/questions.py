@@ -3,12 +3,13 @@
     python -m benchmarks.questions --tuning --count 2 --keep tuning     # to tune on
     python -m benchmarks.questions --keep questions                     # reported, once each
     python -m benchmarks.questions cart_pole/soft_06 spinner/two_radians --count 20
+    python -m benchmarks.questions --store              # and let later runs know what is best
 
 A question changes some of: start, goal (as far as beyond a turn), horizon, weight of the control,
 stiffness, mass, friction, restitution. What the world refuses is drawn again. Rivals
 (`benchmarks.rivals`) have ten times the plan's CPU seconds, together; each motion costs what our
-replay of its control does. The best that any run has found of a question is kept in
-`known_questions.json` if asked.
+replay of its control does. `docs/results/known_questions.json` stores the best that is known of a
+question, and how much time rivals have had: who had enough is not asked again.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ import dataclasses
 import itertools
 import json
 import math
+import re
 import time
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -35,7 +37,7 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.plain import write_text
 from drake_aigto.simulation import tangent_scales
 
-PATH = Path(__file__).with_name("known_questions.json")
+PATH = Path(__file__).parents[1] / "docs" / "results" / "known_questions.json"
 NEAR, WIDE = 0.01, 0.10
 _ROUNDING = 1e-15  # Costs below are as good as zero.
 # Each kind of change is made with this probability, and questions without any are drawn again.
@@ -44,6 +46,8 @@ _HORIZON, _MOST_STEPS = (0.3, 4.0), 400
 _FRICTION = 0.01, 5.0
 _MOST_SECONDS = 60.0  # of CPU time of rivals
 _DIGITS = 8  # of costs that are stored
+_SAME_DIGITS = 9  # of a question; processors differ in the last ones
+_FLOAT = re.compile(r"\d+\.\d*(e[-+]?\d+)?|\d+e[-+]?\d+")
 
 Changes = dict[str, Any]
 _Draw = Callable[[np.random.Generator, Scenario, World], Changes]
@@ -155,6 +159,11 @@ class Job(NamedTuple):
     is_tuning: bool
     times: float  # the plan's CPU seconds, together; 60 s at most
 
+    @property
+    def name(self) -> str:
+        """Of what is stored."""
+        return f"{self.world} {'tuning ' * self.is_tuning}{self.number}"
+
 
 @dataclass(frozen=True)
 class Row:
@@ -199,19 +208,45 @@ class Row:
         return self.cost <= most or not math.isfinite(self.best)
 
 
-def _key(scenario: Scenario) -> str:
-    return f"{zlib.crc32(repr(scenario).encode()):08x}"
+class Known(NamedTuple):
+    """What is stored of a question.
+
+    Attributes:
+        digest: of the scenario; another one makes it another question.
+        cost: the best that any run has found, or infinite.
+        times: as many times a plan's CPU seconds rivals have had.
+    """
+
+    digest: str
+    cost: float
+    times: float
 
 
-def load_known() -> dict[str, float]:
-    """Returns the best costs that are known, by question."""
-    return json.loads(PATH.read_text(encoding="utf-8")) if PATH.exists() else {}
+def _digest(scenario: Scenario) -> str:
+    shown = _FLOAT.sub(lambda found: f"{float(found[0]):.{_SAME_DIGITS}g}", repr(scenario))
+    return f"{zlib.crc32(shown.encode()):08x}"
+
+
+def load_known() -> dict[str, Known]:
+    """Returns what is stored, by world, number, and whether it is to tune on."""
+    stored = json.loads(PATH.read_text(encoding="utf-8")) if PATH.exists() else {}
+    return {
+        name: Known(digest, math.inf if cost is None else cost, times)
+        for name, (digest, cost, times) in stored.items()
+    }
+
+
+def find_known(job: Job, known: Mapping[str, Known]) -> Known:
+    """Returns what is known of a question; of one that is not stored, or has changed, nothing."""
+    digest = _digest(draw(job.world, job.number, job.is_tuning))
+    found = known.get(job.name)
+    return found if found and found.digest == digest else Known(digest, math.inf, 0.0)
 
 
 def answer(job: Job) -> Row:
     """Returns what the plan and its rivals make of a question."""
     scenario = draw(job.world, job.number, job.is_tuning)
-    known = load_known().get(_key(scenario), math.inf)
+    _, known, spent = find_known(job, load_known())
     world, cpu = World.from_scenario(scenario), time.process_time()
     options = PlanOptions(confirm=False, threads=1)
     cost = promised = idle = np.inf
@@ -226,19 +261,27 @@ def answer(job: Job) -> Row:
     except AigtoError as raised:
         error = str(raised)
     seconds = time.process_time() - cpu
-    rival = ask_rivals(world, scenario, min(job.times * seconds, _MOST_SECONDS), min(cost, known))
+    rival = np.inf
+    if job.times > spent:
+        most = min(job.times * seconds, _MOST_SECONDS)
+        rival = ask_rivals(world, scenario, most, min(cost, known))
     cost, promised, idle, rival = (round_to(x, _DIGITS) for x in (cost, promised, idle, rival))
     figures = cost, promised, idle, rival, known
     return Row(job.world, job.number, *figures, is_idle, searches, found, round(seconds, 3), error)
 
 
-def keep_best(rows: Sequence[Row], is_tuning: bool) -> None:
-    """Lets what is better than the best known take its place."""
+def store(rows: Sequence[Row], is_tuning: bool, times: float) -> None:
+    """Stores the best known costs of questions whose rivals have had so many times the seconds."""
     known = load_known()
     for row in rows:
-        if row.best < row.known:
-            known[_key(draw(row.world, row.number, is_tuning))] = row.best
-    write_text(PATH, json.dumps(dict(sorted(known.items())), indent=0) + "\n")
+        job = Job(row.world, row.number, is_tuning, times)
+        digest, cost, spent = find_known(job, known)
+        known[job.name] = Known(digest, min(row.best, cost), max(times, spent))
+    lines = [
+        json.dumps(name) + ": " + json.dumps([digest, cost if math.isfinite(cost) else None, times])
+        for name, (digest, cost, times) in sorted(known.items())
+    ]
+    write_text(PATH, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
 def format_results(rows: Sequence[Row]) -> str:
@@ -272,7 +315,7 @@ def main(words: Sequence[str] | None = None) -> int:
         count=(20, "questions of each"),
         times=(10.0, "as many times the plan's CPU seconds for rivals"),
         tuning=(False, "questions to tune on, and not those that are reported"),
-        refresh=(False, "let what is better take the place of the best known"),
+        store=(False, "store the best known, so that rivals need not be asked again"),
     )
     worlds = options.worlds or scenario_names()
     for each in worlds:
@@ -280,8 +323,8 @@ def main(words: Sequence[str] | None = None) -> int:
     asked = itertools.product(range(options.count), worlds)  # The first of each world first.
     jobs = [Job(world, number, options.tuning, options.times) for number, world in asked]
     rows = sorted(run_all(answer, jobs, options), key=lambda row: worlds.index(row.world))
-    if options.refresh:
-        keep_best(rows, options.tuning)
+    if options.store:
+        store(rows, options.tuning, options.times)
     print(format_results(rows), end="\n\n")
     off = {near: float(np.mean([not row.is_within(near) for row in rows])) for near in (NEAR, WIDE)}
     met = is_met("plans more than 1 % above the best known", off[NEAR], 0.05)

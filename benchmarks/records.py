@@ -60,7 +60,7 @@ RECORDS: Mapping[str, str] = {
     " cart_pole/soft_10 hopper/gait hopper/hop paddle/bat payload/transport pendulum/off_the_wall"
     " push_circle/round_it pushed_block/slide sliding_block/to_rest spinner/two_radians"
     " spinning_ball/off_the_wall three_carts/apart throwing_ball/bounces two_discs/swap"
-    " --count 20 --times 4 --workers 2 --minutes 30",
+    " --count 20 --times 4 --store --workers 2 --minutes 30",
     "questions_of_balls": "python -m benchmarks.questions table1/1 table1/2 table1/3 table1/4"
     " corridor/lossy corridor/six_bounces corridor/three_bounces floor/lossy floor/rebound"
     " floor/two_rebounds room/bank_shot room/two_walls room_with_block/around"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,7 +16,7 @@ from pydrake.solvers import MathematicalProgram
 from replay_worlds import make_diagram, make_scenario
 from rubbing_worlds import accelerate
 
-from benchmarks import friction_peer
+from benchmarks import friction_peer, questions
 from benchmarks.baselines import BASELINES, Recorder, run_baseline
 from benchmarks.baselines.gradient import GaussianSmoothing, list_sequences
 from benchmarks.baselines.sampling import ControlSpace
@@ -24,7 +25,7 @@ from benchmarks.friction_peer import FrictionProgram
 from benchmarks.friction_worlds import Run, ask_payload, list_circle, list_payload
 from benchmarks.local_peers import casadi
 from benchmarks.optima import ContactOptimum, block_optimum, masses_optimum, walls_optimum
-from benchmarks.questions import NEAR, WIDE, Row, draw, format_results, main
+from benchmarks.questions import NEAR, WIDE, Job, Row, draw, format_results, load_known, main
 from benchmarks.rivals import SAMPLERS, ask_rivals, roll_out, sample
 from benchmarks.shooting_ipopt import ShootingProgram
 from benchmarks.space import count_held, cover, draw_cube, draw_pose
@@ -313,6 +314,31 @@ def test_questions_are_the_same_again_others_to_tune_on_and_fit_their_world(name
         assert draw.__wrapped__(name, number, False) == scenario
         factor = scenario.duration / shipped.duration
         assert 0.3 <= factor <= 4.0 and 10 <= scenario.num_steps <= 400
+
+
+def test_the_best_known_is_stored_until_its_question_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(questions, "PATH", tmp_path / "known.json")
+    job = Job(ROW.world, ROW.number, False, 4.0)
+    assert questions.find_known(job, load_known()).cost == math.inf
+    questions.store([ROW], False, 4.0)
+    questions.store([replace(ROW, rival=math.inf, cost=79.5)], False, 0.0)
+    assert questions.find_known(job, load_known())[1:] == (79.0, 4.0)
+    assert questions.find_known(job._replace(is_tuning=True), load_known()).times == 0.0
+    lighter = replace(draw(ROW.world, 0, False), control_weight=2e-3)
+    monkeypatch.setattr(questions, "draw", lambda *_: lighter)
+    assert questions.find_known(job, load_known())[1:] == (math.inf, 0.0)
+
+
+def test_rivals_that_had_their_time_are_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    job = Job("cart_pole/soft_06", 0, False, 4.0)
+    known = questions.find_known(job, {})._replace(cost=1e-3, times=4.0)
+    monkeypatch.setattr(questions, "load_known", lambda: {job.name: known})
+    monkeypatch.setattr(questions, "ask_rivals", lambda *_: 1e-4)
+    row = questions.answer(job)
+    assert (row.rival, row.best) == (math.inf, 1e-3) and not row.is_within(WIDE)
+    assert questions.answer(job._replace(times=5.0)).best == 1e-4
 
 
 def test_questions_of_a_motion_that_repeats_move_its_goal_with_its_start() -> None:
