@@ -13,6 +13,7 @@ from pydrake import geometry
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.sensors import CameraInfo
 
+from drake_aigto import show
 from drake_aigto import world as worlds
 from drake_aigto.cli.command_line import make_parser
 from drake_aigto.cli.flags import FINE, add_command, add_scenario, load_scenario
@@ -191,29 +192,29 @@ def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterator
 def _draw(world: worlds.World, path: str) -> bool:
     """Writes a picture of a world at its default positions, seen along y; returns whether.
 
-    Links without a shape to show are drawn by those that may touch.
+    Half spaces are left out: they would fill it.
     """
-    plant, scene_graph, (width, height) = world.plant, world.scene_graph, _PIXELS
-    model = scene_graph.model_inspector()
-    for body in worlds.list_bodies(plant):
-        frame = plant.GetBodyFrameIdOrThrow(body.index())
-        if not model.NumGeometriesForFrameWithRole(frame, geometry.Role.kPerception):
-            for each in model.GetGeometries(frame, geometry.Role.kProximity):
-                if isinstance(model.GetShape(each), geometry.HalfSpace):
-                    continue  # It would fill the picture.
-                scene_graph.AssignRole(plant.get_source_id(), each, geometry.PerceptionProperties())
-    scene_graph.AddRenderer("look", geometry.MakeRenderEngineVtk(geometry.RenderEngineVtkParams()))
-    context = scene_graph.GetMyContextFromRoot(world.create_context())
-    query: Any = scene_graph.get_query_output_port().Eval(context)
-    inspector = query.inspector()
-    shapes = [
-        each
-        for each in inspector.GetAllGeometryIds(geometry.Role.kPerception)
-        if not isinstance(inspector.GetShape(each), geometry.HalfSpace)
-    ]
-    if not shapes:
+    actors = [actor for actor in show.read_actors(world) if not actor.is_half_space]
+    if not actors:
         return False
-    places = np.array([query.GetPoseInWorld(each).translation() for each in shapes])
+    context = world.plant.GetMyContextFromRoot(world.create_context())
+    bodies = (world.plant.get_body(actor.index) for actor in actors)
+    poses = [
+        world.plant.EvalBodyPoseInWorld(context, body) @ actor.X_BS
+        for body, actor in zip(bodies, actors, strict=True)
+    ]
+    scene_graph = geometry.SceneGraph()
+    source, (width, height) = scene_graph.RegisterSource("look"), _PIXELS
+    for actor, pose in zip(actors, poses, strict=True):
+        drawn = geometry.GeometryInstance(pose, actor.shape, actor.name)
+        look = geometry.PerceptionProperties()
+        if actor.color is not None:
+            look.AddProperty("phong", "diffuse", actor.color)
+        drawn.set_perception_properties(look)
+        scene_graph.RegisterAnchoredGeometry(source, drawn)
+    scene_graph.AddRenderer("look", geometry.MakeRenderEngineVtk(geometry.RenderEngineVtkParams()))
+    query: Any = scene_graph.get_query_output_port().Eval(scene_graph.CreateDefaultContext())
+    places = np.array([pose.translation() for pose in poses])
     middle = (places.min(axis=0) + places.max(axis=0)) / 2
     size = max(_LEAST_SIZE, float(np.ptp(places, axis=0).max()))
     back = np.array([0.0, -1.0, _UP]) * _BACK * (size + _LEAST_SIZE) / np.tan(_VIEW / 2) / 2

@@ -52,6 +52,7 @@ from .scene import publish as publish
 from .shapes import coordinate_names as coordinate_names
 from .shapes import cut_polygon as cut_polygon
 from .shapes import moves_straight as moves_straight
+from .shapes import read_actors as read_actors
 from .stage import Stage as Stage
 from .table1 import format_table1 as format_table1
 from .table1 import frame as frame

@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from drake_aigto.world.meshes import explain, is_readable, read_mesh
 from drake_aigto.world.mjcf_file import (
     MOTORS,
     OTHER_ACTUATORS,
@@ -31,6 +32,7 @@ _HARMLESS = {
 }
 _UNREAD_BODIES = ("composite", "flexcomp", "replicate", "attach", "plugin")
 _MESHES = ("mesh", "hfield", "sdf")
+_READ = (".obj",)  # of meshes in MJCFs, by Drake
 _SPRINGS = ("stiffness", "springref")
 _COMPILER = ("angle", "eulerseq", "autolimits", "inertiafromgeom")  # What Drake reads of it.
 _PLACES = ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler")
@@ -248,19 +250,25 @@ class _MjcfReader(MjcfFile):
         """Returns whether a mesh stays; one that can't be read may, if no mass depends on it."""
         values = self.resolve(geom, "main")
         of_class = (each.get("mesh") for each in (geom, values))
-        mesh = next((self._meshes[name] for name in of_class if name in self._meshes), None)
-        is_read = mesh is not None and mesh.suffix.lower() == ".obj" and mesh.is_file()
+        name = next((name for name in of_class if name in self._meshes), "")
+        mesh = self._meshes.get(name)
         weighs = body.find("inertial") is None or self.compiler.get("inertiafromgeom") == "true"
         is_massless = "0" in (values.get("mass"), values.get("density")) or body.tag == "worldbody"
         weighs = weighs and not is_massless
         is_needed = touches or weighs
-        if is_read and (is_needed or self.facts.stub is None):
-            return True
+        is_read = mesh is not None and is_readable(mesh, _READ)
+        if mesh is not None and (is_needed or self.facts.stub is None):
+            if (file := read_mesh(mesh, _READ)) is not None:
+                self._meshes[name] = file
+                return True
+            is_read = False
         self.facts.is_bare |= is_read
         if is_needed:
-            kind = mesh.name if mesh else values.get("type")
+            why = explain(mesh) if mesh else values.get("type")
             unread = self.facts.unweighed if weighs else self.facts.unread
-            unread.append(f"{geom.get('name')} ({kind})")
+            unread.append(f"{geom.get('name')} ({why})")
+        elif mesh is not None and not is_read:
+            self.facts.undrawn.append(mesh)
         body.remove(geom)
         return False
 

@@ -18,11 +18,9 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.world.meshes import MESHES, explain
 from drake_aigto.world.model_fields import ModelFields, Servo
 from drake_aigto.world.scenario import Scenario
-
-# Meshes that Drake reads.
-MESHES = (".obj", ".vtk", ".gltf")
 
 
 class FixableError(ModelError):
@@ -81,9 +79,10 @@ class ModelFacts:
     refused: list[tuple[str, str, str]] = field(default_factory=list)
     # The same of what is left out, as it was allowed.
     ignored: list[tuple[str, str, str]] = field(default_factory=list)
-    # Shapes with meshes that can't be read, and may touch.
+    # Shapes with meshes that can't be read, and may touch; and why.
     unread: list[str] = field(default_factory=list)
     unweighed: list[str] = field(default_factory=list)  # those that give links their mass
+    undrawn: list[Path] = field(default_factory=list)  # such meshes that would only be drawn
     notes: list[str] = field(default_factory=list)  # what else differs from the file
 
     def refuse(self, word: str, what: str, cost: str) -> bool:
@@ -126,6 +125,8 @@ class ModelFacts:
             remedies.append(
                 f"Change the model, or leave it out by the scenario's allow_ignored: [{words}]."
             )
+        if names := list(dict.fromkeys(self.undrawn)):
+            self.notes.append(f"not drawn: {explain(names[0], len(names) - 1)}")
         if got:
             remedy = " ".join(remedies)
             raise FixableError(f"model {path}", "; and ".join(got), None, remedy, answer)

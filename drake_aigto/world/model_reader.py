@@ -32,7 +32,8 @@ from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import add_actuation, check_plant, hear_drake, list_bodies
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
-from drake_aigto.world.model_facts import MESHES, FixableError, ModelFacts, Spring, fits, pick
+from drake_aigto.world.meshes import MESHES
+from drake_aigto.world.model_facts import FixableError, ModelFacts, Spring, fits, pick
 from drake_aigto.world.model_fields import ModelFields
 from drake_aigto.world.model_shapes import (
     add_ends,

@@ -12,8 +12,9 @@ from pydrake.multibody.parsing import PackageMap
 
 from drake_aigto.errors import ModelError
 from drake_aigto.world.files import read_xml
+from drake_aigto.world.meshes import explain, is_readable, read_mesh
 from drake_aigto.world.mjcf import read_mjcf
-from drake_aigto.world.model_facts import MESHES, ModelFacts, read_numbers, read_range
+from drake_aigto.world.model_facts import ModelFacts, read_numbers, read_range
 from drake_aigto.world.model_fields import ModelFields
 from drake_aigto.world.pair_errors import MARK
 from drake_aigto.world.space_parts import MOST_CORNERS, RIM
@@ -241,27 +242,33 @@ def _fix(root: Element, joint: Element, name: str) -> None:
 
 
 def _prune_shapes(root: Element, path: Path, packages: PackageMap, facts: ModelFacts) -> bool:
-    """Removes shapes that touch nothing, and pictures that can't be read."""
-    is_changed = False
+    """Removes shapes that touch nothing, and pictures that can't be read; returns if any changed.
+
+    Meshes that Drake doesn't read have copies.
+    """
+    is_changed, is_bare = False, facts.stub is not None
     tags = "collision", "visual"
     pairs = [(link, shape) for link in root.iter("link") for t in tags for shape in link.findall(t)]
     for link, shape in pairs:
         of_link = link.get("name", "")
         name = shape.get("name", of_link)
-        mesh = _find_mesh(shape, path, packages)
-        is_read = mesh is None or (mesh.suffix.lower() in MESHES and mesh.is_file())
-        is_kept = shape.tag == "visual" or facts.keeps(name, of_link, f"{of_link}::{name}")
-        if is_kept and not is_read and shape.tag == "collision" and mesh is not None:
-            facts.unread.append(f"{name} ({mesh.name})")
-        elif not (is_kept and is_read):
+        mesh, is_drawn = _find_mesh(shape, path, packages), shape.tag == "visual"
+        is_kept = is_drawn or facts.keeps(name, of_link, f"{of_link}::{name}")
+        if is_kept and mesh is not None:
+            file = mesh if is_bare and is_readable(mesh) else read_mesh(mesh)
+            if file is None and is_drawn:
+                facts.undrawn.append(mesh)
+            elif file is None:
+                facts.unread.append(f"{name} ({explain(mesh)})")
+                continue
+            else:
+                facts.is_bare |= is_bare
+                is_changed |= is_bare or file != mesh
+                _set_file(shape, facts.stub or file)
+            is_kept = not is_drawn or (file is not None and not is_bare)
+        if not is_kept:
             link.remove(shape)
             is_changed = True
-        elif mesh is not None and facts.stub is not None:
-            if shape.tag == "visual":
-                link.remove(shape)
-            else:
-                _set_file(shape, facts.stub)
-            is_changed = facts.is_bare = True
     return is_changed
 
 
