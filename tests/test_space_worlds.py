@@ -487,6 +487,25 @@ def test_bounds_and_velocities_by_names_are_those_of_their_coordinates(tmp_path:
         np.testing.assert_array_equal(getattr(scenario, name), expected)
 
 
+def test_a_name_comes_before_patterns_and_of_these_the_last_counts(tmp_path: Path) -> None:
+    body = {"xyz": [0.1, 0, 0.5]}
+    patterns: dict[str, Any] = {
+        "initial_position": {"x": -0.3, "?": 0.3, "thing": body},
+        "goal_weight": {"z": 4.0, "*": 1.0, "thing": {"xyz": 10.0}, "[x-z]": 2.0},
+        "velocity_upper": {"thi*": {"turn": 3}, "[!t]": 1.0},
+        "control_lower": {"*": -2.0, "y": -1.0},
+    }
+    names: dict[str, Any] = {
+        "initial_position": {"x": -0.3, "y": 0.3, "z": 0.3, "thing": body},
+        "goal_weight": {"x": 2.0, "y": 2.0, "z": 4.0, "thing": {"xyz": 10.0}},
+        "velocity_upper": {"thing": {"turn": 3}, "x": 1.0, "y": 1.0, "z": 1.0},
+        "control_lower": {"x": -2.0, "y": -1.0, "z": -2.0},
+    }
+    found, expected = (build(make_scenario(tmp_path, **each))[1] for each in (patterns, names))
+    for field in names:
+        np.testing.assert_array_equal(getattr(found, field), getattr(expected, field))
+
+
 def test_a_quaternion_that_is_not_of_unit_length_is_made_one_and_reported(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -509,6 +528,8 @@ OVERLAP = {"thing": {"xyz": [0, 0, 0.05]}, "x": -0.08, "z": 0.05}
             r"Did you mean 'thing'\? goal_position\[thin\]: got no joint that moves, and no "
             "floating body, of this name, expected one of thing, x, y, z.$",
         ),
+        ({"goal_weight": {"thin_*": 1.0}}, r"goal_weight\[thin_\*\]: got no joint that moves, and"),
+        ({"control_upper": {"w*": 1.0}}, r"control_upper\[w\*\]: got no actuator of this name"),
         ({"goal_position": {"thing": {"by": 0.1}}}, r"\[thing\]: got 1 number, expected 3"),
         ({"goal_position": {"thing": {"by": [0, 0, 1], "rpy": [0, 0, 0]}}}, "or by, alone"),
         ({"initial_position": {"x": {"by": 0.1}}}, r"got by \[0.1\].*Only goals are relative"),

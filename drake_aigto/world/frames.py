@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, cast
+from fnmatch import fnmatchcase
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -22,6 +23,8 @@ from drake_aigto.world.limits import name_controls
 from drake_aigto.world.model_fields import Named, Thruster
 from drake_aigto.world.places import RESTS, FrameGoal, Pose, PoseParts, Shift, write_plain
 from drake_aigto.world.scenario import Scenario
+
+_Item = TypeVar("_Item")
 
 # Steps of inverse kinematics, and their damping, as a part of the largest curvature.
 _STEPS, _DAMPING = 100, 1e-4
@@ -172,7 +175,7 @@ def place_scenario(plant: MultibodyPlant, scenario: Scenario) -> Scenario:
     if scenario.frame_goals and isinstance(scenario.goal_position, Mapping):
         weights = np.asarray(changed.get("goal_weight", scenario.goal_weight))
         is_free = ~np.any(np.atleast_2d(weights), axis=0) * np.ones(plant.num_velocities())
-        for joint in (_find(plant, "goal_position", key) for key in scenario.goal_position):
+        for _, joint, _ in _list_named(plant, "goal_position", scenario.goal_position):
             is_free[joint.velocity_start() :][: joint.num_velocities()] = 0.0
         goal = reach_frames(plant, scenario.frame_goals, start, is_free)
     for name, defaults in (("initial_position", ()), ("goal_position", (goal, start))):
@@ -186,8 +189,7 @@ def place_scenario(plant: MultibodyPlant, scenario: Scenario) -> Scenario:
 def find_advance(plant: MultibodyPlant, scenario: Scenario) -> Floats:
     """Returns by how much a motion that repeats advances, (nq,); NaN where its start is free."""
     found = np.full(plant.num_positions(), np.nan)
-    for key, advance in (scenario.periodic or {}).items():
-        joint = _find(plant, "periodic", key)
+    for key, joint, advance in _list_named(plant, "periodic", scenario.periodic or {}):
         first, size = joint.position_start(), joint.num_positions()
         if size != joint.num_velocities():  # A body that floats; its attitude repeats.
             first, size = first + 4, size - 4
@@ -206,8 +208,7 @@ def _place(
     """Returns positions, the same object if nothing changes."""
     if isinstance(value, Named):
         found = plant.GetDefaultPositions() if default is None else np.array(default)
-        for key, place in value.items():
-            joint = _find(plant, name, key)
+        for key, joint, place in _list_named(plant, name, value):
             if isinstance(place, Shift):
                 place = _shift(f"{name}[{key}]", joint, place, start)
             is_pose = isinstance(place, Pose)
@@ -282,8 +283,8 @@ def _fill_named(plant: MultibodyPlant, name: str, value: Named[Any], scenario: S
     are_positions = name in ("position_lower", "position_upper")
     total = plant.num_positions() if are_positions else plant.num_velocities()
     found: Floats = np.full(total, rest)
-    for key, item in value.items():
-        joint, of_key = _find(plant, name, key), f"{name}[{key}]"
+    for key, joint, item in _list_named(plant, name, value):
+        of_key = f"{name}[{key}]"
         first, size = joint.velocity_start(), joint.num_velocities()
         if are_positions:
             first, size = joint.position_start(), joint.num_positions()
@@ -313,9 +314,7 @@ def _fill_controls(plant: MultibodyPlant, name: str, value: Named[Any], thruster
         actuator = plant.get_joint_actuator(index)
         known.setdefault(actuator.joint().name(), actuator.input_start())
     found: Floats = np.full(len(names), RESTS[name])
-    for key, item in value.items():
-        if key not in known:
-            raise refuse_name(f"{name}[{key}]", key, list(known), "no actuator of this name")
+    for key, item in _spell_out(name, value, known, "no actuator of this name").items():
         _fill(f"{name}[{key}]", found, known[key], 1, np.ravel(item))
     return found
 
@@ -325,12 +324,26 @@ def _list_joints(plant: MultibodyPlant) -> list[Joint]:
     return [joint for joint in joints if joint.num_positions()]
 
 
-def _find(plant: MultibodyPlant, name: str, key: str) -> Joint:
-    """Returns a joint by its name, or by that of the body that it lets float."""
+def _list_named(
+    plant: MultibodyPlant, name: str, value: Mapping[str, _Item]
+) -> Iterator[tuple[str, Joint, _Item]]:
+    """Yields names, joints and what is given for them; bodies that float are their joints."""
     joints = {joint.name(): joint for joint in _list_joints(plant)}
     floating = {j.child_body().name(): j for j in joints.values() if j.type_name() == _FLOATING}
     known = {**joints, **floating}
-    if key not in known:
-        got = "no joint that moves, and no floating body, of this name"
-        raise refuse_name(f"{name}[{key}]", key, sorted(known), got)
-    return known[key]
+    missing = "no joint that moves, and no floating body, of this name"
+    for key, item in _spell_out(name, value, known, missing).items():
+        yield key, known[key], item
+
+
+def _spell_out(
+    name: str, value: Mapping[str, _Item], known: Collection[str], missing: str
+) -> dict[str, _Item]:
+    """Returns what is given for each name: by globs, the last that fits, or else by itself."""
+    found = dict[str, _Item]()
+    for key, item in sorted(value.items(), key=lambda pair: pair[0] in known):
+        fitting = [key] if key in known else [each for each in known if fnmatchcase(each, key)]
+        if not fitting:
+            raise refuse_name(f"{name}[{key}]", key, sorted(known), missing)
+        found.update(dict.fromkeys(fitting, item))
+    return found

@@ -66,6 +66,7 @@ class Scenario(ModelFields):
             there. How it is read, say the `ModelFields`.
         initial_position: q(0), shape (nq,); or by names of joints and floating bodies, of which
             others are at the model's default: numbers of a joint, or a pose (`place_scenario`).
+            Names, here and below, may be globs; names come before these, and the last counts.
         initial_velocity: v(0), shape (nv,); or by names, 0 of others: {}, which is at rest.
         goal_position: where q(T) should be, the same, or {by: numbers} for so far from the start;
             what is not named, where it starts. Of a motion that is `periodic` it is known.
