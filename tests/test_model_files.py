@@ -270,6 +270,28 @@ def test_a_servo_pulls_its_joint_to_where_the_control_says(gantry: Any, arm: Any
         gantry({"servos": {"x": [0, 1]}})
 
 
+def test_goals_that_servos_can_not_hold_are_refused_with_the_effort_that_does(
+    tmp_path: Path,
+) -> None:
+    model = write(tmp_path / "gantry.urdf", GANTRY, EFFORT="5")
+    asked: dict[str, Any] = {"model": model, "initial_position": {}, "control_weight": 1.0}
+    asked |= {"goal_position": {"x": -0.3}, "goal_weight": {"x": 1.0}, "limits": "ignore"}
+
+    def check(stiffness: float, **changes: Any) -> None:
+        world = World.from_scenario(
+            given := Scenario(**asked | {"servos": {"x": stiffness}} | changes)
+        )
+        world.check(world.place(given))
+
+    check(16.0)  # Which pulls with 4.8 of 5 N.
+    with pytest.raises(ScenarioError, match=r"x at -0.3, out of reach .*effort_limits: {x: 6.06},"):
+        check(20.0)
+    check(20.0, effort_limits={"x": 6.06})
+    check(20.0, goal_weight={"y": 1.0})
+    with pytest.raises(ScenarioError, match="out of reach of set points"):
+        check(20.0, goal_weight={"y": 1.0}, hard_goal=True)
+
+
 def test_a_model_is_without_weight_where_gravity_is_compensated(arm: Any) -> None:
     q, still = np.array([0.5, -0.3]), np.zeros(2)
     assert np.abs(arm().calc_bias(q, still)).max() > 1.0

@@ -14,6 +14,7 @@ from drake_aigto.dynamics import EquationsOfMotion
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import suggest
+from drake_aigto.world.model_facts import calc_servo_forces
 from drake_aigto.world.model_fields import Limited
 from drake_aigto.world.pair_errors import is_of_pair, name_whole
 from drake_aigto.world.scenario import Scenario
@@ -147,6 +148,33 @@ class Limits:
                         expected=f"from {lower:g} to {upper:g}, by its joint's limits and the "
                         "scenario's bounds",
                     )
+
+    def check_servos(self, plant: MultibodyPlant, scenario: Scenario) -> None:
+        """Refuses goals of joints whose servos can't hold them: a control is k times a set point.
+
+        Raises:
+            ScenarioError: k q of a goal that counts is out of the bounds of u; says which.
+        """
+        servos, weight = scenario.model_fields.servos, np.asarray(scenario.goal_weight)
+        weight = weight.diagonal() if weight.ndim == 2 else weight
+        counts = np.broadcast_to(scenario.hard_goal or weight > 0, self.velocity.shape[1])
+        goal, far = scenario.goal_position, np.where(np.isfinite(self.position), self.position, 0.0)
+        held, *ends = (calc_servo_forces(plant, servos, q) for q in (goal, *far))
+        found, asked = list[str](), list[str]()
+        for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
+            joint = actuator.joint()
+            i, (least, most) = joint.velocity_start(), self.control[:, actuator.input_start()]
+            if counts[i] and not least <= held[i] <= most:
+                found.append(f"{joint.name()} at {goal[joint.position_start()]:.4g}")
+                asked.append(f"{joint.name()}: {1.01 * max(abs(u[i]) for u in (held, *ends)):.3g}")
+        if found:
+            raise ScenarioError(
+                "goal_position",
+                got=f"{', '.join(found)}, out of reach of set points",
+                expected="goals that servos hold by u = stiffness × set point, which limits of "
+                "effort bound",
+                remedy=f"Take effort_limits: {{{', '.join(asked)}}}, or softer servos.",
+            )
 
     @cached_property
     def are_any(self) -> bool:
