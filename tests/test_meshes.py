@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from other_models import GANTRY, INERTIAL, MESH, make, write
-from pydrake.geometry import Convex, Mesh, Role
+from pydrake.geometry import Convex, Mesh, Role, Sphere
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.show import read_actors
 from drake_aigto.world import meshes
-from drake_aigto.world.meshes import read_mesh
+from drake_aigto.world.meshes import read_mesh, uncolored
 
 # A tetrahedron away from the origin, no two of whose axes are alike [m].
 CORNERS = np.array([[0.1, 0.0, 0.2], [0.4, 0.0, 0.2], [0.1, 0.2, 0.2], [0.1, 0.0, 0.9]])
@@ -101,6 +101,21 @@ def test_a_copy_keeps_the_colors(tmp_path: Path) -> None:
     (material,) = json.loads(copy.read_text(encoding="utf-8"))["materials"]
     color = material["pbrMetallicRoughness"]["baseColorFactor"]
     np.testing.assert_allclose(color, [0.8, 0.1, 0.2, 1.0], atol=1 / 255)
+
+
+def test_ghosts_have_a_copy_that_takes_their_color(tmp_path: Path) -> None:
+    copy = read_mesh(write_mesh(tmp_path / "m.dae"))
+    assert copy is not None
+    own = copy.rename(tmp_path / "own.gltf")
+    assert uncolored(kept := Mesh(str(own))) is kept and uncolored(ball := Sphere(1.0)) is ball
+    own.rename(copy)
+    plain = uncolored(Mesh(str(copy), [1.0, 2.0, 3.0]))
+    assert isinstance(plain, Mesh) and plain.extension() == ".obj"
+    np.testing.assert_array_equal(plain.scale3(), [1.0, 2.0, 3.0])
+    one, other = (
+        sort_corners(Convex(file).GetConvexHull()) for file in (plain.source().path(), copy)
+    )
+    np.testing.assert_allclose(one, other, atol=1e-7)
 
 
 def put(tmp_path: Path, collision: str, visual: str, **fields: Any) -> Any:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from other_models import ARM, GANTRY, GRAVITY, INERTIAL, MESH, TRANSMISSION, make, write
+from pydrake.geometry import Role
 
 from drake_aigto import PlanningError, Scenario, World, plan
 from drake_aigto.cli import main
@@ -149,6 +150,15 @@ def test_meshes_of_a_urdf_are_read_from_files_beside_it(gantry: Any, tmp_path: P
     (tmp_path / "hook.obj").write_text(tetrahedron, encoding="utf-8")
     mesh = MESH.replace("NAME", "hook").replace("FILE", "hook.obj")
     assert gantry(COLLISION=mesh, INERTIAL=INERTIAL).num_positions == 2
+
+
+def test_shapes_without_a_name_are_called_by_their_links(gantry: Any) -> None:
+    ball = "<collision><geometry><sphere radius='0.1'/></geometry></collision>"
+    world = gantry(COLLISION=2 * ball + ball.replace("<collision>", "<collision name='hook'>"))
+    inspector = world.scene_graph.model_inspector()
+    names = map(inspector.GetName, inspector.GetAllGeometryIds(Role.kProximity))
+    ends = [name.rpartition("::")[2] for name in names]
+    assert sorted(ends) == ["hook", "trolley", "trolley_2"]
 
 
 def test_a_mesh_that_gives_a_link_its_mass_has_to_be_converted(tmp_path: Path) -> None:

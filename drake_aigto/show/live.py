@@ -23,7 +23,7 @@ from drake_aigto.show.motion import Motion, color_of, positions_at
 from drake_aigto.show.shapes import coordinate_names, find_goal, has_goal, moves_straight
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.words import cost_text, run_texts, touch_names
-from drake_aigto.world import Scales, Scenario
+from drake_aigto.world import Scales, Scenario, uncolored
 
 _MOST_GHOSTS = 3  # candidates beside the best
 _PAUSE = 0.7  # that the end stands before the motion starts again [s]
@@ -375,7 +375,7 @@ class Live:
             own = color.a() == 1.0 and not moves_straight(self.planner.world)
             place, seen = f"{ROOT}/{path}/{actor.name}", (own and actor.color) or color
             if self._drawn.get(place) != seen:
-                self.meshcat.SetObject(place, actor.shape, seen)
+                self.meshcat.SetObject(place, actor.shape if own else uncolored(actor.shape), seen)
                 self._drawn[place] = seen
             self.meshcat.SetTransform(place, self._stage.pose(actor, q))
 

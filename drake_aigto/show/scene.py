@@ -40,7 +40,7 @@ from drake_aigto.show.page import Playback, list_events, list_numbers, stand_sid
 from drake_aigto.show.shapes import Actor, find_goal, has_goal, moving_joints
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.words import plan_name
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, World, uncolored
 
 # Frames are keyed where a motion has rows; between two of them the browser moves straight on.
 _FRAMES_PER_SECOND = 1000
@@ -240,7 +240,8 @@ class _Scene:
 
         def put(actor: Actor, folder: str, q: Floats, color: Rgba | None, layer: int = 0) -> str:
             path = f"{ROOT}/{folder}/{actor.name}"
-            film.meshcat.SetObject(path, actor.shape, color or _GRAY)
+            shape = uncolored(actor.shape) if layer else actor.shape
+            film.meshcat.SetObject(path, shape, color or _GRAY)
             film.meshcat.SetTransform(path, stage.pose(actor, q))
             if layer:
                 put_behind(path, film.meshcat, layer)

@@ -76,6 +76,22 @@ def find_packages(model: Path, given: Mapping[str, str]) -> PackageMap:
     return packages
 
 
+def find_file(uri: str, path: Path, packages: PackageMap) -> Path | None:
+    """Returns the file of a URI in a model's file; None in a package that is unknown."""
+    scheme, _, rest = uri.strip().partition("://")
+    if not rest:
+        return path.parent / uri.strip()
+    if scheme == "file":
+        return Path(rest)
+    package, _, inside = rest.lstrip("/").partition("/")
+    return Path(packages.GetPath(package)) / inside if packages.Contains(package) else None
+
+
+def package_of(uri: str) -> str:
+    """Returns the package that a URI is in."""
+    return uri.partition("://")[2].lstrip("/").partition("/")[0]
+
+
 def read_xml(path: Path) -> Element:
     """Returns the root of an XML file, with prefixes in its names, such as ``drake:mu_static``.
 

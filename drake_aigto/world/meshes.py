@@ -10,6 +10,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from xml.etree.ElementTree import Element
+
+from pydrake.geometry import Mesh, Shape
+from pydrake.multibody.parsing import PackageMap
+
+from drake_aigto.world.files import find_file, package_of
 
 # What Drake reads.
 MESHES = (".obj", ".vtk", ".gltf")
@@ -34,8 +40,18 @@ def read_mesh(file: Path, kinds: Sequence[str] = MESHES) -> Path | None:
     """
     if not is_readable(file, kinds) or file.suffix.lower() in kinds:
         return file if is_readable(file, kinds) else None
+    copy = _copy(file.resolve(), file.stat().st_mtime_ns)
     has_color = ".gltf" in kinds and file.suffix.lower() in _COLORED
-    return _copy(file.resolve(), file.stat().st_mtime_ns, ".gltf" if has_color else ".obj")
+    return copy and copy.with_suffix(".gltf" if has_color else ".obj")
+
+
+def uncolored(shape: Shape) -> Shape:
+    """Returns a shape that is drawn in any color: of a copy with colors, the one without."""
+    if not isinstance(shape, Mesh) or not shape.source().is_path():
+        return shape
+    plain = Path(shape.source().path()).with_suffix(".obj")
+    is_copy = shape.extension() == ".gltf" and str(plain.parent) == _folder().name
+    return Mesh(str(plain), shape.scale3()) if is_copy else shape
 
 
 def explain(file: Path, others: int = 0) -> str:
@@ -51,19 +67,43 @@ def explain(file: Path, others: int = 0) -> str:
     return f"{name}: {_NEED}; {extra}"
 
 
+def find_mesh(shape: Element, path: Path, packages: PackageMap) -> Path | None:
+    """Returns the file of a mesh, whose URI becomes absolute; None for any other shape."""
+    mesh = shape.find("geometry/mesh")
+    if mesh is None:
+        return None
+    uri = mesh.find("uri")
+    text = (mesh.get("filename") if uri is None else uri.text) or ""
+    found = find_file(text, path, packages)
+    if found is None:
+        package = package_of(text)
+        return Path(f"in the unknown package {package}: name its folder by packages")
+    if found.is_file():
+        set_mesh(shape, found)
+    return found
+
+
+def set_mesh(shape: Element, file: Path) -> None:
+    """Makes a file that of a shape's mesh."""
+    uri = shape.find("geometry/mesh/uri")
+    if uri is not None:
+        uri.text = file.resolve().as_uri()
+    elif (mesh := shape.find("geometry/mesh")) is not None:
+        mesh.set("filename", file.resolve().as_uri())
+
+
 @cache
 def _folder() -> TemporaryDirectory[str]:
     return TemporaryDirectory(prefix="drake_aigto_meshes_")
 
 
 @cache
-def _copy(file: Path, _: int, kind: str) -> Path | None:
-    """Writes a copy of a mesh, and returns its file; None if it is none.
+def _copy(file: Path, _: int) -> Path | None:
+    """Writes copies of a mesh, and returns their file but for its kind; None if it is none.
 
     Args:
         file: of the mesh.
-        _: when it was changed [ns]: another copy is made then.
-        kind: of the copy.
+        _: when it was changed [ns]: other copies are made then.
     """
     trimesh: Any = import_module("trimesh")
     try:
@@ -71,14 +111,14 @@ def _copy(file: Path, _: int, kind: str) -> Path | None:
         if not scene.area:
             return None
         scene = scene.convert_units("meters") if scene.units else scene
-        copy = Path(_folder().name) / f"{len(list(Path(_folder().name).iterdir()))}{kind}"
-        if kind == ".gltf":  # Its y is up, and Drake turns it.
-            scene.apply_transform(trimesh.transformations.rotation_matrix(-math.pi / 2, [1, 0, 0]))
-            files = trimesh.exchange.gltf.export_gltf(scene, merge_buffers=True, embed_buffers=True)
-            copy.write_bytes(files["model.gltf"])
-        else:
-            look = {"include_color": False, "include_texture": False}
-            copy.write_text(scene.to_mesh().export(file_type="obj", **look), encoding="utf-8")
+        copy = Path(_folder().name) / f"{len(list(Path(_folder().name).iterdir()))}"
+        look = {"include_color": False, "include_texture": False}
+        plain = scene.to_mesh().export(file_type="obj", **look)
+        copy.with_suffix(".obj").write_text(plain, encoding="utf-8")
+        # Of glTF y is up, and Drake turns it.
+        scene.apply_transform(trimesh.transformations.rotation_matrix(-math.pi / 2, [1, 0, 0]))
+        files = trimesh.exchange.gltf.export_gltf(scene, merge_buffers=True, embed_buffers=True)
+        copy.with_suffix(".gltf").write_bytes(files["model.gltf"])
     except Exception:  # What a damaged file raises is for trimesh to choose.
         return None
     return copy

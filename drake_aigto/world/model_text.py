@@ -11,8 +11,8 @@ import yaml
 from pydrake.multibody.parsing import PackageMap
 
 from drake_aigto.errors import ModelError
-from drake_aigto.world.files import read_xml
-from drake_aigto.world.meshes import explain, is_readable, read_mesh
+from drake_aigto.world.files import find_file, package_of, read_xml
+from drake_aigto.world.meshes import explain, find_mesh, is_readable, read_mesh, set_mesh
 from drake_aigto.world.mjcf import read_mjcf
 from drake_aigto.world.model_facts import ModelFacts, read_numbers, read_range
 from drake_aigto.world.model_fields import ModelFields
@@ -86,7 +86,8 @@ def _read_text(
         if kind == "urdf":
             root.set("name", root.get("name") or path.stem)
             _tell_materials_apart(root)
-        is_changed = _read_joints(root, path, facts)
+            is_changed = _name_shapes(root)
+        is_changed |= _read_joints(root, path, facts)
         _read_includes(root, path, packages, facts)
         _refuse_forces(root, path, facts)
         is_changed |= _prune_shapes(root, path, packages, facts)
@@ -203,7 +204,7 @@ def _read_includes(root: Element, path: Path, packages: PackageMap, facts: Model
 
 def _find_part(uri: str, path: Path, packages: PackageMap, what: str) -> Path:
     """Returns a file that a model consists of."""
-    file = _find_file(uri, path, packages)
+    file = find_file(uri, path, packages)
     if file is None or not file.exists():
         raise ModelError(
             f"model {path}",
@@ -211,7 +212,7 @@ def _find_part(uri: str, path: Path, packages: PackageMap, what: str) -> Path:
             expected="a file that is there",
             remedy="Paths are relative to the model's file."
             if file
-            else f"Say where it is by the scenario's packages: {{{_find_package(uri)}: ...}}.",
+            else f"Say where it is by the scenario's packages: {{{package_of(uri)}: ...}}.",
         )
     return file
 
@@ -252,7 +253,7 @@ def _prune_shapes(root: Element, path: Path, packages: PackageMap, facts: ModelF
     for link, shape in pairs:
         of_link = link.get("name", "")
         name = shape.get("name", of_link)
-        mesh, is_drawn = _find_mesh(shape, path, packages), shape.tag == "visual"
+        mesh, is_drawn = find_mesh(shape, path, packages), shape.tag == "visual"
         is_kept = is_drawn or facts.keeps(name, of_link, f"{of_link}::{name}")
         if is_kept and mesh is not None:
             file = mesh if is_bare and is_readable(mesh) else read_mesh(mesh)
@@ -264,7 +265,7 @@ def _prune_shapes(root: Element, path: Path, packages: PackageMap, facts: ModelF
             else:
                 facts.is_bare |= is_bare
                 is_changed |= is_bare or file != mesh
-                _set_file(shape, facts.stub or file)
+                set_mesh(shape, facts.stub or file)
             is_kept = not is_drawn or (file is not None and not is_bare)
         if not is_kept:
             link.remove(shape)
@@ -313,6 +314,17 @@ def _tell_materials_apart(root: Element) -> None:
                 SubElement(visual, "material", name=f"material{number}").append(color)
 
 
+def _name_shapes(root: Element) -> bool:
+    """Names collision shapes without a name after their links, which Drake calls by their kinds."""
+    is_changed = False
+    for link in root.iter("link"):
+        unnamed = [shape for shape in link.findall("collision") if not shape.get("name")]
+        for number, shape in enumerate(unnamed):
+            shape.set("name", link.get("name", "") + (number > 0) * f"_{number + 1}")
+            is_changed = True
+    return is_changed
+
+
 def _check_masses(root: Element, path: Path, facts: ModelFacts) -> bool:
     """Refuses masses and inertias that no link has; returns whether an inertia is left out."""
     is_changed = False
@@ -354,44 +366,3 @@ def _check_inertia(
         cost = "no body has such; a ball of its mass, of water, takes its place"
         facts.refuse("inertias", text, cost)
     return False
-
-
-def _find_mesh(shape: Element, path: Path, packages: PackageMap) -> Path | None:
-    """Returns the file of a mesh, whose URI becomes absolute; None for any other shape."""
-    mesh = shape.find("geometry/mesh")
-    if mesh is None:
-        return None
-    uri = mesh.find("uri")
-    text = (mesh.get("filename") if uri is None else uri.text) or ""
-    found = _find_file(text, path, packages)
-    if found is None:
-        package = _find_package(text)
-        return Path(f"in the unknown package {package}: name its folder by packages")
-    if found.is_file():
-        _set_file(shape, found)
-    return found
-
-
-def _find_file(uri: str, path: Path, packages: PackageMap) -> Path | None:
-    """Returns the file of a URI in a model's file; None in a package that is unknown."""
-    scheme, _, rest = uri.strip().partition("://")
-    if not rest:
-        return path.parent / uri.strip()
-    if scheme == "file":
-        return Path(rest)
-    package, _, inside = rest.lstrip("/").partition("/")
-    return Path(packages.GetPath(package)) / inside if packages.Contains(package) else None
-
-
-def _find_package(uri: str) -> str:
-    """Returns the package that a URI is in."""
-    return uri.partition("://")[2].lstrip("/").partition("/")[0]
-
-
-def _set_file(shape: Element, file: Path) -> None:
-    """Makes a file that of a shape's mesh."""
-    uri = shape.find("geometry/mesh/uri")
-    if uri is not None:
-        uri.text = file.resolve().as_uri()
-    elif (mesh := shape.find("geometry/mesh")) is not None:
-        mesh.set("filename", file.resolve().as_uri())
