@@ -31,6 +31,7 @@ _WIDTH, _RATE = 4.0, 12  # of animations [hundreds of pixels], [1/s]
 _QUALITIES, _MOST = (40, 30, 20, 10), 80_000  # The first one of as few bytes is taken.
 _SECONDS = 2.0  # that an animation takes at most, but for the end's stand
 _KNOTS, _DIGITS = 25, 5  # of a motion in the tests: rows, and digits of each number
+_SPACE = "In space"  # the last heading
 _BEGIN, _END = "<!-- gallery -->\n", "<!-- end of the gallery -->\n"
 
 
@@ -84,7 +85,7 @@ def _round(values: Any) -> Any:
 def kind_of(world: World) -> str:
     """Returns the heading that a scenario of a world is below."""
     if isinstance(world, SpaceWorld):
-        return "In space"
+        return _SPACE
     if world.num_contacts and world.has_constant_inertia and not world.frictions:
         return "Balls between rigid walls"
     return "Contact with friction" if world.frictions else "Mechanisms"
@@ -101,7 +102,7 @@ def list_plans() -> Iterator[str]:
         took = f" {seconds[name]:g}\u00a0s." if name in seconds else ""
         line = f"{figure if where.exists() else ''}**{name}** {text}.{took}"
         kinds.setdefault(kind_of(world), []).append(line)
-    for kind, lines in kinds.items():
+    for kind, lines in sorted(kinds.items(), key=lambda pair: pair[0] == _SPACE):
         yield f"### {kind}\n"
         yield "```{container} gallery\n" + "\n\n".join(lines) + "\n```\n"
 

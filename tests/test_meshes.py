@@ -14,8 +14,7 @@ from pydrake.geometry import Convex, Mesh, Role, Sphere
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.show import read_actors
-from drake_aigto.world import meshes
-from drake_aigto.world.meshes import read_mesh, uncolored
+from drake_aigto.world import MESHES, read_mesh, uncolored
 
 # A tetrahedron away from the origin, no two of whose axes are alike [m].
 CORNERS = np.array([[0.1, 0.0, 0.2], [0.4, 0.0, 0.2], [0.1, 0.2, 0.2], [0.1, 0.0, 0.9]])
@@ -72,7 +71,7 @@ def sort_corners(hull: Any) -> Floats:
     return corners[np.lexsort(corners.T.round(6))]
 
 
-@pytest.mark.parametrize("kinds", [meshes.MESHES, (".obj",)])
+@pytest.mark.parametrize("kinds", [MESHES, (".obj",)])
 @pytest.mark.parametrize(("name", "meter"), [("m.ply", 1), ("m.STL", 1), ("m.dae", 0.0254)])
 def test_a_copy_has_the_corners_of_the_mesh_in_meters(
     tmp_path: Path, name: str, meter: float, kinds: tuple[str, ...]
@@ -143,7 +142,7 @@ def test_without_the_extra_its_name_is_said(
 ) -> None:
     write_mesh(tmp_path / "hull.stl")
     write_mesh(tmp_path / "body.dae")
-    monkeypatch.setattr(meshes, "find_spec", lambda name: None)
+    monkeypatch.setattr("drake_aigto.world.meshes.find_spec", lambda name: None)
     install = r"Drake reads .obj, .vtk and .gltf; pip install 'drake_aigto\[meshes\]' reads .dae"
     with pytest.raises(ModelError, match=rf"can't be read: hook \(hull.stl: {install}"):
         put(tmp_path, "hull.stl", "body.dae")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from pydrake.geometry import Role
 from drake_aigto import PlanningError, Scenario, World, plan
 from drake_aigto.cli import main
 from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.planning import name_active
 from drake_aigto.world import find_model, models_directory, read_model
 
 
@@ -481,3 +483,19 @@ def test_a_search_that_finds_nothing_names_the_bounds_that_are_active(tmp_path: 
     task |= {"initial_position": 0.0, "initial_velocity": 0.0, "duration": 0.3, "time_step": 0.05}
     with pytest.raises(PlanningError, match=r"These bounds are active: control of arm_motor at l"):
         plan(Scenario(model=model, fixed_joints=["elbow"], ignored_shapes="all", **task))
+
+
+def test_of_many_active_bounds_those_that_most_candidates_touch_are_named() -> None:
+    def touch(*numbers: int) -> Any:
+        arrays = dict.fromkeys(("positions", "velocities"))
+        return SimpleNamespace(trajectory=SimpleNamespace(controls=numbers, **arrays))
+
+    limits = SimpleNamespace(active_items=lambda *asked: [f"bound {i}" for i in asked[-1]])
+    world: Any = SimpleNamespace(plant=None, limits=limits)
+    world.bounds = lambda _: SimpleNamespace(are_any=True)
+    scenario: Any = None
+    few = name_active(world, scenario, [touch(1, 2), touch(2)])
+    assert few == "These bounds are active: bound 2; bound 1. "
+    many = name_active(world, scenario, [touch(*range(20)), touch(17)])
+    assert many.startswith("These bounds are active: bound 17; bound 0; ")
+    assert many.endswith("bound 6; and 12 others. ") and not name_active(world, scenario, [touch()])

@@ -11,7 +11,7 @@ import pytest
 from space_models import SPHERE, ball_and_finger, collision, link, make_scenario, slider
 
 from benchmarks.space import count_held
-from drake_aigto import Planner, PlanOptions, Scenario, World
+from drake_aigto import Planner, PlanOptions, Scenario, World, scenario_names
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact import CompliantLaw, contact_law
 from drake_aigto.errors import OptionsError
@@ -363,6 +363,18 @@ def test_servos_that_follow_a_line_bring_a_quadruped_to_its_feet_in_drake_too() 
     assert drake.cost == pytest.approx(own.cost, rel=1e-5)
     assert drake.goal_error < 0.05  # [m, rad]
     assert task.idle_candidate().replay.goal_error > 1.0
+
+
+@pytest.mark.slow  # 25 CPU s, compiled.
+@pytest.mark.skipif("a1/step_ahead" not in scenario_names(), reason="the extra models")
+def test_unitrees_a1_gets_ahead_within_the_limits_of_its_motors() -> None:
+    options = PlanOptions(starts=4, renewals=0, finalists=1, search_substeps=32)
+    plan = Planner(Scenario.named("a1/step_ahead"), options).plan()
+    assert plan.holds and plan.reached
+    assert 5.0 < np.max(np.abs(plan.trajectory.controls)) <= 33.5  # [N m]
+    for motion in (plan.trajectory, *plan.replay):
+        assert motion.positions[-1, 4] == pytest.approx(0.2, abs=0.02)  # [m]
+        assert motion.positions[-1, 6] == pytest.approx(0.297, abs=0.01)
 
 
 @pytest.mark.slow  # 15 CPU s each, compiled.

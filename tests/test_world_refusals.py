@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import re
 import tempfile
 from functools import cache
@@ -310,12 +309,14 @@ def test_bounds_that_leave_out_what_is_asked_are_refused(
 def test_a_model_of_a_package_that_is_absent_names_the_extra_that_brings_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    known = importlib.util.find_spec
-    away = {"gymnasium", "dm_control"}
-    monkeypatch.setattr(
-        "drake_aigto.world.files.find_spec", lambda name: None if name in away else known(name)
-    )
-    names = {"dm_cheetah/leap", "dm_walker/step", "gymnasium_hopper/hop", "half_cheetah/leap"}
+    monkeypatch.setattr("drake_aigto.world.files._find_installed", lambda name: None)
+    names = {
+        "a1/step_ahead",
+        "dm_cheetah/leap",
+        "dm_walker/step",
+        "gymnasium_hopper/hop",
+        "half_cheetah/leap",
+    }
     names |= {"walker2d/step"}
     assert names == set(scenario_summaries()) - set(scenario_names())
     for name in names:

@@ -72,6 +72,7 @@ from .search import Progress as Progress
 from .search import Proposal as Proposal
 from .search import Search as Search
 from .search import Stopwatch as Stopwatch
+from .search import name_active as name_active
 from .sequence_search import SequenceSearch as SequenceSearch
 from .sequence_search import is_same as is_same
 from .sequence_search import kinds as kinds

@@ -8,7 +8,7 @@ import logging
 import math
 import time
 from abc import ABC, abstractmethod
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 
 Progress = Callable[[str], None]
+_MOST_NAMED = 8  # of active bounds, in an error
 
 _Self = TypeVar("_Self", bound="Search")
 
@@ -89,18 +90,20 @@ class Task(Protocol):
 
 
 def name_active(world: World, scenario: Scenario, candidates: Iterable[Candidate]) -> str:
-    """Returns a sentence of the bounds that candidates touch, empty where there are none."""
+    """Returns a sentence of the bounds that most candidates touch, empty where there are none."""
     if not world.bounds(scenario).are_any:
         return ""
     motions = (candidate.trajectory for candidate in candidates)
-    active = dict.fromkeys(
+    active = Counter(
         item
         for motion in motions
         for item in world.limits.active_items(
             world.plant, scenario, motion.positions, motion.velocities, motion.controls
         )
     )
-    return f"These bounds are active: {'; '.join(active)}. " if active else ""
+    named = [item for item, _ in active.most_common(_MOST_NAMED)]
+    named += [f"and {len(active) - _MOST_NAMED} others"] * (len(active) > _MOST_NAMED)
+    return f"These bounds are active: {'; '.join(named)}. " if named else ""
 
 
 def name_obstacles(world: World, scenario: Scenario, candidates: Sequence[Candidate]) -> str:

@@ -161,7 +161,7 @@ def _find_points(actor: Actor, X_TS: RigidTransform) -> Iterator[Floats]:
             else:
                 yield X_TS.multiply((middle + shape.radius() * circle).T).T
     else:
-        yield X_TS.multiply(actor.corners.T).T
+        yield X_TS.multiply(actor.points.T).T
 
 
 def _name_axis(axis: Floats) -> str:

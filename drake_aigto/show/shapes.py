@@ -5,15 +5,18 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 from pydrake.geometry import (
     Box,
+    Convex,
     Cylinder,
     GeometryId,
     GeometrySet,
     HalfSpace,
+    Mesh,
     Rgba,
     Role,
     Shape,
@@ -45,6 +48,14 @@ class Actor:
     moves: bool  # whether this body moves
     corners: Floats  # of a box around the drawn shape, in its frame, shape (8, 3) [m]
     is_half_space: bool = False  # whether the shape is a slab that stands for one
+
+    @cached_property
+    def points(self) -> Floats:
+        """Corners of the shape's convex hull, if it is a mesh, else `corners`, (k, 3) [m]."""
+        if not isinstance(self.shape, Convex | Mesh):
+            return self.corners
+        hull = self.shape.GetConvexHull()
+        return np.array([hull.vertex(i) for i in range(hull.num_vertices())])
 
 
 def read_actors(world: World) -> list[Actor]:

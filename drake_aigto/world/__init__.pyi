@@ -18,6 +18,8 @@ from .material import read_given as read_given
 from .material import read_material as read_material
 from .material import read_property as read_property
 from .material import set_material as set_material
+from .meshes import MESHES as MESHES
+from .meshes import read_mesh as read_mesh
 from .meshes import uncolored as uncolored
 from .model_facts import FixableError as FixableError
 from .model_facts import calc_servo_forces as calc_servo_forces

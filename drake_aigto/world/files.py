@@ -6,6 +6,7 @@ import difflib
 import os
 from collections.abc import Mapping
 from importlib import resources
+from importlib.metadata import PackageNotFoundError, distribution
 from importlib.util import find_spec
 from pathlib import Path
 from xml.etree.ElementTree import Element, TreeBuilder
@@ -18,8 +19,12 @@ from pydrake.multibody.parsing import PackageMap
 from drake_aigto.errors import ModelError, ScenarioError
 
 _URI_SCHEME = "package://"
-# Python packages of the extra "models", in which scenarios find MJCFs.
-_OF_EXTRA = ("gymnasium", "dm_control", "example_robot_data")
+# Python packages of the extra "models", in which scenarios find models; and where they have what
+# is a package for ROS.
+_OF_EXTRA = {
+    **dict.fromkeys(("gymnasium", "dm_control"), ""),
+    "example-robot-data": "cmeel.prefix/share/example-robot-data",
+}
 # Fields of a scenario that are texts; all others are made of numbers.
 _TEXTS = (
     *("model", "angles", "contact", "ignored_shapes", "packages", "fixed_joints", "actuators"),
@@ -54,7 +59,23 @@ def package_map() -> PackageMap:
     """
     packages = PackageMap()
     packages.AddPackageXml(models_directory() / "package.xml")
+    for package in (name for name, folder in _OF_EXTRA.items() if folder):
+        if found := _find_installed(package):
+            packages.Add(package, str(found))
     return packages
+
+
+def _find_installed(package: str) -> Path | None:
+    """Returns the folder of an installed Python package, or of what it has for ROS."""
+    if folder := _OF_EXTRA.get(package):
+        try:
+            found = Path(str(distribution(package).locate_file(folder)))
+        except PackageNotFoundError:
+            return None
+        return found if found.is_dir() else None
+    python = find_spec(package) if package.isidentifier() else None
+    places = python and python.submodule_search_locations
+    return Path(places[0]) if places else None
 
 
 def find_packages(model: Path, given: Mapping[str, str]) -> PackageMap:
@@ -135,15 +156,9 @@ def _find_package(model: str, package: str) -> Path:
     packages = package_map()
     if packages.Contains(package):
         return Path(packages.GetPath(package))
-    python = find_spec(package) if package.isidentifier() else None
-    if python is not None and python.submodule_search_locations:
-        return Path(python.submodule_search_locations[0])
-    if package in _OF_EXTRA:
-        raise ModelError(
-            f"model {model}",
-            got=f"the Python package {package!r}, which is not installed",
-            remedy="Install the extra that brings it: pip install 'drake_aigto[models]'.",
-        )
+    if found := _find_installed(package):
+        return found
+    check_installed(model, package)
     raise ModelError(
         f"model {model}",
         got=f"the unknown package {package!r}",
@@ -151,6 +166,16 @@ def _find_package(model: str, package: str) -> Path:
         "Python package",
         remedy="Name a model of your own by its path.",
     )
+
+
+def check_installed(model: str, package: str) -> None:
+    """Refuses a model in a package of the extra "models" that is not installed."""
+    if package in _OF_EXTRA and not _find_installed(package):
+        raise ModelError(
+            f"model {model}",
+            got=f"the Python package {package!r}, which is not installed",
+            remedy="Install the extra that brings it: pip install 'drake_aigto[models]'.",
+        )
 
 
 def scenario_files() -> dict[str, Path]:
@@ -165,8 +190,11 @@ def scenario_names() -> list[str]:
 
     Some are of models in other packages, which the extra "models" brings.
     """
-    missing = [f"package://{name}/" for name in _OF_EXTRA if find_spec(name) is None]
+    missing = [f"package://{name}/" for name in _OF_EXTRA if not _find_installed(name)]
     texts = {name: path.read_text("utf-8") for name, path in scenario_files().items()}
+    for scene in models_directory().glob("*.dmd.yaml"):
+        uses = {name for name, text in texts.items() if scene.name in text}
+        texts |= {name: texts[name] + scene.read_text("utf-8") for name in uses}
     return [name for name, text in texts.items() if not any(each in text for each in missing)]
 
 

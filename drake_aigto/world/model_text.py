@@ -11,7 +11,7 @@ import yaml
 from pydrake.multibody.parsing import PackageMap
 
 from drake_aigto.errors import ModelError
-from drake_aigto.world.files import find_file, package_of, read_xml
+from drake_aigto.world.files import check_installed, find_file, package_of, read_xml
 from drake_aigto.world.meshes import explain, find_mesh, is_readable, read_mesh, set_mesh
 from drake_aigto.world.mjcf import read_mjcf
 from drake_aigto.world.model_facts import ModelFacts, read_numbers, read_range
@@ -205,6 +205,7 @@ def _read_includes(root: Element, path: Path, packages: PackageMap, facts: Model
 def _find_part(uri: str, path: Path, packages: PackageMap, what: str) -> Path:
     """Returns a file that a model consists of."""
     file = find_file(uri, path, packages)
+    check_installed(str(path), package_of(uri))
     if file is None or not file.exists():
         raise ModelError(
             f"model {path}",
