@@ -14,6 +14,7 @@ from other_models import (
     ARM,
     GANTRY,
     GRAVITY,
+    INERTIAL,
     MESH,
     MOTOR,
     TRANSMISSION,
@@ -477,6 +478,29 @@ def test_joints_of_all_arms_are_fixed_by_one_answer_and_floors_stay(tmp_path: Pa
     answer = getattr(caught.value, "fields", {})
     assert set(answer) == {"weld", "fixed_joints"}
     assert sorted(answer["fixed_joints"]) == ["a5", "b5"]
+
+
+@pytest.mark.parametrize(("effort", "driven"), [("9", "all"), ("0", [f"j{i}" for i in range(5)])])
+def test_an_answer_drives_joints_that_it_does_not_fix(
+    tmp_path: Path, effort: str, driven: str | list[str]
+) -> None:
+    text, parent = '<robot name="arm"><link name="world"/>', "world"
+    inertial = INERTIAL.replace("MASS", "1")
+    for i in range(7):
+        axis = ("1 0 0", "0 1 0", "0 0 1")[i % 3]
+        text += f'<link name="l{i}">{inertial}</link><joint name="j{i}" type="revolute">'
+        text += f'<parent link="{parent}"/><child link="l{i}"/><origin xyz="0.1 0.2 0.3"/>'
+        limit = f'effort="{effort if i == 6 else 9}" lower="-2" upper="2" velocity="9"'
+        text += f'<axis xyz="{axis}"/><limit {limit}/></joint>'
+        parent = f"l{i}"
+    model = tmp_path / "arm.urdf"
+    model.write_text(f"{text}</robot>", encoding="utf-8")
+    with pytest.raises(ModelError, match="the model lacks an actuator") as caught:
+        make(str(model), size=7)
+    answer = getattr(caught.value, "fields", {})
+    assert answer["fixed_joints"] and answer["actuators"] == driven
+    world = make(str(model), size=7 - len(answer["fixed_joints"]), **answer)
+    assert world.num_actuators == world.num_positions - (effort == "0")
 
 
 def test_a_pair_of_unlike_friction_is_noted_where_mujoco_combines_it_otherwise(

@@ -227,7 +227,7 @@ class ShootingProblem(OptimalControlProblem):
     def estimate_error(self, result: ShootingResult) -> float:
         """Returns the error of a result's steps, against twice as many of order 4, or implicit.
 
-        It is the larger one of the cost's change, in units of the cost or of `cost_scale` if that
+        It is the larger one of the cost's change, in units of the cost or of `effort_scale` if that
         is larger, and the final state's, in units of its scales. Of an unstable result, which only
         feedback can follow, errors of all stages are added up as they are without their growth.
         """
@@ -237,7 +237,7 @@ class ShootingProblem(OptimalControlProblem):
         substeps, order = _refine(result)
         finer = question.simulate(result.controls, substeps, order=order)
         same = question.simulate(result.controls, result.substeps, order=result.order)
-        unit = max(abs(finer.exact_cost), self.cost_scale)
+        unit = max(abs(finer.exact_cost), self.effort_scale)
         off = np.abs(self.mechanism.subtract(finer.states[-1], same.states[-1])) / self.scales
         error = max(abs(finer.exact_cost - same.exact_cost) / unit, float(off.max()))
         return error if np.isfinite(error) else np.inf
@@ -266,7 +266,7 @@ class ShootingProblem(OptimalControlProblem):
             return np.inf
         finer, same = both
         off = np.sum(np.abs(finer.gaps - same.gaps), axis=0) / self.scales
-        change = abs(finer.cost - same.cost) / max(abs(finer.cost), self.cost_scale)
+        change = abs(finer.cost - same.cost) / max(abs(finer.cost), self.effort_scale)
         error = max(change, float(off.max()))
         return error if np.isfinite(error) else np.inf
 

@@ -296,7 +296,9 @@ def _drive(plant: MultibodyPlant, path: Path, facts: ModelFacts) -> None:
             got=f"limits of effort of 0 at {', '.join(idle)}{none}" if idle else f"none in {path}",
             expected="a joint that is driven",
             remedy=f"Drive joints by the scenario's {' or '.join(ways)}, or in the model.",
-            fields={"actuators": others} if others else {"effort_limits": dict.fromkeys(idle, 1.0)},
+            fields={"actuators": others if idle else "all"}
+            if others
+            else {"effort_limits": dict.fromkeys(idle, 1.0)},
         )
 
 
