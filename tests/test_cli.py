@@ -198,7 +198,7 @@ def test_table1_prints_every_method_with_its_replays(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["plan", "table1/9"], "unknown scenario 'table1/9': expected one of acrobot/"),
+        (["plan", "table1/9"], "unknown scenario 'table1/9': expected one of a1/"),
         (["plan", "table1/11"], "Did you mean 'table1/1'? unknown scenario 'table1/11'"),
         (["plan", "nowhere.yaml"], "scenario file nowhere.yaml can't be read"),
         (["look", "PLAN"], "expected that of a scenario (.yaml) or, to look at, of a model (.sdf,"),

@@ -253,7 +253,7 @@ def test_a_number_that_is_not_finite_is_refused(field: str, bad: float) -> None:
         ("goal_position", "far", "goal_position: got 'far' (str), expected a number"),
         ("goal_position", [1.0, float("nan")], "goal_position: got nan, expected a finite number"),
         ("goal_position", [], "goal_position: got an array of shape (0,), expected a number, or"),
-        ("goal_position", [[1.0]], "goal_position: got an array of shape (1, 1), expected"),
+        ("goal_position", [[1.0], [2.0]], "goal_position: got an array of shape (2, 1), expected"),
         ("duration", 10**400, "duration: got inf, expected a finite number"),
         ("goal_position", 1j, "goal_position: got 1j (complex), expected a number"),
         ("model", "", "model: got '', expected a package:// URI or a path to a file"),
@@ -420,3 +420,7 @@ def test_what_is_made_of_a_world_is_kept_in_steps_of_any_length_until_another_wo
     assert scenario.derive(worlds[1], make) == (worlds[1], scenario.duration)
     longer = dataclasses.replace(scenario, duration=2 * scenario.duration)
     assert longer.derive(worlds[0], make) == (worlds[0], 2 * scenario.duration)
+
+
+def test_a_row_is_a_vector() -> None:
+    assert Scenario(**{**ENDS, "initial_position": [[0.4, 0.5]]}).initial_position.shape == (2,)

@@ -50,7 +50,7 @@ def as_number(
 
 
 def as_vector(name: str, value: Any, **bounds: Any) -> Floats:
-    """Returns a read-only array (n,) of finite floats, n ≥ 1, from a scalar or a sequence.
+    """Returns a read-only array (n,) of finite floats, n ≥ 1, from a scalar, a sequence or a row.
 
     Bounds of each are those of `as_number`.
 
@@ -62,6 +62,7 @@ def as_vector(name: str, value: Any, **bounds: Any) -> Floats:
     # An array of finite numbers already, as that of another scenario is.
     if not (is_array and np.size(value) and np.isfinite(value).all()):
         items = np.array(value, dtype=object, ndmin=1)
+        items = items[0] if items.ndim == 2 and len(items) == 1 else items
         if items.ndim != 1 or items.size == 0:
             raise ScenarioError(
                 name,

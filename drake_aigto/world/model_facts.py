@@ -260,6 +260,6 @@ def _add(scenario: Scenario, answers: dict[str, Any], more: dict[str, Any]) -> d
         else:
             added[name] = value
     if isinstance(driven := added.get("actuators"), list):
-        still = added.get("fixed_joints", scenario.fixed_joints)
+        still: Any = added.get("fixed_joints", scenario.fixed_joints)
         added["actuators"] = [each for each in driven if not any(fits(each, g) for g in still)]
     return added

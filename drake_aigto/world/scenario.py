@@ -341,9 +341,10 @@ class Scenario(ModelFields):
         found = {*data, *(["goal_position"] if data.get("periodic") is not None else [])}
         missing = [name for name in places.REQUIRED if name not in found]
         if missing:
+            has = "It has" if len(missing) == 1 else "These have"
             raise ScenarioError(
                 f"missing {', '.join(missing)}",
-                remedy="It has no default." if len(missing) == 1 else "These have no default.",
+                remedy=f"{has} no default. {{}} is where joints are in the model.",
             )
         return cls(**data)
 
