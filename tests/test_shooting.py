@@ -324,8 +324,13 @@ def test_the_same_question_has_the_same_answer_also_of_a_pickled_mechanism() -> 
 def test_the_estimated_error_of_a_motion_falls_with_shorter_steps() -> None:
     problem = pose(soft("cart-pole"), weigh([0.8, 0.0]), np.zeros(4), N=10)
     coarse = problem.solve(np.ones((10, 1)))
-    fine = problem.solve(coarse.controls, None, ShootingOptions(substeps=8), coarse.prices)
-    assert problem.estimate_error(fine) < problem.estimate_error(coarse) / 100
+    errors = [problem.estimate_error(coarse)]
+    for substeps in (8, 16):
+        options = ShootingOptions(substeps=substeps)
+        fine = problem.solve(coarse.controls, None, options, coarse.prices)
+        errors.append(problem.estimate_error(fine))
+    # In units of the motion's cost, which the coarse one does not even know.
+    assert errors[0] > 0.5 and errors[1] < errors[0] / 50 and errors[2] < errors[1] / 10
 
 
 def test_a_motion_that_diverged_is_no_error_and_not_called_unstable() -> None:
