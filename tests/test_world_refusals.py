@@ -325,6 +325,22 @@ def test_a_model_of_a_package_that_is_absent_names_the_extra_that_brings_it(
             World.from_scenario(Scenario.named(name))
 
 
+def test_a_package_that_is_absent_may_be_given_by_its_folder(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("drake_aigto.world.files._find_installed", lambda name: None)
+    robot = tmp_path / "robots" / "a1_description" / "urdf" / "a1.urdf"
+    robot.parent.mkdir(parents=True)
+    robot.write_text("<robot name='a1'><link name='base'/></robot>", encoding="utf-8")
+    given = Scenario.named("a1/step_ahead")
+    with pytest.raises(ModelError, match="Python package 'example-robot-data', which is not inst"):
+        World.from_scenario(given)
+    packages: Any = {"example-robot-data": str(tmp_path)}
+    given = dataclasses.replace(given, packages=packages)
+    with pytest.raises(ModelError, match=r"actuators in .*, expected one of .none"):
+        World.from_scenario(given)
+
+
 def build_half_space_diagram(time_step: float = 0.0, gravity_axis: int = 2) -> Diagram:
     """Returns a ball over the ground, made in code as a user would."""
     builder = DiagramBuilder()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 from collections.abc import Mapping
+from functools import cache
 from importlib import resources
 from importlib.metadata import PackageNotFoundError, distribution
 from importlib.util import find_spec
@@ -65,6 +66,7 @@ def package_map() -> PackageMap:
     return packages
 
 
+@cache
 def _find_installed(package: str) -> Path | None:
     """Returns the folder of an installed Python package, or of what it has for ROS."""
     if folder := _OF_EXTRA.get(package):

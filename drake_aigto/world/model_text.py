@@ -205,7 +205,8 @@ def _read_includes(root: Element, path: Path, packages: PackageMap, facts: Model
 def _find_part(uri: str, path: Path, packages: PackageMap, what: str) -> Path:
     """Returns a file that a model consists of."""
     file = find_file(uri, path, packages)
-    check_installed(str(path), package_of(uri))
+    if file is None:
+        check_installed(str(path), package_of(uri))
     if file is None or not file.exists():
         raise ModelError(
             f"model {path}",
