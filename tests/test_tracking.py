@@ -515,6 +515,23 @@ def test_a_pole_that_balances_for_long_is_judged_with_its_own_feedback(folder: P
     for replay in found.replay.perturbed:
         assert (replay.feedback or 0.0) > (found.replay.event_driven.feedback or 0.0)
         assert np.abs(replay.positions[0] - found.replay.event_driven.positions[0]) <= 1e-3
+    one, other = found.replay.perturbed
+    assert one.offset_cost == -other.offset_cost == (one.cost - other.cost) / 2
+    assert one.offset_error == -other.offset_error == (one.goal_error - other.goal_error) / 2
+
+
+@pytest.mark.parametrize(("slope", "both", "holds"), [(0.5, 0.01, True), (0.0, 0.1, False)])
+def test_what_a_start_that_is_off_costs_to_first_order_is_not_held_against_a_plan(
+    folder: Path, slope: float, both: float, holds: bool
+) -> None:
+    best = balance(folder).best
+    off = [
+        dataclasses.replace(
+            each, cost=(1 + both + sign * slope) * best.cost, offset_cost=sign * slope * best.cost
+        )
+        for each, sign in zip(best.perturbed, (1, -1), strict=True)
+    ]
+    assert dataclasses.replace(best, perturbed=tuple(off)).is_confirmed is holds
 
 
 def test_a_plan_file_has_the_gains_and_replays_to_the_same_bits(folder: Path) -> None:

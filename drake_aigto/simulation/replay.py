@@ -56,6 +56,8 @@ class Replay(LockedArrays, ArrayRecord):
         contact_phases: "event-driven" only: when contacts with friction stick and slip.
         feedback: the largest that the plan's own feedback added to its control, as a norm [N, N m];
             None: the control alone was replayed.
+        offset_cost: of a start that is off, what of the cost that explains to first order.
+        offset_error: what of the goal's error, likewise [m, rad].
         times: shape (K,): the knots, and where contacts begin and end [s]. Never decreasing; a
             rigid impact has two rows of equal time.
         positions: shape (K, nq) [m, rad].
@@ -80,6 +82,8 @@ class Replay(LockedArrays, ArrayRecord):
     violations: Mapping[str, float] = field(default_factory=dict)
     contact_phases: tuple[ContactPhase, ...] = ()
     feedback: float | None = None
+    offset_cost: float = 0.0
+    offset_error: float = 0.0
 
     @property
     def broken(self) -> tuple[str, ...]:
@@ -183,9 +187,9 @@ def confirms(
 ) -> bool:
     """Returns whether a plan holds: its replay is nearly as cheap, and ends nearly as close.
 
-        replay.cost − compliance_cost        ≤ cost + relative_cost · |cost| + nothing² J₀
-        replay.goal_error − compliance_error ≤ goal_error + nothing · L
-        each of replay.violations            ≤ nothing
+        replay.cost − compliance_cost − offset_cost ≤ cost + relative_cost · |cost| + nothing² J₀
+        replay.goal_error − compliance_error − offset_error ≤ goal_error + nothing · L
+        each of replay.violations ≤ nothing
 
     with the task's scales L and J₀, in which 1 rad counts as 1 m. A replay that does better than
     its plan confirms it. The parts that do not grow with the cost are for plans that promise next
@@ -204,8 +208,8 @@ def confirms(
         relative_cost: how much more the replay may cost, as a part of the plan's cost.
         nothing: what counts as nothing, as a part of the scales.
     """
-    replayed_cost = replay.cost - replay.compliance_cost
-    replayed_error = replay.goal_error - replay.compliance_error
+    replayed_cost = replay.cost - replay.compliance_cost - replay.offset_cost
+    replayed_error = replay.goal_error - replay.compliance_error - replay.offset_error
     is_cheap = replayed_cost <= cost + relative_cost * abs(cost) + nothing**2 * scales.cost
     is_near = goal_error is None or replayed_error <= goal_error + nothing * scales.length
     return is_cheap and is_near and all(by <= nothing for by in replay.violations.values())
