@@ -47,7 +47,8 @@ _INTRODUCTION = """
 Models of `dm_control`, `gymnasium`, `example-robot-data` and Drake, read as a new user would: each
 as it is, and, if it is refused, once more with the fields of a scenario that its error names
 ([A model of your own](your_own_model.md#models-that-other-people-made)). Made by
-`python -m benchmarks.models --markdown docs/models.md`, with `pip install 'drake_aigto[models,meshes]'`.
+`python -m benchmarks.models --markdown docs/models.md`, with
+`pip install 'drake_aigto[models,meshes]'`.
 
 - **coordinates**: how many are left, with joints fixed and links welded as the answer says.
 - **read**: as it is; with an answer; or refused, and by what.
