@@ -214,7 +214,7 @@ class Known(NamedTuple):
     Attributes:
         digest: of the scenario; another one makes it another question.
         cost: the best that any run has found, or infinite.
-        times: as many times a plan's CPU seconds rivals have had.
+        times: rivals' CPU seconds, in multiples of the plan's.
     """
 
     digest: str
@@ -271,16 +271,16 @@ def answer(job: Job) -> Row:
 
 
 def store(rows: Sequence[Row], is_tuning: bool, times: float) -> None:
-    """Stores the best known costs of questions whose rivals have had so many times the seconds."""
+    """Stores the best known costs, and rivals' CPU seconds in multiples of the plans'."""
     known = load_known()
     for row in rows:
         job = Job(row.world, row.number, is_tuning, times)
         digest, cost, spent = find_known(job, known)
         known[job.name] = Known(digest, min(row.best, cost), max(times, spent))
-    lines = [
-        json.dumps(name) + ": " + json.dumps([digest, cost if math.isfinite(cost) else None, times])
-        for name, (digest, cost, times) in sorted(known.items())
-    ]
+    lines = []
+    for name, each in sorted(known.items()):
+        best = each.cost if math.isfinite(each.cost) else None
+        lines.append(f"{json.dumps(name)}: {json.dumps([each.digest, best, each.times])}")
     write_text(PATH, "{\n" + ",\n".join(lines) + "\n}\n")
 
 

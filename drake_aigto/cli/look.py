@@ -198,11 +198,7 @@ def _draw(world: worlds.World, path: str) -> bool:
     if not actors:
         return False
     context = world.plant.GetMyContextFromRoot(world.create_context())
-    bodies = (world.plant.get_body(actor.index) for actor in actors)
-    poses = [
-        world.plant.EvalBodyPoseInWorld(context, body) @ actor.X_BS
-        for body, actor in zip(bodies, actors, strict=True)
-    ]
+    poses = [actor.pose(world.plant, context) for actor in actors]
     scene_graph = geometry.SceneGraph()
     source, (width, height) = scene_graph.RegisterSource("look"), _PIXELS
     for actor, pose in zip(actors, poses, strict=True):

@@ -23,7 +23,9 @@ from pydrake.geometry import (
     Sphere,
 )
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, Joint, PrismaticJoint, RigidBody
+from pydrake.systems.framework import Context
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.world import Scenario, TaskCost, World, list_moving
@@ -48,6 +50,10 @@ class Actor:
     moves: bool  # whether this body moves
     corners: Floats  # of a box around the drawn shape, in its frame, shape (8, 3) [m]
     is_half_space: bool = False  # whether the shape is a slab that stands for one
+
+    def pose(self, plant: MultibodyPlant, context: Context) -> RigidTransform:
+        """Returns the pose of the drawn shape in the world."""
+        return plant.EvalBodyPoseInWorld(context, plant.get_body(self.index)) @ self.X_BS
 
     @cached_property
     def points(self) -> Floats:

@@ -105,8 +105,7 @@ class Stage:
 
     def pose(self, actor: Actor, q: Floats) -> RigidTransform:
         """Returns the pose of an actor's drawn shape in the world, at q of shape (nq,)."""
-        body = self._world.plant.get_body(actor.index)
-        return self._world.plant.EvalBodyPoseInWorld(self._set(q), body) @ actor.X_BS
+        return actor.pose(self._world.plant, self._set(q))
 
     def _set(self, q: Floats) -> Context:
         """Returns the plant's context at q."""

@@ -6,7 +6,6 @@ import dataclasses
 import logging
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -20,6 +19,7 @@ from drake_aigto.dynamics import FrameTable, Tree, make_tree_memory
 from drake_aigto.errors import ScenarioError
 from drake_aigto.world.files import refuse_name
 from drake_aigto.world.limits import name_controls
+from drake_aigto.world.model_facts import fits
 from drake_aigto.world.model_fields import Named, Thruster
 from drake_aigto.world.places import RESTS, FrameGoal, Pose, PoseParts, Shift, write_plain
 from drake_aigto.world.scenario import Scenario
@@ -342,7 +342,7 @@ def _spell_out(
     """Returns what is given for each name: by globs, the last that fits, or else by itself."""
     found = dict[str, _Item]()
     for key, item in sorted(value.items(), key=lambda pair: pair[0] in known):
-        fitting = [key] if key in known else [each for each in known if fnmatchcase(each, key)]
+        fitting = [key] if key in known else [each for each in known if fits(each, key)]
         if not fitting:
             raise refuse_name(f"{name}[{key}]", key, sorted(known), missing)
         found.update(dict.fromkeys(fitting, item))

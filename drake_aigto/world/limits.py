@@ -155,7 +155,9 @@ class Limits:
         Raises:
             ScenarioError: k q of a goal that counts is out of the bounds of u; says which.
         """
-        servos, weight = scenario.model_fields.servos, np.asarray(scenario.goal_weight)
+        if not (servos := scenario.model_fields.servos):
+            return
+        weight = np.asarray(scenario.goal_weight)
         weight = weight.diagonal() if weight.ndim == 2 else weight
         counts = np.broadcast_to(scenario.hard_goal or weight > 0, self.velocity.shape[1])
         goal, far = scenario.goal_position, np.where(np.isfinite(self.position), self.position, 0.0)

@@ -38,8 +38,10 @@ def read_mesh(file: Path, kinds: Sequence[str] = MESHES) -> Path | None:
     Copies are in meters, without the axis that Collada calls up, as ROS has it. They last as long
     as this process.
     """
-    if not is_readable(file, kinds) or file.suffix.lower() in kinds:
-        return file if is_readable(file, kinds) else None
+    if not is_readable(file, kinds):
+        return None
+    if file.suffix.lower() in kinds:
+        return file
     copy = _copy(file.resolve(), file.stat().st_mtime_ns)
     has_color = ".gltf" in kinds and file.suffix.lower() in _COLORED
     return copy and copy.with_suffix(".gltf" if has_color else ".obj")
@@ -115,10 +117,11 @@ def _copy(file: Path, _: int) -> Path | None:
         look = {"include_color": False, "include_texture": False}
         plain = scene.to_mesh().export(file_type="obj", **look)
         copy.with_suffix(".obj").write_text(plain, encoding="utf-8")
-        # Of glTF y is up, and Drake turns it.
-        scene.apply_transform(trimesh.transformations.rotation_matrix(-math.pi / 2, [1, 0, 0]))
-        files = trimesh.exchange.gltf.export_gltf(scene, merge_buffers=True, embed_buffers=True)
-        copy.with_suffix(".gltf").write_bytes(files["model.gltf"])
+        if file.suffix.lower() in _COLORED:
+            # Of glTF y is up, and Drake turns it.
+            scene.apply_transform(trimesh.transformations.rotation_matrix(-math.pi / 2, [1, 0, 0]))
+            files = trimesh.exchange.gltf.export_gltf(scene, merge_buffers=True, embed_buffers=True)
+            copy.with_suffix(".gltf").write_bytes(files["model.gltf"])
     except Exception:  # What a damaged file raises is for trimesh to choose.
         return None
     return copy

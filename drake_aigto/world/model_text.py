@@ -259,16 +259,15 @@ def _prune_shapes(root: Element, path: Path, packages: PackageMap, facts: ModelF
         is_kept = is_drawn or facts.keeps(name, of_link, f"{of_link}::{name}")
         if is_kept and mesh is not None:
             file = mesh if is_bare and is_readable(mesh) else read_mesh(mesh)
-            if file is None and is_drawn:
-                facts.undrawn.append(mesh)
-            elif file is None:
-                facts.unread.append(f"{name} ({explain(mesh)})")
-                continue
-            else:
+            if file is not None:
+                set_mesh(shape, facts.stub or file)
                 facts.is_bare |= is_bare
                 is_changed |= is_bare or file != mesh
-                set_mesh(shape, facts.stub or file)
-            is_kept = not is_drawn or (file is not None and not is_bare)
+            elif is_drawn:
+                facts.undrawn.append(mesh)
+            else:
+                facts.unread.append(f"{name} ({explain(mesh)})")
+            is_kept = not (is_drawn and (is_bare or file is None))
         if not is_kept:
             link.remove(shape)
             is_changed = True

@@ -235,8 +235,6 @@ class PlantWorld(EquationsOfMotion):
         """
         bounds = self.limits.narrowed(scenario)
         bounds.check_task(scenario, self.is_hinge)
-        if scenario.model_fields.servos:
-            bounds.check_servos(self.plant, scenario)
         return bounds
 
     @cached_property

@@ -299,14 +299,14 @@ class World(PlantWorld):
             ScenarioError: sizes differ from the plant's, its mass or dry friction is another, the
                 cost makes no sense here (`TaskCost.of`), or start or goal touches the wall, is
                 inside or behind it, or beside its face, or is beyond joint limits; or the start
-                lacks its clearance.
+                lacks its clearance; or servos can't hold the goal.
             ModelError: friction acts where a sphere can slide in two directions, or is stuck in a
                 shape; or the model lacks what compliant contact takes (`springs`). In space contact
                 is compliant, and bodies may not overlap at the start.
         """
         check_sizes(self.plant, scenario)
         TaskCost.of(self, scenario)
-        self.bounds(scenario)
+        self.bounds(scenario).check_servos(self.plant, scenario)
         check_made_for(self, scenario)
         self._check_contacts(scenario)
         least = self.least_distances(scenario)
