@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import io
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -294,9 +295,12 @@ def test_bad_words_are_one_line_and_say_where_help_is(
     assert remedy.endswith(f" Try {command} --help.\n")
 
 
-def test_who_reads_only_the_head_sees_no_traceback() -> None:
-    command = [sys.executable, "-m", "drake_aigto", "list"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+@pytest.mark.parametrize("words", [["list"], ["list", "a1"]])
+def test_who_reads_only_the_head_sees_no_traceback(words: list[str]) -> None:
+    command = [sys.executable, "-m", "drake_aigto", *words]
+    buffered = {**os.environ, "PYTHONUNBUFFERED": ""}  # As it is for users.
+    pipes: Any = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
+    with subprocess.Popen(command, **pipes, env=buffered) as process:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == b""

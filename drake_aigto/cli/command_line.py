@@ -116,7 +116,9 @@ def run(
     options = parser.parse_args(words, unset)
     try:
         with show_log(options):
-            return int(options.run(options))
+            status = int(options.run(options))
+        sys.stdout.flush()  # What is left in its buffer would fail as Python exits.
+        return status
     except BrokenPipeError:  # The reader has seen enough, `head` for one.
         _forget_output()
         return flags.UNREAD
