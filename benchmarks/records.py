@@ -74,6 +74,12 @@ RECORDS: Mapping[str, str] = {
     " --workers 1 --minutes 15",
     "push_tee_poses": "python -m benchmarks.space --poses 50 --renewals 16 --workers 1"
     " --minutes 40",
+    "fingers_turn": "python -m benchmarks.space --poses 30 --only three_fingers/turn --renewals 0"
+    " --workers 2 --minutes 90",
+    "fingers_lift": "python -m benchmarks.space --poses 30 --only three_fingers/lift --renewals 0"
+    " --workers 2 --minutes 90",
+    "fingers_flip": "python -m benchmarks.space --poses 30 --only three_fingers/flip --renewals 0"
+    " --workers 2 --minutes 90",
     "table1": "python -m benchmarks.table1_figures",
     "planner_speed": f"python -m benchmarks.planner_speed {_SPEED}",
     "newton_speed": f"python -m benchmarks.newton_speed {_SPEED}",
