@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 from benchmarks.rivals import draw_controls, shoot
 from benchmarks.robots.judge import Control, judge
 from benchmarks.robots.mechanics import MECHANISMS
+from benchmarks.robots.setting import model_of
 from drake_aigto import PlanOptions, Scenario, World, plan, scenario_names
 from drake_aigto.planning import make_mechanism_task
 from drake_aigto.shooting import ShootingProblem
@@ -29,10 +30,6 @@ SOFT = replace(
 )
 SWING_UP = Scenario.named("acrobot/swing_up")
 PENDULUM = Scenario.named("pendulum/off_the_wall")
-
-
-def model_of(scenario: Scenario) -> str:
-    return scenario.model.rpartition("/")[2].removesuffix(".sdf")
 
 
 ROBOTS = [each for each in scenario_names() if model_of(Scenario.named(each)) in MECHANISMS]

@@ -40,9 +40,14 @@ class Setting(NamedTuple):
     is_hard: bool  # whether q has to be the goal at the end
 
 
+def model_of(scenario: Scenario) -> str:
+    """Returns the name of a scenario's model, without folder and ending."""
+    return scenario.model.rpartition("/")[2].removesuffix(".sdf")
+
+
 def setting_of(scenario: Scenario) -> Setting:
     """Returns what the judge takes, of a scenario whose model is one of `MECHANISMS`."""
-    mechanism = MECHANISMS[scenario.model.rpartition("/")[2].removesuffix(".sdf")]
+    mechanism = MECHANISMS[model_of(scenario)]
     n, nu = mechanism.coordinates, mechanism.controls
 
     def spread(value: Any, size: int, default: float = 0.0) -> np.ndarray:
