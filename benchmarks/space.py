@@ -56,6 +56,7 @@ from drake_aigto.world import TaskCost
 
 FROM_WHEELS = (
     "dm_cheetah/leap",
+    "dm_finger/turn",
     "dm_walker/step",
     "gymnasium_hopper/hop",
     "half_cheetah/leap",
@@ -285,7 +286,7 @@ def _miss(planner: Planner, end: Floats) -> tuple[float, float]:
     """Returns how far sliders and turns that the goal asks for are off it, [m] and [rad]."""
     cost, turns = TaskCost.of(planner.world, planner.scenario), planner.world.turns
     off = np.abs(np.where(cost.is_asked, cost.goal_errors(end), 0.0))
-    return float(np.max(off[~turns])), float(np.max(off[turns], initial=0.0))
+    return float(np.max(off[~turns], initial=0.0)), float(np.max(off[turns], initial=0.0))
 
 
 class Judged(NamedTuple):

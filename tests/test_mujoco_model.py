@@ -15,7 +15,7 @@ from drake_aigto import Planner, PlanOptions, Scenario, World, scenario_names
 from drake_aigto.errors import ModelError
 from drake_aigto.planning import Feedback
 from drake_aigto.simulation import replay_with
-from drake_aigto.world import SpaceWorld
+from drake_aigto.world import SpaceWorld, TaskCost
 
 mujoco: Any = pytest.importorskip("mujoco", reason="pip install 'drake_aigto[models]'")
 
@@ -98,8 +98,8 @@ def test_dynamics_limits_and_efforts_are_mujocos(name: str) -> None:
 
 
 WHEELS = [
-    *("dm_cheetah/leap", "dm_walker/step", "gymnasium_hopper/hop", "half_cheetah/leap"),
-    "walker2d/step",
+    *("dm_cheetah/leap", "dm_finger/turn", "dm_walker/step", "gymnasium_hopper/hop"),
+    *("half_cheetah/leap", "walker2d/step"),
 ]
 
 
@@ -147,9 +147,11 @@ def test_a_plan_for_the_model_of_a_wheel_holds_and_its_feedback_arrives_in_mujoc
     plan = Planner(scenario, PlanOptions(renewals=24, finalists=1), world).plan()
     assert plan.holds and plan.reached
     for replay in plan.replay:
-        assert replay.cost == pytest.approx(plan.cost, rel=0.05)
+        near = 0.05 if replay.touch_error < 1e-4 else 0.2  # Drake has capsules touch elsewhere.
+        assert replay.cost == pytest.approx(plan.cost, rel=near)
     feedback = Feedback(world, scenario, plan.trajectory)
     replay = replay_with(MujocoJudge(), world, scenario, feedback)
     off = np.abs(world.subtract(replay.positions[-1], scenario.goal_position))
-    if off[~world.turns].max() > 0.05 or off[world.turns].max() > 0.3:
+    off[~TaskCost.of(world, scenario).is_asked] = 0.0
+    if max(off[~world.turns], default=0.0) > 0.05 or off[world.turns].max() > 0.3:
         pytest.xfail(f"MuJoCo's own contact leads {off.max():.2g} m or rad off the goal")

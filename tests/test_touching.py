@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -451,6 +452,12 @@ def test_touches_of_capsules_in_drake_are_compared_with_the_exact_ones(tmp_path:
     near[:, off.plant.GetJointByName("x").position_start()] = rng.uniform(-0.06, 0.06, 300)
     assert find_touch_error(off, near) > 1e-4
     assert find_touch_error(exact, near) == 0.0  # It has no capsules.
+    scenario = dataclasses.replace(
+        off.place(scenario), initial_position=max(near, key=lambda q: find_touch_error(off, [q]))
+    )
+    held = [0.0, 1e-3], np.zeros((1, off.num_actuators))
+    assert replay_drake(off, scenario, *held).touch_error > 1e-4
+    assert replay_event_driven(off, scenario, *held).touch_error == 0.0
 
 
 @pytest.mark.slow

@@ -32,6 +32,7 @@ from drake_aigto.show import (
     compare,
     describe_difference,
     embed_scenes,
+    format_plan,
     frame,
     has_landscape,
     report_plan,
@@ -244,6 +245,22 @@ def test_a_plan_that_fails_is_said_to_fail(plan: Plan) -> None:
     text = words(page.to_html())
     assert "✗ Fails: the control alone misses the plan's promise on a rigid wall." in text
     assert "on a rigid wall: contradicts the plan, cost 1.000 (+1.0e+00), ends 0.90 m" in text
+
+
+def test_drake_counts_for_nothing_where_its_touches_are_off_their_places(plan: Plan) -> None:
+    """Of capsules and meshes its iteration may end elsewhere; where it agrees, it confirms."""
+    off = dataclasses.replace(plan.replay.event_driven, simulator="drake", touch_error=2e-3)
+    missed = dataclasses.replace(off, cost=1.0, goal_error=0.9)
+    near = dataclasses.replace(missed, touch_error=1e-6)
+    texts = {}
+    for name, replay in {"agrees": off, "differs": missed, "fails": near}.items():
+        judged = dataclasses.replace(plan, replay=Replays(plan.replay.event_driven, replay))
+        assert judged.holds == (name != "fails")
+        texts[name] = " ".join(format_plan(judged).split())
+    assert "keeps the plan's promise on a rigid wall and on Drake's plant" in texts["agrees"]
+    assert "keeps the plan's promise on a rigid wall goal" in texts["differs"]
+    assert "capsules or meshes touch there up to 2.0 mm off their places" in texts["differs"]
+    assert "on Drake's plant: contradicts the plan" in texts["fails"]
 
 
 def test_what_is_added_is_text() -> None:

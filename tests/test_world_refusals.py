@@ -313,6 +313,7 @@ def test_a_model_of_a_package_that_is_absent_names_the_extra_that_brings_it(
     names = {
         "a1/step_ahead",
         "dm_cheetah/leap",
+        "dm_finger/turn",
         "dm_walker/step",
         "gymnasium_hopper/hop",
         "half_cheetah/leap",

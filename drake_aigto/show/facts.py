@@ -15,9 +15,9 @@ from drake_aigto.contact import contact_delay, contact_delays
 from drake_aigto.planning import Candidate, Plan, PlanOptions, Veto, calc_divergence
 from drake_aigto.progress import list_some
 from drake_aigto.show import words
-from drake_aigto.simulation import HARD_GOAL, Replay, find_touch_error
+from drake_aigto.simulation import HARD_GOAL, Replay
 from drake_aigto.transcription import UNITS
-from drake_aigto.world import Scenario, SpaceWorld, TaskCost, World
+from drake_aigto.world import Scenario, TaskCost, World
 
 Fact = tuple[str, str]
 
@@ -29,7 +29,6 @@ _MOST_CANDIDATES, _MOST_VETOES = 8, 3
 _OF_SCALES = "of the task's scales"
 _FROM_OFF = "from a start 1e-3 of the scales off, "
 _AT_END = 1e-6  # of a duration: as near as rounding to an end of its range
-_NEAR = 1e-4  # Lengths of the task: touches that are as near are in one place.
 _FAR = 4.0  # Lengths of the task: a motion that ends farther off has left it.
 
 
@@ -211,7 +210,8 @@ def verdict_items(plan: Plan, world: World) -> Iterator[str]:
         yield plan.idleness
     names, replays = words.contact_names(world), plan.replay.judging
     against = [replay for replay in replays if not plan.best.is_confirmed_by(replay)]
-    named = dict.fromkeys(words.name_simulator(replay, names) for replay in against or replays)
+    agreed = filter(plan.best.agrees_with, replays)
+    named = dict.fromkeys(words.name_simulator(replay, names) for replay in against or agreed)
     where, control = " and ".join(named).rstrip(","), "control alone"
     if plan.best.gains:
         where, control = where.replace(", with its feedback", ""), "control with its feedback"
@@ -239,13 +239,6 @@ def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
     )
     if replay.broken:
         return f"{text}, and breaks {', '.join(map(repr, replay.broken))}"
-    if replay.simulator == "drake" and isinstance(world, SpaceWorld):
-        off = find_touch_error(world, replay.positions)
-        if off > _NEAR * candidate.scales.length:
-            return (
-                f"{text}, where Drake finds touches of capsules or meshes up to "
-                f"{words.length_text(off)} off (--no-confirm leaves Drake out)"
-            )
     planned, simulated = veto.first_difference
     if planned == simulated:
         return f"{text}, though with the same contacts"
@@ -267,10 +260,17 @@ def _describe_bound(plan: Plan) -> str:
 
 def _simulation(plan: Plan, replay: Replay, world: World, delay: float | None) -> Iterator[str]:
     """Yields what a simulation made of a plan's control."""
-    names, judges = words.contact_names(world), plan.best.is_confirmed_by(replay)
-    cost = words.cost_text(replay.cost, 3, plan.best.scales.cost)
-    where, verdict = words.name_simulator(replay, names), "confirms" if judges else "contradicts"
-    yield f"{where}: {verdict} the plan"
+    best, names = plan.best, words.contact_names(world)
+    cost = words.cost_text(replay.cost, 3, best.scales.cost)
+    where = words.name_simulator(replay, names)
+    if best.agrees_with(replay):
+        yield f"{where}: confirms the plan"
+    elif best.is_confirmed_by(replay):
+        off = words.length_text(replay.touch_error)
+        yield f"{where}: differs from the plan"
+        yield f"not counted, as capsules or meshes touch there up to {off} off their places"
+    else:
+        yield f"{where}: contradicts the plan"
     yield f"cost {cost}{words.describe_difference(plan.cost, replay)}"
     if replay.feedback is not None:
         yield f"its feedback adds up to {replay.feedback:.2g} to the control"

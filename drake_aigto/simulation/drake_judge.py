@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -56,6 +56,8 @@ class DrakeJudge:
         recording, is_stiff = _simulate(world, scenario, controller)
         if is_stiff:
             recording.error, recording.cost_error = calc_lateness(world, scenario, controller)
+        if isinstance(world, SpaceWorld):
+            recording.touch_error = find_touch_error(world, recording.positions)
         recording.simulator = "drake"
         return recording
 
@@ -306,14 +308,14 @@ class ContactTrace(StepTrace):
         return deepest
 
 
-def find_touch_error(world: SpaceWorld, positions: Floats) -> float:
+def find_touch_error(world: SpaceWorld, positions: Iterable[Floats]) -> float:
     """Returns how far Drake's touches of capsules and meshes are off the exact ones, at most [m].
 
     Drake finds where and how deep these overlap by an iteration that may end elsewhere.
 
     Args:
         world: whose shapes overlap.
-        positions: shape (K, nq).
+        positions: q of each state, shape (nq,).
     """
     pairs = {
         frozenset(pair.shapes): i

@@ -147,6 +147,7 @@ class Recording:
         control_times: from when each control was held [s].
         controls: u of each of them, shape (nu,) [N].
         feedback: the largest that was added to a plan's control, if it is tracked [N, N m].
+        touch_error: how far touches that Drake finds are off the exact ones, at most [m].
         samples: of the motion between rows, where it is integrated, and the control meanwhile.
     """
 
@@ -164,6 +165,7 @@ class Recording:
     control_times: Rows = field(default_factory=list)
     controls: Rows = field(default_factory=list)
     feedback: float | None = None
+    touch_error: float = 0.0
     samples: list[tuple[MotionSamples, Floats]] = field(default_factory=list)
 
     @property

@@ -56,6 +56,8 @@ class Replay(LockedArrays, ArrayRecord):
         contact_phases: "event-driven" only: when contacts with friction stick and slip.
         feedback: the largest that the plan's own feedback added to its control, as a norm [N, N m];
             None: the control alone was replayed.
+        touch_error: "drake" and space only: how far its touches of capsules and meshes are off the
+            exact ones, at most [m] (`find_touch_error`).
         offset_cost: of a start that is off, what of the cost that explains to first order.
         offset_error: what of the goal's error, likewise [m, rad].
         times: shape (K,): the knots, and where contacts begin and end [s]. Never decreasing; a
@@ -82,6 +84,7 @@ class Replay(LockedArrays, ArrayRecord):
     violations: Mapping[str, float] = field(default_factory=dict)
     contact_phases: tuple[ContactPhase, ...] = ()
     feedback: float | None = None
+    touch_error: float = 0.0
     offset_cost: float = 0.0
     offset_error: float = 0.0
 
@@ -278,6 +281,7 @@ def summarize(world: World, scenario: Scenario, recording: Recording, end: float
         violations=calc_violations(world, scenario, recording.positions, recording.velocities),
         contact_phases=tuple(recording.phases),
         feedback=recording.feedback,
+        touch_error=recording.touch_error,
     )
 
 
