@@ -246,6 +246,12 @@ def test_friction_of_a_scenario_stands_in_place_of_the_models(gantry: Any) -> No
     np.testing.assert_array_equal(gantry().dry_friction, [0.7, 0.0])
     world = gantry({"dry_friction": [0.0, 0.2]})
     np.testing.assert_array_equal(world.dry_friction, [0.0, 0.2])
+    for given, found in (({"y": 0.2}, [0.0, 0.2]), ({"*": 0.1, "x": 0.3}, [0.3, 0.1])):
+        np.testing.assert_array_equal(gantry({"dry_friction": given}).dry_friction, found)
+    with pytest.raises(ScenarioError, match=r"dry_friction\[y\]: got -0.2, expected at least 0"):
+        gantry({"dry_friction": {"y": -0.2}})
+    with pytest.raises(ScenarioError, match=r"dry_friction\[z\]: got no joint .* one of x, y"):
+        gantry({"dry_friction": {"z": 0.2}})
 
 
 def test_joints_are_driven_and_limited_as_the_scenario_says(gantry: Any) -> None:

@@ -165,7 +165,8 @@ def place_scenario(plant: MultibodyPlant, scenario: Scenario) -> Scenario:
         start = plant.GetDefaultPositions()
     for name in RESTS:
         if isinstance(value := getattr(scenario, name), Named):
-            changed[name] = _fill_named(plant, name, value, scenario)
+            thrusters = cast("tuple[Thruster, ...]", scenario.thrusters)
+            changed[name] = fill_named(plant, name, value, len(thrusters))
     goal = start
     if scenario.periodic is not None:
         goal = start + np.nan_to_num(find_advance(plant, scenario))
@@ -269,16 +270,15 @@ def _normalize(plant: MultibodyPlant, name: str, q: Floats) -> Floats:
     return found
 
 
-def _fill_named(plant: MultibodyPlant, name: str, value: Named[Any], scenario: Scenario) -> Floats:
-    """Returns the array of a field that is given by names.
+def fill_named(plant: MultibodyPlant, name: str, value: Named[Any], thrusters: int = 0) -> Floats:
+    """Returns the array of a field that is given by names, of a plant with this many thrusters.
 
     Positions' bounds are (nq,), controls' (nu,), all others (nv,). A turn of a floating body is
     weighed and bounded as a velocity, and not bounded as a quaternion. A single weight or bound is
     that of all of a joint's coordinates; velocities are one for each.
     """
     if name.startswith("control"):
-        thrusters = cast("tuple[Thruster, ...]", scenario.thrusters)
-        return _fill_controls(plant, name, value, len(thrusters))
+        return _fill_controls(plant, name, value, thrusters)
     rest, is_for_all = RESTS[name], name not in ("initial_velocity", "goal_velocity")
     are_positions = name in ("position_lower", "position_upper")
     total = plant.num_positions() if are_positions else plant.num_velocities()

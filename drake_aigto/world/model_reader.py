@@ -32,9 +32,10 @@ from drake_aigto.errors import ModelError
 from drake_aigto.world.diagram import add_actuation, check_plant, hear_drake, list_bodies
 from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, find_packages
+from drake_aigto.world.frames import fill_named
 from drake_aigto.world.meshes import MESHES
 from drake_aigto.world.model_facts import FixableError, ModelFacts, Spring, fits, pick
-from drake_aigto.world.model_fields import ModelFields
+from drake_aigto.world.model_fields import ModelFields, Named
 from drake_aigto.world.model_shapes import (
     add_ends,
     choose_ends,
@@ -89,7 +90,7 @@ class ReadModel(NamedTuple):
 
 def read_model(
     model: str,
-    dry_friction: Floats | None = None,
+    dry_friction: Floats | Named[Floats] | None = None,
     stiction_speed: float = STICTION_SPEED,
     fields: ModelFields | None = None,
     is_bare: bool = False,
@@ -99,7 +100,7 @@ def read_model(
 
     Args:
         model: a ``package://`` URI, or a path.
-        dry_friction: of joints, shape (nv,) [N, N m]; None: the model's, if it has any.
+        dry_friction: of joints, shape (nv,) or by names [N, N m]; None: the model's, if any.
         stiction_speed: that of all friction [m/s, rad/s].
         fields: how the model is read.
         is_bare: whether meshes are left out that only make shapes, as reading them takes seconds.
@@ -121,7 +122,7 @@ def read_model(
 
 def _read_model(
     model: str,
-    dry_friction: Floats | None,
+    dry_friction: Floats | Named[Floats] | None,
     stiction_speed: float,
     fields: ModelFields,
     in_space: bool,
@@ -169,6 +170,8 @@ def _read_model(
     if kind == "xml":
         note_unlike_friction(scene_graph, facts)
     friction = _find_friction(plant, facts) if dry_friction is None else dry_friction
+    if isinstance(friction, Named):
+        friction = fill_named(plant, "dry_friction", friction)
     if friction is not None:
         check_size("dry_friction", friction, plant.num_velocities())
         add_dry_friction(builder, plant, friction, stiction_speed)

@@ -84,7 +84,7 @@ def pick_shapes(
 ) -> list[GeometryId]:
     """Returns the collision shapes that names or globs choose."""
     found: dict[GeometryId, None] = {}
-    known = ", ".join(sorted(full for full, _ in shapes.values())) or "(none)"
+    known = ", ".join(sorted({full for full, _ in shapes.values()})) or "(none)"
     for glob in globs:
         fitting = [each for each, names in shapes.items() if any(fits(n, glob) for n in names)]
         if not fitting and glob != "*":

@@ -181,7 +181,7 @@ def _as_parts(
 RESTS = {
     **dict.fromkeys(("goal_weight", "goal_velocity_weight"), 0.0),
     **dict.fromkeys(("position_weight", "velocity_weight"), 0.0),
-    **dict.fromkeys(("initial_velocity", "goal_velocity"), 0.0),
+    **dict.fromkeys(("initial_velocity", "goal_velocity", "dry_friction"), 0.0),
     **dict.fromkeys(("position_lower", "velocity_lower", "control_lower"), -math.inf),
     **dict.fromkeys(("position_upper", "velocity_upper", "control_upper"), math.inf),
 }
@@ -224,6 +224,7 @@ as_running = by_name(_as_weight, _as_weight)
 as_final = by_name(as_weight_matrix, _as_weight)
 as_velocity = by_name(as_vector, as_vector)
 as_limit = by_name(as_bound, as_bound)
+as_friction = by_name(*[partial(as_vector, at_least=0.0)] * 2)
 as_positions = cast(Callable[[str, object], Floats], as_places)  # Names are replaced by numbers.
 as_clearance = as_mapping(partial(as_number, above=0.0, unit="m"), "{ball against left_wall: 0.05}")
 as_period = as_mapping(as_advance, "{x: 0.4}, or {} if all repeats")

@@ -114,7 +114,7 @@ class Scenario(ModelFields):
             model's.
         friction: μ of every pair that can slide, in place of the model's; 0 leaves friction out,
             None keeps the model's (`World.friction_coefficients`).
-        dry_friction: F ≥ 0 of each coordinate, shape (nv,) [N, N m]: joints have friction
+        dry_friction: F ≥ 0 of each coordinate, (nv,) or by names [N, N m]: joints have friction
             −F σ(v / v_s), see `calc_friction_share`, which belongs to h(q, v) above; None: the
             model's, if it has any.
         stiction_speed: v_s > 0 of all friction, Drake's stiction tolerance [m/s, rad/s].
@@ -165,9 +165,7 @@ class Scenario(ModelFields):
     restitution: float = 1.0
     mass: float | None = None  # [kg]
     friction: float | None = None
-    dry_friction: ArrayField[Floats | None] = ArrayField(
-        partial(as_vector, at_least=0.0), None
-    )  # [N, N m]
+    dry_friction: places.Vector = ArrayField(places.as_friction, None)  # [N, N m]
     stiction_speed: float = STICTION_SPEED  # [m/s, rad/s]
     clearance: ArrayField[Named[float]] = ArrayField(places.as_clearance, Named())  # [m]
     ignored_shapes: ArrayField[tuple[str, ...]] = ArrayField(as_globs, ())
