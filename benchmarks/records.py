@@ -238,6 +238,10 @@ FIGURES: Mapping[str, Figure] = {
     "space_rivals_table": Figure("space_rivals", r"(?s)\A[^\n]*\n(.*\S)"),
     "space_controllers_table": Figure("space_controllers", r"(?s)\A[^\n]*\n(.*\S)"),
     "push_tee_poses_table": Figure("push_tee_poses", r"(?s)\A[^\n]*\n(.*\S)"),
+    **{
+        f"fingers_{each}_met": Figure(f"fingers_{each}", r"^(\d+ of \d+) have 20 steps")
+        for each in ("turn", "lift", "flip")
+    },
     "loop_record_tables": Figure("loop_record", r"(?s)^(table1/1: .*\S)"),
     "loop_record_unstable_tables": Figure(
         "loop_record_unstable", r"(?s)^(cart_pole/rigid_06: cost.*\S)"
