@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
-from typing import TypeAlias
 
 import numpy as np
 
@@ -28,15 +26,12 @@ from drake_aigto.planning.mechanisms.settling import (
     part_far,
 )
 from drake_aigto.planning.mechanisms.task import MechanismTask
-from drake_aigto.planning.mechanisms.touches import NEAR
+from drake_aigto.planning.mechanisms.touches import RoundedTouches, round_touches
 from drake_aigto.planning.search import Proposal, Search, Stopwatch, scaled
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.transcription import TouchSequence
 
 _LOG = logging.getLogger(__name__)
-
-# Which contacts are touched, how the impacts end, and roughly when and for how long.
-_Key: TypeAlias = tuple[tuple[int, int, int, int], ...]
 
 _WORDS: dict[StartName, str] = {
     "push": "from a hand that pushes",
@@ -53,8 +48,7 @@ _WAVE, _FEW = 8, 4
 _NOTHING = 1e-12
 # How often bounds are narrowed where a simulation exceeds them, at most.
 _MOST_NARROWED = 2
-# A polish that costs more than this times the motion before it broke its promise: whirled by a
-# wall, a motion in short steps may cost twice as much, or no more, as in long ones.
+# A polish that costs more than this times the motion before, as one whirled by a wall, broke its word.
 _BROKEN = 1.05
 # Polished motions that cost more than this times the best that holds are not simulated.
 _SIMULATED = 1.01
@@ -96,7 +90,7 @@ class MechanismSearch(Search):
         self._num_of_use = self._num_broken = 0
         self._scales = task.state_scales[: task.world.num_positions]
         self._rigid = task if isinstance(task, RigidMechanismTask) else None
-        self._tried: set[_Key] = set()
+        self._tried: set[RoundedTouches] = set()
         self._branched: list[KeptMotion] = []
 
     @property
@@ -132,10 +126,8 @@ class MechanismSearch(Search):
         """
         guesses, count = self.task.guesses, self.task.options.starts
         self.tell(f"shooting from {self.task.num_starts} starts")
-        given = []
-        if self.guess is not None:
-            follow = partial(guesses.follow, self.guess)
-            given.append(Proposal(Origin(GIVEN), partial(self._close, follow)))
+        users = [] if self.guess is None else [partial(guesses.follow, self.guess)]
+        given = [Proposal(Origin(GIVEN), partial(self._close, each)) for each in users]
         starts = [self._start(number, number < len(guesses.starts)) for number in range(count)]
         sharp = [
             Proposal(
@@ -145,12 +137,10 @@ class MechanismSearch(Search):
             for each in guesses.sharp_starts
             for words, has_states in (("", True), (", simulated", False))
         ]
-        first = []
-        if self._rigid:
-            touches = self._rigid.coasting
-            ends = sorted({min(end, len(touches)) for end in (*_FIRST, len(touches))} - {0})
-            closes = (partial(self._bounce, touches[:end], None) for end in ends)
-            first = [Proposal(Origin(COASTING), close) for close in closes]
+        touches = self._rigid.coasting if self._rigid else ()
+        ends = sorted({min(end, len(touches)) for end in (*_FIRST, len(touches))} - {0})
+        closes = (partial(self._bounce, touches[:end], None) for end in ends)
+        first = [Proposal(Origin(COASTING), close) for close in closes]
         waves = (starts[i : i + _FEW] for i in range(0, count, _FEW))
         yield from [[*given, *sharp], *waves] if sharp else [[*given, *starts, *first]]
         if (shorter := self.task.shortened()) is not None:
@@ -171,26 +161,40 @@ class MechanismSearch(Search):
             is_free = not self.task.additions and cost <= _NOTHING * self.task.scales.cost
             if is_free or options.patience * self.chance < 1:
                 break
+            self._settle()
             self.tell(f"renewal {first} of {options.renewals}; the best costs {cost:.6g}")
             yield [self._draw(each) for each in range(first, min(first + _WAVE, options.renewals))]
             self._resolve()
 
+    def _settle(self) -> None:
+        """Refines kept motions, whose closings may have ended early, before they are renewed."""
+        raw = [each for each in self.motions if self.task.ends_early and not each.is_settled]
+        refined = self._close_again(raw, partial(self.task.tighten, least=self.motions[0].cost))
+        kept = [old.settled(new) for old, new in zip(raw, refined, strict=True)]
+        self.motions = best_of([*kept, *(each for each in self.motions if each not in raw)])
+
     def _resolve(self) -> None:
         """Closes the kept motions anew in better steps while the best one's are too long."""
+
+        def close(found: ShootingResult) -> ShootingResult:
+            guess = Guess(found.times, found.controls, width=0.0, start=found.states[0])
+            return self.task.close(guess, self._aim)
+
         while self.motions and self.task.is_coarse(best := self.motions[0].result):
             self._aim = self.task.refine(best)
             self.tell(f"shooting in {self._aim.substeps} steps of order {self._aim.order}")
-            wave = []
             known = [each for each in self.motions if self.task.is_known(each.result)]
-            others = [each for each in self.motions if each not in known]
-            for origin, motion in ((each.origin, each.result) for each in others):
-                guess = Guess(motion.times, motion.controls, width=0.0, start=motion.states[0])
-                wave.append(Proposal(origin, partial(self.task.close, guess, self._aim)))
-            closed = zip(others, self._close_at_once(wave), strict=True)
-            again = [replace(old, result=new, rank=self.task.rank(new)) for old, new in closed]
+            again = self._close_again([each for each in self.motions if each not in known], close)
             if not (finite := [each for each in again if np.isfinite(each.cost)]):
                 return
             self.motions = best_of([*finite, *known])
+
+    def _close_again(
+        self, motions: Sequence[KeptMotion], close: Callable[[ShootingResult], ShootingResult]
+    ) -> list[KeptMotion]:
+        wave = [Proposal(each.origin, partial(close, each.result)) for each in motions]
+        closed = zip(motions, self._close_at_once(wave), strict=True)
+        return [KeptMotion(m.origin, new, self.task.rank(new), m.found) for m, new in closed]
 
     @property
     def chance(self) -> float:
@@ -202,8 +206,8 @@ class MechanismSearch(Search):
         if number % 2:
             return self._start(self.task.options.starts + number // 2)
         rng = self._make_generator(number, is_renewal=True)
-        most = min(MOST_RENEWED, len(self.motions))
-        motion = self.motions[int(rng.integers(most)) if number % 4 else 0]
+        motions = self.motions[: MOST_RENEWED if number % 4 else 1]
+        motion = motions[int(rng.integers(len(motions)))]
         propose = partial(self.task.guesses.renew, motion.result, rng)
         return Proposal(motion.origin.renewed(), partial(self._close, propose, motion))
 
@@ -249,8 +253,8 @@ class MechanismSearch(Search):
     def _close_wave(self, wave: Sequence[Proposal]) -> None:
         """Closes motions, and keeps the best; those that cost too much are left unfinished.
 
-        Where half of the motions are better than no control, others are not closed with more care:
-        of 3,072 around cart-poles between soft walls 403 were, and two of these were kept.
+        Where half are better than no control, others are not closed with more care: of 3,072 around
+        cart-poles between soft walls 403 were, and two of these were kept.
         """
         most = scaled(self.task.close_ratio, find_limit(self.motions, self.task.num_limiting))
         is_patient = 2 * self._num_of_use <= self.searches
@@ -270,13 +274,9 @@ class MechanismSearch(Search):
     def _list_neighbors(self, motion: KeptMotion) -> Iterator[Proposal]:
         """Yields the neighbors of a motion that were not tried yet."""
         assert self._rigid is not None
-        near, found = NEAR * self.task.scenario.duration, motion.result
+        found = motion.result
         for change, touches in self._rigid.find_neighbors(found):
-            key = tuple(
-                (t.contact, t.mode, round(t.start / near), round((t.end - t.start) / near))
-                for t in touches
-            )
-            if key not in self._tried:
+            if (key := round_touches(touches, self.task.scenario.duration)) not in self._tried:
                 self._tried.add(key)
                 origin = motion.origin.changed(change, found.touches)
                 by = _DROPPED if change == "dropped" else 1.0
@@ -314,9 +314,9 @@ class MechanismSearch(Search):
         """Polishes and judges the motions that remain, one that holds of those near each other.
 
         It ends once enough finalists hold or cost more than one that does, or those that remain
-        promise to. Finalists that broke a promise say nothing of the next ones, which have their
-        turn, too, also those near them; those that cost far more have it if none holds. Nor do
-        motions that are known as they are, which are no optima: they come first, until one holds.
+        promise to. Finalists that broke a promise say nothing of the next ones, also near them, nor
+        do motions that are known as they are, no optima: these come first, until one holds. Those
+        that cost far more have their turn if none holds for less.
         """
         for motion in (*self._sure, *self._tight):
             if (is_known := self.task.is_known(motion.result)) and self._holding:
@@ -338,7 +338,7 @@ class MechanismSearch(Search):
             self._num_broken += is_broken
             if not is_broken and all(each.is_confirmed for each in judged):
                 self._known += [motion, KeptMotion(motion.origin, polished, rank)]
-        if self._far and not self._holding:
+        if self._far and self._far[0].cost < self._scale_best(1.0):
             far, self._far = self._far, []
             self._refine(far)
 

@@ -47,6 +47,11 @@ class KeptMotion:
     # Whether it violates bounds or a hard goal by much; J, plus a price for violations.
     rank: tuple[bool, float]
     found: int = 1  # how many searches found it that did not begin with it
+    is_settled: bool = False  # whether it was refined
+
+    def settled(self, refined: KeptMotion) -> KeptMotion:
+        """Returns the motion that refining led to, or this one if that costs no less."""
+        return replace(refined if refined.rank < self.rank else self, is_settled=True)
 
     @property
     def cost(self) -> float:

@@ -239,6 +239,15 @@ class MechanismTask(PosedMechanism):
         return is_compliant and self.mechanism.has_friction and self.world.dry_friction is None
 
     @property
+    def ends_early(self) -> bool:
+        """Whether closings end where costs may yet fall far: with friction in space.
+
+        With 24 renewals, a puck costs 0.0186 at six seeds of six if kept motions are not refined
+        before, as those of one strike displace all others, and 0.0014 at three if they are.
+        """
+        return self._rubs_in_space
+
+    @property
     def _rubs_in_space(self) -> bool:
         return self.mechanism.has_friction and isinstance(self.world, SpaceWorld)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 
@@ -31,6 +32,17 @@ _EDGE = 0.98
 _SOON = 2
 # Touches closer than this part of the duration may be swapped.
 NEAR = 0.05
+
+# Which contacts are touched, how the impacts end, and roughly when and for how long.
+RoundedTouches: TypeAlias = tuple[tuple[int, int, int, int], ...]
+
+
+def round_touches(touches: TouchSequence, duration: float) -> RoundedTouches:
+    """Returns what sequences that are near each other have in common, of a duration [s]."""
+    near = NEAR * duration
+    return tuple(
+        (t.contact, t.mode, round(t.start / near), round((t.end - t.start) / near)) for t in touches
+    )
 
 
 def find_neighbors(
