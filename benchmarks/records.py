@@ -67,7 +67,7 @@ RECORDS: Mapping[str, str] = {
     " room_with_block/off_the_block two_masses/apart two_masses/handed_on"
     " --count 20 --times 4 --workers 1",
     "friction_worlds": "python -m benchmarks.friction_worlds --workers 1",
-    "space": "python -m benchmarks.space --seeds 2 --renewals 24",
+    "space": "python -m benchmarks.space --seeds 2 --renewals 24 --workers 2",
     "space_rivals": "python -m benchmarks.space --rivals --seeds 1 --renewals 0 --workers 1"
     " --minutes 16",
     "space_controllers": "python -m benchmarks.space --rivals --mujoco --seeds 1 --renewals 0"

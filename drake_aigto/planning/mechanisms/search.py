@@ -48,7 +48,7 @@ _WAVE, _FEW = 8, 4
 _NOTHING = 1e-12
 # How often bounds are narrowed where a simulation exceeds them, at most.
 _MOST_NARROWED = 2
-# A polish that costs more than this times the motion before, as one whirled by a wall, broke its word.
+# A polish that costs more than this times the motion before, as one whirled by a wall, is broken.
 _BROKEN = 1.05
 # Polished motions that cost more than this times the best that holds are not simulated.
 _SIMULATED = 1.01
