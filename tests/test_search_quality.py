@@ -257,6 +257,38 @@ def test_motions_in_a_longer_horizon_rest_at_the_goal_or_wait_first(
     assert search.motions[0].cost < most
 
 
+def test_kept_motions_are_refined_before_they_are_renewed_where_closings_end_early() -> None:
+    """Those of one strike at the puck displaced all others, whose costs fell ten times as far."""
+    for name, ends_early in (("puck/spin", True), ("cart_pole/soft_06", False)):
+        world, scenario = World.from_scenario(Scenario.named(name)), Scenario.named(name)
+        options = PlanOptions(starts=6, renewals=8, threads=1)
+        search = MechanismSearch(make_mechanism_task(world, world.place(scenario), options))
+        for wave in search.propose():
+            search.close(wave)
+        before = [each.rank for each in search.motions]
+        next(iter(search.vary()))
+        after = search.motions
+        assert all(each.is_settled == ends_early for each in after)
+        assert len(after) == len(before) and after[0].rank <= before[0]
+        assert (sum(m.cost for m in after) < sum(cost for _, cost in before)) == ends_early
+
+
+def test_motions_that_cost_far_more_have_their_turn_where_what_holds_costs_more_still(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scenario = Scenario.named("cart_pole/soft_06")
+    task = make_mechanism_task(World.from_scenario(scenario), scenario, PlanOptions(starts=1))
+    for holding, has_turn in (([], True), ([3.0], True), ([1.0], False)):
+        search, refined = MechanismSearch(task), list[object]()
+        for wave in search.propose():
+            search.close(wave)
+        search._far = [dataclasses.replace(search.motions[0], rank=(False, 2.0))]
+        monkeypatch.setattr(MechanismSearch, "_holding", holding)
+        monkeypatch.setattr(search, "_refine", refined.append)
+        search._judge_best()
+        assert bool(refined) == has_turn == (not search._far)
+
+
 def test_discs_push_each_other_as_far_as_it_takes_and_the_plan_holds() -> None:
     options = PlanOptions(confirm=False, finalists=1)
     plan = Planner(Scenario.named("two_discs/swap"), options).plan()
