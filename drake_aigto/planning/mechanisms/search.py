@@ -162,7 +162,8 @@ class MechanismSearch(Search):
             if is_free or options.patience * self.chance < 1:
                 break
             self._settle()
-            self.tell(f"renewal {first} of {options.renewals}; the best costs {cost:.6g}")
+            best = f"the best costs {self.motions[0].cost:.6g}"
+            self.tell(f"renewal {first} of {options.renewals}; {best}")
             yield [self._draw(each) for each in range(first, min(first + _WAVE, options.renewals))]
             self._resolve()
 
@@ -274,11 +275,10 @@ class MechanismSearch(Search):
     def _list_neighbors(self, motion: KeptMotion) -> Iterator[Proposal]:
         """Yields the neighbors of a motion that were not tried yet."""
         assert self._rigid is not None
-        found = motion.result
-        for change, touches in self._rigid.find_neighbors(found):
+        for change, touches in self._rigid.find_neighbors(motion.result):
             if (key := round_touches(touches, self.task.scenario.duration)) not in self._tried:
                 self._tried.add(key)
-                origin = motion.origin.changed(change, found.touches)
+                origin = motion.origin.changed(change, motion.result.touches)
                 by = _DROPPED if change == "dropped" else 1.0
                 yield Proposal(origin, partial(self._bounce, touches, motion, by))
 
