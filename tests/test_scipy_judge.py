@@ -1,4 +1,4 @@
-"""Replays of what rubs, flies and bounces agree with equations by hand that SciPy integrates."""
+"""Replays of worlds with friction and of balls agree with equations by hand, by SciPy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.robots.judge import Control
 from benchmarks.robots.mechanics import MECHANISMS
-from benchmarks.robots.rubbing import BODIES, integrate
+from benchmarks.robots.scipy_judge import BODIES, integrate
 from benchmarks.robots.setting import model_of
 from drake_aigto import Scenario, World, scenario_names
 from drake_aigto.simulation import replay_event_driven

@@ -1,12 +1,13 @@
-"""What rubs, rolls, flies and bounces, written out by hand and integrated by SciPy.
+"""Equations by hand of worlds with friction and of balls, integrated by SciPy: a second judge.
 
     M(q) v̇ = f(q, v, u) + Σ (Jᵀ λ + Tᵀ τ) - F σ(v / v_s)
 
-over pairs of surfaces with their gap φ, its rate J v and their slip s = T v. Compliant ones push
-with λ = k x max(0, 1 + d ẋ), x = max(0, -φ), and rub with τ = -μ λ σ(s / v_s) in the middle of the
-overlap, where σ is Drake's, x³ (10 - 15 x + 6 x²) up to 1; k is half of that of two equal bodies.
-Rigid ones give the impulse (1 + e) |J v| m, and along the slip the one that ends it, but at most μ
-times as much. F is dry friction of joints. Nothing is shared with what plans for these worlds.
+over pairs of surfaces with the gap φ, its rate J v and the sliding velocity s = T v. Compliant
+contact has the normal force λ = k x max(0, 1 + d ẋ), x = max(0, -φ), and in the middle of the
+overlap the friction force τ = -μ λ σ(s / v_s), where σ(x) = x³ (10 - 15 x + 6 x²) up to x = 1, and
+1 beyond, as in Drake; k is half of that of two equal bodies. Rigid contact has the impulse
+(1 + e) |J v| m, and across it the one that ends sliding, but at most μ times as much. F is dry
+friction of joints. Nothing is shared with the package but the scenario.
 
 `integrate` takes a control to its cost: the eighth-order method of Dormand and Prince, a piece for
 each value of the control and each flight. Constants are those of the shipped models.
@@ -38,7 +39,7 @@ class Pair(NamedTuple):
 
 
 class Body(NamedTuple):
-    """What moves; functions of q, or of q, v and u."""
+    """Bodies and their contacts; functions of q, or of q, v and u."""
 
     mass: Callable[[Any], np.ndarray]  # M (n, n)
     force: Callable[[Any, Any, Any], np.ndarray]  # f (n,)
@@ -50,15 +51,15 @@ class Body(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What becomes of a control."""
+    """Result of a control."""
 
     cost: float  # J
     end: np.ndarray  # q and v (2n,)
-    touched: float  # ∫ Σ λ dt of pairs that yield [N s], or the number of bounces
+    touched: float  # ∫ Σ λ dt of compliant pairs [N s], or the number of bounces
 
 
 def integrate(scenario: Scenario, control: Control) -> Outcome:
-    """Returns what becomes of a control of a scenario whose model is one of `BODIES`."""
+    """Returns the result of a control of a scenario whose model is one of `BODIES`."""
     body = BODIES[model_of(scenario)]
     n = np.size(scenario.initial_position)
     x = np.concatenate([scenario.initial_position, scenario.initial_velocity, [0.0, 0.0]])
@@ -132,11 +133,11 @@ def _calc_rates(body: Body, scenario: Scenario, mode: float, t: float, x: Any, u
         ]
     for i, pair in enumerate(body.pairs(q) if body.stiffness else []):
         depth, rate = max(0.0, -pair.gap), -pair.normal @ v
-        push = body.stiffness * depth * max(0.0, 1.0 + body.dissipation * rate)
+        normal = body.stiffness * depth * max(0.0, 1.0 + body.dissipation * rate)
         mu = body.friction[min(i, len(body.friction) - 1)]
-        rub = mu * push * _sigma(pair.slip @ v / scenario.stiction_speed)
-        force += push * pair.normal - rub * pair.slip
-        pushed += push
+        tangential = -mu * normal * _sigma(pair.slip @ v / scenario.stiction_speed)
+        force += normal * pair.normal + tangential * pair.slip
+        pushed += normal
     rates = np.linalg.solve(body.mass(q), force)
     if body.brake:
         rates[0] = rates[0] - mode * body.brake if mode else 0.0
